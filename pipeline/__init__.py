@@ -1,0 +1,1 @@
+"""From a scan folder to artifacts: stage graph, config, cache."""

@@ -1,0 +1,1 @@
+"""Stages of the scan pipeline, as plain functions on in-memory data."""

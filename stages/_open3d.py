@@ -1,0 +1,65 @@
+"""The one door to Open3D.
+
+Its Linux wheel wants libusb-1.0.so.0 from the system, which a bare machine lacks. A copy from the
+libusb-package wheel, loaded first, satisfies it without root.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import re
+import sys
+from typing import Any
+
+from stages.errors import StageError
+
+# The system libraries Open3D links to, and the Debian package that brings each.
+_DEBIAN_PACKAGES = {
+    "libEGL.so.1": "libegl1",
+    "libGL.so.1": "libgl1",
+    "libX11.so.6": "libx11-6",
+    "libgomp.so.1": "libgomp1",
+    "libidn2.so.0": "libidn2-0",
+    "libudev.so.1": "libudev1",
+    "libusb-1.0.so.0": "libusb-1.0-0",
+}
+
+
+@functools.cache
+def open3d() -> Any:
+    """Import Open3D (about a second, once a process).
+
+    Raises
+    ------
+    StageError
+        If a system library it needs is absent; the message names the library and its Debian package.
+    """
+    if sys.platform == "linux":
+        _provide_libusb()
+    try:
+        import open3d  # noqa: TID251
+    except ImportError as error:
+        raise StageError(_explain(str(error))) from error
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    return open3d
+
+
+def _provide_libusb() -> None:
+    try:
+        ctypes.CDLL("libusb-1.0.so.0")
+    except OSError:
+        import libusb_package
+
+        path = libusb_package.get_library_path()
+        if path is not None:
+            ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
+
+
+def _explain(message: str) -> str:
+    missing = re.search(r"(lib[\w.+-]+\.so[.\d]*): cannot open", message)
+    if missing is None:
+        return f"Open3D cannot be imported: {message}"
+    package = _DEBIAN_PACKAGES.get(missing[1])
+    advice = f" On Debian or Ubuntu: apt-get install {package}" if package else ""
+    return f"Open3D cannot be imported: the system library {missing[1]} is missing.{advice}"

@@ -1,0 +1,98 @@
+"""Parameters of a stage, declared once.
+
+A stage's frozen parameter class is the one source for its Python signature, the command's options and
+help, the keys of the config file and the reference page. Every field carries its text, unit and range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar, get_type_hints
+
+from stages.errors import UsageError
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class Described:
+    """What a parameter field says of itself."""
+
+    text: str
+    unit: str
+    low: float | None
+    high: float | None
+    low_open: bool
+    choices: tuple[str, ...]
+    invalidates: bool
+
+
+def param(
+    default: Any,
+    text: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    low_open: bool = False,
+    choices: tuple[str, ...] = (),
+    invalidates: bool = True,
+) -> Any:
+    """Declare a field of a parameter class.
+
+    `None` as a default means "derived from the data"; `text` then says how. `low` and `high` are the
+    allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
+    change the result (threads, previews), so that the cache ignores it.
+    """
+    return field(
+        default=default, metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates)}
+    )
+
+
+def described(cls: type) -> dict[str, Described]:
+    """Name and description of every parameter of a class, in the order they are declared."""
+    return {f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata}
+
+
+def check(params: Any) -> None:
+    """Raise UsageError for the first value of a wrong type or out of its range; call it in `__post_init__`."""
+    hints = get_type_hints(type(params))
+    for name, about in described(type(params)).items():
+        value = getattr(params, name)
+        if value is None and type(None) in getattr(hints[name], "__args__", ()):
+            continue
+        _check_type(name, value, hints[name])
+        if about.choices and value not in about.choices:
+            raise UsageError(f"{name} is {value!r}; it must be one of {', '.join(about.choices)}.")
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            _check_range(name, value, about)
+
+
+def _check_type(name: str, value: Any, hint: Any) -> None:
+    kinds = tuple(k for k in (getattr(hint, "__args__", None) or (hint,)) if k is not type(None))
+    if float in kinds:
+        kinds = (*kinds, int)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        names = " or ".join(sorted({k.__name__ for k in kinds}))
+        raise UsageError(f"{name} is {value!r}; it must be of type {names}.")
+
+
+def _check_range(name: str, value: float, about: Described) -> None:
+    unit = f" {about.unit}" if about.unit else ""
+    if math.isnan(value):
+        raise UsageError(f"{name} is not a number.")
+    if about.low is not None and (value < about.low or (about.low_open and value == about.low)):
+        bound = "more than" if about.low_open else "at least"
+        raise UsageError(f"{name} is {value:g}{unit}; it must be {bound} {about.low:g}{unit}.")
+    if about.high is not None and value > about.high:
+        raise UsageError(f"{name} is {value:g}{unit}; it must be at most {about.high:g}{unit}.")
+
+
+def resolve(cls: type[P], params: P | None, changes: dict[str, Any]) -> P:
+    """Parameters of a call: those given (or the defaults), with the named changes applied."""
+    unknown = sorted(set(changes) - set(described(cls)))
+    if unknown:
+        raise UsageError(f"unknown parameter {unknown[0]!r}; known are {', '.join(described(cls))}.")
+    base = cls() if params is None else params
+    return replace(base, **changes) if changes else base  # type: ignore[type-var]

@@ -1,0 +1,16 @@
+"""How long work tells how far it is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Progress(Protocol):
+    """Called now and then from the working thread; raising from it stops the work."""
+
+    def __call__(self, done: int, total: int) -> None:
+        """Say that `done` of `total` units (frames, collapses) are finished."""
+
+
+def silent(done: int, total: int) -> None:  # noqa: ARG001
+    """Progress that nobody watches."""

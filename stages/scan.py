@@ -1,0 +1,128 @@
+"""What a scan folder holds, once a reader has understood it: metres, OpenCV camera axes, row-major poses.
+
+Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: the top left one at (0, 0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pose = NDArray[np.float64]
+ColorImage = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with OpenCV's distortion.
+
+    Attributes
+    ----------
+    width, height : pixels.
+    fx, fy, cx, cy : pixels, for exactly this image size.
+    distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the (3, 3) camera matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRig:
+    """Two cameras fixed to each other.
+
+    Attributes
+    ----------
+    right_from_left : (4, 4) float64, metres: takes left-camera points to the right camera.
+    rectified : rows of both images already correspond; the baseline is then -right_from_left[0, 3].
+    disparities : the number of disparities the calibration file itself states, or None.
+    """
+
+    left: Camera
+    right: Camera
+    right_from_left: Pose
+    rectified: bool
+    disparities: int | None = None
+
+    @property
+    def baseline(self) -> float:
+        """Return the distance between the camera centres, in metres."""
+        return float(np.linalg.norm(self.right_from_left[:3, 3]))
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment of a scan: a colour image and either a right image or a depth map.
+
+    Images are files, read when asked for (see stages.images), or arrays in memory.
+
+    Attributes
+    ----------
+    name : how messages call the frame: its file's stem, or its number.
+    camera : of the depth map, or of the left image.
+    color : file or (h, w, 3) uint8 RGB; the left image of a pair.
+    right : file or array, for stereo.
+    depth : file, or (h, w) float32 metres along the optical axis, 0 where missing.
+    depth_scale : what one metre is in the depth file's units (1000 for millimetres).
+    depth_missing : raw values that mark a missing depth, beside 0.
+    world_from_camera : (4, 4) float64 rigid, metres; None where the scan has no pose for the frame.
+    timestamp : nanoseconds, or None.
+    """
+
+    name: str
+    camera: Camera
+    color: Path | ColorImage | None = None
+    right: Path | ColorImage | None = None
+    depth: Path | DepthImage | None = None
+    depth_scale: float = 1000.0
+    depth_missing: tuple[int, ...] = ()
+    world_from_camera: Pose | None = None
+    timestamp: int | None = None
+
+
+@dataclass(frozen=True)
+class SkippedFrame:
+    """A frame that cannot be used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A lazy, ordered sequence of frames.
+
+    Attributes
+    ----------
+    layout : the name of the recognised layout.
+    rig : set for stereo pairs, None for RGB-D.
+    skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
+    warnings : what is odd, in plain sentences.
+    """
+
+    layout: str
+    frames: Sequence[Frame]
+    rig: StereoRig | None = None
+    folder: Path | None = None
+    skipped: tuple[SkippedFrame, ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def is_stereo(self) -> bool:
+        """Return whether depth must still be computed from pairs."""
+        return self.rig is not None
