@@ -26,7 +26,7 @@ class InputError(ScanloomError):
 
 
 class MeshError(InputError):
-    """A mesh breaks a rule it must keep: an index out of range, a value that is not finite, an edge of three faces."""
+    """A mesh breaks a rule: an index out of range, a value that is not finite, an edge of three faces."""
 
 
 class UsageError(ScanloomError):

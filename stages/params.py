@@ -56,7 +56,7 @@ def described(cls: type) -> dict[str, Described]:
 
 
 def check(params: Any) -> None:
-    """Raise UsageError for the first value of a wrong type or out of its range; call it in `__post_init__`."""
+    """Raise UsageError for the first value of a wrong type or range; call it in `__post_init__`."""
     hints = get_type_hints(type(params))
     for name, about in described(type(params)).items():
         value = getattr(params, name)

@@ -12,5 +12,5 @@ class Progress(Protocol):
         """Say that `done` of `total` units (frames, collapses) are finished."""
 
 
-def silent(done: int, total: int) -> None:  # noqa: ARG001
+def silent(done: int, total: int) -> None:
     """Progress that nobody watches."""
