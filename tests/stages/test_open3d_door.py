@@ -1,0 +1,44 @@
+"""Open3D must import on a machine without the system's libusb, and explain what else is missing."""
+
+import subprocess
+import sys
+
+import pytest
+
+from stages._open3d import _explain
+
+HIDE_SYSTEM_LIBUSB = """
+import ctypes
+real = ctypes.CDLL.__init__
+def init(self, name, *args, **kwargs):
+    if name == "libusb-1.0.so.0":
+        raise OSError("libusb-1.0.so.0: cannot open shared object file")
+    if name is not None and str(name).endswith(".so") and "libusb" in str(name):
+        print("packaged libusb loaded")
+    real(self, name, *args, **kwargs)
+ctypes.CDLL.__init__ = init
+from stages._open3d import open3d
+mesh = open3d().t.geometry.TriangleMesh.create_sphere()
+print(mesh.vertex.positions.shape[0])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Open3D's Linux wheel wants libusb from the system")
+def test_imports_without_system_libusb():
+    result = subprocess.run(
+        [sys.executable, "-P", "-c", HIDE_SYSTEM_LIBUSB]
+        if sys.version_info >= (3, 11)
+        else [sys.executable, "-c", HIDE_SYSTEM_LIBUSB],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "packaged libusb loaded" in result.stdout
+
+
+def test_missing_library_is_named_with_its_package():
+    message = _explain("libEGL.so.1: cannot open shared object file: No such file or directory")
+    assert "libEGL.so.1" in message
+    assert "apt-get install libegl1" in message
