@@ -1,15 +1,27 @@
-"""Read a frame's images: 8-bit RGB colour, metric float32 depth."""
+"""Read a frame's images: 8-bit RGB colour, metric float32 depth.
+
+Files come from anywhere, so what an image promises is checked before a decoder allocates it.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.scan import Camera, ColorImage, DepthImage, Frame
+
+# No camera in use makes larger images; a header that promises more is damaged or hostile.
+MAX_PIXELS = 1 << 27
+# Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
+_HEADER_BYTES = 1 << 19
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+# JPEG markers that start a frame (and so hold its size): SOF0-15 without DHT, JPG and DAC.
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def read_color(frame: Frame) -> ColorImage | None:
@@ -48,6 +60,53 @@ def read_depth(frame: Frame) -> DepthImage | None:
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
 
 
+def read_raw_depth(path: Path) -> NDArray[Any]:
+    """Return a depth file's values as they are stored, (h, w) uint16 or float, in the file's own unit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, does not decode, or is an 8-bit or colour image.
+    """
+    if path.suffix == ".npy":
+        try:
+            # Mapped, not read: a header that promises more than the file holds then fails at once.
+            raw: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(f"the depth map cannot be read ({error}).", path) from error
+    else:
+        raw = _decode(path)
+    if raw.ndim != 2:
+        raise InputError("a depth map of one channel is expected; this is a colour image.", path)
+    if raw.dtype == np.uint8:
+        raise InputError("the depth map has 8 bits a pixel; 16-bit or float depth is expected.", path)
+    if raw.dtype.kind not in "uif" or raw.size > MAX_PIXELS:
+        raise InputError(f"16-bit or float depth is expected; this is {raw.shape} of type {raw.dtype}.", path)
+    return raw
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return (width, height) in pixels, from the header alone where the format is a common one.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or is no image.
+    """
+    if path.suffix == ".npy":
+        height, width = read_raw_depth(path).shape
+        return width, height
+    try:
+        with path.open("rb") as file:
+            size = _promised_size(file.read(_HEADER_BYTES))
+    except OSError as error:
+        raise InputError(f"the image cannot be opened ({error.strerror}).", path) from error
+    if size is not None:
+        return size
+    height, width = _decode(path).shape[:2]
+    return width, height
+
+
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
     """Raise InputError unless the image has the size the camera was calibrated for."""
     height, width = image.shape[:2]
@@ -77,24 +136,14 @@ def _color(source: Path | ColorImage, name: str) -> ColorImage:
         if image.ndim == 3:
             return np.ascontiguousarray(image[:, :, :3])
     if image.ndim == 2:
-        return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+        return cast(ColorImage, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
     code = cv2.COLOR_BGRA2RGB if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
-    return cv2.cvtColor(image, code)
+    return cast(ColorImage, cv2.cvtColor(image, code))
 
 
 def _depth_file(path: Path, frame: Frame) -> DepthImage:
-    if path.suffix == ".npy":
-        try:
-            raw = np.load(path, allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise InputError(f"the depth map cannot be read ({error}).", path) from error
-    else:
-        raw = _decode(path)
-    if raw.ndim != 2:
-        raise InputError("a depth map of one channel is expected; this is a colour image.", path)
-    if raw.dtype == np.uint8:
-        raise InputError("the depth map has 8 bits a pixel; 16-bit or float depth is expected.", path)
-    depth = raw.astype(np.float32) / np.float32(frame.depth_scale)
+    raw = read_raw_depth(path)
+    depth = cast(DepthImage, raw.astype(np.float32) / np.float32(frame.depth_scale))
     for marker in frame.depth_missing:
         depth[raw == marker] = 0
     return depth
@@ -104,13 +153,45 @@ def _decode(path: Path) -> NDArray[Any]:
     import cv2
 
     try:
-        data = np.fromfile(path, np.uint8)
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(f"the image cannot be opened ({error.strerror}).", path) from error
+    if _is_cut_short(data):
+        raise InputError("the image is cut short; copy it again or leave the frame out.", path)
+    size = _promised_size(data)
+    if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
+        raise InputError(f"the image claims to be {size[0]}×{size[1]} pixels; its header is damaged.", path)
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
         image = None
     if image is None:
-        raise InputError("the image does not decode; it is damaged, cut short or of an unknown format.", path)
+        raise InputError("the image does not decode; it is damaged or of an unknown format.", path)
     return np.asarray(image)
+
+
+def _is_cut_short(data: bytes) -> bool:
+    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey."""
+    if data.startswith(_PNG_START):
+        return b"IEND" not in data
+    return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
+
+
+def _promised_size(data: bytes) -> tuple[int, int] | None:
+    """Return (width, height) as a PNG, JPEG or PNM header states them; None for other formats."""
+    if data.startswith(_PNG_START) and len(data) >= 24:
+        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if data.startswith(b"\xff\xd8"):
+        return _jpeg_size(data)
+    pnm = re.match(rb"P[2356fF]\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s", data[:4096])
+    return (int(pnm[1]), int(pnm[2])) if pnm else None
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    at = 2
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker in _JPEG_FRAMES:
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None
