@@ -1,0 +1,177 @@
+"""A mesh as Open3D's ray-casting scene, without the float32 trap.
+
+Embree, underneath, holds coordinates as float32: at map coordinates of 500 km a step is 3 cm. So the scene
+is centred and scaled to unit size first, it only *chooses* the triangle, and the closest point and its
+distance are then computed on that triangle in float64. What is left is the choice between triangles whose
+distances differ by less than about 1e-6 of the box's diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.mesh import Mesh
+
+Floats = NDArray[np.float64]
+
+# Queries at a time: bounds the memory of any number of points, and keeps the arrays near the cache.
+CHUNK = 1 << 17
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Points on the surface: closest points, or where rays met it.
+
+    Attributes
+    ----------
+    triangles : (k,) int64, the triangle each point lies on; -1 for a ray that met nothing.
+    weights : (k, 3) float64 barycentric weights of its three corners, non-negative, of sum 1.
+    distances : (k,) float64, metres, from the query point or along the ray (inf for a miss).
+    """
+
+    triangles: NDArray[np.int64]
+    weights: Floats
+    distances: Floats
+
+
+class Surface:
+    """The surface of a mesh, ready for closest-point and ray queries.
+
+    Parameters
+    ----------
+    mesh : with at least one triangle.
+    box : (2, 3) lowest and highest corner of everything that will be asked; the mesh's own box if None.
+        Queries far outside it lose precision in the choice of the triangle.
+    """
+
+    def __init__(self, mesh: Mesh, box: Floats | None = None) -> None:
+        box = bounding_box(mesh) if box is None else box
+        self.mesh = mesh
+        self._center = box.mean(axis=0)
+        self._scale = 1 / max(float(np.linalg.norm(box[1] - box[0])), np.finfo(np.float64).tiny)
+        o3d = open3d()
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            o3d.core.Tensor(self._scaled(mesh.vertices)),
+            o3d.core.Tensor(mesh.triangles.astype(np.uint32)),
+        )
+
+    def closest(self, points: Floats) -> Located:
+        """Return the surface point nearest to each of `points`, (k, 3) float64 in metres."""
+        parts = [self._closest(points[rows]) for rows in chunks(len(points))]
+        return _joined(parts)
+
+    def cast(self, origin: Floats, directions: Floats, starts: Floats | None = None) -> Located:
+        """Return what rays from one point meet first.
+
+        Parameters
+        ----------
+        origin : (3,) float64, metres.
+        directions : (k, 3) float64 unit vectors.
+        starts : (k,) float64, metres along each ray before which nothing counts; 0 if None.
+        """
+        core = open3d().core
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, 3:] = directions
+        skipped = 0.0 if starts is None else starts[:, None]
+        rays[:, :3] = self._scaled(origin + skipped * directions)
+        hits = self._scene.cast_rays(core.Tensor(rays))
+        distances = hits["t_hit"].numpy().astype(np.float64) / self._scale
+        missed = ~np.isfinite(distances)
+        triangles = hits["primitive_ids"].numpy().astype(np.int64)
+        triangles[missed] = -1
+        u, v = hits["primitive_uvs"].numpy().astype(np.float64).T
+        weights = np.stack([1 - u - v, u, v], axis=1).clip(0, 1)
+        return Located(triangles, weights, distances if starts is None else distances + starts)
+
+    def _closest(self, points: Floats) -> Located:
+        found = self._scene.compute_closest_points(open3d().core.Tensor(self._scaled(points)))
+        triangles = found["primitive_ids"].numpy().astype(np.int64)
+        corners = self.mesh.vertices[self.mesh.triangles[triangles]]
+        weights = closest_weights(points, corners)
+        nearest = np.einsum("kc,kcx->kx", weights, corners)
+        return Located(triangles, weights, np.linalg.norm(points - nearest, axis=1))
+
+    def _scaled(self, points: Floats) -> NDArray[np.float32]:
+        return np.asarray((points - self._center) * self._scale, np.float32)
+
+
+def bounding_box(*meshes: Mesh) -> Floats:
+    """Return the lowest and the highest corner, (2, 3), of the box around the triangles of all meshes."""
+    corners = [mesh.vertices[mesh.triangles.ravel()] for mesh in meshes]
+    low = np.min([points.min(axis=0) for points in corners], axis=0)
+    high = np.max([points.max(axis=0) for points in corners], axis=0)
+    return np.stack([low, high])
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """Yield slices that cover `count` rows, CHUNK at a time."""
+    for start in range(0, count, CHUNK):
+        yield slice(start, min(start + CHUNK, count))
+
+
+def interpolated(values: NDArray[np.generic], mesh: Mesh, at: Located) -> Floats:
+    """Return vertex values (n, d) interpolated at located points, (k, d) float64; all must be hits."""
+    corners = values[mesh.triangles[at.triangles]].astype(np.float64)
+    return np.asarray(np.einsum("kc,kcd->kd", at.weights, corners))
+
+
+def closest_weights(points: Floats, corners: Floats) -> Floats:
+    """Return the barycentric weights (k, 3) of the point of each triangle (k, 3, 3) nearest to each point.
+
+    The foot of the perpendicular where it falls inside, else the nearest point of the three edges; a
+    triangle without area has only its edges.
+    """
+    a = corners[:, 0]
+    ab, ac, ap = corners[:, 1] - a, corners[:, 2] - a, points - a
+    # By cross products, not by the normal equations: those square the condition, and slivers are common.
+    normal = np.cross(ab, ac)
+    squared = _dot(normal, normal)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v = _dot(np.cross(ap, ac), normal) / squared
+        w = _dot(np.cross(ab, ap), normal) / squared
+    weights = np.stack([1 - v - w, v, w], axis=1)
+    outside = np.flatnonzero(~((weights >= 0).all(axis=1) & (squared > 0)))
+    weights[outside] = _closest_on_edges(points[outside], corners[outside])
+    return weights
+
+
+def _closest_on_edges(points: Floats, corners: Floats) -> Floats:
+    best = np.full(len(points), np.inf)
+    weights = np.zeros((len(points), 3))
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        edge, offset = corners[:, end] - corners[:, start], points - corners[:, start]
+        length_squared = _dot(edge, edge)
+        along = np.divide(
+            _dot(offset, edge), length_squared, out=np.zeros(len(points)), where=length_squared > 0
+        )
+        along = along.clip(0, 1)
+        gap = offset - along[:, None] * edge
+        distance = _dot(gap, gap)
+        closer = np.flatnonzero(distance < best)
+        best[closer] = distance[closer]
+        weights[closer] = 0
+        weights[closer, start] = 1 - along[closer]
+        weights[closer, end] = along[closer]
+    return weights
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("kx,kx->k", a, b))
+
+
+def _joined(parts: list[Located]) -> Located:
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return Located(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+    return Located(
+        np.concatenate([p.triangles for p in parts]),
+        np.concatenate([p.weights for p in parts]),
+        np.concatenate([p.distances for p in parts]),
+    )
