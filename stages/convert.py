@@ -1,0 +1,262 @@
+"""Meshes of other libraries in and out, without loss, and without importing a library nobody used.
+
+What each class can hold: Open3D's legacy class has everything; its tensor class one texture image;
+trimesh texture coordinates per vertex only, so vertices on seams are duplicated on the way out.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stages.colors import to_uint8
+from stages.errors import MeshError
+from stages.mesh import Mesh, Texture, validated
+
+# Open3D's and trimesh's classes cannot be named here without importing the libraries.
+MeshLike: TypeAlias = Mesh | tuple[ArrayLike, ArrayLike] | Any
+
+_UNTEXTURED = 128  # grey, for vertices that nothing colours
+
+
+def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
+    """Return any mesh as a validated Mesh; the arrays are copies of another library's.
+
+    Parameters
+    ----------
+    data : Mesh, open3d.t.geometry.TriangleMesh, open3d.geometry.TriangleMesh, trimesh.Trimesh, or
+        (vertices (n, 3), triangles (m, 3)). Open3D's float colours are 0..1.
+    where : what messages call it.
+
+    Raises
+    ------
+    MeshError
+        For another type, wrong shapes, values that are not finite, indices out of range.
+    """
+    if isinstance(data, Mesh):
+        return validated(data, where)
+    for cls in type(data).__mro__:
+        module = cls.__module__
+        if cls.__name__ == "TriangleMesh" and module.startswith("open3d."):
+            convert = _from_open3d if ".t.geometry" in module else _from_open3d_legacy
+            return validated(convert(data), where)
+        if cls.__name__ == "Trimesh" and module.startswith("trimesh."):
+            return validated(_from_trimesh(data), where)
+    if isinstance(data, tuple) and len(data) == 2:
+        return validated(Mesh(np.asarray(data[0]), np.asarray(data[1])), where)
+    raise MeshError(
+        f"is a {type(data).__name__}; a Mesh, an Open3D or trimesh triangle mesh, or a pair of arrays "
+        "(vertices, triangles) is expected.",
+        where,
+    )
+
+
+def _from_open3d(data: Any) -> Mesh:
+    def array(attributes: Any, name: str) -> Any:
+        return attributes[name].cpu().numpy().copy() if name in attributes else None
+
+    vertices, triangles = array(data.vertex, "positions"), array(data.triangle, "indices")
+    colors, uvs = array(data.vertex, "colors"), array(data.triangle, "texture_uvs")
+    texture = None
+    if uvs is not None:
+        material_ids = array(data.triangle, "material_ids")
+        images: tuple[NDArray[np.uint8], ...] = ()
+        if data.has_valid_material() and "albedo" in data.material.texture_maps:
+            images = (_rgb(data.material.texture_maps["albedo"].cpu().as_tensor().numpy().copy()),)
+        texture = _texture(uvs, material_ids, images)
+    return Mesh(
+        vertices=np.zeros((0, 3)) if vertices is None else vertices,
+        triangles=np.zeros((0, 3), np.int32) if triangles is None else triangles,
+        colors=None if colors is None else _from_unit(colors),
+        normals=array(data.vertex, "normals"),
+        texture=texture,
+    )
+
+
+def _from_open3d_legacy(data: Any) -> Mesh:
+    texture = None
+    if data.has_triangle_uvs():
+        uvs = np.array(data.triangle_uvs).reshape(-1, 3, 2)
+        # This class keeps images bottom row first.
+        images = tuple(_rgb(np.asarray(image)[::-1]) for image in data.textures if not image.is_empty())
+        material_ids = np.array(data.triangle_material_ids)
+        texture = _texture(uvs, material_ids if len(material_ids) == len(uvs) else None, images)
+    return Mesh(
+        vertices=np.array(data.vertices),
+        triangles=np.array(data.triangles),
+        colors=_from_unit(np.asarray(data.vertex_colors)) if data.has_vertex_colors() else None,
+        normals=np.array(data.vertex_normals) if data.has_vertex_normals() else None,
+        texture=texture,
+    )
+
+
+def _from_trimesh(data: Any) -> Mesh:
+    visual = data.visual
+    triangles = np.array(data.faces)
+    texture = None
+    uvs = getattr(visual, "uv", None)
+    if uvs is not None and len(uvs) == len(data.vertices) and len(triangles):
+        image = _trimesh_image(visual.material)
+        texture = _texture(np.array(uvs, np.float64)[triangles], None, () if image is None else (image,))
+    colored = visual.kind == "vertex"
+    return Mesh(
+        vertices=np.array(data.vertices),
+        triangles=triangles,
+        colors=np.array(visual.vertex_colors[:, :3]) if colored else None,
+        # Reading the property would compute normals that were never given.
+        normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
+        texture=texture,
+    )
+
+
+def _trimesh_image(material: Any) -> NDArray[np.uint8] | None:
+    image = getattr(material, "image", None)
+    if image is None:
+        image = getattr(material, "baseColorTexture", None)
+    if image is None:
+        return None
+    return np.asarray(image.convert("RGBA" if image.mode in ("RGBA", "LA", "PA") else "RGB"), np.uint8)
+
+
+def _texture(
+    uvs: NDArray[Any], material_ids: NDArray[Any] | None, images: tuple[NDArray[np.uint8], ...]
+) -> Texture:
+    ids = np.zeros(len(uvs), np.int32) if material_ids is None else material_ids.reshape(-1).astype(np.int32)
+    return Texture(uvs.astype(np.float64), np.where((ids >= 0) & (ids < len(images)), ids, -1), images)
+
+
+def _from_unit(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    # Clipped first: a colour a rounding error above 1 must not pass for one of 0..255.
+    return to_uint8(np.clip(colors, 0, 1) if colors.dtype.kind == "f" else colors)
+
+
+def _rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
+    image = to_uint8(image)
+    if image.ndim == 2 or image.shape[2] == 1:
+        image = np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
+    return np.ascontiguousarray(image)
+
+
+def to_open3d(mesh: Mesh) -> Any:
+    """Return an open3d.t.geometry.TriangleMesh: float64 positions and normals, int32 indices, uint8 colours.
+
+    The class holds one texture image; of several, the first is passed on.
+    """
+    from stages._open3d import open3d
+
+    o3d = open3d()
+    result = o3d.t.geometry.TriangleMesh()
+    result.vertex.positions = o3d.core.Tensor(mesh.vertices)
+    result.triangle.indices = o3d.core.Tensor(mesh.triangles)
+    if mesh.colors is not None:
+        result.vertex.colors = o3d.core.Tensor(mesh.colors)
+    if mesh.normals is not None:
+        result.vertex.normals = o3d.core.Tensor(mesh.normals)
+    if mesh.texture is not None:
+        result.triangle.texture_uvs = o3d.core.Tensor(mesh.texture.uvs)
+        result.triangle.material_ids = o3d.core.Tensor(mesh.texture.material_ids)
+        if mesh.texture.images:
+            result.material.set_default_properties()
+            image = np.ascontiguousarray(mesh.texture.images[0])
+            result.material.texture_maps["albedo"] = o3d.t.geometry.Image(o3d.core.Tensor(image))
+    return result
+
+
+def to_open3d_legacy(mesh: Mesh) -> Any:
+    """Return an open3d.geometry.TriangleMesh; colours become 0..1 floats that come back exactly."""
+    from stages._open3d import open3d
+
+    o3d = open3d()
+    result = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.triangles)
+    )
+    if mesh.colors is not None:
+        result.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255)
+    if mesh.normals is not None:
+        result.vertex_normals = o3d.utility.Vector3dVector(mesh.normals)
+    if mesh.texture is not None:
+        result.triangle_uvs = o3d.utility.Vector2dVector(mesh.texture.uvs.reshape(-1, 2))
+        result.triangle_material_ids = o3d.utility.IntVector(mesh.texture.material_ids)
+        flipped = (np.ascontiguousarray(image[::-1]) for image in mesh.texture.images)
+        result.textures = [o3d.geometry.Image(image) for image in flipped]
+    return result
+
+
+def to_trimesh(mesh: Mesh) -> Any:
+    """Return a trimesh.Trimesh, nothing merged or reordered.
+
+    A texture of one image is kept; vertices on its seams are duplicated, for the class holds one texture
+    coordinate a vertex. Several images do not fit the class: use `with_vertex_colors` first.
+    """
+    import trimesh
+
+    if mesh.texture is not None and len(mesh.texture.images) == 1:
+        return _textured_trimesh(mesh, trimesh)
+    return trimesh.Trimesh(
+        mesh.vertices,
+        mesh.triangles,
+        vertex_colors=mesh.colors,
+        vertex_normals=mesh.normals,
+        process=False,
+    )
+
+
+def _textured_trimesh(mesh: Mesh, trimesh: Any) -> Any:
+    assert mesh.texture is not None
+    from PIL import Image
+
+    uvs = mesh.texture.uvs.reshape(-1, 2)
+    corners = mesh.triangles.reshape(-1)
+    wedges, first, wedge_of_corner = np.unique(
+        np.column_stack((corners, uvs)), axis=0, return_index=True, return_inverse=True
+    )
+    source = corners[first]
+    material = trimesh.visual.material.SimpleMaterial(image=Image.fromarray(mesh.texture.images[0]))
+    return trimesh.Trimesh(
+        mesh.vertices[source],
+        wedge_of_corner.reshape(-1, 3),
+        vertex_normals=None if mesh.normals is None else mesh.normals[source],
+        visual=trimesh.visual.TextureVisuals(uv=wedges[:, 1:], material=material),
+        process=False,
+    )
+
+
+def with_vertex_colors(mesh: Mesh) -> Mesh:
+    """Return the mesh with its texture turned into vertex colours; unchanged if it has no texture.
+
+    Each textured corner samples its image bilinearly (the image repeats beyond its edges); a vertex takes
+    the mean of its corners, which differ along seams only. Vertices without a textured corner keep their
+    colour, or become grey if there is none.
+    """
+    if mesh.texture is None:
+        return mesh
+    if not mesh.texture.images:
+        return mesh.with_(texture=None)
+    count = len(mesh.vertices)
+    colors = np.full((count, 3), _UNTEXTURED, np.uint8) if mesh.colors is None else mesh.colors.copy()
+    sums, corners_of = np.zeros((count, 3)), np.zeros(count)
+    for number, image in enumerate(mesh.texture.images):
+        chosen = mesh.texture.material_ids == number
+        corners = mesh.triangles[chosen].reshape(-1)
+        samples = _bilinear(image[..., :3], mesh.texture.uvs[chosen].reshape(-1, 2))
+        corners_of += np.bincount(corners, minlength=count)
+        for channel in range(3):
+            sums[:, channel] += np.bincount(corners, samples[:, channel], minlength=count)
+    textured = corners_of > 0
+    colors[textured] = np.rint(sums[textured] / corners_of[textured, None]).astype(np.uint8)
+    return mesh.with_(colors=colors, texture=None)
+
+
+def _bilinear(image: NDArray[np.uint8], uvs: NDArray[np.float64]) -> NDArray[np.float64]:
+    height, width = image.shape[:2]
+    # Pixel centres lie at half texels, and v counts from the bottom.
+    x = (uvs[:, 0] % 1) * width - 0.5
+    y = (1 - uvs[:, 1]) % 1 * height - 0.5
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    fx, fy = (x - left)[:, None], (y - top)[:, None]
+    columns, rows = (left % width, (left + 1) % width), (top % height, (top + 1) % height)
+    upper = image[rows[0], columns[0]] * (1 - fx) + image[rows[0], columns[1]] * fx
+    lower = image[rows[1], columns[0]] * (1 - fx) + image[rows[1], columns[1]] * fx
+    return np.asarray(upper * (1 - fy) + lower * fy)
