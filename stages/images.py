@@ -112,7 +112,8 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
     height, width = image.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
-            f"the image is {width}×{height}, but its camera is calibrated for {camera.width}×{camera.height}. "
+            f"the image is {width}×{height}, but its camera is calibrated for "
+            f"{camera.width}×{camera.height}. "
             "Give images of the calibrated size, or the calibration of this size.",
             source if isinstance(source, Path) else f"frame {name}",
         )

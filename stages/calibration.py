@@ -1,0 +1,383 @@
+"""Read calibration files: JSON, TOML, OpenCV and Kalibr YAML, matrices as text.
+
+One camera or a rig, whatever the names its writer used. Nothing in a file is executed or trusted: YAML is
+read by PyYAML's safe loader, and every number is checked before it becomes a camera.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import trajectories
+from stages.errors import InputError
+from stages.scan import Camera, Pose, StereoRig
+
+_MAX_BYTES = 1 << 22
+# Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
+_MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
+_DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
+# No rig carried by hand or car is wider; a larger number is in millimetres.
+_WIDEST_METRES = 10.0
+
+
+def read_camera(path: Path, width: int, height: int) -> Camera:
+    """Read one camera, for images of this size in pixels.
+
+    A 3x3 (or 4x4) matrix as text; or JSON, TOML or YAML with `fx fy cx cy`, or `camera_matrix`, `K` or
+    `intrinsic_matrix` (which Open3D stores column-major), and `distortion`. A stated size that differs
+    from the images' is refused.
+    """
+    if path.suffix == ".txt":
+        return _matrix_camera(_text_matrix(path), (), width, height, path)
+    return camera_from_table(read_document(path), width, height, path)
+
+
+def read_rig(
+    path: Path, width: int, height: int, document: dict[str, Any] | None = None
+) -> tuple[StereoRig, list[str]]:
+    """Read a stereo rig for images of this size in pixels, and return it with what is odd about the file.
+
+    Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
+    `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T` (or `M1 …`), or `P1 P2` for rectified images;
+    Kalibr's `cam0` and `cam1`. Lengths are metres unless `unit` says `mm`, `cm` or `m`.
+
+    Parameters
+    ----------
+    path : named in messages, and read unless `document` is given.
+    document : the file's content, when several files make it up.
+
+    Raises
+    ------
+    InputError
+        If the file does not parse, something is missing, or a number cannot be right.
+    """
+    values = read_document(path) if document is None else document
+    if "cam0" in values and "cam1" in values:
+        left, right, right_from_left = _kalibr(values, width, height, path)
+    elif "left" in values and "right" in values:
+        left, right = (
+            camera_from_table(_table(values, side, path), width, height, path) for side in ("left", "right")
+        )
+        right_from_left = _extrinsics(values, path)
+    elif (keys := _present(values, _MATRICES)) is not None:
+        bent = _present(values, _DISTORTIONS) or ("", "")
+        left, right = (
+            _matrix_camera(_array(values, key, path), _coefficients(values.get(d), path), width, height, path)
+            for key, d in zip(keys, bent, strict=True)
+        )
+        right_from_left = _extrinsics(values, path)
+    elif "P1" in values and "P2" in values:
+        left, right, right_from_left = _projections(values, width, height, path)
+    else:
+        left = right = camera_from_table(values, width, height, path)
+        right_from_left = _extrinsics(values, path)
+
+    right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
+    rectified = values.get("rectified", _looks_rectified(left, right, right_from_left))
+    if not isinstance(rectified, (bool, int)):
+        raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
+    if rectified and right_from_left[0, 3] >= 0:
+        raise InputError(
+            "the second camera is not right of the first: T's x must be negative (it maps left-camera points to "
+            "the right camera). Are the two cameras swapped?",
+            path,
+        )
+    return StereoRig(left, right, right_from_left, bool(rectified)), warnings
+
+
+def checked_camera(
+    width: int,
+    height: int,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    distortion: tuple[float, ...],
+    path: Path,
+) -> Camera:
+    """Return a camera whose numbers can be right.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, a focal length is not positive, or the centre is far outside the image.
+    """
+    if not all(math.isfinite(value) for value in (fx, fy, cx, cy, *distortion)):
+        raise InputError("the camera holds a value that is not finite.", path)
+    if fx <= 0 or fy <= 0:
+        raise InputError(f"the focal lengths are {fx:g} and {fy:g} px; both must be positive.", path)
+    if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
+        raise InputError(
+            f"the principal point ({cx:g}, {cy:g}) is far outside the images of {width}×{height}; "
+            "is the calibration for another size?",
+            path,
+        )
+    return Camera(width, height, float(fx), float(fy), float(cx), float(cy), distortion)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Return the content of a JSON, TOML or YAML file (OpenCV's included) as a dictionary.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or parsed, or holds no table of names and values.
+    """
+    if path.exists() and path.stat().st_size > _MAX_BYTES:
+        raise InputError("the file is too large for a calibration.", path)
+    text = trajectories.read_text(path)
+    try:
+        if path.suffix == ".json":
+            document = trajectories.read_json_document(path)
+        elif path.suffix == ".toml":
+            document = _parse_toml(text)
+        else:
+            document = _parse_yaml(text)
+    except (ValueError, RecursionError) as error:
+        summary = " ".join(str(error).split())[:200]
+        raise InputError(f"the file does not parse: {summary}.", path) from error
+    if not isinstance(document, dict):
+        raise InputError("names with values are expected in it.", path)
+    return document
+
+
+def _parse_toml(text: str) -> object:
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+
+    return tomllib.loads(text)
+
+
+def _parse_yaml(text: str) -> object:
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """PyYAML's safe loader, and OpenCV's matrices."""
+
+    def matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.YAMLError("an opencv-matrix is not a mapping")
+        return loader.construct_mapping(node, deep=True)
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
+    try:
+        # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
+        document: object = yaml.load(re.sub(r"\A\ufeff?%YAML:?\s*[\d.]+", "", text), Loader)
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from error
+    return document
+
+
+def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
+    """Return the camera of a table, under any of the usual names."""
+    size = (
+        values.get("width", values.get("image_width", width)),
+        values.get("height", values.get("image_height", height)),
+    )
+    if size != (width, height):
+        raise InputError(
+            f"it is for images of {size[0]}×{size[1]}, but these are {width}×{height}; "
+            "give the calibration of this size.",
+            path,
+        )
+    bent = next(
+        (values[key] for key in ("distortion", "distortion_coefficients", "D", "dist") if key in values), None
+    )
+    distortion = _coefficients(bent, path)
+    if "intrinsic_matrix" in values:
+        # Open3D stores it column by column.
+        matrix = _array(values, "intrinsic_matrix", path)
+        matrix = matrix.T if matrix[2, 0] or matrix[2, 1] else matrix
+        return _matrix_camera(matrix, distortion, width, height, path)
+    for key in ("matrix", "camera_matrix", "K"):
+        if key in values:
+            return _matrix_camera(_array(values, key, path), distortion, width, height, path)
+    if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
+        raise InputError(
+            f"no camera in it: neither a matrix (`camera_matrix`, `K`) nor {', '.join(missing)}.", path
+        )
+    fx, fy, cx, cy = (_number(values[key], key, path) for key in ("fx", "fy", "cx", "cy"))
+    return checked_camera(width, height, fx, fy, cx, cy, distortion, path)
+
+
+def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+    """Read Kalibr's camchain: `intrinsics: [fu, fv, cu, cv]`, and `T_cn_cnm1`, camera 0 to camera 1."""
+    cameras = []
+    for side in ("cam0", "cam1"):
+        table = _table(values, side, path)
+        model = table.get("distortion_model", "radtan")
+        if table.get("camera_model", "pinhole") != "pinhole" or model not in ("radtan", "none"):
+            raise InputError(
+                f"{side} is not a pinhole camera with radtan distortion, which is what is supported.", path
+            )
+        if table.get("resolution", [width, height]) != [width, height]:
+            raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
+        row = _coefficients(table.get("intrinsics"), path)
+        if len(row) != 4:
+            raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
+        bent = _coefficients(table.get("distortion_coeffs"), path)
+        cameras.append(checked_camera(width, height, *row, bent, path))
+    matrix = trajectories.matrix_of(_table(values, "cam1", path).get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+    return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+
+
+def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+    """Read the projection matrices of rectified images: the baseline is -P2[0,3] / P2[0,0]."""
+    left, right = (_array(values, key, path) for key in ("P1", "P2"))
+    if left.shape != (3, 4) or right.shape != (3, 4):
+        raise InputError("P1 and P2 must be 3x4.", path)
+    cameras = [_matrix_camera(p[:, :3], (), width, height, path) for p in (left, right)]
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = right[0, 3] / cameras[1].fx
+    return cameras[0], cameras[1], right_from_left
+
+
+def _extrinsics(values: dict[str, Any], path: Path) -> Pose:
+    """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
+    matrix = np.eye(4)
+    rotation = next((key for key in ("R", "rotation") if key in values), None)
+    translation = next((key for key in ("T", "translation", "t") if key in values), None)
+    if rotation is not None:
+        turn = _array(values, rotation, path)
+        if turn.size == 3:
+            import cv2
+
+            turn = np.asarray(cv2.Rodrigues(turn.reshape(3))[0], np.float64)
+        if turn.shape != (3, 3):
+            raise InputError(f"{rotation} must be 3x3 (or 3 numbers, a rotation vector).", path)
+        matrix[:3, :3] = turn
+    if translation is not None:
+        shift = _array(values, translation, path)
+        if shift.size != 3:
+            raise InputError(f"{translation} must be 3 numbers.", path)
+        matrix[:3, 3] = shift.ravel()
+    elif "baseline" in values:
+        matrix[0, 3] = -abs(_number(values["baseline"], "baseline", path))
+    else:
+        raise InputError(
+            "how the cameras stand to each other is missing: R and T, or a baseline (or set scan.baseline=METRES).",
+            path,
+        )
+    return _finite_pose(matrix, "R, T", path)
+
+
+def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, list[str]]:
+    """Return the extrinsics in metres; calibration boards are often measured in millimetres."""
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    if length == 0:
+        raise InputError("the two cameras stand at the same place (baseline 0); no depth can be had.", path)
+    warnings = []
+    if unit is None:
+        unit = "mm" if length > _WIDEST_METRES else "m"
+        if unit == "mm":
+            warnings.append(
+                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; say unit: m if it is not"
+            )
+    scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
+    if scale is None:
+        raise InputError(f"unit is {unit!r}; it must be m, cm or mm.", path)
+    metric = right_from_left.copy()
+    metric[:3, 3] *= scale
+    return metric, warnings
+
+
+def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool:
+    """Say whether rows already correspond: no rotation, no distortion, the same focal length and row centre."""
+    shift = right_from_left[:3, 3]
+    return (
+        np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
+        and not any(left.distortion + right.distortion)
+        and abs(shift[1]) + abs(shift[2]) < 1e-4 * abs(shift[0])
+        and abs(left.fx - right.fx) < 1e-3
+        and abs(left.fy - right.fy) < 1e-3
+        and abs(left.cy - right.cy) < 1e-3
+    )
+
+
+def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
+    pose = trajectories.rigid(matrix, path, name)
+    if pose is None:
+        raise InputError(f"{name} is not finite.", path)
+    return pose
+
+
+def _matrix_camera(
+    matrix: NDArray[np.float64], distortion: tuple[float, ...], width: int, height: int, path: Path
+) -> Camera:
+    if matrix.shape not in ((3, 3), (4, 4), (3, 4)):
+        raise InputError(f"a camera matrix must be 3x3, not {matrix.shape}.", path)
+    return checked_camera(
+        width, height, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], distortion, path
+    )
+
+
+def _text_matrix(path: Path) -> NDArray[np.float64]:
+    """Return a matrix written as rows of numbers, or the four numbers fx fy cx cy as one."""
+    try:
+        values = [float(word) for word in trajectories.read_text(path).replace(",", " ").split()]
+    except ValueError as error:
+        raise InputError("a camera matrix of 3 rows of 3 numbers is expected.", path) from error
+    if len(values) == 4:
+        fx, fy, cx, cy = values
+        values = [fx, 0, cx, 0, fy, cy, 0, 0, 1]
+    if len(values) not in (9, 16):
+        raise InputError(
+            f"a camera matrix of 3 rows of 3 numbers is expected, not {len(values)} numbers.", path
+        )
+    side = math.isqrt(len(values))
+    return np.array(values).reshape(side, side)
+
+
+def _array(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
+    """Return a matrix given as nested rows, as a flat list, or as OpenCV's rows, cols and data."""
+    value = values[key]
+    shape: tuple[int, ...] | None = None
+    try:
+        if isinstance(value, dict):
+            shape = int(value["rows"]), int(value["cols"])
+            value = value["data"]
+        array = np.asarray(value, np.float64)
+        shape = shape or {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(array.size, array.shape)
+        return array.reshape(shape)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{key} is not a matrix of numbers.", path) from error
+
+
+def _coefficients(value: object, path: Path) -> tuple[float, ...]:
+    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them) from any form of list."""
+    if value is None:
+        return ()
+    row = _array({"distortion": value}, "distortion", path).ravel()
+    if row.size not in (0, 4, 5, 8, 12, 14):
+        raise InputError(f"distortion has {row.size} coefficients; OpenCV knows 4, 5, 8, 12 or 14.", path)
+    return tuple(float(number) for number in row) if row.any() else ()
+
+
+def _number(value: object, key: str, path: Path) -> float:
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{key} is {str(value)[:40]!r}; a number is expected.", path)
+    return number
+
+
+def _table(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+    table = values[key]
+    if not isinstance(table, dict):
+        raise InputError(f"{key} must be a table of names and values.", path)
+    return table
+
+
+def _present(values: dict[str, Any], names: tuple[tuple[str, str], ...]) -> tuple[str, str] | None:
+    return next((keys for keys in names if keys[0] in values and keys[1] in values), None)

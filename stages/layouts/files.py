@@ -1,0 +1,79 @@
+"""Find the images of a folder, order them by number and pair two streams."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scan import SkippedFrame
+
+IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
+DEPTHS = (*IMAGES, ".npy", ".pfm")
+
+
+def numbers(name: str) -> tuple[int, ...]:
+    """Return the whole numbers in a file name, so that 10.png sorts after 2.png."""
+    return tuple(int(digits) for digits in re.findall(r"\d+", name))
+
+
+def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
+    """Return the image files of a folder, ordered by the numbers in their names."""
+    try:
+        found = [p for p in folder.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith(".")]
+    except OSError as error:
+        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+    return sorted(found, key=lambda path: (numbers(path.stem), path.name))
+
+
+def first_existing(folder: Path, *names: str) -> Path | None:
+    """Return the first of several names that is there, or None."""
+    return next((folder / name for name in names if (folder / name).exists()), None)
+
+
+def has(folder: Path, *names: str) -> bool:
+    """Say whether all of these files or folders are there."""
+    return all((folder / name).exists() for name in names)
+
+
+def pair(
+    first: Sequence[Path], second: Sequence[Path], first_name: str, second_name: str, folder: Path
+) -> tuple[list[tuple[Path, Path]], list[SkippedFrame]]:
+    """Pair the files of two streams by the numbers in their names.
+
+    The same numbers on both sides are a pair; a file whose number the other side lacks is left out and
+    reported. Names without such numbers are paired in order, but only when the counts are equal.
+
+    Raises
+    ------
+    InputError
+        If a side is empty, or the counts differ and the names do not tell what belongs together.
+    """
+    for files, name in ((first, first_name), (second, second_name)):
+        if not files:
+            raise InputError(f"no images in {name}; at least one is needed.", folder)
+    # The whole of the numbers may agree (0001-0002), or only the last (cam0_0001 and cam1_0001).
+    keys: tuple[Callable[[Path], object], ...] = (
+        lambda path: numbers(path.stem) or path.stem,
+        lambda path: (numbers(path.stem) or (path.stem,))[-1],
+    )
+    for key in keys:
+        left, right = {key(path): path for path in first}, {key(path): path for path in second}
+        common = left.keys() & right.keys()
+        if len(left) == len(first) and len(right) == len(second) and common:
+            pairs = [(path, right[at]) for at, path in left.items() if at in common]
+            alone = [
+                SkippedFrame(path.stem, f"{other} has no image of this number")
+                for side, other in ((left, second_name), (right, first_name))
+                for at, path in side.items()
+                if at not in common
+            ]
+            return pairs, alone
+    if len(first) != len(second):
+        raise InputError(
+            f"{first_name} holds {len(first)} images and {second_name} {len(second)}, and their names share "
+            "no numbers to pair them by. Name the two images of a moment alike.",
+            folder,
+        )
+    return list(zip(first, second, strict=True)), []

@@ -1,0 +1,157 @@
+"""KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import trajectories
+from stages.calibration import checked_camera
+from stages.errors import InputError
+from stages.images import image_size
+from stages.layouts.files import first_existing, has, images, pair
+from stages.layouts.layout import Layout
+from stages.scan import Frame, Scan, StereoRig
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+# Left folder, right folder, the projection matrices of the two. Colour is preferred; the last is a look-alike.
+_CAMERAS = (("image_2", "image_3", 2), ("image_0", "image_1", 0), ("image_l", "image_r", 0))
+
+
+def _matches(folder: Path) -> str | None:
+    for left, right, _ in _CAMERAS:
+        if has(folder, left, right) and (left != "image_l" or has(folder, "calib.txt")):
+            return f"{left}/ and {right}/" + (" with calib.txt" if has(folder, "calib.txt") else "")
+    return None
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    calib = options.file("calibration", folder) or folder / "calib.txt"
+    if not calib.exists():
+        raise InputError("calib.txt (the projection matrices P0 to P3) is missing.", folder)
+    projections = _projections(calib)
+    left, right, at = next(
+        (names for names in _CAMERAS if has(folder, *names[:2]) and names[2] + 1 in projections),
+        (None, None, 0),
+    )
+    if left is None or right is None:
+        raise InputError("it states no two projection matrices for a pair of image folders.", calib)
+    pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
+    rig, left_from_cam0 = _rig(projections[at], projections[at + 1], image_size(pairs[0][0]), options, calib)
+    path = _pose_file(folder, options)
+    world_from_cam0 = trajectories.match(
+        trajectories.read_trajectory(path), [one.stem for one, _ in pairs], path
+    )
+    times = _times(folder / "times.txt", [one.stem for one, _ in pairs])
+    cam0_from_left = np.linalg.inv(left_from_cam0)
+    frames = [
+        Frame(
+            name=one.stem,
+            camera=rig.left,
+            color=one,
+            right=other,
+            world_from_camera=None if pose is None else pose @ cam0_from_left,
+            timestamp=time,
+        )
+        for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped))
+
+
+def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
+    """Return the 3x4 projection matrices by number, from `P0: …` rows or from bare rows in order."""
+    found: dict[int, NDArray[np.float64]] = {}
+    bare = 0
+    for number, line in enumerate(trajectories.read_text(calib).splitlines(), 1):
+        match = re.fullmatch(r"\s*(?:([A-Za-z]\w*)\s*:)?([-+.\deE\s]+)", line)
+        if match is None or not match[2].strip():
+            continue
+        key = match[1] or f"P{bare}"
+        bare += match[1] is None
+        if not re.fullmatch(r"P[0-3]", key):
+            continue
+        try:
+            row = np.array([float(word) for word in match[2].split()])
+        except ValueError:
+            row = np.empty(0)
+        if row.size != 12 or not np.isfinite(row).all():
+            raise InputError(f"line {number} ({key}) is not 12 numbers.", calib)
+        found[int(key[1])] = row.reshape(3, 4)
+    return found
+
+
+def _rig(
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    size: tuple[int, int],
+    options: ScanParams,
+    calib: Path,
+) -> tuple[StereoRig, NDArray[np.float64]]:
+    """Return the rig, and left_from_cam0: a projection K [I | t] says where its camera stands beside camera 0."""
+    cameras, offsets = [], []
+    for matrix in (left, right):
+        k = matrix[:, :3]
+        cameras.append(
+            options.camera(*size) or checked_camera(*size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], (), calib)
+        )
+        if abs(np.linalg.det(k)) < 1e-9:
+            raise InputError("a projection matrix is singular.", calib)
+        offset = np.eye(4)
+        offset[:3, 3] = np.linalg.solve(k, matrix[:, 3])
+        offsets.append(offset)
+    right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
+    if right_from_left[0, 3] >= 0:
+        raise InputError(
+            "the second camera is not right of the first (its P[0,3] must be smaller); are the rows swapped?",
+            calib,
+        )
+    if options.baseline is not None:
+        right_from_left[:3, 3] *= options.baseline / np.linalg.norm(right_from_left[:3, 3])
+    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]
+
+
+def _pose_file(folder: Path, options: ScanParams) -> Path:
+    """Return the poses: poses.txt in the sequence, or poses/NN.txt as the data set packs them."""
+    given = options.file("poses", folder)
+    if given is not None:
+        return given
+    number = folder.resolve().name
+    found = first_existing(
+        folder,
+        "poses.txt",
+        f"poses/{number}.txt",
+        f"{number}.txt",
+        f"../poses/{number}.txt",
+        f"../../poses/{number}.txt",
+    )
+    if found is None:
+        raise InputError(
+            f"no poses: poses.txt (or ../../poses/{number}.txt) is missing; name one with scan.poses=FILE.",
+            folder,
+        )
+    return found
+
+
+def _times(path: Path, names: list[str]) -> list[int | None]:
+    if not path.exists():
+        return [None] * len(names)
+    lines = trajectories.read_text(path).split()
+    try:
+        times = [trajectories.nanoseconds(float(word), path, i) for i, word in enumerate(lines, 1)]
+    except ValueError as error:
+        raise InputError("a line is not a time in seconds.", path) from error
+    return list(trajectories.by_number(times, names, path, "times"))
+
+
+LAYOUT = Layout(
+    name="kitti",
+    text="image_0/ image_1/ (or image_2/ image_3/, image_l/ image_r/), calib.txt, poses.txt (KITTI odometry)",
+    matches=_matches,
+    read=_read,
+)

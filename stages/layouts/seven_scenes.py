@@ -1,0 +1,112 @@
+"""7-Scenes and BundleFusion naming: colour, depth and pose of a frame side by side, one file each."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stages import calibration, trajectories
+from stages.errors import InputError
+from stages.images import image_size
+from stages.layouts.files import first_existing
+from stages.layouts.layout import Layout
+from stages.scan import Camera, Frame, Scan, SkippedFrame
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+_NAME = re.compile(r"frame-(\d+)\.depth\.png")
+# The Kinect of the data set, as its page states; BundleFusion and others bring a file.
+_DEFAULT = (585.0, 585.0, 320.0, 240.0)
+_INTRINSICS = ("camera-intrinsics.txt", "intrinsics.K.txt", "intrinsics.txt", "camera_intrinsics.txt")
+
+
+def _matches(folder: Path) -> str | None:
+    found = next((p.name for p in folder.glob("frame-*.depth.png") if _NAME.fullmatch(p.name)), None)
+    return f"files named like {found}" if found else None
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    depths = sorted(
+        (int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))
+    )
+    if not depths:
+        raise InputError("no depth images named like frame-000000.depth.png.", folder)
+    if not any(folder.glob("frame-*.pose.txt")) and options.poses is None:
+        raise InputError("no poses: files like frame-000000.pose.txt are missing.", folder)
+    camera, scale, warnings = _camera(folder, options, *image_size(depths[0][1]))
+    given = options.file("poses", folder)
+    stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
+    poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
+
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for position, ((_, depth), stem) in enumerate(zip(depths, stems, strict=True)):
+        pose_file = folder / f"{stem}.pose.txt"
+        if poses is None and not pose_file.exists():
+            skipped.append(SkippedFrame(stem, f"{pose_file.name} is missing"))
+            continue
+        pose = trajectories.read_pose(pose_file) if poses is None else poses[position]
+        if pose is None:
+            skipped.append(SkippedFrame(stem, "its pose is lost (infinite)"))
+            continue
+        frames.append(
+            Frame(
+                name=stem,
+                camera=camera,
+                color=first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg"),
+                depth=depth,
+                depth_scale=options.depth_scale or scale,
+                depth_missing=(65535,),
+                world_from_camera=pose,
+            )
+        )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+    """Return the depth camera, the depth scale and what is to be said about them."""
+    unregistered = "the depth and colour cameras of 7-Scenes are not registered: geometry is exact, colour is off by a few pixels"
+    stated = options.camera(width, height)
+    if stated is not None:
+        return stated, 1000.0, []
+    info = folder / "info.txt"
+    if options.calibration is None and info.exists():
+        return *_bundle_fusion(info, width, height), []
+    path = options.file("calibration", folder) or first_existing(folder, *_INTRINSICS)
+    if path is not None:
+        camera = calibration.read_camera(path, width, height)
+        is_default = (camera.fx, camera.fy, camera.cx, camera.cy) == _DEFAULT
+        return camera, 1000.0, [unregistered] if is_default else []
+    return (
+        Camera(width, height, *_DEFAULT),
+        1000.0,
+        [
+            "the folder has no camera-intrinsics.txt: the 7-Scenes default 585,585,320,240 is used; "
+            "if another camera made it, set scan.intrinsics=fx,fy,cx,cy",
+            unregistered,
+        ],
+    )
+
+
+def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
+    """Read BundleFusion's info.txt: `m_calibrationDepthIntrinsic = 16 numbers`, `m_depthShift = 1000`."""
+    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", trajectories.read_text(info), re.MULTILINE))
+    try:
+        row = [float(word) for word in values["m_calibrationDepthIntrinsic"].split()]
+        scale = float(values.get("m_depthShift", 1000))
+        camera = calibration.checked_camera(width, height, row[0], row[5], row[2], row[6], (), info)
+    except (KeyError, ValueError, IndexError) as error:
+        raise InputError(
+            "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.", info
+        ) from error
+    return camera, scale
+
+
+LAYOUT = Layout(
+    name="7scenes",
+    text="frame-000000.color.png|jpg, .depth.png, .pose.txt (7-Scenes, BundleFusion)",
+    matches=_matches,
+    read=_read,
+)

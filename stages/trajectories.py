@@ -1,0 +1,364 @@
+"""Read trajectory files into rigid camera-to-world poses (metres, OpenCV camera axes).
+
+Every form that scan folders use is here; what a pose means in the file (its direction, its quaternion order,
+row- or column-major) is undone once, by the reader of that form.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scan import Pose
+
+# How far a rotation may be from orthonormal: files round to about six digits.
+RIGID_TOLERANCE = 1e-3
+_MAX_BYTES = 1 << 29
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses in the order of their file.
+
+    Attributes
+    ----------
+    poses : (4, 4) float64 world-from-camera (or -body, where the file says so); None where tracking was lost.
+    timestamps : (n,) int64 nanoseconds, or None when the form has none.
+    """
+
+    poses: Sequence[Pose | None]
+    timestamps: NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory file of any known form, told apart by its suffix and its first line of numbers.
+
+    KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), Redwood
+    and Open3D `.log`, Open3D `.json` (world-to-camera, column-major), EuRoC `.csv`, and nested rows in JSON.
+
+    Raises
+    ------
+    InputError
+        If the form is unknown or a pose is not rigid; the message names the file and the line.
+    """
+    if path.suffix == ".json":
+        return read_json(path)
+    if path.suffix == ".csv":
+        return read_euroc(path)
+    first = next(_number_lines(path), None)
+    if first is None:
+        raise InputError("the trajectory file holds no poses.", path)
+    count = len(first[1])
+    if count == 3:
+        return read_log(path)
+    if count == 8:
+        return read_tum(path)
+    if count in (12, 16):
+        return read_matrices(path)
+    if count == 4:
+        return Trajectory([read_pose(path)])
+    raise InputError(
+        f"line {first[0]} holds {count} numbers. Expected are 12 or 16 (a matrix), 8 (t tx ty tz qx qy qz qw), "
+        "or 3 (a .log header).",
+        path,
+    )
+
+
+def read_pose(path: Path) -> Pose | None:
+    """Read one pose from a file with a 4x4 (or 3x4) matrix in rows; None when it marks lost tracking."""
+    lines = list(_number_lines(path))
+    values = [value for _, row in lines for value in row]
+    if len(values) not in (12, 16):
+        raise InputError(f"a pose of 4 rows of 4 numbers is expected; it holds {len(values)} numbers.", path)
+    return rigid(np.reshape(values, (-1, 4)), path)
+
+
+def read_matrices(path: Path) -> Trajectory:
+    """Read lines of 12 (KITTI, 3x4) or 16 (4x4) row-major numbers, camera-to-world."""
+    poses = []
+    for number, row in _number_lines(path):
+        if len(row) not in (12, 16):
+            raise InputError(f"line {number} holds {len(row)} numbers; a pose needs 12 or 16.", path)
+        poses.append(rigid(np.reshape(row, (-1, 4)), path, f"line {number}"))
+    return Trajectory(poses)
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read TUM lines: seconds, translation, quaternion with the scalar last; camera-to-world."""
+    poses, times = [], []
+    for number, row in _number_lines(path):
+        if len(row) != 8:
+            raise InputError(
+                f"line {number} holds {len(row)} numbers; 8 (t tx ty tz qx qy qz qw) are expected.", path
+            )
+        times.append(nanoseconds(row[0], path, number))
+        poses.append(pose_from_quaternion(row[1:4], row[4:8], path, f"line {number}"))
+    return Trajectory(poses, np.array(times, np.int64))
+
+
+def read_log(path: Path) -> Trajectory:
+    """Read a Redwood or Open3D `.log`: a header of three integers, then four rows; camera-to-world."""
+    lines = list(_number_lines(path))
+    poses = []
+    for at in range(0, len(lines), 5):
+        number, header = lines[at]
+        rows = [row for _, row in lines[at + 1 : at + 5]]
+        if len(header) != 3 or len(rows) != 4 or any(len(row) != 4 for row in rows):
+            raise InputError(
+                f"the entry at line {number} is not a header of 3 numbers and 4 rows of 4 numbers.", path
+            )
+        poses.append(rigid(np.array(rows), path, f"entry at line {number}"))
+    return Trajectory(poses)
+
+
+def read_json(path: Path) -> Trajectory:
+    """Read poses from JSON: Open3D's camera trajectory or pose graph, or a list of row-major 4x4 matrices.
+
+    Open3D writes 16 numbers column-major; its camera trajectory holds *world-to-camera* extrinsics, its pose
+    graph camera-to-world poses.
+    """
+    document = read_json_document(path)
+    if isinstance(document, dict) and isinstance(document.get("parameters"), list):
+        entries, key, inverse = document["parameters"], "extrinsic", True
+    elif isinstance(document, dict) and isinstance(document.get("nodes"), list):
+        entries, key, inverse = document["nodes"], "pose", False
+    else:
+        entries = document.get("poses") if isinstance(document, dict) else document
+        if not isinstance(entries, list):
+            raise InputError("it holds none of `parameters`, `nodes` or `poses`, so no trajectory.", path)
+        return Trajectory(
+            [rigid(matrix_of(entry, path, f"pose {i}"), path, f"pose {i}") for i, entry in enumerate(entries)]
+        )
+    poses = []
+    for i, entry in enumerate(entries):
+        flat = entry.get(key) if isinstance(entry, dict) else None
+        pose = rigid(matrix_of(flat, path, f"{key} {i}").T, path, f"{key} {i}")
+        poses.append(inverted(pose) if inverse and pose is not None else pose)
+    return Trajectory(poses)
+
+
+def read_euroc(path: Path) -> Trajectory:
+    """Read EuRoC ground truth: nanoseconds, position, quaternion with the scalar *first*; body-to-world."""
+    poses, times = [], []
+    for number, text in _lines(path):
+        fields = text.split(",")
+        try:
+            # An int: a float64 cannot hold nanoseconds since 1970 exactly.
+            time, row = int(fields[0]), [float(value) for value in fields[1:8]]
+        except ValueError as error:
+            raise InputError(f"line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.", path) from error
+        if len(row) != 7 or abs(time) >= 1 << 62:
+            raise InputError(f"line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.", path)
+        times.append(time)
+        poses.append(pose_from_quaternion(row[:3], [*row[4:], row[3]], path, f"line {number}"))
+    return Trajectory(poses, np.array(times, np.int64))
+
+
+def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | None:
+    """Return the pose at a moment, between its two neighbours; None if no pose is within `tolerance`.
+
+    Translation is interpolated linearly, rotation on the shortest arc.
+
+    Parameters
+    ----------
+    trajectory : with rising timestamps, as `in_order` returns it.
+    time, tolerance : nanoseconds.
+    """
+    times = trajectory.timestamps
+    if times is None or not len(times):
+        return None
+    after = int(np.searchsorted(times, time))
+    before = max(after - 1, 0)
+    after = min(after, len(times) - 1)
+    first, second = trajectory.poses[before], trajectory.poses[after]
+    gaps = abs(time - int(times[before])), abs(int(times[after]) - time)
+    if min(gaps) > tolerance or first is None or second is None:
+        return None
+    if before == after or max(gaps) > 2 * tolerance:
+        # Beside a hole in the trajectory the near pose is better than a line across the hole.
+        return first if gaps[0] <= gaps[1] else second
+    from scipy.spatial.transform import Rotation
+
+    share = gaps[0] / (gaps[0] + gaps[1])
+    turn = Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).as_rotvec() * share
+    pose = np.eye(4)
+    pose[:3, :3] = first[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    pose[:3, 3] = first[:3, 3] * (1 - share) + second[:3, 3] * share
+    return pose
+
+
+def in_order(trajectory: Trajectory) -> Trajectory:
+    """Return the trajectory sorted by time, lost poses and second poses of one moment left out."""
+    if trajectory.timestamps is None:
+        return trajectory
+    tracked = [i for i, pose in enumerate(trajectory.poses) if pose is not None]
+    times, first = np.unique(trajectory.timestamps[tracked], return_index=True)
+    return Trajectory([trajectory.poses[tracked[i]] for i in first], times)
+
+
+def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose | None]:
+    """Return the pose of each frame of a form without times: the n-th, or the one its number counts to."""
+    return by_number(trajectory.poses, names, path, "poses")
+
+
+def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) -> list[T]:
+    """Return the value of each frame name: in order when the counts agree, else by the number in the name.
+
+    Raises
+    ------
+    InputError
+        If there are fewer values than frames, or more and the names are not their positions.
+    """
+    if len(values) == len(names):
+        return list(values)
+    last = [int((re.findall(r"\d+", name) or ["-1"])[-1]) for name in names]
+    if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
+        return [values[number] for number in last]
+    raise InputError(
+        f"it holds {len(values)} {what}, but the scan has {len(names)} frames. "
+        "Give one for each frame, or remove the frames without.",
+        path,
+    )
+
+
+def inverted(pose: Pose) -> Pose:
+    """Return the inverse of a rigid (4, 4) pose: the other direction of the same relation."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return inverse
+
+
+def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | None:
+    """Return a valid 4x4 rigid pose from a 3x4 or 4x4 matrix; None when all of it is infinite or NaN (lost).
+
+    Raises
+    ------
+    InputError
+        If only some values are not finite, the rotation is not orthonormal to 1e-3 or mirrors (det -1), or
+        the last row is not 0 0 0 1.
+    """
+    at = f"{where}: " if where else ""
+    top = np.asarray(matrix, np.float64)[:3]
+    finite = np.isfinite(top)
+    if not finite.any():
+        return None
+    if not finite.all():
+        raise InputError(
+            f"{at}the pose holds a value that is not finite; correct it or remove its frame.", path
+        )
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=RIGID_TOLERANCE):
+        raise InputError(
+            f"{at}the last row of the pose is {_words(matrix[3])}, not 0 0 0 1; is it stored column-major?",
+            path,
+        )
+    rotation = top[:, :3]
+    deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if deviation > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        kind = "mirrors (determinant -1)" if deviation <= RIGID_TOLERANCE else "is not a rotation"
+        raise InputError(
+            f"{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} where 0.001 is allowed.",
+            path,
+        )
+    pose = np.eye(4)
+    pose[:3] = top
+    return pose
+
+
+def pose_from_quaternion(
+    translation: Sequence[float], quaternion: Sequence[float], path: Path, where: str
+) -> Pose | None:
+    """Return the pose of a translation and a quaternion x y z w of any length near 1; None when lost."""
+    x, y, z, w = quaternion
+    if not any(math.isfinite(value) for value in (*translation, *quaternion)):
+        return None
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    # Real files round to four digits and more; far from unit length it is no rotation.
+    if not 0.99 < length < 1.01:
+        raise InputError(f"{where}: the quaternion has length {length:.4g}, not 1.", path)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), translation[0]],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), translation[1]],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), translation[2]],
+    ]
+    return rigid(np.array(rotation), path, where)
+
+
+def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
+    """Return a (4, 4) float64 matrix from nested rows or 16 numbers in a row."""
+    try:
+        matrix = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, (0, 0, 0, 1)])
+    if matrix.size != 16:
+        raise InputError(f"{where} is not a 4x4 matrix.", path)
+    return matrix.reshape(4, 4)
+
+
+def nanoseconds(seconds: float, path: Path, line: int) -> int:
+    """Return seconds as whole nanoseconds."""
+    if not abs(seconds) < 1 << 32:
+        raise InputError(f"line {line}: the time {seconds:g} s cannot be right.", path)
+    return round(seconds * 1e9)
+
+
+def read_text(path: Path) -> str:
+    """Return a text file's content, with a plain sentence when it cannot be read."""
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError("the file is too large for what it should hold.", path)
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+    except UnicodeDecodeError as error:
+        raise InputError("a text file is expected; this one is binary.", path) from error
+
+
+def read_json_document(path: Path) -> object:
+    """Return a JSON file's content; NaN and infinite numbers are let through for the checks that follow."""
+    try:
+        document: object = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"the file is not valid JSON ({error}).", path) from error
+    return document
+
+
+def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
+    """Yield line numbers (from 1) and the numbers on them, without comments and empty lines."""
+    for number, text in _lines(path):
+        yield number, _floats(text, number, path)
+
+
+def _floats(text: str, number: int, path: Path) -> list[float]:
+    try:
+        return [float(word) for word in re.split(r"[,\s]+", text)]
+    except ValueError as error:
+        raise InputError(f"line {number} holds something that is not a number.", path) from error
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        text = line.split("#")[0].strip().strip(",")
+        if text:
+            yield number, text
+
+
+def _words(values: NDArray[np.float64]) -> str:
+    return " ".join(f"{value:g}" for value in values)
