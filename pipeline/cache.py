@@ -1,0 +1,439 @@
+"""Results of stages, kept under a digest of all that decided them.
+
+    cache/
+      CACHEDIR.TAG             tells backup programs to leave the folder out
+      names.lock               held for moments, by whoever adds, moves or looks up an entry
+      fuse/<key>/              an entry: the stage's files, manifest.json and in-use.lock
+      drafts/fuse-k3j2…/       an entry being made or removed, locked by the process that does it
+      runs/<output>.json       which entries the latest run of each output folder used
+
+An entry is made in `drafts`, flushed to disk and moved to its place in one rename, so it is whole or it is
+not there. Who reads an entry holds a shared lock on its `in-use.lock`; who removes one must first get it
+exclusively. The system releases the locks of a killed process, which is how its drafts are told from those
+of a living one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from pipeline.digest import digest, file_digests
+from pipeline.failures import explained
+from pipeline.files import flush, flush_all, is_same_file, take_lock, try_lock, write_whole
+
+# Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
+SCHEMA = 1
+
+_MANIFEST = "manifest.json"
+_IN_USE = "in-use.lock"
+_DRAFTS = "drafts"
+_RUNS = "runs"
+_KEY = re.compile("[0-9a-f]{64}")
+_TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of scanloom; safe to delete.\n"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides a stage's result.
+
+    Attributes
+    ----------
+    stage, version : which computation, and the number its author raises when its results change.
+    params : its parameters in canonical form, by section.
+    inputs : content digests of what it reads, by name.
+    libraries : versions of the libraries that compute the result.
+    """
+
+    stage: str
+    version: int
+    params: Mapping[str, Any] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    libraries: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """Return the digest that names the entry."""
+        return digest({"schema": SCHEMA, **self.as_json()})
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the recipe as JSON values."""
+        return {
+            name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
+        }
+
+
+class Entry:
+    """A whole, verified entry; it cannot be removed by anyone until it is closed.
+
+    Attributes
+    ----------
+    folder : where its files are; not to be written to.
+    manifest : what its manifest.json says.
+    """
+
+    def __init__(self, folder: Path, manifest: dict[str, Any], lock: int) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self._lock: int | None = lock
+
+    @property
+    def key(self) -> str:
+        """Return the digest of the entry's recipe."""
+        return self.folder.name
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Content digest of every file, by its path within the folder."""
+        return {name: about["sha256"] for name, about in self.manifest["files"].items()}
+
+    @property
+    def digest(self) -> str:
+        """Return the content digest of the whole entry, which the keys of later stages are made of."""
+        return digest(self.files)
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """What the stage counted and measured."""
+        figures: dict[str, Any] = self.manifest["figures"]
+        return figures
+
+    def close(self) -> None:
+        """Let the entry go."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One entry as `scanloom cache` shows it; `problem` says why it is of no use, or is None."""
+
+    stage: str
+    key: str
+    size: int
+    last_used: datetime
+    in_latest_run: bool
+    manifest: Mapping[str, Any]
+    problem: str | None = None
+
+
+class DamagedError(Exception):
+    """An entry does not hold what its manifest promises."""
+
+
+class Cache:
+    """A folder of entries, shared safely by any number of processes on one machine.
+
+    Parameters
+    ----------
+    folder : made when the first entry is stored.
+    warn : called with a sentence for each damaged entry that is met and dropped.
+    """
+
+    def __init__(self, folder: Path, warn: Callable[[str], None] | None = None) -> None:
+        self.folder = folder
+        self._warn = warn or (lambda text: None)  # noqa: ARG005
+
+    def get(self, recipe: Recipe) -> Entry | None:
+        """Return the verified entry of a recipe, or None; a damaged entry is reported and dropped."""
+        place = self._place(recipe)
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            while place.is_dir():
+                with self._names():
+                    if not place.is_dir():
+                        break
+                    lock = take_lock(place / _IN_USE, fcntl.LOCK_SH)
+                try:
+                    manifest = _verified(place)
+                except DamagedError as error:
+                    if self._drop(place, lock):
+                        self._warn(
+                            f"the cached result of {recipe.stage} is damaged ({error}); it is made anew."
+                        )
+                    continue
+                except BaseException:
+                    os.close(lock)
+                    raise
+                os.utime(lock)
+                return Entry(place, manifest, lock)
+        return None
+
+    def store(
+        self, recipe: Recipe, make: Callable[[Path], Mapping[str, Any]], *, replace: bool = False
+    ) -> Entry:
+        """Make an entry and return it.
+
+        Parameters
+        ----------
+        make : writes the stage's files into the empty folder it is given, and returns what the manifest is to
+            say beside: `figures`, and `made` for seconds and the like that decide nothing.
+        replace : take the place of an entry that is there already. Otherwise, when another process was
+            faster, its entry is returned and this one thrown away.
+
+        Raises
+        ------
+        StageError
+            If the disk is full or the folder cannot be written; nothing of the entry stays behind.
+        """
+        with explained(f"the result of {recipe.stage} cannot be written to the cache {self.folder}"):
+            draft, lock = self._new_draft(recipe.stage)
+            try:
+                _seal(draft, recipe, make(draft))
+                while not self._publish(draft, self._place(recipe), lock, replace):
+                    winner = self.get(recipe)
+                    if winner is not None:
+                        _discard(draft, lock)
+                        return winner
+            except BaseException:
+                _discard(draft, lock)
+                raise
+            if replace:
+                self.remove_abandoned()
+            return Entry(self._place(recipe), _read_manifest(self._place(recipe)), lock)
+
+    def remove_abandoned(self) -> None:
+        """Remove what killed processes left half-made, and what was dropped while another was reading it."""
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            drafts = self.folder / _DRAFTS
+            for draft in drafts.iterdir() if drafts.is_dir() else ():
+                with self._names():
+                    # A draft and its lock are made together under the names lock: without one it is debris.
+                    lock = try_lock(draft / _IN_USE) if draft.is_dir() else None
+                if lock is not None:
+                    _discard(draft, lock)
+
+    def ls(self) -> list[Listed]:
+        """List all entries, by stage and from the last used to the longest unused; nothing is verified."""
+        used = self._used_by_latest_runs()
+        listed = [_listed(place, place.name in used) for place in self._places()]
+        return sorted(listed, key=lambda entry: (entry.stage, -entry.last_used.timestamp()))
+
+    def verify(self) -> list[Listed]:
+        """List all entries with what is wrong with each, reading every file; nothing is changed."""
+        used = self._used_by_latest_runs()
+        return [_listed(place, place.name in used, thorough=True) for place in self._places()]
+
+    def prune(
+        self,
+        *,
+        unused: bool = True,
+        older_than: float | None = None,
+        max_size: int | None = None,
+        dry_run: bool = False,
+    ) -> list[Listed]:
+        """Remove entries and return them; those another process is using stay.
+
+        Parameters
+        ----------
+        unused : remove what the latest run of no output folder used.
+        older_than : seconds; remove what was last used longer ago.
+        max_size : bytes; then remove what was unused longest until the rest is no larger.
+        dry_run : only say what would be removed.
+        """
+        entries = sorted(self.ls(), key=lambda entry: entry.last_used)
+        now = datetime.now(timezone.utc)
+        chosen: list[Listed] = []
+        kept: list[Listed] = []
+        for entry in entries:
+            old = older_than is not None and (now - entry.last_used).total_seconds() > older_than
+            (chosen if old or (unused and not entry.in_latest_run) else kept).append(entry)
+        if max_size is not None:
+            total = sum(entry.size for entry in kept)
+            while kept and total > max_size:
+                chosen.append(kept.pop(0))
+                total -= chosen[-1].size
+        if dry_run:
+            return chosen
+        with explained(f"the cache folder {self.folder} cannot be pruned"):
+            removed = [entry for entry in chosen if self._remove(entry)]
+        self.remove_abandoned()
+        return removed
+
+    def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
+        """Keep what the latest run of an output folder used; `record["keys"]` names its entries."""
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            self._prepare()
+            text = json.dumps({"out": os.path.relpath(out, self.folder), **record}, indent=1)
+            write_whole(self._run_record(out), text.encode())
+
+    def latest_run(self, out: Path) -> dict[str, Any]:
+        """Return what `remember_run` was last told about an output folder; empty if nothing."""
+        return _read_record(self._run_record(out))
+
+    def _place(self, recipe: Recipe) -> Path:
+        return self.folder / recipe.stage / recipe.key
+
+    def _places(self) -> Iterator[Path]:
+        for stage in sorted(self.folder.iterdir()) if self.folder.is_dir() else ():
+            if stage.is_dir() and stage.name not in (_DRAFTS, _RUNS):
+                yield from sorted(path for path in stage.iterdir() if _KEY.fullmatch(path.name))
+
+    def _prepare(self) -> None:
+        for name in (_DRAFTS, _RUNS):
+            (self.folder / name).mkdir(parents=True, exist_ok=True)
+        tag = self.folder / "CACHEDIR.TAG"
+        if not tag.exists():
+            tag.write_text(_TAG, encoding="ascii")
+
+    @contextlib.contextmanager
+    def _names(self) -> Iterator[None]:
+        lock = take_lock(self.folder / "names.lock", fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            os.close(lock)
+
+    def _new_draft(self, stage: str) -> tuple[Path, int]:
+        self._prepare()
+        with self._names():
+            draft = self._fresh_folder(stage)
+            return draft, take_lock(draft / _IN_USE, fcntl.LOCK_EX)
+
+    def _fresh_folder(self, stage: str) -> Path:
+        folder = Path(tempfile.mkdtemp(prefix=f"{stage}-", dir=self.folder / _DRAFTS))
+        # mkdtemp shuts everybody else out; an entry is as open as the folder it will stand in.
+        folder.chmod(self.folder.stat().st_mode & 0o777)
+        return folder
+
+    def _publish(self, draft: Path, place: Path, lock: int, replace: bool) -> bool:
+        with self._names():
+            if place.exists():
+                if not replace:
+                    return False
+                self._put_aside(place)
+            place.parent.mkdir(exist_ok=True)
+            draft.rename(place)
+            fcntl.flock(lock, fcntl.LOCK_SH)
+            flush(place.parent)
+        return True
+
+    def _drop(self, place: Path, lock: int) -> bool:
+        """Put a damaged entry aside unless another process has done so; `lock` is given up."""
+        with self._names():
+            ours = is_same_file(lock, place / _IN_USE)
+            if ours:
+                self._put_aside(place)
+            os.close(lock)
+        self.remove_abandoned()
+        return ours
+
+    def _put_aside(self, place: Path) -> None:
+        # Out of sight at once, but its files stay until the last process that reads them has let go.
+        place.rename(self._fresh_folder(place.parent.name))
+
+    def _remove(self, entry: Listed) -> bool:
+        place = self.folder / entry.stage / entry.key
+        with self._names():
+            lock = try_lock(place / _IN_USE) if place.is_dir() else None
+            if lock is None:
+                return False
+            self._put_aside(place)
+            os.close(lock)
+        return True
+
+    def _run_record(self, out: Path) -> Path:
+        # Named relative to the cache: an output folder moved together with its cache keeps its record.
+        return self.folder / _RUNS / f"{digest(os.path.relpath(out, self.folder))[:16]}.json"
+
+    def _used_by_latest_runs(self) -> set[str]:
+        used: set[str] = set()
+        for path in (self.folder / _RUNS).glob("*.json"):
+            record = _read_record(path)
+            # The folder is gone: nobody will ask for its results again.
+            if (self.folder / str(record.get("out"))).is_dir():
+                used.update(record.get("keys", ()))
+        return used
+
+
+def _seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
+    """Flush a draft's files to the disk and write the manifest that makes it an entry."""
+    paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / _IN_USE)
+    names = [path.relative_to(draft).as_posix() for path in paths]
+    flush_all(paths)
+    files = {
+        name: {"size": path.stat().st_size, "sha256": content}
+        for name, path, content in zip(names, paths, file_digests(paths), strict=True)
+    }
+    manifest = {
+        "schema": SCHEMA,
+        "recipe": recipe.as_json(),
+        "files": files,
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        **record,
+    }
+    text = json.dumps({**manifest, "digest": digest(manifest)}, indent=1)
+    (draft / _MANIFEST).write_text(text, encoding="utf-8")
+    flush(draft / _MANIFEST)
+    flush_all([*(path for path in draft.rglob("*") if path.is_dir()), draft])
+
+
+def _discard(draft: Path, lock: int) -> None:
+    shutil.rmtree(draft, ignore_errors=True)
+    os.close(lock)
+
+
+def _verified(place: Path) -> dict[str, Any]:
+    """Return an entry's manifest after reading every file it names; raise DamagedError."""
+    manifest = _read_manifest(place)
+    names = list(manifest["files"])
+    for name in names:
+        if not (place / name).is_file():
+            raise DamagedError(f"{name} is missing")
+        if (place / name).stat().st_size != manifest["files"][name]["size"]:
+            raise DamagedError(f"{name} has another size")
+    try:
+        contents = file_digests([place / name for name in names])
+    except OSError as error:
+        raise DamagedError(f"{error.filename} cannot be read: {error.strerror}") from error
+    for name, content in zip(names, contents, strict=True):
+        if content != manifest["files"][name]["sha256"]:
+            raise DamagedError(f"{name} has another content")
+    return manifest
+
+
+def _read_manifest(place: Path) -> dict[str, Any]:
+    try:
+        manifest: dict[str, Any] = json.loads((place / _MANIFEST).read_text(encoding="utf-8"))
+        sealed = manifest.pop("digest")
+        if digest(manifest) != sealed:
+            raise DamagedError(f"{_MANIFEST} has another content")
+        if digest({"schema": manifest["schema"], **manifest["recipe"]}) != place.name:
+            raise DamagedError(f"{_MANIFEST} belongs to another entry")
+    except OSError as error:
+        raise DamagedError(f"{_MANIFEST} cannot be read: {error.strerror}") from error
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise DamagedError(f"{_MANIFEST} is not a manifest") from error
+    return manifest
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    # A record only explains and protects from pruning; one that cannot be read counts as none.
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def _listed(place: Path, in_latest_run: bool, *, thorough: bool = False) -> Listed:
+    manifest: dict[str, Any] = {}
+    problem = None
+    try:
+        manifest = (_verified if thorough else _read_manifest)(place)
+    except DamagedError as error:
+        problem = str(error)
+    sizes = [path.stat().st_size for path in place.rglob("*") if path.is_file()]
+    stamp = place / _IN_USE
+    last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).stat().st_mtime, timezone.utc)
+    return Listed(place.parent.name, place.name, sum(sizes), last_used, in_latest_run, manifest, problem)

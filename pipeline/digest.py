@@ -1,0 +1,164 @@
+"""Digests that decide a cache hit: of parameters in canonical form, of file contents, of a whole scan.
+
+Only content counts. Paths, file names and time stamps stay out, so that a moved, renamed or touched scan
+keeps its cached results.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.errors import StageError
+from stages.progress import Progress, silent
+from stages.scan import Frame, Scan
+
+# No stage computes with these; in many layouts both come from file names.
+_SHOWN_TO_PEOPLE = frozenset({"name", "timestamp"})
+_BLOCK = 1 << 20
+
+_Signature = tuple[int, ...] | None
+
+
+def canonical(value: Any) -> str:
+    """Write a value as JSON that is the same text for the same value.
+
+    Raises
+    ------
+    TypeError, ValueError
+        For what JSON cannot express (paths, arrays, sets, keys that are not text, NaN, infinity): a digest of
+        a guess would be a wrong hit later.
+    """
+    _require_json(value, "value")
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _require_json(value: Any, where: str) -> None:
+    if value is None or type(value) in (bool, int, str):
+        return
+    if type(value) is float:
+        if not math.isfinite(value):
+            raise ValueError(f"{where} is {value}, which JSON cannot express")
+    elif type(value) in (list, tuple):
+        for i, item in enumerate(value):
+            _require_json(item, f"{where}[{i}]")
+    elif type(value) is dict:
+        for key, item in value.items():
+            if type(key) is not str:
+                raise TypeError(f"{where} has the key {key!r}, which JSON cannot express")
+            _require_json(item, f"{where}.{key}")
+    else:
+        raise TypeError(f"{where} is of type {type(value).__name__}, which JSON cannot express")
+
+
+def digest(value: Any) -> str:
+    """Return the SHA-256 of a value's canonical JSON, in hex."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hex."""
+    sha = hashlib.sha256()
+    with path.open("rb", buffering=0) as file:
+        while block := file.read(_BLOCK):
+            sha.update(block)
+    return sha.hexdigest()
+
+
+def file_digests(paths: Iterable[Path]) -> list[str]:
+    """Digests of many files, read on all cores."""
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        return list(threads.map(file_digest, paths))
+
+
+@dataclass(frozen=True)
+class ScanDigest:
+    """The content of a scan in one digest.
+
+    Attributes
+    ----------
+    digest : of everything a stage may read.
+    parts : a digest for each frame and for the rig, to say what changed between two runs.
+    """
+
+    digest: str
+    parts: Mapping[str, str]
+    _files: Mapping[Path, tuple[str, _Signature]]
+
+    def require_unchanged(self) -> None:
+        """Raise StageError if the content of a file of the scan changed since its digest was taken.
+
+        A result made from such a file must not be stored: its key would promise another content.
+        """
+        for path, (content, signature) in self._files.items():
+            # The time stamp only saves reading all files again; a touched file is read, and is no change.
+            if _signature(path) != signature and _content(path) != content:
+                raise StageError(f"{path} changed while it was being read; run again when it is complete.")
+
+
+def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
+    """Digest poses, cameras, scales and the bytes of every image of a scan.
+
+    A file that cannot be read counts as "unreadable"; the stage that needs it decides what to do about it.
+    """
+    paths = sorted({v for frame in scan.frames for v in vars(frame).values() if isinstance(v, Path)})
+    signatures = [_signature(path) for path in paths]
+    contents: dict[Path, str] = {}
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        for path, content in zip(paths, threads.map(_content, paths), strict=True):
+            contents[path] = content
+            progress(len(contents), len(paths))
+    parts = {"calibration": digest(_plain(scan.rig, contents))}
+    for number, frame in enumerate(scan.frames):
+        parts[f"frame {number} ({frame.name})"] = digest(_frame(frame, contents))
+    files = {path: (contents[path], signature) for path, signature in zip(paths, signatures, strict=True)}
+    return ScanDigest(digest(list(parts.values())), parts, files)
+
+
+def _content(path: Path) -> str:
+    try:
+        return file_digest(path)
+    except OSError:
+        return "unreadable"
+
+
+def _signature(path: Path) -> _Signature:
+    try:
+        stat = path.stat()
+    except OSError:
+        return None
+    return stat.st_size, stat.st_mtime_ns, stat.st_ino
+
+
+def _frame(frame: Frame, contents: Mapping[Path, str]) -> dict[str, Any]:
+    names = [f.name for f in dataclasses.fields(frame) if f.name not in _SHOWN_TO_PEOPLE]
+    return {name: _plain(getattr(frame, name), contents) for name in names}
+
+
+def _plain(value: Any, contents: Mapping[Path, str]) -> Any:
+    if isinstance(value, Path):
+        return {"file": contents[value]}
+    if isinstance(value, np.ndarray):
+        data = np.ascontiguousarray(value)
+        return {
+            "dtype": data.dtype.str,
+            "shape": list(value.shape),
+            "bytes": hashlib.sha256(data.data).hexdigest(),
+        }
+    if isinstance(value, np.generic):
+        return value.item()
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name), contents) for f in dataclasses.fields(value)}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item, contents) for item in value]
+    return value

@@ -1,0 +1,220 @@
+"""Run stages in order, each from the cache if it can be, and say why when it cannot.
+
+The engine knows no stage by name; `pipeline.graph` declares them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.cache import Cache, Entry, Recipe
+from pipeline.config import Sections
+from pipeline.events import Events, StageFinished, StageProgress, StageStarted
+from pipeline.failures import explained
+from pipeline.memory import peak_bytes, reset_peak
+from pipeline.reasons import reason
+from pipeline.results import Results
+from stages.progress import Progress
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a stage gets to work with.
+
+    Attributes
+    ----------
+    inputs : what it reads, by name: the scan, or the folder of an earlier stage's files.
+    config : every section; a stage uses those it declares.
+    folder : where it writes its files.
+    """
+
+    inputs: Mapping[str, Any]
+    config: Any
+    folder: Path
+    progress: Progress
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage as the pipeline sees it.
+
+    Attributes
+    ----------
+    name : what people call it.
+    version : raised by hand when its results change.
+    reads, writes : names of what passes between stages.
+    sections : the parts of the configuration that decide its result.
+    libraries : distributions whose version decides its result, each a choice of names.
+    make : writes the files and returns the figures.
+    results : which of its files stand in the output folder too; a name that ends in / is a folder of them.
+    """
+
+    name: str
+    version: int
+    reads: tuple[str, ...]
+    writes: str
+    sections: tuple[str, ...]
+    make: Callable[[Job], Mapping[str, Any]]
+    libraries: Mapping[str, str] = field(default_factory=dict)
+    results: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Source:
+    """Something a stage reads.
+
+    Attributes
+    ----------
+    digest : of its content.
+    value : what the stage is given.
+    parts : digests of its parts, to say which of them changed.
+    require_unchanged : raises StageError if the content is not any more what the digest was taken of.
+    """
+
+    digest: str
+    value: Any
+    parts: Mapping[str, str]
+    require_unchanged: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one stage.
+
+    Attributes
+    ----------
+    seconds : spent in this run.
+    made : when the result was made: `seconds`, and the peak memory of the process in `peak_memory_bytes`.
+    folder : the cache entry.
+    """
+
+    stage: str
+    cached: bool
+    reason: str
+    seconds: float
+    params: Mapping[str, Any]
+    figures: Mapping[str, Any]
+    made: Mapping[str, Any]
+    folder: Path
+    results: tuple[Path, ...]
+
+
+class Engine:
+    """One run: the stages of a plan, over the sources, into an output folder.
+
+    Use it in a `with` block: until its end, nobody removes the cache entries the run has met.
+    """
+
+    def __init__(
+        self, plan: Sequence[Stage], config: Sections, sources: Mapping[str, Source], cache: Cache, out: Path
+    ) -> None:
+        self._plan = plan
+        self._config = config
+        self._sources = dict(sources)
+        self._cache = cache
+        self.results = Results(cache, out)
+        self._entries: list[Entry] = []
+
+    def __enter__(self) -> Engine:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for entry in self._entries:
+            entry.close()
+
+    def run(self, until: str, force: Collection[str], events: Events) -> Iterator[Outcome]:
+        """Run the stages up to and with `until`, one a step; those in `force` without asking the cache."""
+        last = next(i for i, stage in enumerate(self._plan) if stage.name == until)
+        for i, stage in enumerate(self._plan[: last + 1]):
+            yield self._run_stage(stage, self._plan[i:], stage.name in force, events)
+
+    def withdraw_outdated(self, after: str) -> Entry | None:
+        """Remove results of later stages that do not follow from what is there now.
+
+        Returns the entry of the plan's last stage if everything up to it is still valid.
+        """
+        at = next(i for i, stage in enumerate(self._plan) if stage.name == after)
+        entry = self._entries[-1] if at + 1 == len(self._plan) else None
+        for i in range(at + 1, len(self._plan)):
+            entry = self._cache.get(self._recipe(self._plan[i]))
+            if entry is None:
+                self.results.withdraw(stage.name for stage in self._plan[i:])
+                return None
+            self._add(self._plan[i], entry)
+        return entry
+
+    def _run_stage(self, stage: Stage, following: Sequence[Stage], forced: bool, events: Events) -> Outcome:
+        started = time.perf_counter()
+        recipe = self._recipe(stage)
+        entry = None if forced else self._cache.get(recipe)
+        cached = entry is not None
+        why = ""
+        parts = {name: dict(self._sources[name].parts) for name in stage.reads}
+        decided = {"recipe": recipe.as_json(), "parts": parts}
+        if entry is None:
+            why = "forced" if forced else reason(decided, self.results.decided(stage.name))
+            events(StageStarted(stage.name, why))
+            # Files of this stage and the later ones belong to another run from here on.
+            self.results.withdraw(stage.name for stage in following)
+            entry = self._cache.store(
+                recipe, lambda folder: self._make(stage, folder, events), replace=forced
+            )
+        self._add(stage, entry)
+        placed = self.results.place(stage.name, entry, stage.results, decided)
+        seconds = time.perf_counter() - started
+        events(StageFinished(stage.name, cached, seconds, why, entry.figures, placed))
+        return Outcome(
+            stage.name,
+            cached,
+            why,
+            seconds,
+            recipe.params,
+            entry.figures,
+            entry.manifest["made"],
+            entry.folder,
+            placed,
+        )
+
+    def _recipe(self, stage: Stage) -> Recipe:
+        return Recipe(
+            stage.name,
+            stage.version,
+            params={section: self._config.canonical(section) for section in stage.sections},
+            inputs={name: self._sources[name].digest for name in stage.reads},
+            libraries=dict(stage.libraries),
+        )
+
+    def _make(self, stage: Stage, folder: Path, events: Events) -> dict[str, Any]:
+        def progress(done: int, total: int) -> None:
+            events(StageProgress(stage.name, done, total))
+
+        inputs = {name: self._sources[name].value for name in stage.reads}
+        reset_peak()
+        started = time.perf_counter()
+        with explained(f"{stage.name} failed"):
+            figures = stage.make(Job(inputs, self._config, folder, progress))
+        made = {"seconds": round(time.perf_counter() - started, 3), "peak_memory_bytes": peak_bytes()}
+        for name in stage.reads:
+            self._sources[name].require_unchanged()
+        return {"figures": as_json(figures), "made": made}
+
+    def _add(self, stage: Stage, entry: Entry) -> None:
+        self._entries.append(entry)
+        self.results.keep(entry)
+        self._sources[stage.writes] = Source(entry.digest, entry.folder, entry.files)
+
+
+def as_json(value: Any) -> Any:
+    """Return figures as plain JSON values: Python's own numbers, null for what is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [as_json(item) for item in value]
+    if hasattr(value, "tolist"):
+        return as_json(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,35 @@
+"""What the machine refuses, turned into one plain sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+from collections.abc import Iterator
+
+from stages.errors import StageError
+
+_FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
+_ADVICE = "free some space, or keep the cache elsewhere (SCANLOOM_CACHE)"
+
+
+@contextlib.contextmanager
+def explained(what: str) -> Iterator[None]:
+    """Turn an OSError or a lack of memory into a StageError that starts with `what`."""
+    try:
+        yield
+    except StageError as error:
+        # A writer in `stages` met the full disk first; only here is known what can be done about it.
+        if isinstance(error.__cause__, OSError) and error.__cause__.errno in _FULL:
+            raise StageError(f"{what}: {_reason(error.__cause__)}.") from error
+        raise
+    except OSError as error:
+        raise StageError(f"{what}: {_reason(error)}.") from error
+    except MemoryError as error:
+        raise StageError(f"{what}: the memory is used up.") from error
+
+
+def _reason(error: OSError) -> str:
+    if error.errno in _FULL:
+        return f"{_FULL[error.errno]}; {_ADVICE}"
+    reason = error.strerror or str(error)
+    return f"{reason} ({error.filename})" if error.filename else reason

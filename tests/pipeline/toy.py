@@ -1,0 +1,142 @@
+"""A pipeline of three quick stages over a small scan, for tests of the engine and the cache.
+
+Run as a program it works on one scan folder once: `python toy.py SCAN OUT [section.parameter=value]…`
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.cache import Cache
+from pipeline.config import Sections
+from pipeline.digest import scan_digest
+from pipeline.engine import Engine, Job, Outcome, Source, Stage
+from pipeline.events import Events, unwatched
+from stages.params import check, param
+from stages.scan import Camera, Frame, Scan
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixParams:
+    """Mix the frames."""
+
+    gain: float = param(0.5, "How much of the earlier frames stays.", low=0, high=1)
+    threads: int = param(1, "Threads to use.", low=1, invalidates=False)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CutParams:
+    """Cut off the far part."""
+
+    far: float | None = param(None, "Far limit; by default the mean.", unit="m", low=0, low_open=True)
+    mode: str = param("hard", "How to cut.", choices=("hard", "soft"))
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountParams:
+    """Count what is left."""
+
+    bins: int = param(4, "Bins of the histogram.", low=1, high=64)
+    exact: bool = param(True, "Count every pixel.")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class ToyConfig(Sections):
+    mix: MixParams = field(default_factory=MixParams)
+    cut: CutParams = field(default_factory=CutParams)
+    count: CountParams = field(default_factory=CountParams)
+
+
+def mix(job: Job) -> Mapping[str, Any]:
+    scan = job.inputs["frames"]
+    total = np.zeros((8, 8))
+    (job.folder / "each").mkdir()
+    for i, frame in enumerate(scan.frames):
+        total = total * job.config.mix.gain + np.frombuffer(frame.depth.read_bytes(), np.uint8).reshape(8, 8)
+        (job.folder / "each" / f"{i:06d}.bin").write_bytes(total.tobytes())
+        job.progress(i + 1, len(scan.frames))
+    (job.folder / "mixed.bin").write_bytes(total.tobytes())
+    return {"mean_m": total.mean(), "worst_m": np.inf}
+
+
+def cut(job: Job) -> Mapping[str, Any]:
+    mixed = np.frombuffer((job.inputs["mixed"] / "mixed.bin").read_bytes())
+    far = mixed.mean() if job.config.cut.far is None else job.config.cut.far
+    (job.folder / "cut.bin").write_bytes(np.minimum(mixed, far).tobytes())
+    return {"far_m": float(far)}
+
+
+def count(job: Job) -> Mapping[str, Any]:
+    left = np.frombuffer((job.inputs["cut"] / "cut.bin").read_bytes())
+    counts, _ = np.histogram(left, bins=job.config.count.bins)
+    (job.folder / "tables").mkdir()
+    (job.folder / "tables" / "counts.txt").write_text(" ".join(map(str, counts)))
+    return {"bins": len(counts)}
+
+
+PLAN = (
+    Stage("mix", 1, ("frames",), "mixed", ("mix",), mix, {"numpy": np.__version__}, ("mixed.bin",)),
+    Stage("cut", 1, ("mixed",), "cut", ("cut",), cut, results=("cut.bin",)),
+    Stage("count", 1, ("cut",), "counts", ("count",), count, results=("tables/",)),
+)
+
+
+def write_scan(folder: Path, frames: int = 3) -> Path:
+    """Write a scan folder of raw depth files."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(7)
+    for i in range(frames):
+        (folder / f"{i:02d}.raw").write_bytes(rng.integers(0, 255, (8, 8), np.uint8).tobytes())
+    return folder
+
+
+def read_scan(folder: Path) -> Scan:
+    camera = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
+    frames = [
+        Frame(path.stem, camera, depth=path, world_from_camera=np.eye(4))
+        for path in sorted(folder.glob("*.raw"))
+    ]
+    return Scan("toy", frames, folder=folder)
+
+
+def run(
+    folder: Path,
+    out: Path,
+    *assignments: str,
+    plan: tuple[Stage, ...] = PLAN,
+    until: str = "count",
+    force: tuple[str, ...] = (),
+    cache: Path | None = None,
+    events: Events = unwatched,
+    warnings: list[str] | None = None,
+) -> list[Outcome]:
+    """Run the toy pipeline as pipeline.run does the real one."""
+    out.mkdir(parents=True, exist_ok=True)
+    scan = read_scan(folder)
+    content = scan_digest(scan)
+    frames = Source(content.digest, scan, content.parts, content.require_unchanged)
+    store = Cache(cache or out / "cache", None if warnings is None else warnings.append)
+    store.remove_abandoned()
+    with Engine(plan, ToyConfig().set(assignments), {"frames": frames}, store, out) as engine:
+        outcomes = list(engine.run(until, force, events))
+        engine.withdraw_outdated(until)
+        return outcomes
+
+
+if __name__ == "__main__":
+    run(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])
