@@ -1,0 +1,109 @@
+"""The scanloom command: every failure ends here, as one sentence and an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+from cli import errors, mesh_commands, run_commands, scan_commands
+from cli.output import to_json
+from stages.errors import ScanloomError
+
+app = typer.Typer(
+    name="scanloom",
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+scan_commands.add_to(app)
+run_commands.add_to(app)
+mesh_commands.add_to(app)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"scanloom {version('scanloom')}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def scanloom(
+    context: typer.Context,
+    debug: Annotated[  # noqa: ARG001 - read from the command line where failures are caught
+        bool, typer.Option("--debug", help="Show the traceback when something fails.")
+    ] = False,
+    version: Annotated[  # noqa: ARG001
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Turn a scan folder (stereo pairs or RGB-D frames with poses) into a light, coloured mesh.
+
+    Start with: scanloom inspect FOLDER, then: scanloom run FOLDER -o OUT
+
+    Exit codes: 0 done, 1 a stage failed, 2 wrong usage, 3 bad input, 130 interrupted.
+    """
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(errors.WRONG_USAGE)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code."""
+    sys.exit(run_command(sys.argv[1:] if arguments is None else arguments))
+
+
+def run_command(arguments: Sequence[str]) -> int:
+    """Run one command line; every exception becomes a sentence on stderr and an exit code."""
+    try:
+        code = typer.main.get_command(app).main(
+            args=list(arguments), prog_name="scanloom", standalone_mode=False
+        )
+        sys.stdout.flush()
+    except BrokenPipeError:
+        return _without_reader()
+    except (
+        ScanloomError,
+        errors.TyperUsageError,
+        typer.Abort,
+        KeyboardInterrupt,
+        OSError,
+        MemoryError,
+    ) as error:
+        return _tell(errors.failure_of(error), error, arguments)
+    except Exception as error:
+        return _tell(errors.bug_of(error), error, arguments)
+    if code == errors.INTERRUPTED:  # typer keeps the KeyboardInterrupt to itself
+        return _tell(errors.failure_of(KeyboardInterrupt()), None, arguments)
+    return code or 0
+
+
+def _tell(failure: errors.Failure, error: BaseException | None, arguments: Sequence[str]) -> int:
+    # The options may be what is wrong, so these two are looked up without the parser.
+    if "--debug" in arguments and error is not None:
+        traceback.print_exception(error)
+    try:
+        sys.stderr.write(f"scanloom: {failure.sentence}\n")
+        if "--json" in arguments:
+            sys.stdout.write(to_json({"error": failure.sentence, "exit_code": failure.exit_code}) + "\n")
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _without_reader()
+    return failure.exit_code
+
+
+def _without_reader() -> int:
+    """Leave quietly when the reader of our output (head, less) has gone."""
+    # Python flushes stdout once more at exit; that must not fail again.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return errors.STAGE_FAILED
+
+
+if __name__ == "__main__":
+    main()

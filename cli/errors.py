@@ -1,0 +1,87 @@
+"""From a failure to one plain sentence and an exit code.
+
+Exit codes: 0 done, 1 a stage failed, 2 wrong usage, 3 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+
+import typer
+
+from stages.errors import InputError, UsageError
+
+STAGE_FAILED, WRONG_USAGE, BAD_INPUT, INTERRUPTED = 1, 2, 3, 130
+
+# What typer raises for a wrong command line; its base class has no public name of its own.
+TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
+
+# Failures of the operating system that another path or permission cures; the others (full disk, broken
+# disk) are the machine's.
+_PATH_ERRORS = {
+    errno.ENOENT: "there is no such file or folder",
+    errno.EACCES: "the permission is missing",
+    errno.EPERM: "the permission is missing",
+    errno.EISDIR: "this is a folder, not a file",
+    errno.ENOTDIR: "this is not a folder",
+    errno.ENAMETOOLONG: "the name is too long for this file system",
+    errno.EROFS: "this file system cannot be written to",
+    errno.ENOTEMPTY: "this folder is not empty",
+}
+_MACHINE_ERRORS = {
+    errno.ENOSPC: "the disk is full; free some space and run again",
+    errno.EDQUOT: "the disk quota is used up; free some space and run again",
+    errno.EMFILE: "too many files are open; raise the limit with ulimit -n",
+    errno.EIO: "the disk or its connection failed",
+}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What a person reads, and what the shell gets."""
+
+    sentence: str
+    exit_code: int
+
+
+def failure_of(error: BaseException) -> Failure:
+    """Return the sentence and exit code of an exception that ended a command."""
+    if isinstance(error, (KeyboardInterrupt, typer.Abort)):
+        return Failure("Interrupted; what was finished is kept.", INTERRUPTED)
+    if isinstance(error, TyperUsageError):
+        return Failure(_usage_sentence(error), WRONG_USAGE)
+    if isinstance(error, UsageError):
+        return Failure(str(error), WRONG_USAGE)
+    if isinstance(error, InputError):
+        return Failure(str(error), BAD_INPUT)
+    if isinstance(error, OSError):
+        return _system_failure(error)
+    if isinstance(error, MemoryError):
+        advice = "choose a larger voxel size, or run on a machine with more memory"
+        return Failure(f"There is not enough memory; {advice}.", STAGE_FAILED)
+    return Failure(str(error), STAGE_FAILED)
+
+
+def bug_of(error: BaseException) -> Failure:
+    """Return the sentence for an exception nobody foresaw."""
+    what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
+    return Failure(
+        f"This is a bug in scanloom ({what}). Please report it with what --debug adds to the same command.",
+        STAGE_FAILED,
+    )
+
+
+def _usage_sentence(error: Exception) -> str:
+    message = str(error.format_message()).rstrip()  # type: ignore[attr-defined]
+    context = getattr(error, "ctx", None)
+    where = context.command_path if context is not None else "scanloom"
+    return f"{message} See `{where} --help`."
+
+
+def _system_failure(error: OSError) -> Failure:
+    where = f"{error.filename}: " if error.filename is not None else ""
+    if error.errno in _PATH_ERRORS:
+        return Failure(f"{where}{_PATH_ERRORS[error.errno]}.", BAD_INPUT)
+    reason = _MACHINE_ERRORS.get(error.errno or 0, error.strerror or str(error))
+    return Failure(f"{where}{reason}.", STAGE_FAILED)

@@ -1,0 +1,186 @@
+"""Commands on mesh files: clean, simplify, compare, render."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cli.options import with_options
+from cli.output import Output, table_of
+from cli.paths import MESH_SUFFIXES, prepare_output_file, require_file
+from stages.clean import CleanParams
+from stages.compare import CompareParams
+from stages.errors import UsageError
+from stages.layouts import ScanParams
+from stages.mesh import Mesh
+from stages.params import check, param
+from stages.simplify import SimplifyParams
+
+MeshFile = Annotated[
+    Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)
+]
+NewMesh = Annotated[
+    Path, typer.Argument(metavar="OUT", help="Mesh file to write (.ply).", show_default=False)
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureParams:
+    """How a picture of a mesh is taken."""
+
+    view: int = param(1, "Which of the views around the mesh, counted from 1.", low=1, high=8)
+    width: int = param(1200, "Width of the picture.", unit="px", low=16, high=8192)
+    shading: str = param(
+        "color",
+        "Vertex colours, plain clay that shows the shape, or clay with the edges of the triangles.",
+        choices=("color", "plain", "edges"),
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands."""
+    app.command("clean", rich_help_panel="One stage at a time")(with_options(clean))
+    app.command("simplify", rich_help_panel="One stage at a time")(with_options(simplify))
+    app.command("compare", rich_help_panel="Look and measure")(with_options(compare))
+    app.command("render", rich_help_panel="Look and measure")(with_options(render))
+
+
+def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -> None:
+    """Remove what a mesh should not have: islands, degenerate, duplicate and non-manifold parts.
+
+    What comes out is an oriented manifold; colours survive. OUT may be IN: it is replaced in one step.
+
+    Example: scanloom clean fused.ply clean.ply
+    """
+    import stages.clean
+
+    prepare_output_file(target, MESH_SUFFIXES)
+    mesh = _read(source, out)
+    cleaned = stages.clean.clean(mesh, params)
+    _write(target, cleaned.mesh, out)
+    out.result({"output": str(target), **cleaned.figures()})
+
+
+def simplify(source: MeshFile, target: NewMesh, params: SimplifyParams, out: Output) -> None:
+    """Make a mesh light: collapse edges as long as shape and texture stay within the bounds.
+
+    The input must be a manifold mesh; run `scanloom clean` on it first when it is not.
+
+    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 10
+
+    Example: scanloom simplify clean.ply light.ply --ratio 0.1
+    """
+    import stages.simplify
+
+    prepare_output_file(target, MESH_SUFFIXES)
+    mesh = _read(source, out)
+    with out.progress("simplify", "collapses") as progress:
+        simplified = stages.simplify.simplify(mesh, params, progress=progress)
+    _write(target, simplified.mesh, out)
+    out.result({"output": str(target), **simplified.figures()})
+
+
+def compare(
+    reference: Annotated[
+        Path, typer.Argument(metavar="A", help="Mesh file to measure against.", show_default=False)
+    ],
+    other: Annotated[Path, typer.Argument(metavar="B", help="Mesh file to measure.", show_default=False)],
+    params: CompareParams,
+    out: Output,
+) -> None:
+    """Measure how far two meshes are apart, in shape (both ways) and in colour.
+
+    Relative distances refer to the diagonal of the bounding box of A.
+
+    Example: scanloom compare fused.ply simplified.ply --json
+    """
+    import stages.compare
+
+    mesh_a, mesh_b = _read(reference, out), _read(other, out)
+    figures = stages.compare.compare(mesh_a, mesh_b, params).figures()
+    out.result(figures, None if out.as_json else _comparison_text(figures))
+
+
+def render(
+    source: MeshFile,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Picture to write (.png).", show_default=False)
+    ],
+    params: PictureParams,
+    out: Output,
+    scan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Scan the mesh was made from: look from its cameras.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Draw a picture of a mesh, without a window or a GPU.
+
+    Example: scanloom render simplified.ply picture.png --shading edges --view 2
+    """
+    from stages.layouts import read_scan
+    from stages.render import render as draw
+    from stages.render import write_png
+    from stages.viewpoints import viewpoints
+
+    prepare_output_file(target, (".png",))
+    frames = read_scan(scan, ScanParams()).frames if scan is not None else ()
+    mesh = _read(source, out)
+    views = viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
+    if params.view > len(views):
+        raise UsageError(f"--view is {params.view}, but there are only {len(views)} views.")
+    view = views[params.view - 1]
+    write_png(target, draw(mesh, view, shading=params.shading))  # type: ignore[arg-type]
+    figures = {"output": str(target), "view": view.name}
+    out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})
+
+
+def _read(path: Path, out: Output) -> Mesh:
+    from stages.mesh_files import read_mesh
+
+    mesh = read_mesh(require_file(path))
+    for note in mesh.notes:
+        out.remark(f"{path}: {note}")
+    return mesh
+
+
+def _write(path: Path, mesh: Mesh, out: Output) -> None:
+    from stages.mesh_files import write_mesh
+
+    write_mesh(path, mesh)
+    out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
+
+
+def _comparison_text(figures: Mapping[str, Any]) -> str:
+    names = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
+    measures = ("maximum", "mean", "rms")
+    rows = [["", *(f"{m} m" for m in measures), *(f"{m} / diagonal" for m in measures)]]
+    for key, name in names.items():
+        distance = figures["distance"][key]
+        rows.append(
+            [
+                name,
+                *(f"{distance[m + '_m']:.4g}" for m in measures),
+                *(f"{distance[m + '_relative']:.3g}" for m in measures),
+            ]
+        )
+    text = table_of(rows)
+    if figures["color"] is None:
+        text += "\n\nNo colours compared: one of the meshes has none."
+    else:
+        rows = [["", "RMSE levels", "PSNR dB", "maximum levels"]]
+        for key, name in names.items():
+            color = figures["color"][key]
+            psnr = "equal" if color["psnr_db"] is None else f"{color['psnr_db']:.1f}"
+            rows.append([name, f"{color['rmse_levels']:.3g}", psnr, f"{color['maximum_levels']:.3g}"])
+        text += "\n\n" + table_of(rows)
+    diagonal, samples = figures["diagonal_m"], figures["samples_per_side"]
+    return f"{text}\n\nDiagonal of A {diagonal:.4g} m; {samples:,} samples on each mesh."

@@ -1,0 +1,183 @@
+"""Options of a command from the parameter classes of its stages.
+
+A command names a parameter class in its signature and gets an instance; `with_options` replaces that one
+argument by an option for every field, with the field's text, unit, range and default in the help. Nothing
+about a parameter is written twice.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_type_hints
+
+import typer
+
+from cli.output import Output
+from stages.errors import UsageError
+from stages.params import Described, described
+
+OUTPUT_PANEL = "Output"
+
+JsonOption = Annotated[
+    bool,
+    typer.Option(
+        "--json",
+        help="Print one JSON object with the figures on stdout, and nothing else; "
+        "after a failure it holds error and exit_code.",
+        rich_help_panel=OUTPUT_PANEL,
+    ),
+]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", help="No progress on stderr.", rich_help_panel=OUTPUT_PANEL)
+]
+DebugOption = Annotated[
+    bool,
+    typer.Option("--debug", help="Show the traceback when something fails.", rich_help_panel=OUTPUT_PANEL),
+]
+
+
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Turn arguments that are parameter classes, or the Output, into command-line options.
+
+    The parameters of a class keep their declared defaults unless their option is given, so that a default
+    is stated in one place only.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    kept: list[inspect.Parameter] = []
+    generated: list[inspect.Parameter] = []
+    builders: dict[str, Callable[[dict[str, Any]], Any]] = {}
+    for parameter in inspect.signature(function).parameters.values():
+        hint = hints[parameter.name]
+        if hint is Output:
+            generated += _switches()
+            builders[parameter.name] = _output
+        elif isinstance(hint, type) and is_dataclass(hint) and described(hint):
+            # The options that say how to do the work come before those that say how to talk about it.
+            generated = [*_options(hint), *generated]
+            builders[parameter.name] = functools.partial(build, hint)
+        else:
+            kept.append(parameter.replace(annotation=hint, kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(function)
+    def command(**values: Any) -> None:
+        built = {name: builder(values) for name, builder in builders.items()}
+        return function(**built, **{parameter.name: values[parameter.name] for parameter in kept})
+
+    command.__signature__ = inspect.Signature([*kept, *generated])  # type: ignore[attr-defined]
+    command.__annotations__ = {}
+    return command
+
+
+def build(cls: type, values: dict[str, Any]) -> Any:
+    """Build a parameter class from the options that were given (the others are None)."""
+    given = {name: values[name] for name in described(cls) if values[name] is not None}
+    try:
+        return cls(**given)
+    except UsageError as error:
+        message = str(error)
+        name = message.split(" ", 1)[0]
+        # The person typed an option, not a field.
+        raise UsageError(message.replace(name, option_name(name), 1) if name in given else message) from None
+
+
+def option_name(field_name: str) -> str:
+    """Return how a field is called on the command line."""
+    return "--" + field_name.replace("_", "-")
+
+
+def default_of(cls: type, name: str) -> Any:
+    """Return the declared default of a field."""
+    return next(field.default for field in fields(cls) if field.name == name)
+
+
+def help_of(about: Described, default: Any) -> str:
+    """Return a parameter's text with its unit, range and default, as every help and comment shows it."""
+    return f"{about.text.rstrip()} ({_facts(about, default)})"
+
+
+def _facts(about: Described, default: Any) -> str:
+    facts = []
+    if about.unit:
+        facts.append(about.unit)
+    bounds = _bounds(about)
+    if bounds:
+        facts.append(bounds)
+    if default is None:
+        facts.append("default: not set")
+    elif isinstance(default, bool):
+        facts.append(f"default: {'on' if default else 'off'}")
+    else:
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+        facts.append(f"default: {shown}")
+    return "; ".join(facts)
+
+
+def _bounds(about: Described) -> str:
+    low, high = about.low, about.high
+    if low is None and high is None:
+        return ""
+    if high is None:
+        return f"above {low:g}" if about.low_open else f"at least {low:g}"
+    if low is None:
+        return f"at most {high:g}"
+    return f"above {low:g} up to {high:g}" if about.low_open else f"{low:g} to {high:g}"
+
+
+def _options(cls: type) -> list[inspect.Parameter]:
+    hints = get_type_hints(cls)
+    panel = cls.__name__.removesuffix("Params")
+    return [
+        _keyword(name, _option(name, about, hints[name], default_of(cls, name), panel))
+        for name, about in described(cls).items()
+    ]
+
+
+def _option(name: str, about: Described, hint: Any, default: Any, panel: str) -> Any:
+    kind = _plain_type(hint)
+    names = [option_name(name)]
+    if kind is bool:
+        names = [f"{names[0]}/{option_name('no_' + name)}"]
+    return Annotated[
+        kind | None,
+        typer.Option(
+            *names,
+            help=escaped(help_of(about, default)),
+            metavar="|".join(about.choices) or None,
+            autocompletion=(lambda: list(about.choices)) if about.choices else None,
+            show_default=False,
+            rich_help_panel=f"{panel} parameters",
+        ),
+    ]
+
+
+def _plain_type(hint: Any) -> type:
+    """Return the type an option is read as: that of the field without None, and the widest number."""
+    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind is not type(None)]
+    for wide in (Path, float, int, bool, str):
+        if wide in kinds:
+            return wide
+    raise TypeError(f"no option can be made for {hint}")
+
+
+def _switches() -> list[inspect.Parameter]:
+    options = {"as_json": JsonOption, "quiet": QuietOption, "debug": DebugOption}
+    return [_keyword(name, option, default=False) for name, option in options.items()]
+
+
+def _output(values: dict[str, Any]) -> Output:
+    # --debug needs nothing here: what catches the failure reads it from the command line itself, since
+    # a failure may come before the options are understood.
+    return Output(as_json=values["as_json"], quiet=values["quiet"])
+
+
+def _keyword(name: str, annotation: Any, default: Any = None) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def escaped(text: str) -> str:
+    """Protect square brackets: help texts pass through rich's markup."""
+    return text.replace("[", r"\[")

@@ -1,0 +1,149 @@
+"""Where a command's words go: results on stdout, progress and remarks on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from stages.progress import Progress, silent
+
+# Ends of figure names, and the unit a person reads instead.
+_UNITS = {
+    "_m": "m",
+    "_mm": "mm",
+    "_px": "px",
+    "_s": "s",
+    "_mb": "MB",
+    "_bytes": "bytes",
+    "_deg": "°",
+    "_degrees": "°",
+    "_percent": "%",
+    "_levels": "levels of 255",
+    "_db": "dB",
+    "_ns": "ns",
+}
+
+
+class Output:
+    """One command's output; `result` is called once, last.
+
+    Parameters
+    ----------
+    as_json : stdout gets one JSON object and stderr stays silent but for a failure.
+    quiet : no progress and no remarks; the result is still printed.
+    """
+
+    def __init__(self, *, as_json: bool = False, quiet: bool = False) -> None:
+        self.as_json = as_json
+        self.quiet = quiet or as_json
+
+    def remark(self, text: str) -> None:
+        """Tell a person on stderr what is going on."""
+        if not self.quiet:
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
+
+    def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
+        """Print what came out: JSON for a program, `text` (or the figures, one a line) for a person."""
+        if self.as_json:
+            text = to_json(figures)
+        elif text is None:
+            text = lines_of(figures)
+        sys.stdout.write(text + "\n")
+        # Here, not at exit, so that a full disk or a closed pipe is noticed while it can be reported.
+        sys.stdout.flush()
+
+    @contextmanager
+    def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
+        """Give a progress callback; it draws a bar with rate and time left when stderr is a terminal."""
+        if self.quiet or not sys.stderr.isatty():
+            yield silent
+            return
+        from cli.bar import bar
+
+        with bar(label, unit) as update:
+            yield update
+
+
+def to_json(value: Any) -> str:
+    """Return JSON text that any reader takes: values that are not finite become null."""
+    return json.dumps(_finite(value), indent=2, allow_nan=False, ensure_ascii=False, default=_plain)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _plain(value: Any) -> Any:
+    # NumPy numbers and arrays, and paths.
+    return _finite(value.tolist()) if hasattr(value, "tolist") else str(value)
+
+
+def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
+    """Return figures as aligned lines for a person; nested ones are indented under their name."""
+    names = {key: name_and_unit(key) for key, value in figures.items() if not isinstance(value, Mapping)}
+    width = max((len(name) for name, _ in names.values()), default=0)
+    lines = []
+    for key, value in figures.items():
+        if isinstance(value, Mapping):
+            lines.append(f"{indent}{name_and_unit(key)[0]}")
+            if value:
+                lines.append(lines_of(value, indent + "  "))
+        else:
+            name, unit = names[key]
+            text = shown(value)
+            lines.append(f"{indent}{name:<{width}}  {text}{' ' + unit if unit and value is not None else ''}")
+    return "\n".join(lines)
+
+
+def name_and_unit(key: str) -> tuple[str, str]:
+    """Split a figure's name into words and the unit its end stands for."""
+    for end, unit in _UNITS.items():
+        if key.endswith(end):
+            return key.removesuffix(end).replace("_", " "), unit
+    return key.replace("_", " "), ""
+
+
+def shown(value: Any) -> str:
+    """Return one value as a person reads it."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(shown, value)) or "–"
+    return str(value)
+
+
+def table_of(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows of words as columns: the first one flush left, the others flush right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for first, *others in rows:
+        cells = [first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(others, widths[1:], strict=True))]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def size_of(count: int) -> str:
+    """Return a number of bytes as a person reads it."""
+    size, unit = float(count), "bytes"
+    for larger in ("kB", "MB", "GB", "TB"):
+        if size < 1000:
+            break
+        size, unit = size / 1000, larger
+    return f"{size:.0f} {unit}" if unit == "bytes" else f"{size:.1f} {unit}"

@@ -1,0 +1,63 @@
+"""Checks on the paths a person typed, made before the work starts rather than after it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from stages.errors import InputError, UsageError
+
+# What write_mesh can write.
+MESH_SUFFIXES = (".ply",)
+
+
+def require_scan(folder: Path) -> Path:
+    """Return the folder, or say that it is none."""
+    if not folder.exists():
+        raise InputError("there is no such folder; give the folder of a scan.", folder)
+    if not folder.is_dir():
+        raise InputError("this is a file; give the folder of a scan.", folder)
+    return folder
+
+
+def require_file(path: Path) -> Path:
+    """Return the path of a file, or say that it is none."""
+    if not path.exists():
+        raise InputError("there is no such file.", path)
+    if path.is_dir():
+        raise InputError("this is a folder; give a mesh file.", path)
+    return path
+
+
+def prepare_output_file(path: Path, suffixes: tuple[str, ...]) -> Path:
+    """Check that a result can be written to the path, and make its folder.
+
+    Raises
+    ------
+    UsageError
+        For an extension that stands for no format.
+    InputError
+        If the folder cannot be made or written to.
+    """
+    if path.suffix.lower() not in suffixes:
+        known = ", ".join(suffixes)
+        raise UsageError(
+            f"{path}: the extension {path.suffix or '(none)'} stands for no format; use {known}."
+        )
+    if path.is_dir():
+        raise InputError("this is a folder; give the name of a file.", path)
+    prepare_output_folder(path.parent)
+    return path
+
+
+def prepare_output_folder(folder: Path) -> Path:
+    """Make a folder for results and check that it can be written to."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError("this is a file; results need a folder.", folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"the folder cannot be made ({error.strerror}); choose another.", folder) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError("this folder cannot be written to; choose another.", folder)
+    return folder

@@ -1,0 +1,217 @@
+"""The whole way, and what belongs to it: run, config, cache."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.errors import STAGE_FAILED
+from cli.options import with_options
+from cli.output import Output, size_of, table_of
+from cli.paths import prepare_output_folder, require_scan
+from cli.watch import watching
+from stages.errors import InputError
+from stages.params import check, param
+
+if TYPE_CHECKING:
+    from pipeline.cache import Cache, Listed
+
+CacheFolder = Annotated[
+    Path | None,
+    typer.Argument(metavar="[DIR]", help="Cache folder; by default that of all runs.", show_default=False),
+]
+
+_DAY = 86_400.0
+_MEGABYTE = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class PruneParams:
+    """What to remove from a cache."""
+
+    all: bool = param(False, "Also remove what the latest run of an output folder used.")
+    older_than: float | None = param(
+        None, "Remove what was last used longer ago; without it age does not count.", unit="days", low=0
+    )
+    max_size: float | None = param(
+        None, "Then remove what was unused longest until the rest is no larger.", unit="MB", low=0
+    )
+    dry_run: bool = param(False, "Only say what would be removed.")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands."""
+    app.command("run", rich_help_panel="From scan to mesh")(with_options(run))
+    app.command("config", rich_help_panel="From scan to mesh")(with_options(config))
+    cache = typer.Typer(no_args_is_help=True)
+    cache.command("ls")(with_options(cache_ls))
+    cache.command("verify")(with_options(cache_verify))
+    cache.command("prune")(with_options(cache_prune))
+    app.add_typer(
+        cache,
+        name="cache",
+        help="Look after the kept results of stages.",
+        rich_help_panel="From scan to mesh",
+    )
+
+
+def run(
+    scan: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)],
+    target: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", show_default=False),
+    ],
+    out: Output,
+    config_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", metavar="FILE", help="Parameters as TOML; see scanloom config.", show_default=False
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="STAGE.PARAM=VALUE",
+            help="Change one parameter, after --config; may be given many times.",
+            show_default=False,
+        ),
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option(metavar="STAGE", help="Stop after this stage.", show_default=False)
+    ] = None,
+    force: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="STAGE",
+            help="Run this stage even though its result is cached; may be given many times.",
+            show_default=False,
+        ),
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where results of stages are kept.", show_default=False),
+    ] = None,
+) -> None:
+    """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
+
+    OUT then holds fused.ply, clean.ply, simplified.ply, report.json and pictures. A second run does only
+    what has changed since.
+
+    Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
+    """
+    from pipeline.config import Config
+    from pipeline.run import run as run_pipeline
+
+    require_scan(scan)
+    config = Config.load(config_file) if config_file is not None else Config()
+    config = config.set(settings or ())
+    prepare_output_folder(target)
+    with watching(out) as events:
+        result = run_pipeline(
+            scan, target, config, until=until, force=tuple(force or ()), cache_dir=cache, events=events
+        )
+    out.result(result.figures())
+
+
+def config(
+    out: Output,
+    file: Annotated[
+        Path | None,
+        typer.Option(
+            "--check", metavar="FILE", help="Check this file, and print all that it sets.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Print every parameter of every stage as TOML: its default, unit, range and meaning.
+
+    Example: scanloom config > my.toml
+    """
+    from pipeline.config import Config
+
+    chosen = Config.load(file) if file is not None else Config()
+    figures = {name: asdict(getattr(chosen, name)) for name in Config.types()}
+    out.result(figures, chosen.dumps().rstrip())
+
+
+def cache_ls(out: Output, folder: CacheFolder = None) -> None:
+    """List the kept results: stage, key, size, last use.
+
+    Example: scanloom cache ls
+    """
+    cache = _open(folder)
+    _print_entries(cache.folder, cache.ls(), out)
+
+
+def cache_verify(out: Output, folder: CacheFolder = None) -> None:
+    """Read every kept result and say which are damaged; the exit code is 1 if any is.
+
+    Damaged results are made anew by the next run that needs them.
+
+    Example: scanloom cache verify
+    """
+    cache = _open(folder)
+    entries = cache.verify()
+    _print_entries(cache.folder, entries, out)
+    if any(entry.problem for entry in entries):
+        raise typer.Exit(STAGE_FAILED)
+
+
+def cache_prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
+    """Remove kept results that the latest run of no output folder used.
+
+    Example: scanloom cache prune --older-than 30
+    """
+    cache = _open(folder)
+    removed = cache.prune(
+        older_than=0.0 if params.all else None if params.older_than is None else params.older_than * _DAY,
+        max_size=None if params.max_size is None else int(params.max_size * _MEGABYTE),
+        dry_run=params.dry_run,
+    )
+    _print_entries(cache.folder, removed, out, "would be removed" if params.dry_run else "removed")
+
+
+def _open(folder: Path | None) -> Cache:
+    from pipeline.cache import Cache
+
+    if folder is None:
+        folder = default_cache()
+    if not folder.is_dir():
+        raise InputError("there is no cache here.", folder)
+    return Cache(folder)
+
+
+def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: str = "kept") -> None:
+    total = sum(entry.size for entry in entries)
+    figures = {
+        "cache": str(folder),
+        "entries": [
+            {
+                "stage": entry.stage,
+                "key": entry.key,
+                "size_bytes": entry.size,
+                "last_used": entry.last_used.isoformat(timespec="seconds"),
+                "in_latest_run": entry.in_latest_run,
+                "problem": entry.problem,
+            }
+            for entry in entries
+        ],
+        "total_bytes": total,
+    }
+    rows = [["stage", "key", "size", "last used", "in latest run"]]
+    for entry in entries:
+        when = entry.last_used.astimezone().strftime("%Y-%m-%d %H:%M")
+        rows.append(
+            [entry.stage, entry.key[:12], size_of(entry.size), when, "yes" if entry.in_latest_run else "no"]
+        )
+    lines = [table_of(rows)] if entries else []
+    lines += [f"{e.stage}/{e.key[:12]} is damaged: {e.problem}" for e in entries if e.problem]
+    lines.append(f"{len(entries)} results {done} in {folder}, {size_of(total)}.")
+    out.result(figures, "\n".join(lines))

@@ -1,0 +1,87 @@
+"""Commands on scan folders: inspect, depth, fuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.options import with_options
+from cli.output import Output
+from cli.paths import MESH_SUFFIXES, prepare_output_file, prepare_output_folder, require_scan
+from stages.depth import DepthParams
+from stages.errors import InputError
+from stages.fuse import FuseParams
+from stages.layouts import ScanParams
+
+ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Register the commands."""
+    app.command("inspect", rich_help_panel="From scan to mesh")(with_options(inspect))
+    app.command("depth", rich_help_panel="One stage at a time")(with_options(depth))
+    app.command("fuse", rich_help_panel="One stage at a time")(with_options(fuse))
+
+
+def inspect(folder: ScanFolder, params: ScanParams, out: Output) -> None:
+    """Say what a scan folder holds: layout, frames, sizes, calibration, poses, depth, and what is odd.
+
+    Example: scanloom inspect my_scan
+    """
+    from stages.inspection import inspect as inspect_scan
+    from stages.layouts import read_scan
+
+    inspection = inspect_scan(read_scan(require_scan(folder), params))
+    out.result(inspection.figures(), "\n".join(inspection.lines()))
+
+
+def depth(
+    folder: ScanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUTDIR", help="Folder for the depth maps.", show_default=False)
+    ],
+    scan: ScanParams,
+    params: DepthParams,
+    out: Output,
+) -> None:
+    """Match the stereo pairs of a scan: depth maps, confidence and a coloured point cloud.
+
+    OUTDIR is then a scan folder itself, which `scanloom fuse` reads.
+
+    Example: scanloom depth my_pairs my_depth --max-depth 30
+    """
+
+
+def fuse(
+    folder: ScanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Mesh file to write (.ply).", show_default=False)
+    ],
+    scan: ScanParams,
+    params: FuseParams,
+    out: Output,
+) -> None:
+    """Fuse the depth maps of a scan into one coloured mesh (TSDF).
+
+    Stereo pairs have no depth yet: run `scanloom depth` on them first and fuse what it leaves.
+
+    Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
+    """
+    import stages.fuse
+    from stages.layouts import read_scan
+    from stages.mesh_files import write_mesh
+
+    prepare_output_file(target, MESH_SUFFIXES)
+    source = read_scan(require_scan(folder), scan)
+    if source.is_stereo:
+        raise InputError(
+            f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, "
+            "or `scanloom run` for the whole way.",
+            folder,
+        )
+    with out.progress("fuse", "frames") as progress:
+        fused = stages.fuse.fuse(source, params, progress=progress)
+    write_mesh(target, fused.mesh)
+    out.result({"output": str(target), **fused.figures()})

@@ -1,0 +1,93 @@
+"""Options come from the parameter class alone: name, type, range, unit, default, text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from cli.options import build, with_options
+from cli.output import Output
+from stages.errors import UsageError
+from stages.params import check, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnittingParams:
+    """How to knit."""
+
+    stitch_width: float = param(0.25, "Width of a stitch [flat].", unit="m", low=0, low_open=True)
+    rows: int | None = param(None, "Rows; the wool decides.", low=1, high=99)
+    purl: bool = param(True, "Purl every second row.")
+    yarn: str = param("wool", "What to knit with.", choices=("wool", "silk"))
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@pytest.fixture
+def knit() -> Any:
+    calls: list[tuple[str, KnittingParams, Output]] = []
+
+    def command(target: str, params: KnittingParams, out: Output) -> None:
+        calls.append((target, params, out))
+
+    app = typer.Typer()
+    app.command()(with_options(command))
+
+    def run(*words: str) -> Any:
+        calls.clear()
+        result = CliRunner().invoke(app, list(words), env={"COLUMNS": "200", "NO_COLOR": "1"})
+        return result, (calls[0] if calls else None)
+
+    return run
+
+
+def test_options_not_given_keep_the_declared_defaults(knit: Any) -> None:
+    result, (target, params, out) = knit("sock")
+    assert result.exit_code == 0
+    assert target == "sock"
+    assert params == KnittingParams()
+    assert not out.quiet
+
+
+def test_options_given_reach_their_fields(knit: Any) -> None:
+    words = ("sock", "--stitch-width", "0.5", "--rows", "3", "--no-purl", "--yarn", "silk", "--json")
+    _, (_, params, out) = knit(*words)
+    assert params == KnittingParams(stitch_width=0.5, rows=3, purl=False, yarn="silk")
+    assert out.as_json
+
+
+def test_help_shows_text_unit_range_and_default(knit: Any) -> None:
+    result, _ = knit("--help")
+    text = re.sub(r"\s+", " ", result.output.replace("│", " "))
+    assert "Width of a stitch [flat]. (m; above 0; default: 0.25)" in text
+    assert "Rows; the wool decides. (1 to 99; default: not set)" in text
+    assert "Purl every second row. (default: on)" in text
+    assert "wool|silk" in text
+    assert "Knitting parameters" in text
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "sentence"),
+    [
+        ("stitch_width", -1.0, "--stitch-width is -1 m; it must be more than 0 m."),
+        ("rows", 100, "--rows is 100; it must be at most 99."),
+        ("yarn", "wire", "--yarn is 'wire'; it must be one of wool, silk."),
+    ],
+)
+def test_a_value_out_of_range_is_named_as_it_was_typed(field: str, value: object, sentence: str) -> None:
+    values = dict.fromkeys(("stitch_width", "rows", "purl", "yarn")) | {field: value}
+    with pytest.raises(UsageError) as caught:
+        build(KnittingParams, values)
+    assert str(caught.value) == sentence
+
+
+def test_a_word_where_a_number_belongs_is_wrong_usage(knit: Any) -> None:
+    result, call = knit("sock", "--rows", "many")
+    assert result.exit_code == 2
+    assert call is None

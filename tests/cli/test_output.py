@@ -1,0 +1,95 @@
+"""One JSON object for programs, aligned lines with units for people."""
+
+from __future__ import annotations
+
+import errno
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+from cli.errors import bug_of, failure_of
+from cli.output import Output, lines_of, to_json
+from stages.errors import InputError, MeshError, StageError, UsageError
+
+
+def test_json_holds_only_what_every_reader_takes() -> None:
+    figures = {
+        "psnr_db": float("inf"),
+        "nested": {"nan": float("nan"), "list": [1.0, -float("inf")]},
+        "count": np.int64(3),
+        "row": np.array([1.5, np.nan]),
+        "file": Path("a.ply"),
+    }
+    read = json.loads(to_json(figures), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert read == {
+        "psnr_db": None,
+        "nested": {"nan": None, "list": [1.0, None]},
+        "count": 3,
+        "row": [1.5, None],
+        "file": "a.ply",
+    }
+
+
+def test_lines_for_a_person_carry_units() -> None:
+    figures = {"voxel_size_m": 0.0123456, "triangles": 1234567, "manifold": True, "colour": {"psnr_db": None}}
+    assert lines_of(figures).splitlines() == [
+        "voxel size  0.01235 m",
+        "triangles   1,234,567",
+        "manifold    yes",
+        "colour",
+        "  psnr  –",
+    ]
+
+
+def test_json_output_is_alone_on_stdout_and_stderr_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
+    out = Output(as_json=True)
+    out.remark("working")
+    with out.progress("work") as progress:
+        progress(1, 2)
+    out.result({"triangles": 2}, "two triangles")
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == {"triangles": 2}
+    assert captured.err == ""
+
+
+def test_no_bar_where_stderr_is_not_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with Output().progress("work") as progress:
+        progress(1, 2)
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "exit_code", "sentence"),
+    [
+        (InputError("no image.", "a.png"), 3, "a.png: no image."),
+        (MeshError("bad index.", "a.ply"), 3, "a.ply: bad index."),
+        (UsageError("wrong."), 2, "wrong."),
+        (StageError("failed."), 1, "failed."),
+        (KeyboardInterrupt(), 130, "Interrupted; what was finished is kept."),
+        (typer.Abort(), 130, "Interrupted; what was finished is kept."),
+        (FileNotFoundError(errno.ENOENT, "?", "a.ply"), 3, "a.ply: there is no such file or folder."),
+        (PermissionError(errno.EACCES, "?", "out"), 3, "out: the permission is missing."),
+        (OSError(errno.ENOSPC, "?", "b"), 1, "b: the disk is full; free some space and run again."),
+    ],
+)
+def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code: int, sentence: str) -> None:
+    failure = failure_of(error)
+    assert (failure.exit_code, failure.sentence) == (exit_code, sentence)
+
+
+def test_a_lack_of_memory_is_explained() -> None:
+    failure = failure_of(MemoryError())
+    assert failure.exit_code == 1
+    assert "memory" in failure.sentence
+
+
+def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:
+    failure = bug_of(KeyError("a\nb"))
+    assert failure.exit_code == 1
+    assert "bug in scanloom" in failure.sentence
+    assert "KeyError" in failure.sentence
+    assert "--debug" in failure.sentence
+    assert "\n" not in failure.sentence
