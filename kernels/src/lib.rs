@@ -1,4 +1,30 @@
 //! Mesh kernels of scanloom: a pure library; the Python layer sits behind the `python` feature.
+//!
+//! | module | what |
+//! | --- | --- |
+//! | [`connectivity`], `connect` | halfedges on flat arrays; collapse and split; building them from triangles |
+//! | [`mesh`] | connectivity + points + where every element came from |
+//! | [`star`] | the neighbourhood of an edge that a collapse sees |
+//! | [`legality`] | what no collapse may do |
+//! | [`queue`], [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
+//! | [`split`] | splitting long edges |
+//! | [`jia01`] | texture-preserving simplification |
+//! | [`validate`] | every invariant of the connectivity, for tests |
+
+mod connect;
+pub mod connectivity;
+pub mod engine;
+pub mod error;
+pub mod geometry;
+pub mod ids;
+pub mod jia01;
+pub mod legality;
+pub mod mesh;
+pub mod progress;
+pub mod queue;
+pub mod split;
+pub mod star;
+pub mod validate;
 
 #[cfg(feature = "python")]
 mod python;

@@ -1,0 +1,113 @@
+//! From a list of triangles to connectivity, by one counting sort.
+
+use crate::connectivity::{Connectivity, Halfedge};
+use crate::error::KernelError;
+use crate::ids::{EdgeId, HalfedgeId, VertexId};
+
+impl Connectivity {
+    /// Connect triangles that share edges.
+    ///
+    /// # Errors
+    /// An index out of range, an edge of three triangles or of two with opposite orientation, a vertex where
+    /// two fans touch. A triangle that names a vertex twice is none of these only if it is left out before.
+    pub fn from_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
+        // One number is the mark for "none"; every halfedge of the mesh needs another.
+        let limit = (u32::MAX as usize - 1) / 3;
+        if triangles.len() > limit || vertex_count >= u32::MAX as usize {
+            return Err(KernelError::TooManyTriangles { wanted: triangles.len() as f64, limit });
+        }
+        for (triangle, corners) in triangles.iter().enumerate() {
+            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertex_count) {
+                return Err(KernelError::IndexOutOfRange {
+                    triangle,
+                    vertex: vertex.into(),
+                    vertices: vertex_count,
+                });
+            }
+        }
+        let mut halfedges: Vec<Halfedge> = Vec::with_capacity(3 * triangles.len());
+        for &corner in triangles.iter().flatten() {
+            halfedges.push(Halfedge { origin: VertexId(corner), twin: HalfedgeId::NONE, edge: EdgeId::NONE });
+        }
+        let edges = pair_twins(vertex_count, &mut halfedges)?;
+        let mut connectivity = Self {
+            halfedges,
+            outgoing: vec![HalfedgeId::NONE; vertex_count],
+            edges,
+            triangle_count: triangles.len(),
+        };
+        connectivity.find_outgoing()?;
+        Ok(connectivity)
+    }
+
+    fn find_outgoing(&mut self) -> Result<(), KernelError> {
+        let mut degree = vec![0u32; self.outgoing.len()];
+        for (index, halfedge) in self.halfedges.iter().enumerate() {
+            let slot = &mut self.outgoing[halfedge.origin.index()];
+            if slot.is_none() || halfedge.twin.is_none() {
+                *slot = HalfedgeId::from_index(index);
+            }
+            degree[halfedge.origin.index()] += 1;
+        }
+        let pinched: Vec<u32> = self
+            .vertices()
+            .filter(|&v| self.fan(v).count() != degree[v.index()] as usize)
+            .map(|v| v.0)
+            .collect();
+        if pinched.is_empty() { Ok(()) } else { Err(KernelError::PinchedVertices(pinched)) }
+    }
+}
+
+/// Number the edges and let the two halfedges of each know each other; returns one halfedge of every edge.
+fn pair_twins(vertex_count: usize, halfedges: &mut [Halfedge]) -> Result<Vec<HalfedgeId>, KernelError> {
+    // Lower end first.
+    let ends = |halfedges: &[Halfedge], h: u32| {
+        let target = Connectivity::next(HalfedgeId(h)).index();
+        let (a, b) = (halfedges[h as usize].origin.0, halfedges[target].origin.0);
+        if a < b { (a, b) } else { (b, a) }
+    };
+    // Halfedges grouped by the lower end of their edge; a group is as small as a vertex's degree.
+    let mut group = vec![0u32; vertex_count + 1];
+    for h in 0..halfedges.len() as u32 {
+        group[ends(halfedges, h).0 as usize + 1] += 1;
+    }
+    for v in 0..vertex_count {
+        group[v + 1] += group[v];
+    }
+    let mut fill = group.clone();
+    let mut sorted = vec![(0u32, 0u32); halfedges.len()];
+    for h in 0..halfedges.len() as u32 {
+        let (low, high) = ends(halfedges, h);
+        let place = &mut fill[low as usize];
+        sorted[*place as usize] = (high, h);
+        *place += 1;
+    }
+    drop(fill);
+
+    let mut edges = Vec::with_capacity(halfedges.len() / 2 + 1);
+    let (mut crowded, mut inconsistent) = (Vec::new(), Vec::new());
+    for low in 0..vertex_count {
+        let around = &mut sorted[group[low] as usize..group[low + 1] as usize];
+        around.sort_unstable();
+        for same in around.chunk_by(|g, h| g.0 == h.0) {
+            let edge = EdgeId::from_index(edges.len());
+            edges.push(HalfedgeId(same[0].1));
+            match *same {
+                [(_, h)] => halfedges[h as usize].edge = edge,
+                [(_, g), (_, h)] if halfedges[g as usize].origin != halfedges[h as usize].origin => {
+                    halfedges[g as usize] = Halfedge { twin: HalfedgeId(h), edge, ..halfedges[g as usize] };
+                    halfedges[h as usize] = Halfedge { twin: HalfedgeId(g), edge, ..halfedges[h as usize] };
+                }
+                [(high, _), _] => inconsistent.push([low as u32, high]),
+                _ => crowded.push([low as u32, same[0].0]),
+            }
+        }
+    }
+    if !crowded.is_empty() {
+        return Err(KernelError::NonManifoldEdges(crowded));
+    }
+    if !inconsistent.is_empty() {
+        return Err(KernelError::InconsistentEdges(inconsistent));
+    }
+    Ok(edges)
+}

@@ -1,0 +1,98 @@
+//! Small vector algebra and distances to triangles and segments.
+
+pub type Vec3 = [f64; 3];
+
+#[inline]
+pub fn position<const D: usize>(p: &[f64; D]) -> Vec3 {
+    [p[0], p[1], p[2]]
+}
+
+#[inline]
+pub fn sub<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+/// a + t·b
+#[inline]
+pub fn add_scaled<const D: usize>(a: &[f64; D], t: f64, b: &[f64; D]) -> [f64; D] {
+    std::array::from_fn(|i| a[i] + t * b[i])
+}
+
+#[inline]
+pub fn midpoint<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
+    std::array::from_fn(|i| 0.5 * (a[i] + b[i]))
+}
+
+#[inline]
+pub fn dot(a: &Vec3, b: &Vec3) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline]
+pub fn cross(a: &Vec3, b: &Vec3) -> Vec3 {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[inline]
+pub fn norm2(a: &Vec3) -> f64 {
+    dot(a, a)
+}
+
+/// Squared distance of two vertices in space.
+#[inline]
+pub fn distance2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
+    norm2(&sub(&position(a), &position(b)))
+}
+
+/// Squared distance from `p` to the segment `a`–`b`.
+#[inline]
+pub fn segment_distance2(p: &Vec3, a: &Vec3, b: &Vec3) -> f64 {
+    let (along, to_p) = (sub(b, a), sub(p, a));
+    let length2 = norm2(&along);
+    // A segment without length is its end.
+    let t = if length2 > 0.0 { (dot(&to_p, &along) / length2).clamp(0.0, 1.0) } else { 0.0 };
+    norm2(&sub(&to_p, &along.map(|x| t * x)))
+}
+
+/// Squared distance from `p` to the triangle `a b c`, which may be a needle or a point.
+#[inline]
+pub fn triangle_distance2(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> f64 {
+    let (ab, ac, to_p) = (sub(b, a), sub(c, a), sub(p, a));
+    let normal = cross(&ab, &ac);
+    let area2 = norm2(&normal);
+    // Below this the normal is rounding error; the sides alone are then the triangle.
+    if area2 > 1e-24 * norm2(&ab) * norm2(&ac) {
+        // Barycentric coordinates of the foot of the perpendicular, times area2.
+        let at_c = dot(&cross(&ab, &to_p), &normal);
+        let at_b = dot(&cross(&to_p, &ac), &normal);
+        if at_b >= 0.0 && at_c >= 0.0 && at_b + at_c <= area2 {
+            let height = dot(&to_p, &normal);
+            return height * height / area2;
+        }
+    }
+    segment_distance2(p, a, b).min(segment_distance2(p, b, c)).min(segment_distance2(p, c, a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const A: Vec3 = [0.0, 0.0, 0.0];
+    const B: Vec3 = [2.0, 0.0, 0.0];
+    const C: Vec3 = [0.0, 2.0, 0.0];
+
+    #[test]
+    fn distance_to_face_side_and_corner() {
+        let d = |p: Vec3| triangle_distance2(&p, [&A, &B, &C]).sqrt();
+        assert_eq!(d([0.5, 0.5, 3.0]), 3.0);
+        assert_eq!(d([1.0, -1.0, 0.0]), 1.0);
+        assert!((d([2.0, 2.0, 0.0]) - 2f64.sqrt()).abs() < 1e-15);
+        assert_eq!(d([-3.0, -4.0, 0.0]), 5.0);
+    }
+
+    #[test]
+    fn a_triangle_without_area_is_its_sides() {
+        assert_eq!(triangle_distance2(&[1.0, 1.0, 0.0], [&A, &B, &[1.0, 0.0, 0.0]]), 1.0);
+        assert_eq!(triangle_distance2(&[0.0, 3.0, 0.0], [&A, &A, &A]), 9.0);
+    }
+}

@@ -1,0 +1,39 @@
+//! Typed indices: a vertex number cannot be taken for an edge number.
+
+macro_rules! id {
+    ($name:ident, $what:literal) => {
+        #[doc = concat!("Number of ", $what, ".")]
+        #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+        pub struct $name(pub u32);
+
+        impl $name {
+            /// No such element: the other side of a boundary, or one that a collapse took away.
+            pub const NONE: Self = Self(u32::MAX);
+
+            #[inline]
+            pub fn from_index(index: usize) -> Self {
+                Self(index as u32)
+            }
+
+            #[inline]
+            pub fn index(self) -> usize {
+                self.0 as usize
+            }
+
+            #[inline]
+            pub fn is_none(self) -> bool {
+                self == Self::NONE
+            }
+
+            #[inline]
+            pub fn is_some(self) -> bool {
+                self != Self::NONE
+            }
+        }
+    };
+}
+
+id!(VertexId, "a vertex");
+id!(HalfedgeId, "a halfedge: 3 × its triangle + its corner");
+id!(EdgeId, "an edge");
+id!(TriangleId, "a triangle");

@@ -1,0 +1,430 @@
+//! Texture-preserving simplification: the measure of JIA01.
+//!
+//! Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and
+//! Graphics 6(7), 2001, 613–617, after Johnson and Hebert, "Control of polygonal mesh resolution for 3-D
+//! computer vision", 1998. Equation numbers are the paper's.
+//!
+//! The paper reaches the projection of (6) through a normal n3 in R^(3+k), which does not exist when the midpoint
+//! lies in the triangle's plane. The foot of the perpendicular on the plane of e1, e2 is the same point and
+//! always exists.
+
+use crate::engine::{Collapsed, Engine, Measure, Proposal, Refusal, Stop};
+use crate::error::KernelError;
+use crate::geometry::{Vec3, add_scaled, distance2, position, segment_distance2, sub, triangle_distance2};
+use crate::ids::EdgeId;
+use crate::legality::Illegal;
+use crate::mesh::{Compact, Mesh};
+use crate::progress::Progress;
+use crate::split::split_long_edges;
+use crate::star::Star;
+
+/// A height below this share of the base is rounding error; such a triangle has no plane to project on.
+const LEAST_HEIGHT2: f64 = 1e-20;
+
+/// One value each for edge length (in the unit of the mesh), shape change (same) and texture change (levels).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    pub length: f64,
+    pub shape: f64,
+    pub texture: f64,
+}
+
+impl Limits {
+    pub const NONE: Self = Self { length: f64::INFINITY, shape: f64::INFINITY, texture: f64::INFINITY };
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// L, S_max and T_max as bounds; infinite for none. Edges are split only for a finite length.
+    pub bounds: Limits,
+    /// L, S_max and T_max in the order (7): finite and positive, also where there is no bound.
+    pub scales: Limits,
+    /// Length that counts as much as one level of an attribute in the placement (4)–(6).
+    pub attribute_scale: f64,
+    /// Check the sums after a collapse, as the paper does, instead of before.
+    pub paper_rule: bool,
+    /// Stop as soon as no more triangles are left.
+    pub target_triangles: usize,
+    /// Refuse to split beyond this.
+    pub triangle_limit: usize,
+}
+
+/// Edges that stand at the end, each under the rule that refused it last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Standing {
+    pub length: usize,
+    pub shape: usize,
+    pub texture: usize,
+    pub topology: usize,
+    pub bridge: usize,
+    pub fold: usize,
+}
+
+#[derive(Clone, Debug)]
+pub struct Simplified<const D: usize> {
+    pub mesh: Compact<D>,
+    pub stop: Stop,
+    pub standing: Standing,
+    /// Triangles after splitting.
+    pub split_triangles: usize,
+    pub splits: u64,
+    pub collapses: u64,
+    pub attempts: u64,
+    /// Largest sum of S on any edge at any time.
+    pub largest_shape_change: f64,
+    /// Largest sum of T on any edge at any time, without the contrast it starts with.
+    pub largest_texture_change: f64,
+}
+
+/// Split and collapse: the whole of JIA01.
+///
+/// # Errors
+/// [`KernelError::TooManyTriangles`] from the splits and [`KernelError::Interrupted`].
+pub fn simplify<const D: usize>(
+    mut mesh: Mesh<D>,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<Simplified<D>, KernelError> {
+    let mut splits = 0;
+    if options.bounds.length.is_finite() {
+        splits = split_long_edges(&mut mesh, options.bounds.length, options.triangle_limit, progress)?;
+    }
+    let split_triangles = mesh.connectivity.triangle_count();
+    let measure = Jia01::new(&mesh, options);
+    let mut engine = Engine::new(mesh, measure);
+    let stop = engine.run(options.target_triangles, progress)?;
+
+    let bound = |wanted: Bound| {
+        engine.standing(|r| matches!(r, Refusal::Barred(b) | Refusal::Bound(b) if b == wanted))
+    };
+    let illegal = |wanted: Illegal| engine.standing(|r| r == Refusal::Illegal(wanted));
+    Ok(Simplified {
+        stop,
+        standing: Standing {
+            length: bound(Bound::Length),
+            shape: bound(Bound::Shape),
+            texture: bound(Bound::Texture),
+            topology: illegal(Illegal::Topology),
+            bridge: illegal(Illegal::Bridge),
+            fold: illegal(Illegal::Fold),
+        },
+        split_triangles,
+        splits,
+        collapses: engine.collapses(),
+        attempts: engine.attempts(),
+        largest_shape_change: engine.measure().largest.shape,
+        largest_texture_change: engine.measure().largest.texture,
+        mesh: engine.into_mesh().compact(),
+    })
+}
+
+/// The three stop rules.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Bound {
+    Length,
+    Shape,
+    Texture,
+}
+
+/// What one collapse changes: S(e) and T(e).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Change {
+    pub shape: f64,
+    pub texture: f64,
+}
+
+/// What has been summed up on an edge.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Accumulated {
+    /// S_A
+    pub shape: f64,
+    /// The part of T_A that collapses added.
+    pub texture: f64,
+    /// The part of T_A that was there at the start: T(e) on the mesh before any collapse.
+    pub contrast: f64,
+}
+
+impl Accumulated {
+    /// T_A
+    #[inline]
+    pub fn total_texture(&self) -> f64 {
+        self.contrast + self.texture
+    }
+
+    #[inline]
+    fn larger(&self, other: &Self) -> Self {
+        Self {
+            shape: self.shape.max(other.shape),
+            texture: self.texture.max(other.texture),
+            contrast: self.contrast.max(other.contrast),
+        }
+    }
+}
+
+/// The measure of JIA01 on points of R^D.
+pub struct Jia01<const D: usize> {
+    bounds: Limits,
+    scales: Limits,
+    /// Weight of the attributes in the inner product of R^D: the square of the attribute scale.
+    attribute_weight: f64,
+    paper_rule: bool,
+    accumulated: Vec<Accumulated>,
+    largest: Change,
+}
+
+impl<const D: usize> Jia01<D> {
+    pub fn new(mesh: &Mesh<D>, options: &Options) -> Self {
+        Self {
+            bounds: options.bounds,
+            scales: options.scales,
+            attribute_weight: options.attribute_scale * options.attribute_scale,
+            paper_rule: options.paper_rule,
+            accumulated: initial_contrast(mesh),
+            largest: Change::default(),
+        }
+    }
+
+    pub fn accumulated(&self, edge: EdgeId) -> &Accumulated {
+        &self.accumulated[edge.index()]
+    }
+
+    /// The new vertex (4)–(6): the mean of the midpoint's projections on the planes of the star's triangles.
+    fn mean_projection(&self, star: &Star<D>) -> [f64; D] {
+        let mut sum = [0.0; D];
+        let mut count = 0.0;
+        let mut add = |p: &[f64; D], q: &[f64; D], r: &[f64; D]| {
+            if let Some(offset) = self.offset_to_plane(&star.middle, p, q, r) {
+                sum = add_scaled(&sum, 1.0, &offset);
+                count += 1.0;
+            }
+        };
+        for wing in &star.wings {
+            add(star.end_point(wing.end), &wing.from_point, &wing.to_point);
+        }
+        for (_, _, apex) in &star.vanishing {
+            add(&star.end_points[0], &star.end_points[1], apex);
+        }
+        if count == 0.0 { star.middle } else { add_scaled(&star.middle, 1.0 / count, &sum) }
+    }
+
+    /// From `m` to its orthogonal projection on the affine 2-plane through p, q, r in R^D.
+    #[inline]
+    fn offset_to_plane(&self, m: &[f64; D], p: &[f64; D], q: &[f64; D], r: &[f64; D]) -> Option<[f64; D]> {
+        let (h, k, l) = (sub(q, p), sub(r, p), sub(m, p));
+        let hh = self.inner(&h, &h);
+        // e1 = h / |h| and e2 = (k − (e1·k) e1) / |…|, both left unnormalised.
+        let e2 = add_scaled(&k, -self.inner(&h, &k) / hh, &h);
+        let ee = self.inner(&e2, &e2);
+        // Two equal corners give NaN, which is not larger either.
+        let has_area = ee > LEAST_HEIGHT2 * self.inner(&k, &k).max(hh);
+        if !has_area {
+            return None;
+        }
+        let in_plane = add_scaled(&h.map(|x| x * (self.inner(&l, &h) / hh)), self.inner(&l, &e2) / ee, &e2);
+        Some(sub(&in_plane, &l))
+    }
+
+    /// The same on a boundary, with lines for planes: those of the boundary edges before, at and after.
+    fn mean_projection_on_boundary(&self, star: &Star<D>, [before, after]: [&[f64; D]; 2]) -> [f64; D] {
+        // The midpoint is its own projection on its own line.
+        let mut sum = [0.0; D];
+        let mut count = 1.0;
+        for (a, b) in [(before, &star.end_points[0]), (&star.end_points[1], after)] {
+            let (along, to_a) = (sub(b, a), sub(a, &star.middle));
+            let length2 = self.inner(&along, &along);
+            if length2 > 0.0 {
+                let t = -self.inner(&to_a, &along) / length2;
+                sum = add_scaled(&add_scaled(&sum, 1.0, &to_a), t, &along);
+                count += 1.0;
+            }
+        }
+        add_scaled(&star.middle, 1.0 / count, &sum)
+    }
+
+    #[inline]
+    fn inner(&self, a: &[f64; D], b: &[f64; D]) -> f64 {
+        let space = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let attributes: f64 = (3..D).map(|i| a[i] * b[i]).sum();
+        space + self.attribute_weight * attributes
+    }
+}
+
+impl<const D: usize> Measure<D> for Jia01<D> {
+    type Bound = Bound;
+    type Change = Change;
+
+    /// The order (7), or the stop rule that holds the edge.
+    #[inline]
+    fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Bound> {
+        let [a, b] = mesh.connectivity.ends(edge);
+        let length = distance2(mesh.point(a), mesh.point(b)).sqrt();
+        let sums = &self.accumulated[edge.index()];
+        let texture = sums.total_texture();
+        if length > self.bounds.length {
+            Err(Bound::Length)
+        } else if sums.shape > self.bounds.shape {
+            Err(Bound::Shape)
+        } else if texture > self.bounds.texture {
+            Err(Bound::Texture)
+        } else {
+            Ok((sums.shape / self.scales.shape + 1.0)
+                * (texture / self.scales.texture + 1.0)
+                * (length / self.scales.length + 1.0))
+        }
+    }
+
+    fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, Change>, Bound> {
+        let texture = texture_change(star);
+        if !self.paper_rule {
+            if self.accumulated[star.edge.index()].total_texture() + texture > self.bounds.texture {
+                return Err(Bound::Texture);
+            }
+            for edge in &star.others {
+                let sums = &self.accumulated[edge.index()];
+                if sums.texture + texture > self.bounds.texture {
+                    return Err(Bound::Texture);
+                }
+            }
+        }
+        let point = match (star.end_on_boundary, star.boundary_neighbours) {
+            // The boundary must not move, so its vertex stays.
+            ([true, false], _) => star.end_points[0],
+            ([false, true], _) => star.end_points[1],
+            (_, Some([before, after])) => {
+                self.mean_projection_on_boundary(star, [mesh.point(before), mesh.point(after)])
+            }
+            _ => self.mean_projection(star),
+        };
+        let [first, second] = star.end_points.map(|end| distance2(&end, &point));
+        let survivor = usize::from(second < first);
+        Ok(Proposal { survivor, point, change: Change { shape: 0.0, texture } })
+    }
+
+    fn judge(
+        &mut self,
+        mesh: &Mesh<D>,
+        star: &Star<D>,
+        proposal: &mut Proposal<D, Change>,
+    ) -> Result<(), Bound> {
+        let shape = match star.boundary_neighbours {
+            Some(neighbours) => boundary_change(star, neighbours.map(|v| mesh.point(v)), &proposal.point),
+            None => shape_change(star, &proposal.point),
+        };
+        proposal.change.shape = shape;
+        if self.paper_rule {
+            return Ok(());
+        }
+        let holds = |edge: &EdgeId| self.accumulated[edge.index()].shape + shape <= self.bounds.shape;
+        if holds(&star.edge) && star.others.iter().all(holds) { Ok(()) } else { Err(Bound::Shape) }
+    }
+
+    fn commit(&mut self, _mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Change) {
+        for edge in &star.others {
+            let sums = &mut self.accumulated[edge.index()];
+            sums.shape += change.shape;
+            sums.texture += change.texture;
+            self.largest.shape = self.largest.shape.max(sums.shape);
+            self.largest.texture = self.largest.texture.max(sums.texture);
+        }
+        for (kept, gone) in collapsed.merged.into_iter().flatten() {
+            self.accumulated[kept.index()] =
+                self.accumulated[kept.index()].larger(&self.accumulated[gone.index()]);
+        }
+    }
+}
+
+/// Squared difference of the attributes of two vertices.
+#[inline]
+fn contrast2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
+    (3..D).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum()
+}
+
+/// T(e) (3): the largest attribute difference along any edge of the star.
+#[inline]
+pub fn texture_change<const D: usize>(star: &Star<D>) -> f64 {
+    let [first, second] = &star.end_points;
+    let mut largest2 = contrast2(first, second);
+    for wing in &star.wings {
+        let end = star.end_point(wing.end);
+        largest2 = largest2
+            .max(contrast2(end, &wing.from_point))
+            .max(contrast2(end, &wing.to_point))
+            .max(contrast2(&wing.from_point, &wing.to_point));
+    }
+    // At the far corners one end may have no wing.
+    for (_, _, apex) in &star.vanishing {
+        largest2 = largest2.max(contrast2(first, apex)).max(contrast2(second, apex));
+    }
+    largest2.sqrt()
+}
+
+/// T(e) of every edge at once: the star of an edge is that of its two ends together.
+fn initial_contrast<const D: usize>(mesh: &Mesh<D>) -> Vec<Accumulated> {
+    let connectivity = &mesh.connectivity;
+    let mut around = vec![0f64; mesh.points.len()];
+    for triangle in connectivity.triangles() {
+        let [a, b, c] = mesh.triangle_points(triangle);
+        let largest2 = contrast2(&a, &b).max(contrast2(&b, &c)).max(contrast2(&c, &a));
+        for v in connectivity.corners(triangle) {
+            around[v.index()] = around[v.index()].max(largest2);
+        }
+    }
+    let mut accumulated = vec![Accumulated::default(); connectivity.edge_slots()];
+    for edge in connectivity.edges() {
+        let [a, b] = connectivity.ends(edge);
+        accumulated[edge.index()].contrast = around[a.index()].max(around[b.index()]).sqrt();
+    }
+    accumulated
+}
+
+/// S(e) (1)–(2). The ring is common to both stars, so only the ends against the new star and the new vertex
+/// against the old one count.
+pub fn shape_change<const D: usize>(star: &Star<D>, point: &[f64; D]) -> f64 {
+    let to = position(point);
+    let ends = star.end_points.map(|p| position(&p));
+    let mut largest2 = 0f64;
+    for from in &ends {
+        let wings = star
+            .wings
+            .iter()
+            .map(|w| triangle_distance2(from, [&to, &position(&w.from_point), &position(&w.to_point)]));
+        largest2 = largest2.max(least(wings, largest2));
+    }
+    let apexes = star
+        .vanishing
+        .iter()
+        .map(|(_, _, apex)| triangle_distance2(&to, [&ends[0], &ends[1], &position(apex)]));
+    let wings = star
+        .wings
+        .iter()
+        .map(|w| triangle_distance2(&to, [&ends[w.end], &position(&w.from_point), &position(&w.to_point)]));
+    largest2.max(least(apexes.chain(wings), largest2)).sqrt()
+}
+
+/// S(e) on a boundary edge: the distances between the boundary polylines before and after. They are part
+/// of the stars, so the distances to the stars are never larger.
+fn boundary_change<const D: usize>(star: &Star<D>, neighbours: [&[f64; D]; 2], point: &[f64; D]) -> f64 {
+    let to = position(point);
+    let [first, second] = star.end_points.map(|p| position(&p));
+    let [before, after] = neighbours.map(position);
+    let nearest = |p: &Vec3, line: &[[&Vec3; 2]]| {
+        line.iter().map(|[a, b]| segment_distance2(p, a, b)).fold(f64::INFINITY, f64::min)
+    };
+    let new = [[&before, &to], [&to, &after]];
+    let old = [[&before, &first], [&first, &second], [&second, &after]];
+    nearest(&first, &new).max(nearest(&second, &new)).max(nearest(&to, &old)).sqrt()
+}
+
+/// The least of some distances, or anything up to `enough` if one is that small: what then follows cannot
+/// change the maximum.
+#[inline]
+fn least(distances: impl Iterator<Item = f64>, enough: f64) -> f64 {
+    let mut least = f64::INFINITY;
+    for distance in distances {
+        least = least.min(distance);
+        if least <= enough {
+            break;
+        }
+    }
+    least
+}
