@@ -5,7 +5,7 @@ Files from outside are parsed here and not by Open3D, whose reader crashes on so
 
 from __future__ import annotations
 
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from stages.colors import to_uint8
 from stages.errors import InputError
 from stages.mesh import Mesh, Texture, validated
 from stages.ply_format import Lists, Table, read_tables
+from stages.polygons import split_polygons
 from stages.replacing import replacing
-from stages.textures import read_texture, write_texture
+from stages.textures import beside, read_texture, write_texture
 
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
@@ -94,30 +95,12 @@ def _normals(vertex: Table, notes: list[str]) -> NDArray[np.float64] | None:
 
 
 def _polygons(face: Table, notes: list[str]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
-    """Split polygons into fans.
-
-    Returns
-    -------
-    corners : (m, 3) positions in `used`.
-    source : (m,) the polygon each triangle comes from.
-    used : vertex indices of all polygons, end to end.
-    """
+    """Return what split_polygons does, and the vertex indices of all polygons, end to end."""
     lists = face.get("vertex_indices", face.get("vertex_index"))
     if not isinstance(lists, Lists):
         nothing = np.zeros(0, np.int64)
         return nothing.reshape(0, 3), nothing, nothing
-    if (lists.lengths == 3).all():
-        count = len(lists.lengths)
-        return np.arange(3 * count).reshape(count, 3), np.arange(count), lists.values
-    fan = np.maximum(lists.lengths - 2, 0)
-    source = np.repeat(np.arange(len(fan)), fan)
-    within = np.arange(len(source)) - np.repeat(np.cumsum(fan) - fan, fan)
-    first = (np.cumsum(lists.lengths) - lists.lengths)[source]
-    corners = np.stack((first, first + within + 1, first + within + 2), axis=1)
-    if (fan > 1).any():
-        notes.append(f"{np.count_nonzero(fan > 1)} polygons were split into triangles")
-    if (fan == 0).any():
-        notes.append(f"{np.count_nonzero(fan == 0)} faces with fewer than three corners are left out")
+    corners, source = split_polygons(lists.lengths, notes)
     return corners, source, lists.values
 
 
@@ -159,7 +142,7 @@ def _texture(
         return None
     images = []
     for name in names:
-        image = read_texture(folder / _base_name(name))
+        image = read_texture(beside(folder, name))
         if image is None:
             notes.append(f"the texture is left out: its image {name} is missing or cannot be read")
             return None
@@ -171,11 +154,6 @@ def _texture(
         material_ids = np.zeros(len(mesh.triangles), np.int32)
     material_ids[(material_ids < 0) | (material_ids >= len(images))] = -1
     return Texture(uvs, material_ids, tuple(images))
-
-
-def _base_name(name: str) -> str:
-    # A file from outside may name images in its own folder only; Windows programs write backslashes.
-    return PureWindowsPath(PurePosixPath(name).name).name
 
 
 def _corner_uvs(
@@ -213,9 +191,9 @@ def write_ply(path: Path | str, mesh: Mesh) -> None:
         face.append(("texcoord", _narrowed(mesh.texture.uvs.reshape(-1, 6))))
         face.append(("texnumber", mesh.texture.material_ids.astype("<i4")))
         for number, image in enumerate(mesh.texture.images):
-            beside = path.with_name(f"{path.stem}_{number}.png")
-            write_texture(beside, image)
-            comments.append(f"{_TEXTURE_COMMENT} {beside.name}")
+            file = path.with_name(f"{path.stem}_{number}.png")
+            write_texture(file, image)
+            comments.append(f"{_TEXTURE_COMMENT} {file.name}")
     vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
     _write(path, comments, {"vertex": vertex, "face": face})
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import struct
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.text_numbers import parse_numbers
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
 _LONGEST_HEADER = 1 << 20
@@ -154,7 +154,7 @@ def _parse_property(line: str, words: list[str], encoding: str) -> Property:
 def _read_body(header: Header, data: bytes) -> dict[str, Table]:
     _require_size(header, len(data) - header.size)
     if header.encoding == "ascii":
-        body, at = memoryview(_parse_numbers(data[header.size :])).cast("B"), 0
+        body, at = memoryview(_numbers(data[header.size :]).tobytes()), 0
     else:
         body, at = memoryview(data), header.size
     tables: dict[str, Table] = {}
@@ -164,6 +164,13 @@ def _read_body(header: Header, data: bytes) -> dict[str, Table]:
         for declared, column in zip(element.properties, columns, strict=True):
             table.setdefault(declared.name, _as_declared(column, declared, element.name))
     return tables
+
+
+def _numbers(text: bytes) -> NDArray[np.float64]:
+    try:
+        return parse_numbers(text)
+    except ValueError as error:
+        raise _MalformedError(str(error)) from None
 
 
 def _as_stored(element: Element, encoding: str) -> Element:
@@ -187,27 +194,6 @@ def _require_size(header: Header, size: int) -> None:
         raise _MalformedError(
             f"its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; {_DAMAGED}"
         )
-
-
-def _parse_numbers(text: bytes) -> NDArray[np.float64]:
-    if not text.strip():
-        return np.empty(0)  # fromstring would return one number here
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # NumPy 1.26 stops at a bad word with a warning
-        try:
-            return np.fromstring(text.decode("latin-1"), np.float64, sep=" ")
-        except (ValueError, DeprecationWarning):
-            pass
-    bad = next((word for word in text.split() if not _is_number(word)), b"")
-    raise _MalformedError(f"{bad[:40].decode('latin-1')!r} stands where a number is expected.")
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _decode(element: Element, body: memoryview, at: int) -> tuple[list[NDArray[Any] | Lists], int]:
@@ -325,7 +311,7 @@ def _gather(body: memoryview, dtype: np.dtype[Any], offsets: NDArray[np.int64]) 
 def _length_at(element: Element, dtype: np.dtype[Any], body: memoryview, at: int) -> int:
     if at + dtype.itemsize > len(body):
         raise _short(element, 0)
-    length = np.ndarray(1, dtype, body, at)[0]
+    length = np.ndarray(1, dtype, body, at)[0].item()
     if not length >= 0 or length % 1:
         raise _bad_length(element, 0, length)
     return int(length)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.replacing import replacing
+
+
+def beside(folder: Path, name: str) -> Path:
+    """Return where a file that a mesh file names is looked for: in the mesh's own folder, nowhere else."""
+    # Some names carry the folders of the machine they were written on, with slashes or backslashes.
+    return folder / PureWindowsPath(PurePosixPath(name).name).name
 
 
 def read_texture(path: Path) -> NDArray[np.uint8] | None:
