@@ -1,0 +1,26 @@
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+_TOY = Path(__file__).with_name("toy.py")
+
+
+@pytest.fixture(scope="session")
+def toy() -> ModuleType:
+    """The pipeline of three quick stages in toy.py."""
+    spec = importlib.util.spec_from_file_location("toy", _TOY)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["toy"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def scan(toy: ModuleType, tmp_path: Path) -> Path:
+    """A small scan folder for the toy pipeline."""
+    return toy.write_scan(tmp_path / "scan")

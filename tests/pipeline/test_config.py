@@ -1,0 +1,159 @@
+from dataclasses import dataclass, field, fields
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.config import Sections
+from stages.errors import UsageError
+from stages.params import check, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class FuseParams:
+    """Fuse depth maps."""
+
+    voxel_size: float | None = param(
+        None, "Edge of a voxel; by default " + "from the depth " * 20, unit="m", low=0
+    )
+    weight: float = param(3.0, "Smallest weight.", low=0, high=100)
+    device: str = param("cpu", "Where to work.", choices=("cpu", "cuda"))
+    threads: int = param(1, "Threads.", low=1, invalidates=False)
+    color: bool = param(True, "Fuse colour too.")
+    name: str | None = param(None, "Any text.")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CleanParams:
+    """Clean a mesh."""
+
+    islands: int = param(100, "Smallest piece.", unit="triangles", low=0)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class Config(Sections):
+    fuse: FuseParams = field(default_factory=FuseParams)
+    clean: CleanParams = field(default_factory=CleanParams)
+
+
+configs = st.builds(
+    Config,
+    fuse=st.builds(
+        FuseParams,
+        voxel_size=st.none() | st.floats(0, 1e9),
+        weight=st.floats(0, 100),
+        device=st.sampled_from(["cpu", "cuda"]),
+        threads=st.integers(1, 10**6),
+        color=st.booleans(),
+        name=st.none() | st.text(),
+    ),
+    clean=st.builds(CleanParams, islands=st.integers(0, 10**12)),
+)
+
+
+@given(configs)
+def test_printed_configuration_reads_back_the_same(config):
+    assert Config.loads(config.dumps()) == config
+
+
+def test_defaults_are_printed_with_text_unit_range_and_default():
+    text = Config().dumps()
+    assert "[fuse]\n# Fuse depth maps.\n" in text
+    assert "# a number in m; at least 0 m; default: derived from the data\n# voxel_size =\n" in text
+    assert "# Smallest weight.\n# a number; at least 0; at most 100; default: 3.0\nweight = 3.0\n" in text
+    assert '# one of cpu, cuda; default: "cpu"\ndevice = "cpu"\n' in text
+    assert "color = true" in text
+    assert all(len(line) <= 100 for line in text.splitlines())
+
+
+def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
+    path = tmp_path / "f.toml"
+    path.write_text('[fuse]\nvoxel_size = 1\ndevice = "cuda"\n')
+    config = Config.load(path)
+    assert config == Config(fuse=FuseParams(voxel_size=1.0, device="cuda"))
+    assert isinstance(config.fuse.voxel_size, float)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[fuze]\n", "f.toml: there is no stage 'fuze'; did you mean fuse?"),
+        ("[xyz]\n", "f.toml: there is no stage 'xyz'; known are fuse, clean."),
+        ("fuse = 1\n", "f.toml: fuse is a section; write [fuse]"),
+        ("[fuse]\nvoxelsize = 1\n", "f.toml: fuse has no parameter 'voxelsize'; did you mean voxel_size?"),
+        ("[clean]\nq = 1\n", "f.toml: clean has no parameter 'q'; known are islands."),
+        ("[fuse]\nvoxel_size = '1'\n", "f.toml: fuse.voxel_size is '1'; it must be of type float or int."),
+        ("[fuse]\nvoxel_size = -1.0\n", "f.toml: fuse.voxel_size is -1 m; it must be at least 0 m."),
+        ("[fuse]\nweight = nan\n", "f.toml: fuse.weight is not a number."),
+        ("[fuse]\ndevice = 'tpu'\n", "f.toml: fuse.device is 'tpu'; it must be one of cpu, cuda."),
+        ("[fuse]\nthreads = true\n", "f.toml: fuse.threads is True; it must be of type int."),
+        ("[clean]\nislands = 1.5\n", "f.toml: clean.islands is 1.5; it must be of type int."),
+        ("[clean\n", "f.toml: this is not TOML"),
+    ],
+)
+def test_mistakes_in_a_file_are_named(tmp_path, text, message):
+    path = tmp_path / "f.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError) as raised:
+        Config.load(path)
+    assert str(raised.value).startswith(f"{tmp_path}/{message}")
+
+
+def test_config_file_that_cannot_be_read(tmp_path):
+    with pytest.raises(UsageError, match="cannot be read"):
+        Config.load(tmp_path / "none.toml")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match="not UTF-8"):
+        Config.load(tmp_path / "binary")
+
+
+def test_words_are_read_by_the_type_of_the_parameter():
+    config = Config().set(
+        ["fuse.voxel_size=4e-3", "fuse.color=no", "fuse.device=cuda", "fuse.threads = 4", "fuse.name=a=b.c"]
+    )
+    assert config.fuse == FuseParams(voxel_size=0.004, color=False, device="cuda", threads=4, name="a=b.c")
+    assert config.set(["fuse.voxel_size=none"]).fuse.voxel_size is None
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("voxel_size=1", "write stage.parameter=value"),
+        ("fuse.voxel_size", "write stage.parameter=value"),
+        ("fuse.voxel_size=big", "fuse.voxel_size must be a number, not 'big'"),
+        ("fuse.voxel_size=nan", "fuse.voxel_size is not a number"),
+        ("fuse.color=maybe", "fuse.color must be true or false, not 'maybe'"),
+        ("fuse.threads=1.5", "fuse.threads must be a whole number, not '1.5'"),
+        ("fuse.threads=none", "fuse.threads must be a whole number, not 'none'"),
+        ("fuse.thread=2", "did you mean threads?"),
+        ("cleen.islands=2", "did you mean clean?"),
+        ("clean.islands=-1", "clean.islands is -1 triangles; it must be at least 0 triangles"),
+    ],
+)
+def test_mistakes_in_words_are_named(word, message):
+    with pytest.raises(UsageError) as raised:
+        Config().set([word])
+    assert str(raised.value).startswith(f"--set {word}")
+    assert message in str(raised.value)
+
+
+def test_canonical_form_leaves_out_what_cannot_change_the_result():
+    values = Config().canonical("fuse")
+    assert set(values) == {f.name for f in fields(FuseParams)} - {"threads"}
+
+
+def test_canonical_form_is_one_for_equal_values():
+    one = Config(fuse=FuseParams(weight=1, voxel_size=-0.0))
+    assert repr(one.canonical("fuse")["weight"]) == "1.0"
+    assert repr(one.canonical("fuse")["voxel_size"]) == "0.0"
+
+
+def test_infinity_has_no_canonical_form():
+    with pytest.raises(UsageError, match=r"fuse\.voxel_size is infinite"):
+        Config(fuse=FuseParams(voxel_size=float("inf"))).canonical("fuse")

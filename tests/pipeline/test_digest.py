@@ -1,0 +1,128 @@
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.digest import canonical, digest, file_digest, scan_digest
+from stages.errors import StageError
+from stages.scan import Camera, Frame, Scan, StereoRig
+
+CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+@given(json_values)
+def test_canonical_json_reads_back_to_the_same_value(value):
+    assert json.loads(canonical(value)) == value
+
+
+@given(st.dictionaries(st.text(), st.integers()))
+def test_order_of_keys_does_not_matter(value):
+    assert canonical(dict(reversed(value.items()))) == canonical(value)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), {"a": [1, -float("inf")]}])
+def test_numbers_json_cannot_express_are_refused(value):
+    with pytest.raises(ValueError, match="JSON cannot express"):
+        canonical(value)
+
+
+@pytest.mark.parametrize("value", [Path("a"), {1, 2}, {1: 2}, np.float64(1), np.zeros(2), b"a", object()])
+def test_values_json_cannot_express_are_refused(value):
+    with pytest.raises(TypeError, match="JSON cannot express"):
+        canonical({"x": value})
+
+
+def test_digests_are_plain_sha256(tmp_path):
+    data = bytes(range(256)) * 9000
+    (tmp_path / "file").write_bytes(data)
+    assert file_digest(tmp_path / "file") == hashlib.sha256(data).hexdigest()
+    assert digest({"b": 1, "a": None}) == hashlib.sha256(b'{"a":null,"b":1}').hexdigest()
+
+
+def one_frame_scan(folder: Path) -> Scan:
+    (folder / "left.png").write_bytes(b"left")
+    (folder / "right.png").write_bytes(b"right")
+    rig = StereoRig(CAMERA, CAMERA, np.eye(4), rectified=True)
+    frame = Frame("a", CAMERA, folder / "left.png", folder / "right.png", world_from_camera=np.eye(4))
+    return Scan("toy", [frame], rig)
+
+
+def moved(pose: np.ndarray) -> np.ndarray:
+    other = pose.copy()
+    other[0, 3] += 1e-9
+    return other
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: replace(f, camera=replace(CAMERA, fx=5.1)),
+        lambda f: replace(f, camera=replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0))),
+        lambda f: replace(f, world_from_camera=moved(f.world_from_camera)),
+        lambda f: replace(f, world_from_camera=None),
+        lambda f: replace(f, right=None),
+        lambda f: replace(f, right=f.color, color=f.right),
+        lambda f: replace(f, depth_scale=5000.0),
+        lambda f: replace(f, depth_missing=(65535,)),
+    ],
+)
+def test_what_a_stage_reads_of_a_frame_decides(tmp_path, change):
+    scan = one_frame_scan(tmp_path)
+    before = scan_digest(scan)
+    after = scan_digest(replace(scan, frames=[change(scan.frames[0])]))
+    assert after.digest != before.digest
+    assert after.parts["calibration"] == before.parts["calibration"]
+
+
+def test_what_people_are_shown_does_not_decide(tmp_path):
+    scan = one_frame_scan(tmp_path)
+    frame = replace(scan.frames[0], name="b", timestamp=12)
+    other = replace(scan, frames=[frame], layout="other", folder=tmp_path, warnings=("odd",))
+    assert scan_digest(other).digest == scan_digest(scan).digest
+
+
+def test_the_rig_decides(tmp_path):
+    scan = one_frame_scan(tmp_path)
+    other = replace(scan, rig=replace(scan.rig, right_from_left=moved(np.eye(4))))
+    assert scan_digest(other).digest != scan_digest(scan).digest
+    assert (
+        scan_digest(replace(scan, rig=replace(scan.rig, rectified=False))).digest != scan_digest(scan).digest
+    )
+
+
+def test_arrays_in_memory_count_by_content():
+    def of(depth):
+        return scan_digest(Scan("toy", [Frame("a", CAMERA, depth=depth)])).digest
+
+    depth = np.ones((3, 4), np.float32)
+    assert of(depth) == of(depth.copy()) == of(np.asfortranarray(depth))
+    assert of(depth) != of(depth * 2)
+    assert of(depth) != of(depth.astype(np.float64))
+    assert of(depth) != of(depth.reshape(4, 3))
+
+
+def test_unreadable_file_is_a_content_of_its_own(tmp_path):
+    scan = one_frame_scan(tmp_path)
+    whole = scan_digest(scan).digest
+    (tmp_path / "left.png").unlink()
+    assert scan_digest(scan).digest != whole
+
+
+def test_file_written_to_while_it_is_read_is_noticed(tmp_path):
+    scan = one_frame_scan(tmp_path)
+    content = scan_digest(scan)
+    (tmp_path / "left.png").touch()
+    content.require_unchanged()
+    (tmp_path / "left.png").write_bytes(b"LEFT")
+    with pytest.raises(StageError, match=r"left\.png changed while it was being read"):
+        content.require_unchanged()

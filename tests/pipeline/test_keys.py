@@ -1,0 +1,158 @@
+"""What does and what does not decide a hit."""
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from pipeline.cache import Recipe
+
+ALL = ["mix", "cut", "count"]
+
+
+def ran(outcomes):
+    return [outcome.stage for outcome in outcomes if not outcome.cached]
+
+
+@pytest.fixture
+def out(toy: ModuleType, scan: Path, tmp_path: Path) -> Path:
+    """An output folder after a first run."""
+    assert ran(toy.run(scan, tmp_path / "out")) == ALL
+    return tmp_path / "out"
+
+
+def test_second_run_is_all_cached(toy, scan, out):
+    assert ran(toy.run(scan, out)) == []
+
+
+def test_touched_files_keep_the_cache(toy, scan, out):
+    for path in scan.iterdir():
+        os.utime(path, (1, 1))
+    assert ran(toy.run(scan, out)) == []
+
+
+def test_rewritten_files_of_the_same_content_keep_the_cache(toy, scan, out):
+    for path in scan.iterdir():
+        data = path.read_bytes()
+        path.unlink()
+        path.write_bytes(data)
+    assert ran(toy.run(scan, out)) == []
+
+
+def test_moved_scan_keeps_the_cache(toy, scan, out, tmp_path):
+    moved = tmp_path / "elsewhere" / "renamed scan"
+    moved.parent.mkdir()
+    scan.rename(moved)
+    assert ran(toy.run(moved, out)) == []
+
+
+def test_moved_output_folder_keeps_its_cache_and_its_record(toy, scan, out, tmp_path):
+    moved = tmp_path / "other" / "results"
+    shutil.move(out, moved)
+    outcomes = toy.run(scan, moved, "cut.far=3")
+    assert ran(outcomes) == ["cut", "count"]
+    assert outcomes[1].reason == "params changed: far derived → 3"
+
+
+def test_renamed_frames_in_the_same_order_keep_the_cache(toy, scan, out):
+    for path in scan.iterdir():
+        path.rename(path.with_name(f"image-{path.name}"))
+    assert ran(toy.run(scan, out)) == []
+
+
+def test_current_folder_does_not_matter(toy, scan, out, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert ran(toy.run(Path("scan"), Path("out"))) == []
+
+
+def test_thread_count_keeps_the_cache(toy, scan, out):
+    assert ran(toy.run(scan, out, "mix.threads=7")) == []
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected", "reason"),
+    [
+        ("mix.gain=0.25", ALL, "params changed: gain 0.5 → 0.25"),
+        ("cut.far=3", ["cut", "count"], "params changed: far derived → 3"),
+        ("cut.mode=soft", ["cut"], "params changed: mode hard → soft"),
+        ("count.bins=5", ["count"], "params changed: bins 4 → 5"),
+        ("count.exact=no", ["count"], "params changed: exact True → False"),
+    ],
+)
+def test_changed_parameter_reruns_its_stage_and_what_follows(toy, scan, out, assignment, expected, reason):
+    # `mode` leaves the bytes of cut.bin as they were, so count need not run again.
+    outcomes = toy.run(scan, out, assignment)
+    assert ran(outcomes) == expected
+    assert next(o for o in outcomes if not o.cached).reason == reason
+    assert ran(toy.run(scan, out)) == [], "the earlier results are still there"
+
+
+def test_whole_number_and_number_are_one_value(toy, scan, out):
+    toy.run(scan, out, "cut.far=3")
+    assert ran(toy.run(scan, out, "cut.far=3.0")) == []
+
+
+@pytest.mark.parametrize("keep_stamp", [False, True])
+def test_changed_content_reruns_even_under_the_old_time_stamp(toy, scan, out, keep_stamp):
+    path = scan / "01.raw"
+    stat = path.stat()
+    data = bytearray(path.read_bytes())
+    data[5] ^= 1
+    path.write_bytes(data)
+    if keep_stamp:
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    outcomes = toy.run(scan, out)
+    assert ran(outcomes) == ALL
+    assert outcomes[0].reason == "input changed: frame 1 (01)"
+
+
+def test_swapped_frames_are_another_scan(toy, scan, out):
+    (scan / "00.raw").rename(scan / "aside")
+    (scan / "01.raw").rename(scan / "00.raw")
+    (scan / "aside").rename(scan / "01.raw")
+    assert ran(toy.run(scan, out)) == ALL
+
+
+def test_added_and_removed_frames_are_another_scan(toy, scan, out):
+    (scan / "02.raw").unlink()
+    outcomes = toy.run(scan, out)
+    assert ran(outcomes) == ALL
+    assert outcomes[0].reason == "input changed: frame 2 (02)"
+
+
+def test_raised_stage_version_reruns(toy, scan, out):
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], version=2), toy.PLAN[2])
+    outcomes = toy.run(scan, out, plan=plan)
+    assert ran(outcomes) == ["cut"]
+    assert outcomes[1].reason == "stage changed: version 1 → 2"
+
+
+def test_other_library_reruns(toy, scan, out):
+    plan = (replace(toy.PLAN[0], libraries={"numpy": "0.1"}), *toy.PLAN[1:])
+    outcomes = toy.run(scan, out, plan=plan)
+    assert ran(outcomes) == ["mix"]
+    assert outcomes[0].reason.startswith("library changed: numpy ")
+
+
+def test_forced_stage_runs_and_what_follows_is_cached_since_its_result_is_the_same(toy, scan, out):
+    outcomes = toy.run(scan, out, force=("cut",))
+    assert ran(outcomes) == ["cut"]
+    assert outcomes[1].reason == "forced"
+
+
+def test_every_field_of_a_recipe_decides_the_key():
+    base = Recipe("fuse", 1, {"fuse": {"voxel_size": 0.01}}, {"scan": "a"}, {"open3d": "0.20"})
+    others = [
+        replace(base, stage="clean"),
+        replace(base, version=2),
+        replace(base, params={"fuse": {"voxel_size": 0.02}}),
+        replace(base, params={"fuse": {"voxel_size": None}}),
+        replace(base, inputs={"scan": "b"}),
+        replace(base, inputs={"frames": "a"}),
+        replace(base, libraries={"open3d": "0.19"}),
+    ]
+    assert len({base.key, *(other.key for other in others)}) == 1 + len(others)
+    assert replace(base, params={"fuse": {"voxel_size": 0.01}}).key == base.key
