@@ -1,25 +1,21 @@
 """Read calibration files: JSON, TOML, OpenCV and Kalibr YAML, matrices as text.
 
-One camera or a rig, whatever the names its writer used. Nothing in a file is executed or trusted: YAML is
-read by PyYAML's safe loader, and every number is checked before it becomes a camera.
+One camera or a rig, whatever the names its writer used; every number is checked before it becomes a camera.
 """
 
 from __future__ import annotations
 
 import math
-import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import trajectories
+from stages import documents, trajectories
 from stages.errors import InputError
 from stages.scan import Camera, Pose, StereoRig
 
-_MAX_BYTES = 1 << 22
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
 _MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
 _DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
@@ -35,8 +31,17 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
     from the images' is refused.
     """
     if path.suffix == ".txt":
-        return _matrix_camera(_text_matrix(path), (), width, height, path)
-    return camera_from_table(read_document(path), width, height, path)
+        return matrix_camera(_text_matrix(path), (), width, height, path)
+    return camera_from_table(documents.read_document(path), width, height, path)
+
+
+def read_depth_scale(path: Path) -> float:
+    """Return how many units of a depth file are one metre, as a camera file says; 1000 when it does not."""
+    value = 1000.0 if path.suffix == ".txt" else documents.read_document(path).get("depth_scale", 1000.0)
+    scale = _number(value, "depth_scale", path)
+    if scale <= 0:
+        raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
+    return scale
 
 
 def read_rig(
@@ -58,7 +63,7 @@ def read_rig(
     InputError
         If the file does not parse, something is missing, or a number cannot be right.
     """
-    values = read_document(path) if document is None else document
+    values = documents.read_document(path) if document is None else document
     if "cam0" in values and "cam1" in values:
         left, right, right_from_left = _kalibr(values, width, height, path)
     elif "left" in values and "right" in values:
@@ -69,7 +74,7 @@ def read_rig(
     elif (keys := _present(values, _MATRICES)) is not None:
         bent = _present(values, _DISTORTIONS) or ("", "")
         left, right = (
-            _matrix_camera(_array(values, key, path), _coefficients(values.get(d), path), width, height, path)
+            matrix_camera(_array(values, key, path), _coefficients(values.get(d), path), width, height, path)
             for key, d in zip(keys, bent, strict=True)
         )
         right_from_left = _extrinsics(values, path)
@@ -85,96 +90,37 @@ def read_rig(
         raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
     if rectified and right_from_left[0, 3] >= 0:
         raise InputError(
-            "the second camera is not right of the first: T's x must be negative (it maps left-camera points to "
-            "the right camera). Are the two cameras swapped?",
+            "the second camera is not right of the first: T maps left-camera points to the right "
+            "camera, so its x must be negative. Are the two cameras swapped?",
             path,
         )
     return StereoRig(left, right, right_from_left, bool(rectified)), warnings
 
 
-def checked_camera(
-    width: int,
-    height: int,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    distortion: tuple[float, ...],
-    path: Path,
-) -> Camera:
-    """Return a camera whose numbers can be right.
+def checked(camera: Camera, path: Path) -> Camera:
+    """Return the camera when its numbers can be right.
 
     Raises
     ------
     InputError
         If a number is not finite, a focal length is not positive, or the centre is far outside the image.
     """
-    if not all(math.isfinite(value) for value in (fx, fy, cx, cy, *distortion)):
+    if not all(
+        math.isfinite(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    ):
         raise InputError("the camera holds a value that is not finite.", path)
-    if fx <= 0 or fy <= 0:
-        raise InputError(f"the focal lengths are {fx:g} and {fy:g} px; both must be positive.", path)
-    if not (-width <= cx <= 2 * width and -height <= cy <= 2 * height):
+    if camera.fx <= 0 or camera.fy <= 0:
         raise InputError(
-            f"the principal point ({cx:g}, {cy:g}) is far outside the images of {width}×{height}; "
-            "is the calibration for another size?",
+            f"the focal lengths are {camera.fx:g} and {camera.fy:g} px; both must be positive.", path
+        )
+    width, height = camera.width, camera.height
+    if not (-width <= camera.cx <= 2 * width and -height <= camera.cy <= 2 * height):
+        raise InputError(
+            f"the principal point ({camera.cx:g}, {camera.cy:g}) is far outside the images of "
+            f"{width}×{height}; is the calibration for another size?",
             path,
         )
-    return Camera(width, height, float(fx), float(fy), float(cx), float(cy), distortion)
-
-
-def read_document(path: Path) -> dict[str, Any]:
-    """Return the content of a JSON, TOML or YAML file (OpenCV's included) as a dictionary.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or parsed, or holds no table of names and values.
-    """
-    if path.exists() and path.stat().st_size > _MAX_BYTES:
-        raise InputError("the file is too large for a calibration.", path)
-    text = trajectories.read_text(path)
-    try:
-        if path.suffix == ".json":
-            document = trajectories.read_json_document(path)
-        elif path.suffix == ".toml":
-            document = _parse_toml(text)
-        else:
-            document = _parse_yaml(text)
-    except (ValueError, RecursionError) as error:
-        summary = " ".join(str(error).split())[:200]
-        raise InputError(f"the file does not parse: {summary}.", path) from error
-    if not isinstance(document, dict):
-        raise InputError("names with values are expected in it.", path)
-    return document
-
-
-def _parse_toml(text: str) -> object:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-
-    return tomllib.loads(text)
-
-
-def _parse_yaml(text: str) -> object:
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        """PyYAML's safe loader, and OpenCV's matrices."""
-
-    def matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
-        if not isinstance(node, yaml.MappingNode):
-            raise yaml.YAMLError("an opencv-matrix is not a mapping")
-        return loader.construct_mapping(node, deep=True)
-
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
-    try:
-        # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
-        document: object = yaml.load(re.sub(r"\A\ufeff?%YAML:?\s*[\d.]+", "", text), Loader)
-    except yaml.YAMLError as error:
-        raise ValueError(str(error)) from error
-    return document
+    return camera
 
 
 def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
@@ -197,16 +143,16 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
         # Open3D stores it column by column.
         matrix = _array(values, "intrinsic_matrix", path)
         matrix = matrix.T if matrix[2, 0] or matrix[2, 1] else matrix
-        return _matrix_camera(matrix, distortion, width, height, path)
+        return matrix_camera(matrix, distortion, width, height, path)
     for key in ("matrix", "camera_matrix", "K"):
         if key in values:
-            return _matrix_camera(_array(values, key, path), distortion, width, height, path)
+            return matrix_camera(_array(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
         raise InputError(
             f"no camera in it: neither a matrix (`camera_matrix`, `K`) nor {', '.join(missing)}.", path
         )
     fx, fy, cx, cy = (_number(values[key], key, path) for key in ("fx", "fy", "cx", "cy"))
-    return checked_camera(width, height, fx, fy, cx, cy, distortion, path)
+    return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
 
 def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
@@ -225,7 +171,7 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
         if len(row) != 4:
             raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
         bent = _coefficients(table.get("distortion_coeffs"), path)
-        cameras.append(checked_camera(width, height, *row, bent, path))
+        cameras.append(checked(Camera(width, height, *row, distortion=bent), path))
     matrix = trajectories.matrix_of(_table(values, "cam1", path).get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
     return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
 
@@ -235,7 +181,7 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
     left, right = (_array(values, key, path) for key in ("P1", "P2"))
     if left.shape != (3, 4) or right.shape != (3, 4):
         raise InputError("P1 and P2 must be 3x4.", path)
-    cameras = [_matrix_camera(p[:, :3], (), width, height, path) for p in (left, right)]
+    cameras = [matrix_camera(p[:, :3], (), width, height, path) for p in (left, right)]
     right_from_left = np.eye(4)
     right_from_left[0, 3] = right[0, 3] / cameras[1].fx
     return cameras[0], cameras[1], right_from_left
@@ -264,7 +210,8 @@ def _extrinsics(values: dict[str, Any], path: Path) -> Pose:
         matrix[0, 3] = -abs(_number(values["baseline"], "baseline", path))
     else:
         raise InputError(
-            "how the cameras stand to each other is missing: R and T, or a baseline (or set scan.baseline=METRES).",
+            "how the cameras stand to each other is missing: R and T, or a baseline "
+            "(or set scan.baseline=METRES).",
             path,
         )
     return _finite_pose(matrix, "R, T", path)
@@ -280,7 +227,8 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, l
         unit = "mm" if length > _WIDEST_METRES else "m"
         if unit == "mm":
             warnings.append(
-                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; say unit: m if it is not"
+                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; "
+                "say `unit: m` if it is not"
             )
     scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
     if scale is None:
@@ -291,7 +239,7 @@ def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, l
 
 
 def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool:
-    """Say whether rows already correspond: no rotation, no distortion, the same focal length and row centre."""
+    """Say whether rows correspond: no rotation, no distortion, one focal length and row centre."""
     shift = right_from_left[:3, 3]
     return (
         np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
@@ -310,20 +258,20 @@ def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
     return pose
 
 
-def _matrix_camera(
+def matrix_camera(
     matrix: NDArray[np.float64], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
+    """Return the checked camera of a 3x3 matrix (or one that begins with it)."""
     if matrix.shape not in ((3, 3), (4, 4), (3, 4)):
         raise InputError(f"a camera matrix must be 3x3, not {matrix.shape}.", path)
-    return checked_camera(
-        width, height, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], distortion, path
-    )
+    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
 
 def _text_matrix(path: Path) -> NDArray[np.float64]:
     """Return a matrix written as rows of numbers, or the four numbers fx fy cx cy as one."""
     try:
-        values = [float(word) for word in trajectories.read_text(path).replace(",", " ").split()]
+        values = [float(word) for word in documents.read_text(path).replace(",", " ").split()]
     except ValueError as error:
         raise InputError("a camera matrix of 3 rows of 3 numbers is expected.", path) from error
     if len(values) == 4:

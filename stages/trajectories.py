@@ -6,7 +6,6 @@ row- or column-major) is undone once, by the reader of that form.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -17,12 +16,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import documents
 from stages.errors import InputError
 from stages.scan import Pose
 
 # How far a rotation may be from orthonormal: files round to about six digits.
 RIGID_TOLERANCE = 1e-3
-_MAX_BYTES = 1 << 29
 
 T = TypeVar("T")
 
@@ -72,16 +71,15 @@ def read_trajectory(path: Path) -> Trajectory:
     if count == 4:
         return Trajectory([read_pose(path)])
     raise InputError(
-        f"line {first[0]} holds {count} numbers. Expected are 12 or 16 (a matrix), 8 (t tx ty tz qx qy qz qw), "
-        "or 3 (a .log header).",
+        f"line {first[0]} holds {count} numbers. Expected are 12 or 16 (a matrix), "
+        "8 (t tx ty tz qx qy qz qw) or 3 (a .log header).",
         path,
     )
 
 
 def read_pose(path: Path) -> Pose | None:
     """Read one pose from a file with a 4x4 (or 3x4) matrix in rows; None when it marks lost tracking."""
-    lines = list(_number_lines(path))
-    values = [value for _, row in lines for value in row]
+    values = [value for _, row in _number_lines(path) for value in row]
     if len(values) not in (12, 16):
         raise InputError(f"a pose of 4 rows of 4 numbers is expected; it holds {len(values)} numbers.", path)
     return rigid(np.reshape(values, (-1, 4)), path)
@@ -112,11 +110,11 @@ def read_tum(path: Path) -> Trajectory:
 
 def read_log(path: Path) -> Trajectory:
     """Read a Redwood or Open3D `.log`: a header of three integers, then four rows; camera-to-world."""
-    lines = list(_number_lines(path))
+    content = list(_number_lines(path))
     poses = []
-    for at in range(0, len(lines), 5):
-        number, header = lines[at]
-        rows = [row for _, row in lines[at + 1 : at + 5]]
+    for at in range(0, len(content), 5):
+        number, header = content[at]
+        rows = [row for _, row in content[at + 1 : at + 5]]
         if len(header) != 3 or len(rows) != 4 or any(len(row) != 4 for row in rows):
             raise InputError(
                 f"the entry at line {number} is not a header of 3 numbers and 4 rows of 4 numbers.", path
@@ -131,7 +129,7 @@ def read_json(path: Path) -> Trajectory:
     Open3D writes 16 numbers column-major; its camera trajectory holds *world-to-camera* extrinsics, its pose
     graph camera-to-world poses.
     """
-    document = read_json_document(path)
+    document = documents.read_json(path)
     if isinstance(document, dict) and isinstance(document.get("parameters"), list):
         entries, key, inverse = document["parameters"], "extrinsic", True
     elif isinstance(document, dict) and isinstance(document.get("nodes"), list):
@@ -154,7 +152,7 @@ def read_json(path: Path) -> Trajectory:
 def read_euroc(path: Path) -> Trajectory:
     """Read EuRoC ground truth: nanoseconds, position, quaternion with the scalar *first*; body-to-world."""
     poses, times = [], []
-    for number, text in _lines(path):
+    for number, text in documents.lines(path):
         fields = text.split(",")
         try:
             # An int: a float64 cannot hold nanoseconds since 1970 exactly.
@@ -312,6 +310,14 @@ def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     return matrix.reshape(4, 4)
 
 
+def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
+    """Return the nanoseconds of each frame from a file of seconds, one a line; None without the file."""
+    if not path.exists():
+        return [None] * len(names)
+    times = [nanoseconds(row[0], path, number) for number, row in _number_lines(path)]
+    return list(by_number(times, names, path, "times"))
+
+
 def nanoseconds(seconds: float, path: Path, line: int) -> int:
     """Return seconds as whole nanoseconds."""
     if not abs(seconds) < 1 << 32:
@@ -319,30 +325,9 @@ def nanoseconds(seconds: float, path: Path, line: int) -> int:
     return round(seconds * 1e9)
 
 
-def read_text(path: Path) -> str:
-    """Return a text file's content, with a plain sentence when it cannot be read."""
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError("the file is too large for what it should hold.", path)
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
-    except UnicodeDecodeError as error:
-        raise InputError("a text file is expected; this one is binary.", path) from error
-
-
-def read_json_document(path: Path) -> object:
-    """Return a JSON file's content; NaN and infinite numbers are let through for the checks that follow."""
-    try:
-        document: object = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"the file is not valid JSON ({error}).", path) from error
-    return document
-
-
 def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
     """Yield line numbers (from 1) and the numbers on them, without comments and empty lines."""
-    for number, text in _lines(path):
+    for number, text in documents.lines(path):
         yield number, _floats(text, number, path)
 
 
@@ -351,13 +336,6 @@ def _floats(text: str, number: int, path: Path) -> list[float]:
         return [float(word) for word in re.split(r"[,\s]+", text)]
     except ValueError as error:
         raise InputError(f"line {number} holds something that is not a number.", path) from error
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    for number, line in enumerate(read_text(path).splitlines(), 1):
-        text = line.split("#")[0].strip().strip(",")
-        if text:
-            yield number, text
 
 
 def _words(values: NDArray[np.float64]) -> str:

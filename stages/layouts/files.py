@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stages.errors import InputError
+from stages.images import image_size
 from stages.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
@@ -35,6 +37,36 @@ def first_existing(folder: Path, *names: str) -> Path | None:
 def has(folder: Path, *names: str) -> bool:
     """Say whether all of these files or folders are there."""
     return all((folder / name).exists() for name in names)
+
+
+def common_size(paths: Sequence[Path]) -> tuple[int, int]:
+    """Return the (width, height) in pixels that most of a few images of a stream have.
+
+    A damaged or odd image then costs its own frame and not the scan.
+
+    Raises
+    ------
+    InputError
+        If none of them can be read.
+    """
+    sizes: Counter[tuple[int, int]] = Counter()
+    fault: InputError | None = None
+    for path in paths[:: max(1, len(paths) // 8)]:
+        with_size = _size_or_fault(path)
+        if isinstance(with_size, InputError):
+            fault = fault or with_size
+        else:
+            sizes[with_size] += 1
+    if not sizes:
+        raise fault or InputError("there are no images.")
+    return sizes.most_common(1)[0][0]
+
+
+def _size_or_fault(path: Path) -> tuple[int, int] | InputError:
+    try:
+        return image_size(path)
+    except InputError as error:
+        return error
 
 
 def pair(

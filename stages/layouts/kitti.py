@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import trajectories
-from stages.calibration import checked_camera
+from stages import documents, trajectories
+from stages.calibration import matrix_camera
 from stages.errors import InputError
-from stages.images import image_size
-from stages.layouts.files import first_existing, has, images, pair
+from stages.layouts.files import common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
 from stages.scan import Frame, Scan, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
-# Left folder, right folder, the projection matrices of the two. Colour is preferred; the last is a look-alike.
+# Left folder, right folder, the number of the left projection matrix. Colour is preferred.
 _CAMERAS = (("image_2", "image_3", 2), ("image_0", "image_1", 0), ("image_l", "image_r", 0))
 
 
@@ -43,12 +42,15 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     if left is None or right is None:
         raise InputError("it states no two projection matrices for a pair of image folders.", calib)
     pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
-    rig, left_from_cam0 = _rig(projections[at], projections[at + 1], image_size(pairs[0][0]), options, calib)
+    rig, left_from_cam0 = _rig(
+        projections[at], projections[at + 1], common_size([one for one, _ in pairs]), options, calib
+    )
+    names = [one.stem for one, _ in pairs]
     path = _pose_file(folder, options)
     world_from_cam0 = trajectories.match(
         trajectories.read_trajectory(path), [one.stem for one, _ in pairs], path
     )
-    times = _times(folder / "times.txt", [one.stem for one, _ in pairs])
+    times = trajectories.read_times(folder / "times.txt", names)
     cam0_from_left = np.linalg.inv(left_from_cam0)
     frames = [
         Frame(
@@ -68,7 +70,7 @@ def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
     """Return the 3x4 projection matrices by number, from `P0: …` rows or from bare rows in order."""
     found: dict[int, NDArray[np.float64]] = {}
     bare = 0
-    for number, line in enumerate(trajectories.read_text(calib).splitlines(), 1):
+    for number, line in enumerate(documents.read_text(calib).splitlines(), 1):
         match = re.fullmatch(r"\s*(?:([A-Za-z]\w*)\s*:)?([-+.\deE\s]+)", line)
         if match is None or not match[2].strip():
             continue
@@ -93,13 +95,11 @@ def _rig(
     options: ScanParams,
     calib: Path,
 ) -> tuple[StereoRig, NDArray[np.float64]]:
-    """Return the rig, and left_from_cam0: a projection K [I | t] says where its camera stands beside camera 0."""
+    """Return the rig and left_from_cam0: in a projection K [I | t], t takes camera 0 to its camera."""
     cameras, offsets = [], []
     for matrix in (left, right):
         k = matrix[:, :3]
-        cameras.append(
-            options.camera(*size) or checked_camera(*size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], (), calib)
-        )
+        cameras.append(options.camera(*size) or matrix_camera(k, (), *size, calib))
         if abs(np.linalg.det(k)) < 1e-9:
             raise InputError("a projection matrix is singular.", calib)
         offset = np.eye(4)
@@ -136,17 +136,6 @@ def _pose_file(folder: Path, options: ScanParams) -> Path:
             folder,
         )
     return found
-
-
-def _times(path: Path, names: list[str]) -> list[int | None]:
-    if not path.exists():
-        return [None] * len(names)
-    lines = trajectories.read_text(path).split()
-    try:
-        times = [trajectories.nanoseconds(float(word), path, i) for i, word in enumerate(lines, 1)]
-    except ValueError as error:
-        raise InputError("a line is not a time in seconds.", path) from error
-    return list(trajectories.by_number(times, names, path, "times"))
 
 
 LAYOUT = Layout(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages import trajectories
-from stages.calibration import checked_camera
+from stages import documents, trajectories
+from stages.calibration import checked
 from stages.errors import InputError
 from stages.images import image_size
 from stages.layouts.files import has
@@ -33,7 +33,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
 
 
 def _rig(calib: Path, size: tuple[int, int], options: ScanParams) -> tuple[StereoRig, list[str]]:
-    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", trajectories.read_text(calib), re.MULTILINE))
+    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(calib), re.MULTILINE))
     try:
         left, right = (_camera(values[key], size, calib) for key in ("cam0", "cam1"))
         stated = int(values.get("width", size[0])), int(values.get("height", size[1]))
@@ -70,7 +70,7 @@ def _camera(text: str, size: tuple[int, int], calib: Path) -> Camera:
     rows = [[float(word) for word in row.split()] for row in text.strip("[] ").split(";")]
     if [len(row) for row in rows] != [3, 3, 3]:
         raise ValueError("a 3x3 camera matrix")
-    return checked_camera(*size, rows[0][0], rows[1][1], rows[0][2], rows[1][2], (), calib)
+    return checked(Camera(*size, rows[0][0], rows[1][1], rows[0][2], rows[1][2]), calib)
 
 
 def _pose(folder: Path, options: ScanParams) -> tuple[np.ndarray, list[str]]:

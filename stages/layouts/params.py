@@ -58,7 +58,7 @@ class ScanParams:
         self.camera(1, 1)
 
     def camera(self, width: int, height: int) -> Camera | None:
-        """Return the camera that `intrinsics` states, for images of this size in pixels; None if not given."""
+        """Return the camera that `intrinsics` states, for images of this size; None if not given."""
         if self.intrinsics is None:
             return None
         try:
@@ -67,7 +67,8 @@ class ScanParams:
             fx = fy = cx = cy = math.nan
         if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
             raise UsageError(
-                f"intrinsics is {self.intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5."
+                f"intrinsics is {self.intrinsics!r}; it must be fx,fy,cx,cy in pixels, "
+                "for example 525,525,319.5,239.5."
             )
         return Camera(width, height, fx, fy, cx, cy)
 

@@ -11,8 +11,9 @@ import numpy as np
 from stages.errors import InputError, UsageError
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
-from stages.layouts.table import LAYOUTS
-from stages.scan import Frame, Scan
+from stages.layouts.refused import refused
+from stages.layouts.table import DISTINCT, GENERIC, LAYOUTS
+from stages.scan import Frame, Scan, SkippedFrame
 
 
 def read_scan(folder: Path | str, options: ScanParams | None = None) -> Scan:
@@ -30,14 +31,22 @@ def read_scan(folder: Path | str, options: ScanParams | None = None) -> Scan:
     """
     folder = Path(folder)
     options = options or ScanParams()
+    _require_folder(folder)
     layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
     scan = layout.read(folder, options)
-    if not scan.frames:
-        reason = f": {scan.skipped[0].name}: {scan.skipped[0].reason}" if scan.skipped else ""
-        raise InputError(f"none of its {len(scan.skipped)} frames can be used{reason}.", folder)
-    _require_motion(scan.frames, folder)
-    warnings = (*scan.warnings, *_time_warnings(scan.frames))
-    return replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    frames = [frame for frame in scan.frames if frame.world_from_camera is not None]
+    lost = [
+        SkippedFrame(frame.name, "tracking was lost: it has no pose")
+        for frame in scan.frames
+        if frame.world_from_camera is None
+    ]
+    skipped = (*scan.skipped, *lost)
+    if not frames:
+        reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
+        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.", folder)
+    _require_motion(frames, folder)
+    warnings = (*scan.warnings, *_time_warnings(frames))
+    return replace(scan, frames=_selected(frames, options), skipped=skipped, warnings=warnings)
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
@@ -48,14 +57,42 @@ def recognise(folder: Path) -> tuple[Layout, str]:
     InputError
         If there is no such folder, it is empty, or of no layout that can be read.
     """
+    _require_folder(folder)
+    found = _first_match(DISTINCT, folder)
+    if found is None and (known := refused(folder)) is not None:
+        raise InputError(
+            f"this looks like {known.name}, which cannot be read yet. {known.advice} "
+            "If it is another layout, name it with scan.layout=NAME.",
+            folder,
+        )
+    found = found or _first_match(GENERIC, folder)
+    if found is None:
+        raise InputError(_unknown(folder), folder)
+    return found
+
+
+def _require_folder(folder: Path) -> None:
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
         raise InputError(problem, folder)
-    for layout in LAYOUTS:
-        reason = layout.matches(folder)
-        if reason is not None:
-            return layout, reason
-    raise InputError("unknown layout", folder)
+
+
+def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:
+    return next(((one, reason) for one in layouts if (reason := one.matches(folder)) is not None), None)
+
+
+def _unknown(folder: Path) -> str:
+    """Say what was found and what would have been recognised."""
+    content = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
+    if not content:
+        return "the folder is empty."
+    for child in sorted(path for path in folder.iterdir() if path.is_dir()):
+        inside = _first_match(LAYOUTS, child)
+        if inside is not None:
+            return f"no scan here, but its folder {child.name}/ looks like one ({inside[0].name}); give that."
+    shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
+    known = "".join(f"\n  {one.name}: {one.text}" for one in LAYOUTS)
+    return f"unknown layout. The folder holds {shown}. Layouts that can be read are:{known}"
 
 
 def _selected(frames: Sequence[Frame], options: ScanParams) -> Sequence[Frame]:
@@ -80,13 +117,13 @@ def _require_motion(frames: Sequence[Frame], folder: Path) -> None:
 
 def _time_warnings(frames: Sequence[Frame]) -> list[str]:
     times = [frame.timestamp for frame in frames if frame.timestamp is not None]
-    steps = np.diff(np.array(times, np.int64))
+    steps = np.diff(np.array(times, np.float64))
     warnings = []
     if (steps == 0).any():
-        warnings.append(f"{int((steps == 0).sum())} timestamps are repeated")
+        warnings.append(f"{np.count_nonzero(steps == 0)} timestamps are repeated")
     if (steps < 0).any():
-        warnings.append(f"{int((steps < 0).sum())} timestamps are earlier than the one before")
-    gaps = int((steps > 5 * max(np.median(steps), 1)).sum()) if len(steps) else 0
+        warnings.append(f"{np.count_nonzero(steps < 0)} timestamps are earlier than the one before")
+    gaps = np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0)) if len(steps) else 0
     if gaps:
         warnings.append(f"{gaps} gaps in time are longer than five frames")
     return warnings

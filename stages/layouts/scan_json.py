@@ -28,10 +28,10 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from stages import calibration, trajectories
+from stages import calibration, documents, trajectories
 from stages.errors import InputError
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Scan, SkippedFrame
+from stages.scan import Camera, Frame, Scan
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -105,7 +105,7 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ScanParams) -> Scan:
     path = folder / FILE
-    document = trajectories.read_json_document(path)
+    document = documents.read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
         raise InputError("it holds no list of frames.", path)
     if document.get("version") != VERSION:
@@ -118,15 +118,11 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     missing = _integers(document.get("depth_missing", []), path)
     shared = _camera(document["camera"], options, path) if document.get("camera") is not None else None
     frames: list[Frame] = []
-    skipped: list[SkippedFrame] = []
     for i, (name, entry) in enumerate(zip(names, entries, strict=True)):
         camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
         if camera is None:
             raise InputError(f"frame {name} has no camera, and neither has the scan.", path)
         pose = _pose(entry, name, path) if poses is None else poses[i]
-        if pose is None:
-            skipped.append(SkippedFrame(name, "it has no pose"))
-            continue
         frames.append(
             Frame(
                 name=name,
@@ -139,7 +135,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                 timestamp=_timestamp(entry, name, path),
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped))
+    return Scan(LAYOUT.name, frames, None, folder)
 
 
 def _name(entry: object, position: int, path: Path) -> str:

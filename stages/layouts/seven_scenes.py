@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stages import calibration, trajectories
+from stages import calibration, documents, trajectories
 from stages.errors import InputError
-from stages.images import image_size
-from stages.layouts.files import first_existing
+from stages.layouts.files import common_size, first_existing
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Scan, SkippedFrame
 
@@ -35,7 +34,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         raise InputError("no depth images named like frame-000000.depth.png.", folder)
     if not any(folder.glob("frame-*.pose.txt")) and options.poses is None:
         raise InputError("no poses: files like frame-000000.pose.txt are missing.", folder)
-    camera, scale, warnings = _camera(folder, options, *image_size(depths[0][1]))
+    camera, scale, warnings = _camera(folder, options, *common_size([path for _, path in depths]))
     given = options.file("poses", folder)
     stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
     poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
@@ -48,9 +47,6 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             skipped.append(SkippedFrame(stem, f"{pose_file.name} is missing"))
             continue
         pose = trajectories.read_pose(pose_file) if poses is None else poses[position]
-        if pose is None:
-            skipped.append(SkippedFrame(stem, "its pose is lost (infinite)"))
-            continue
         frames.append(
             Frame(
                 name=stem,
@@ -67,7 +63,10 @@ def _read(folder: Path, options: ScanParams) -> Scan:
 
 def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
     """Return the depth camera, the depth scale and what is to be said about them."""
-    unregistered = "the depth and colour cameras of 7-Scenes are not registered: geometry is exact, colour is off by a few pixels"
+    unregistered = (
+        "depth and colour of 7-Scenes come from two cameras and are not registered: "
+        "colour is off by a few pixels"
+    )
     stated = options.camera(width, height)
     if stated is not None:
         return stated, 1000.0, []
@@ -92,11 +91,11 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
 
 def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
     """Read BundleFusion's info.txt: `m_calibrationDepthIntrinsic = 16 numbers`, `m_depthShift = 1000`."""
-    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", trajectories.read_text(info), re.MULTILINE))
+    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(info), re.MULTILINE))
     try:
         row = [float(word) for word in values["m_calibrationDepthIntrinsic"].split()]
         scale = float(values.get("m_depthShift", 1000))
-        camera = calibration.checked_camera(width, height, row[0], row[5], row[2], row[6], (), info)
+        camera = calibration.checked(Camera(width, height, row[0], row[5], row[2], row[6]), info)
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
             "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.", info

@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
-from stages.layouts import kitti, middlebury, scan_json, seven_scenes
+from stages.layouts import (
+    euroc,
+    kitti,
+    middlebury,
+    plain_stereo,
+    redwood,
+    scan_json,
+    seven_scenes,
+    single_pair,
+    tum,
+)
 from stages.layouts.layout import Layout
 
-LAYOUTS: tuple[Layout, ...] = (
+# Known by files that only they have.
+DISTINCT: tuple[Layout, ...] = (
     scan_json.LAYOUT,
+    tum.LAYOUT,
     seven_scenes.LAYOUT,
+    euroc.LAYOUT,
     kitti.LAYOUT,
     middlebury.LAYOUT,
 )
+# Known by the names of folders that other layouts use too: tried after all those.
+GENERIC: tuple[Layout, ...] = (
+    plain_stereo.LAYOUT,
+    single_pair.LAYOUT,
+    redwood.LAYOUT,
+)
+LAYOUTS: tuple[Layout, ...] = DISTINCT + GENERIC

@@ -1,0 +1,103 @@
+"""Read text, JSON, TOML and YAML files from outside: each fault a plain sentence with the file's name.
+
+Nothing in a file is executed or trusted: YAML goes through PyYAML's safe loader, sizes are bounded.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+
+# Half a gigabyte of text is more than any trajectory; a calibration is a page or two.
+_MAX_TEXT_BYTES = 1 << 29
+_MAX_DOCUMENT_BYTES = 1 << 22
+
+
+def read_text(path: Path) -> str:
+    """Return a text file's content, with a plain sentence when it cannot be read."""
+    try:
+        if path.stat().st_size > _MAX_TEXT_BYTES:
+            raise InputError("the file is too large for what it should hold.", path)
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
+    except UnicodeDecodeError as error:
+        raise InputError("a text file is expected; this one is binary.", path) from error
+
+
+def lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line numbers (from 1) and the text on them, without `#` comments and empty lines."""
+    for number, line in enumerate(read_text(path).splitlines(), 1):
+        text = line.split("#")[0].strip().strip(",")
+        if text:
+            yield number, text
+
+
+def read_json(path: Path) -> object:
+    """Return a JSON file's content; NaN and infinite numbers are let through for the checks that follow."""
+    try:
+        document: object = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"the file is not valid JSON ({error}).", path) from error
+    return document
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Return the content of a JSON, TOML or YAML file (OpenCV's included) as a dictionary.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or parsed, or holds no table of names and values.
+    """
+    if path.exists() and path.stat().st_size > _MAX_DOCUMENT_BYTES:
+        raise InputError("the file is too large for what it should hold.", path)
+    text = read_text(path)
+    try:
+        if path.suffix == ".json":
+            document = read_json(path)
+        elif path.suffix == ".toml":
+            document = _parse_toml(text)
+        else:
+            document = _parse_yaml(text)
+    except (ValueError, RecursionError) as error:
+        summary = " ".join(str(error).split())[:200]
+        raise InputError(f"the file does not parse: {summary}.", path) from error
+    if not isinstance(document, dict):
+        raise InputError("names with values are expected in it.", path)
+    return document
+
+
+def _parse_toml(text: str) -> object:
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+
+    return tomllib.loads(text)
+
+
+def _parse_yaml(text: str) -> object:
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """PyYAML's safe loader, and OpenCV's matrices."""
+
+    def matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.YAMLError("an opencv-matrix is not a mapping")
+        return loader.construct_mapping(node, deep=True)
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
+    try:
+        # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
+        document: object = yaml.load(re.sub(r"\A\ufeff?%YAML:?\s*[\d.]+", "", text), Loader)
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from error
+    return document

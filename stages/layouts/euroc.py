@@ -1,0 +1,138 @@
+"""EuRoC MAV (ASL): an unrectified pair, each camera with its place on the body, poses of the body."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stages import documents, trajectories
+from stages.calibration import checked
+from stages.errors import InputError
+from stages.layouts.files import common_size, first_existing
+from stages.layouts.layout import Layout
+from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame, StereoRig
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+# Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
+_TOLERANCE = 30_000_000
+_GROUND_TRUTH = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "vicon0/data.csv")
+
+
+def _mav(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def _matches(folder: Path) -> str | None:
+    sensor = _mav(folder) / "cam0" / "sensor.yaml"
+    return sensor.relative_to(folder).as_posix() if sensor.exists() else None
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    mav = _mav(folder)
+    streams = [_stream(mav / name) for name in ("cam0", "cam1")]
+    rig, body_from_left = _rig(mav, common_size(list(streams[0].values())), options)
+    path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
+    if path is None:
+        raise InputError(
+            f"no poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE.",
+            mav,
+        )
+    trajectory = trajectories.in_order(trajectories.read_trajectory(path))
+    if trajectory.timestamps is None:
+        raise InputError("its poses have no timestamps, which are needed to find a frame's pose.", path)
+
+    frames: list[Frame] = []
+    skipped = [
+        SkippedFrame(str(time), f"cam{1 - side} has no image of this moment")
+        for side in (0, 1)
+        for time in sorted(streams[side].keys() - streams[1 - side].keys())
+    ]
+    for time in sorted(streams[0].keys() & streams[1].keys()):
+        world_from_body = trajectories.interpolate(trajectory, time, _TOLERANCE)
+        if world_from_body is None:
+            skipped.append(SkippedFrame(str(time), "no pose within 0.03 s"))
+            continue
+        frames.append(
+            Frame(
+                name=str(time),
+                camera=rig.left,
+                color=streams[0][time],
+                right=streams[1][time],
+                world_from_camera=world_from_body @ body_from_left,
+                timestamp=time,
+            )
+        )
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped))
+
+
+def _stream(camera: Path) -> dict[int, Path]:
+    """Return the images of a camera by their time in nanoseconds, from data.csv."""
+    path = camera / "data.csv"
+    found: dict[int, Path] = {}
+    for number, text in documents.lines(path):
+        time, _, name = text.partition(",")
+        if not time.strip().isdigit() or not name.strip() or int(time) >= 1 << 62:
+            raise InputError(f"line {number} is not `nanoseconds,file`.", path)
+        found[int(time)] = camera / "data" / name.strip()
+    if not found:
+        raise InputError("it lists no images.", path)
+    return found
+
+
+def _rig(mav: Path, size: tuple[int, int], options: ScanParams) -> tuple[StereoRig, Pose]:
+    """Return the rig, and where its left camera sits on the body."""
+    cameras, body_from_camera = [], []
+    for name in ("cam0", "cam1"):
+        path = mav / name / "sensor.yaml"
+        document = documents.read_document(path)
+        cameras.append(_camera(document, size, options, path))
+        body_from_camera.append(_mounting(document, path))
+    right_from_left = trajectories.inverted(body_from_camera[1]) @ body_from_camera[0]
+    if options.baseline is not None:
+        right_from_left[:3, 3] *= options.baseline / np.linalg.norm(right_from_left[:3, 3])
+    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
+
+
+def _camera(document: dict[str, Any], size: tuple[int, int], options: ScanParams, path: Path) -> Camera:
+    model = document.get("distortion_model", "radial-tangential")
+    if document.get("camera_model", "pinhole") != "pinhole" or model not in ("radial-tangential", "radtan"):
+        raise InputError(
+            f"the lens model {model} is not supported; radial-tangential is. Undistort the images first.",
+            path,
+        )
+    if document.get("resolution", list(size)) != list(size):
+        raise InputError(
+            f"it is for images of {document['resolution']}, but these are {size[0]}×{size[1]}.", path
+        )
+    fx, fy, cx, cy = _four(document, "intrinsics", path)
+    distortion = _four(document, "distortion_coefficients", path)
+    return options.camera(*size) or checked(Camera(*size, fx, fy, cx, cy, distortion), path)
+
+
+def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
+    row = document.get(key)
+    if not isinstance(row, list) or len(row) != 4 or not all(isinstance(v, (int, float)) for v in row):
+        raise InputError(f"{key} must be 4 numbers.", path)
+    return tuple(float(value) for value in row)
+
+
+def _mounting(document: dict[str, Any], path: Path) -> Pose:
+    """Return T_BS: camera to body, row-major."""
+    matrix = document.get("T_BS")
+    data = matrix.get("data") if isinstance(matrix, dict) else matrix
+    pose = trajectories.rigid(trajectories.matrix_of(data, path, "T_BS"), path, "T_BS")
+    if pose is None:
+        raise InputError("T_BS is not finite.", path)
+    return pose
+
+
+LAYOUT = Layout(
+    name="euroc",
+    text="mav0/cam0, mav0/cam1 with sensor.yaml and data.csv, ground truth of the body (EuRoC, ASL)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,101 @@
+"""Our own plain layout for stereo rigs: left/, right/, a calibration file and poses of the left camera.
+
+    left/000000.png  right/000000.png  …
+    calibration.json | .toml | .yaml | .yml       see stages.calibration.read_rig
+    poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
+
+Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages import trajectories
+from stages.errors import InputError
+from stages.layouts.files import common_size, first_existing, has, images, pair
+from stages.layouts.layout import Layout
+from stages.layouts.rigs import rig_of
+from stages.scan import Frame, Pose, Scan
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+_SIDES = (
+    ("left", "right"),
+    ("image_left", "image_right"),
+    ("image_l", "image_r"),
+    ("cam0", "cam1"),
+    ("L", "R"),
+)
+_CALIBRATIONS = tuple(
+    f"{stem}.{suffix}"
+    for stem in ("calibration", "calib", "stereo", "rig", "camchain")
+    for suffix in ("json", "toml", "yaml", "yml")
+)
+_TRAJECTORIES = (
+    "poses.txt",
+    "poses.tum",
+    "trajectory.tum",
+    "trajectory.log",
+    "trajectory.txt",
+    "poses.json",
+    "trajectory.json",
+)
+_TOLERANCE = 20_000_000
+
+
+def _sides(folder: Path) -> tuple[str, str] | None:
+    return next((names for names in _SIDES if has(folder, *names)), None)
+
+
+def _matches(folder: Path) -> str | None:
+    sides = _sides(folder)
+    return f"{sides[0]}/ and {sides[1]}/" if sides else None
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    sides = _sides(folder)
+    if sides is None:
+        raise InputError("two folders left/ and right/ are needed.", folder)
+    left, right = (images(folder / name) for name in sides)
+    pairs, skipped = pair(left, right, f"{sides[0]}/", f"{sides[1]}/", folder)
+    rig, warnings = rig_of(folder, options, common_size([one for one, _ in pairs]), _CALIBRATIONS)
+    names = [one.stem for one, _ in pairs]
+    times = trajectories.read_times(folder / "times.txt", names)
+    path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
+    if path is not None:
+        poses = _poses(path, names, times)
+    elif len(pairs) == 1:
+        poses = [np.eye(4)]
+        warnings = [*warnings, "a single pair without a pose: the left camera is the origin of the mesh"]
+    else:
+        raise InputError(
+            f"no poses: none of {', '.join(_TRAJECTORIES)} is there; name a trajectory with scan.poses=FILE.",
+            folder,
+        )
+    frames = [
+        Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
+        for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings))
+
+
+def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose | None]:
+    trajectory = trajectories.read_trajectory(path)
+    moments = [time for time in times if time is not None]
+    if trajectory.timestamps is None or len(moments) < len(names):
+        return trajectories.match(trajectory, names, path)
+    ordered = trajectories.in_order(trajectory)
+    return [trajectories.interpolate(ordered, time, _TOLERANCE) for time in moments]
+
+
+LAYOUT = Layout(
+    name="plain-stereo",
+    text="left/, right/, calibration.json|toml|yaml, poses.txt|tum|log|json (our own)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,55 @@
+"""Layouts that are known by their files but cannot be read yet, so that the person is told what they have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+_RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
+_CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A layout that is recognised and refused by name.
+
+    Attributes
+    ----------
+    name : of the data set or the program.
+    files : patterns; a folder in which each finds something is of this layout.
+    advice : what the person can do.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    advice: str = _RGBD
+
+
+REFUSED: tuple[Refused, ...] = (
+    Refused("ICL-NUIM", ("associations.txt", "*.gt.freiburg")),
+    Refused("ScanNet (.sens)", ("*.sens",), "Extract it, then write color/, depth/ and scan.json."),
+    Refused("ScanNet", ("color", "depth", "pose", "intrinsic")),
+    Refused("nerfstudio or instant-ngp", ("transforms*.json",)),
+    Refused("Polycam", ("keyframes", "keyframes/*cameras")),
+    Refused("Record3D", ("metadata.json", "rgb")),
+    Refused("Record3D (.r3d)", ("*.r3d",)),
+    Refused("Stray Scanner", ("odometry.csv", "camera_matrix.csv")),
+    Refused("ARKitScenes", ("lowres_wide.traj", "lowres_depth")),
+    Refused("COLMAP", ("cameras.*", "images.*")),
+    Refused("COLMAP", ("sparse/0/cameras.*", "sparse/0/images.*")),
+    Refused("Replica", ("traj.txt", "results")),
+    Refused("TartanAir", ("pose_left.txt", "image_left")),
+    Refused("a ROS or RealSense recording (.bag)", ("*.bag",), _CONTAINER),
+    Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
+    Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
+    Refused(
+        "posed single views (Middlebury multi-view)",
+        ("*_par.txt",),
+        "Views without a fixed rig are not supported yet: give pairs of a calibrated rig, or depth.",
+    ),
+)
+
+
+def refused(folder: Path) -> Refused | None:
+    """Return the layout that a folder is of but that cannot be read yet, or None."""
+    return next((one for one in REFUSED if all(any(folder.glob(files)) for files in one.files)), None)

@@ -1,0 +1,137 @@
+"""TUM RGB-D: colour and depth as two streams with their own clocks, motion capture as the trajectory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import calibration, documents, trajectories
+from stages.errors import InputError
+from stages.layouts.files import common_size, first_existing, has
+from stages.layouts.layout import Layout
+from stages.scan import Camera, Frame, Scan, SkippedFrame
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+# The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
+_TOLERANCE = 20_000_000
+_UNITS_PER_METRE = 5000.0
+# The folder holds no intrinsics; its name tells the camera: fx fy cx cy, then k1 k2 p1 p2 k3.
+_CAMERAS = {
+    "freiburg1": ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
+}
+_FALLBACK = (525.0, 525.0, 319.5, 239.5)
+
+
+def _matches(folder: Path) -> str | None:
+    if not has(folder, "rgb.txt", "depth.txt"):
+        return None
+    return "rgb.txt and depth.txt" + (" with groundtruth.txt" if has(folder, "groundtruth.txt") else "")
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    given = options.file("poses", folder) or folder / "groundtruth.txt"
+    if not given.exists():
+        raise InputError(
+            f"no poses: {given.name} is missing; name a trajectory with scan.poses=FILE.", folder
+        )
+    trajectory = trajectories.in_order(trajectories.read_trajectory(given))
+    if trajectory.timestamps is None:
+        raise InputError("its poses have no timestamps, which are needed to find a frame's pose.", given)
+    color_times, colors = _stream(folder / "rgb.txt")
+    depth_times, depths = _stream(folder / "depth.txt")
+    camera, warnings = _camera(folder, options, *common_size(depths))
+
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    partners = _associate(color_times, depth_times)
+    for color, time, partner in zip(colors, color_times.tolist(), partners.tolist(), strict=True):
+        if partner < 0:
+            skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))
+            continue
+        # The surface is where the depth camera saw it from, so its moment decides.
+        moment = int(depth_times[partner])
+        pose = trajectories.interpolate(trajectory, moment, _TOLERANCE)
+        if pose is None:
+            skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
+            continue
+        frames.append(
+            Frame(
+                name=color.stem,
+                camera=camera,
+                color=color,
+                depth=depths[partner],
+                depth_scale=options.depth_scale or _UNITS_PER_METRE,
+                world_from_camera=pose,
+                timestamp=time,
+            )
+        )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _stream(path: Path) -> tuple[NDArray[np.int64], list[Path]]:
+    """Return the times in nanoseconds and the files of a stream, from lines `seconds file`."""
+    times, files = [], []
+    for number, text in documents.lines(path):
+        words = text.split()
+        if len(words) != 2:
+            raise InputError(f"line {number} is not `seconds file`.", path)
+        times.append(trajectories.nanoseconds(float(words[0]), path, number))
+        files.append(path.parent / words[1])
+    if not files:
+        raise InputError("it lists no images.", path)
+    return np.array(times, np.int64), files
+
+
+def _associate(color: NDArray[np.int64], depth: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each colour frame the depth frame nearest in time, each used once; -1 for none near enough.
+
+    The closest couples are made first, so that no frame takes a partner that suits another better.
+    """
+    order = np.argsort(depth, kind="stable")
+    starts = np.searchsorted(depth[order], color - _TOLERANCE, side="left")
+    ends = np.searchsorted(depth[order], color + _TOLERANCE, side="right")
+    couples = [
+        (abs(int(color[i]) - int(depth[j])), i, int(j))
+        for i, (start, end) in enumerate(zip(starts, ends, strict=True))
+        for j in order[start:end]
+    ]
+    partner = np.full(len(color), -1, np.int64)
+    taken: set[int] = set()
+    for _, i, j in sorted(couples):
+        if partner[i] < 0 and j not in taken:
+            partner[i] = j
+            taken.add(j)
+    return partner
+
+
+def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, list[str]]:
+    stated = options.camera(width, height)
+    if stated is not None:
+        return stated, []
+    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
+    if path is not None:
+        return calibration.read_camera(path, width, height), []
+    for name, (matrix, distortion) in _CAMERAS.items():
+        if name in folder.resolve().name:
+            return Camera(width, height, *matrix, distortion), [
+                f"the camera is {name}'s, by the folder's name"
+            ]
+    return Camera(width, height, *_FALLBACK), [
+        "the folder has no intrinsics and its name no freiburg1 to 3: 525,525,319.5,239.5 is used; "
+        "set scan.intrinsics=fx,fy,cx,cy"
+    ]
+
+
+LAYOUT = Layout(
+    name="tum",
+    text="rgb.txt, depth.txt, groundtruth.txt (TUM RGB-D)",
+    matches=_matches,
+    read=_read,
+)
