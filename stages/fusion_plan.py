@@ -1,0 +1,142 @@
+"""Derive the scale of a fusion from a look at some of its frames: voxel size, truncation, depth range, memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.prefetch import read_ahead
+from stages.scan import Frame, Pose
+from stages.survey import Noise, survey
+from stages.views import DepthLimits, View, read_view
+from stages.voxels import BLOCK, block_keys, layers
+
+if TYPE_CHECKING:
+    from stages.fuse import FuseParams
+
+# How many places of the scan are looked at, two neighbouring frames at each.
+_PLACES = 8
+# A derived voxel size aims at no more than this; about 200 bytes of volume for each.
+_TRIANGLES = 2_000_000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plan:
+    """The parameters of a fusion with nothing left to derive.
+
+    Attributes
+    ----------
+    voxel_size, truncation : metres; truncation along the surface's normal.
+    limits : of the depth to use.
+    noise : as measured; see Noise.
+    origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
+    blocks : how many blocks of voxels are expected.
+    """
+
+    voxel_size: float
+    truncation: float
+    limits: DepthLimits
+    noise: Noise
+    origin: NDArray[np.float64]
+    blocks: int = 0
+
+    def local(self, pose: Pose) -> Pose:
+        """Return a pose relative to the origin, so that float32 is exact enough wherever the world's is."""
+        moved = pose.copy()
+        moved[:3, 3] -= self.origin
+        return moved
+
+
+def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, threads: int) -> Plan:
+    """Look at some frames, and derive what `params` leaves open.
+
+    Raises
+    ------
+    InputError
+        If none of the frames looked at can be used.
+    """
+    limits = DepthLimits(
+        min_depth=params.min_depth,
+        max_depth=params.max_depth or math.inf,
+        max_jump=params.max_jump,
+        max_angle=params.max_angle,
+    )
+    pairs = _look(frames, limits, where, threads)
+    found = survey(pairs)
+    voxel_size = params.voxel_size or _two_digits(
+        max(2 * found.spacing, 2 * found.noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
+    )
+    truncation = params.truncation or float(
+        np.clip(3 * found.noise.at(found.far), 3 * voxel_size, 5 * voxel_size)
+    )
+    # Another frame may see farther than those looked at, hence the half more.
+    max_depth = params.max_depth or min(found.noise.reach(truncation / 2), 1.5 * found.farthest)
+    centers = np.stack([view.pose[:3, 3] for view, _ in pairs])
+    block = BLOCK * voxel_size
+    plan = Plan(
+        voxel_size=voxel_size,
+        truncation=truncation,
+        limits=replace(limits, max_depth=max_depth),
+        noise=found.noise,
+        origin=np.rint(np.median(centers, axis=0) / block) * block,
+    )
+    return replace(plan, blocks=_expected_blocks([view for view, _ in pairs], plan, len(frames)))
+
+
+def _look(
+    frames: Sequence[Frame], limits: DepthLimits, where: Path | None, threads: int
+) -> list[tuple[View, View | None]]:
+    """Read frames at even places, each with the one after it; those that cannot be read are left out."""
+    first = np.unique(np.linspace(0, max(len(frames) - 2, 0), _PLACES).astype(int))
+    wanted = sorted({i for i in (*first, *(first + 1)) if i < len(frames)})
+    attempts = read_ahead(
+        partial(_attempt, limits=limits), [frames[i] for i in wanted], threads=threads, ahead=threads
+    )
+    results = dict(zip(wanted, attempts, strict=True))
+    views = {i: result for i, result in results.items() if isinstance(result, View)}
+    if not views:
+        raise InputError(
+            f"none of the {len(results)} frames looked at can be used. The first: {results[wanted[0]]}", where
+        )
+    pairs: list[tuple[View, View | None]] = [(views[i], views.get(i + 1)) for i in first if i in views]
+    return pairs or [(view, None) for view in views.values()]
+
+
+def _attempt(frame: Frame, limits: DepthLimits) -> View | InputError:
+    try:
+        return read_view(frame, limits)
+    except InputError as error:
+        return error
+
+
+def _expected_blocks(views: Sequence[View], plan: Plan, frames: int) -> int:
+    """Estimate how many blocks all frames touch from those that some touch.
+
+    The first-order jackknife (Burnham and Overton 1978): what only one view of the sample saw tells how much
+    more the unseen frames will bring.
+    """
+    touched = []
+    for view in views:
+        parts = layers(view, truncation=plan.truncation, max_depth=plan.limits.max_depth)
+        if parts:
+            touched.append(block_keys(parts, plan.voxel_size, plan.local(view.pose)))
+    if not touched:
+        return 1
+    _, times = np.unique(np.concatenate(touched), return_counts=True)
+    unseen = 0 if frames == len(views) else int((times == 1).sum()) * (len(views) - 1) // len(views)
+    # Room for one frame more, since Open3D asks for room before it looks which blocks are new.
+    return len(times) + unseen + max(map(len, touched))
+
+
+def _two_digits(length: float) -> float:
+    """Round up to two digits: a length that people can say."""
+    unit = 10.0 ** (math.floor(math.log10(length)) - 1)
+    return float(f"{math.ceil(length / unit - 1e-9) * unit:.2g}")

@@ -1,0 +1,36 @@
+"""Read ahead: work on the next items in threads while the caller is busy with this one."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahead: int) -> Iterator[R]:
+    """Yield `work(item)` in the items' order, with at most `ahead` results finished or under way.
+
+    An exception of `work` is raised where its result would have come. Closing the iterator early
+    drops what has not begun and waits for what has.
+
+    Parameters
+    ----------
+    threads : workers; `work` must release the GIL (as OpenCV and file reading do) for them to help.
+    ahead : the bound on memory, in results.
+    """
+    rest = iter(items)
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="read-ahead")
+    pending: deque[Future[R]] = deque()
+    try:
+        pending.extend(pool.submit(work, item) for item in islice(rest, ahead))
+        while pending:
+            result = pending.popleft().result()
+            pending.extend(pool.submit(work, item) for item in islice(rest, 1))
+            yield result
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

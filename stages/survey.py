@@ -1,0 +1,136 @@
+"""A look at some frames before fusion: how deep the scene is, how exact its depth, how large its surface."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.scan import DepthImage
+from stages.views import View
+
+_STEP = 4  # every fourth pixel of a row and a column is looked at
+_BINS = 8
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation of depth, along the surface's normal: constant + quadratic · z², metres.
+
+    The quadratic term is what triangulation gives (stereo, structured light); the constant one also holds
+    what poses are off.
+    """
+
+    constant: float = 0.0
+    quadratic: float = 0.0
+
+    def at(self, depth: float) -> float:
+        """Return the standard deviation at a depth, both in metres."""
+        return self.constant + self.quadratic * depth**2
+
+    def reach(self, deviation: float) -> float:
+        """Return the depth up to which the standard deviation stays below `deviation`."""
+        if self.quadratic == 0:
+            return math.inf
+        return math.sqrt(max(deviation - self.constant, 0) / self.quadratic)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What the sampled frames show.
+
+    Attributes
+    ----------
+    median, far, farthest : median depth, its 90 % quantile and its maximum, metres.
+    spacing : metres between measured pixels on a surface facing the camera at median depth.
+    noise : see Noise.
+    area : square metres, a rough lower estimate of the surface seen.
+    """
+
+    median: float
+    far: float
+    farthest: float
+    spacing: float
+    noise: Noise
+    area: float
+
+
+def survey(pairs: Sequence[tuple[View, View | None]]) -> Survey:
+    """Measure on pairs of neighbouring views; the second of a pair may be missing."""
+    views = [view for view, _ in pairs]
+    depth = np.concatenate([_seen_depth(view) for view in views])
+    median, far = (float(z) for z in np.percentile(depth, [50, 90]))
+    spacing = float(
+        np.median([median / view.camera.fx / math.sqrt(_density(view.surface.depth)) for view in views])
+    )
+    return Survey(
+        median=median,
+        far=far,
+        farthest=float(depth.max()),
+        spacing=spacing,
+        noise=_noise([(a, b) for a, b in pairs if b is not None]),
+        area=_area(views, median / 20),
+    )
+
+
+def _seen_depth(view: View) -> NDArray[np.float32]:
+    depth = view.surface.depth[::_STEP, ::_STEP]
+    return depth[depth > 0]
+
+
+def _density(depth: DepthImage) -> float:
+    """Share of pixels with a depth around pixels with a depth: 1 unless the sensor leaves out pixels."""
+    import cv2
+
+    valid = (depth > 0).astype(np.float32)
+    return float(cv2.blur(valid, (5, 5))[valid > 0].mean())
+
+
+def _area(views: Sequence[View], cell: float) -> float:
+    """Cells of a coarse grid that hold a point, times the area of a cell's face."""
+    cells = np.concatenate([np.unique(np.floor(view.points(_STEP) / cell), axis=0) for view in views])
+    return len(np.unique(cells, axis=0)) * cell**2
+
+
+def _noise(pairs: Sequence[tuple[View, View]]) -> Noise:
+    """Compare each first view with its second: the same places, measured twice."""
+    found = [_differences(a, b) for a, b in pairs]
+    depth = np.concatenate([z for z, _ in found]) if found else np.zeros(0)
+    difference = np.concatenate([d for _, d in found]) if found else np.zeros(0)
+    if len(depth) < 100 * _BINS:
+        return Noise()
+    edges = np.quantile(depth, np.linspace(0, 1, _BINS + 1))
+    which = np.searchsorted(edges[1:-1], depth)
+    z, deviation = np.array(
+        # 1.4826: from the median of absolute values to the standard deviation of a normal distribution.
+        [
+            (depth[which == k].mean(), 1.4826 / math.sqrt(2) * np.median(np.abs(difference[which == k])))
+            for k in range(_BINS)
+            if (which == k).any()
+        ]
+    ).T
+    from scipy.optimize import nnls
+
+    # Relative errors count: else the farthest bin decides alone.
+    weight = 1 / np.maximum(deviation, 1e-3 * z)
+    (constant, quadratic), _ = nnls(np.stack([weight, weight * z**2], axis=1), weight * deviation)
+    return Noise(float(constant), float(quadratic))
+
+
+def _differences(a: View, b: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Depth in `b` of places seen in `a`, and how far apart both measure them along the normal."""
+    seen = (a.points(_STEP) - b.pose[:3, 3]) @ b.pose[:3, :3]
+    seen = seen[seen[:, 2] > 0]
+    camera = b.camera
+    column = np.rint(seen[:, 0] / seen[:, 2] * camera.fx + camera.cx)
+    row = np.rint(seen[:, 1] / seen[:, 2] * camera.fy + camera.cy)
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    column, row, predicted = column[inside].astype(int), row[inside].astype(int), seen[inside, 2]
+    measured = b.surface.depth[row, column]
+    # More than a twentieth apart: one of them sees something in front.
+    same = (measured > 0) & (np.abs(measured - predicted) < 0.05 * predicted)
+    oblique = b.surface.obliqueness[row, column]
+    return predicted[same], ((measured - predicted) / oblique)[same]

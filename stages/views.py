@@ -1,0 +1,138 @@
+"""A posed frame with depth, read and filtered, ready to be measured or fused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.depth_filter import Surface, surface
+from stages.errors import InputError
+from stages.images import read_color, read_depth
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose
+
+# Poses come from text with few digits and from trackers that drift off rotation a little.
+_RIGID_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthLimits:
+    """Which depth is used: see the parameters of `fuse`, which have the same names."""
+
+    min_depth: float
+    max_depth: float
+    max_jump: float
+    max_angle: float
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame that was read.
+
+    Attributes
+    ----------
+    surface : its depth within the limits, filtered, without lens distortion.
+    camera : without distortion.
+    pose : (4, 4) world_from_camera.
+    valid : number of pixels that had a depth.
+    """
+
+    surface: Surface
+    camera: Camera
+    pose: Pose
+    valid: int
+
+    def points(self, step: int) -> NDArray[np.float64]:
+        """Return the world points (n, 3) of the pixels in every `step`-th row and column."""
+        rows, columns = np.nonzero(self.surface.depth[::step, ::step])
+        points = self.camera_points(rows * step, columns * step).astype(np.float64)
+        return points @ self.pose[:3, :3].T + self.pose[:3, 3]
+
+    def camera_points(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float32]:
+        """Return the points (n, 3) of some pixels in camera axes."""
+        z = self.surface.depth[rows, columns]
+        x = ((columns - self.camera.cx) / self.camera.fx).astype(np.float32)
+        y = ((rows - self.camera.cy) / self.camera.fy).astype(np.float32)
+        return np.stack([x * z, y * z, z], axis=1)
+
+
+def read_view(frame: Frame, limits: DepthLimits) -> View:
+    """Read a frame's depth.
+
+    Raises
+    ------
+    InputError
+        If the frame has no pose or no depth, or its file cannot be read.
+    """
+    pose = _pose(frame)
+    depth = read_depth(frame)
+    if depth is None:
+        raise InputError("there is no depth map.", f"frame {frame.name}")
+    valid = int(np.count_nonzero(depth))
+    depth = _undistorted(depth, frame.camera, nearest=True)
+    depth[(depth < limits.min_depth) | (depth > limits.max_depth)] = 0
+    camera = _pinhole(frame.camera)
+    seen = surface(depth, camera, max_jump=limits.max_jump, max_angle=limits.max_angle)
+    if not seen.depth.any():
+        what = "no pixel has a depth" if valid == 0 else "no pixel's depth is within the limits"
+        raise InputError(f"{what}.", f"frame {frame.name}")
+    return View(seen, camera, pose, valid)
+
+
+def read_view_color(frame: Frame) -> ColorImage:
+    """Read a frame's colour image in the size and geometry of its depth map.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it cannot be read.
+    """
+    import cv2
+
+    color = read_color(frame)
+    if color is None:
+        raise InputError("there is no colour image, while other frames have one.", f"frame {frame.name}")
+    size = (frame.camera.width, frame.camera.height)
+    if (color.shape[1], color.shape[0]) != size:
+        color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.ascontiguousarray(_undistorted(color, frame.camera, nearest=False))
+
+
+def _pose(frame: Frame) -> Pose:
+    if frame.world_from_camera is None:
+        raise InputError("there is no camera pose.", f"frame {frame.name}")
+    pose = np.asarray(frame.world_from_camera, np.float64)
+    rotation = pose[:3, :3]
+    if not np.isfinite(pose).all():
+        raise InputError("the camera pose is not finite.", f"frame {frame.name}")
+    off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if off > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise InputError("the camera pose is not a rotation and a shift.", f"frame {frame.name}")
+    return pose
+
+
+def _pinhole(camera: Camera) -> Camera:
+    return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+
+
+def _undistorted(image: NDArray[Any], camera: Camera, *, nearest: bool) -> NDArray[Any]:
+    """Take lens distortion out; depth must not be interpolated across edges, hence `nearest`."""
+    if not any(camera.distortion):
+        return image
+    import cv2
+
+    interpolation = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    return np.asarray(cv2.remap(image, *_undistortion(camera), interpolation))
+
+
+@lru_cache(maxsize=8)
+def _undistortion(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    import cv2
+
+    size = (camera.width, camera.height)
+    distortion = np.array(camera.distortion, np.float64)
+    x, y = cv2.initUndistortRectifyMap(camera.matrix, distortion, None, camera.matrix, size, cv2.CV_32FC1)
+    return np.asarray(x, np.float32), np.asarray(y, np.float32)
