@@ -11,8 +11,7 @@ impl Connectivity {
     /// An index out of range, an edge of three triangles or of two with opposite orientation, a vertex where
     /// two fans touch. A triangle that names a vertex twice is none of these only if it is left out before.
     pub fn from_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
-        // One number is the mark for "none"; every halfedge of the mesh needs another.
-        let limit = (u32::MAX as usize - 1) / 3;
+        let limit = Self::MOST_TRIANGLES;
         if triangles.len() > limit || vertex_count >= u32::MAX as usize {
             return Err(KernelError::TooManyTriangles { wanted: triangles.len() as f64, limit });
         }

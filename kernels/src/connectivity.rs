@@ -33,6 +33,9 @@ pub struct Collapsed {
 }
 
 impl Connectivity {
+    /// Every halfedge needs a 32-bit number of its own, and one number means "none".
+    pub const MOST_TRIANGLES: usize = (u32::MAX as usize - 1) / 3;
+
     /// Triangles that are left.
     pub fn triangle_count(&self) -> usize {
         self.triangle_count

@@ -6,7 +6,8 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, ToPyArray};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::create_exception;
+use pyo3::exceptions::{PyOverflowError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::engine::Stop;
@@ -15,9 +16,25 @@ use crate::jia01::{self, Limits, Options, Standing};
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 
+create_exception!(
+    stages._kernels,
+    MeshRefused,
+    PyValueError,
+    "The mesh breaks a rule the kernels need; the message names the elements."
+);
+create_exception!(
+    stages._kernels,
+    LimitExceeded,
+    PyOverflowError,
+    "The result would be larger than the stated limit."
+);
+
 impl From<KernelError> for PyErr {
     fn from(error: KernelError) -> Self {
-        PyValueError::new_err(error.to_string())
+        match error {
+            KernelError::TooManyTriangles { .. } => LimitExceeded::new_err(error.to_string()),
+            _ => MeshRefused::new_err(error.to_string()),
+        }
     }
 }
 
@@ -216,5 +233,7 @@ fn sources(py: Python<'_>, sources: &[u32]) -> Py<PyArray1<i32>> {
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Simplified>()?;
+    module.add("MeshRefused", module.py().get_type::<MeshRefused>())?;
+    module.add("LimitExceeded", module.py().get_type::<LimitExceeded>())?;
     module.add_function(wrap_pyfunction!(simplify, module)?)
 }

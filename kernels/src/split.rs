@@ -1,5 +1,6 @@
 //! Splitting long edges: the first phase of JIA01 (step 1), which evens the mesh out before it is simplified.
 
+use crate::connectivity::Connectivity;
 use crate::error::KernelError;
 use crate::geometry::distance2;
 use crate::ids::EdgeId;
@@ -22,6 +23,7 @@ pub fn split_long_edges<const D: usize>(
         let [a, b] = mesh.connectivity.ends(edge);
         distance2(mesh.point(a), mesh.point(b)).sqrt()
     };
+    let triangle_limit = triangle_limit.min(Connectivity::MOST_TRIANGLES);
     let foreseen = foreseen_triangles(mesh, longest, length);
     if foreseen > triangle_limit as f64 {
         return Err(KernelError::TooManyTriangles { wanted: foreseen, limit: triangle_limit });
