@@ -350,9 +350,10 @@ class Cache:
         used: set[str] = set()
         for path in (self.folder / _RUNS).glob("*.json"):
             record = _read_record(path)
-            # The folder is gone: nobody will ask for its results again.
-            if (self.folder / str(record.get("out"))).is_dir():
-                used.update(record.get("keys", ()))
+            keys = record.get("keys")
+            # Where the output folder is gone, nobody will ask for its results again.
+            if isinstance(keys, list) and (self.folder / str(record.get("out"))).is_dir():
+                used.update(map(str, keys))
         return used
 
 

@@ -1,216 +1,28 @@
-"""The configuration of a run: one frozen parameter object a section, from and to TOML.
-
-Nothing is declared here but the sections: names, types, units, ranges and texts are those of the stages'
-parameter classes.
-"""
+"""The configuration of a run."""
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import json
-import sys
-import textwrap
-from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from dataclasses import dataclass, field
 
-from stages.errors import UsageError
-from stages.params import Described, described
+from stages.clean import CleanParams
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-S = TypeVar("S", bound="Sections")
-
-_WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
+from pipeline.report import ReportParams
+from pipeline.sections import Sections
+from stages.compare import CompareParams
+from stages.depth import DepthParams
+from stages.fuse import FuseParams
+from stages.layouts import ScanParams
+from stages.simplify import SimplifyParams
 
 
-class Sections:
-    """Base of a frozen dataclass whose fields are parameter objects, each a section of the config file."""
+@dataclass(frozen=True)
+class Config(Sections):
+    """Every parameter of a run, by section; see each section's class."""
 
-    @classmethod
-    def types(cls) -> dict[str, type]:
-        """Parameter class of every section, in order."""
-        hints = get_type_hints(cls)
-        return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
-
-    @classmethod
-    def load(cls: type[S], path: Path) -> S:
-        """Read a TOML file; what it does not name keeps its default.
-
-        Raises
-        ------
-        UsageError
-            If the file cannot be read, is not TOML, or names an unknown section, parameter or value.
-        """
-        try:
-            text = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise UsageError(f"{path}: the config file cannot be read ({error.strerror}).") from error
-        except UnicodeDecodeError as error:
-            raise UsageError(f"{path}: the config file is not UTF-8 text.") from error
-        return cls.loads(text, str(path))
-
-    @classmethod
-    def loads(cls: type[S], text: str, where: str = "config") -> S:
-        """Read TOML text; `where` starts every message."""
-        try:
-            data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise UsageError(f"{where}: this is not TOML ({error}).") from error
-        config = cls()
-        for section, values in data.items():
-            config._require_section(section, where)
-            if not isinstance(values, dict):
-                raise UsageError(f"{where}: {section} is a section; write [{section}], its parameters below.")
-            config = config._with(section, values, where)
-        return config
-
-    def set(self: S, assignments: Iterable[str]) -> S:
-        """Return the configuration with `stage.parameter=value` words applied, read by the parameters' types.
-
-        `none` gives a parameter that is derived from the data back to being derived.
-        """
-        config = self
-        for assignment in assignments:
-            name, equals, text = (part.strip() for part in assignment.partition("="))
-            section, dot, key = name.partition(".")
-            if not (equals and dot and section and key):
-                raise UsageError(
-                    f"--set {assignment}: write stage.parameter=value, say fuse.voxel_size=0.01."
-                )
-            where = f"--set {assignment}"
-            kind = config._kind(section, key, where)
-            config = config._with(section, {key: _from_word(text, kind, f"{where}: {name}")}, where)
-        return config
-
-    def dumps(self) -> str:
-        """Write every parameter as commented TOML that `loads` reads back to the same configuration."""
-        return "\n".join(_section_toml(name, getattr(self, name)) for name in self.types())
-
-    def canonical(self, section: str) -> dict[str, Any]:
-        """Return the parameters of a section that decide its result, as JSON values.
-
-        Raises
-        ------
-        UsageError
-            For a value that JSON cannot express, infinity.
-        """
-        params = getattr(self, section)
-        hints = get_type_hints(type(params))
-        values = {}
-        for name, about in described(type(params)).items():
-            if about.invalidates:
-                values[name] = _canonical_value(getattr(params, name), hints[name], f"{section}.{name}")
-        return values
-
-    def _require_section(self, section: str, where: str) -> None:
-        if section not in self.types():
-            advice = _did_you_mean(section, self.types())
-            raise UsageError(f"{where}: there is no stage {section!r}; {advice}.")
-
-    def _kind(self, section: str, key: str, where: str) -> Any:
-        self._require_section(section, where)
-        cls = self.types()[section]
-        known = described(cls)
-        if key not in known:
-            raise UsageError(f"{where}: {section} has no parameter {key!r}; {_did_you_mean(key, known)}.")
-        return get_type_hints(cls)[key]
-
-    def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
-        changes = {key: _typed(value, self._kind(section, key, where)) for key, value in values.items()}
-        try:
-            changed = dataclasses.replace(getattr(self, section), **changes)
-        except UsageError as error:
-            raise UsageError(f"{where}: {section}.{error}") from error
-        return dataclasses.replace(self, **{section: changed})  # type: ignore[type-var]
-
-
-def _did_you_mean(word: str, known: Iterable[str]) -> str:
-    names = list(known)
-    near = difflib.get_close_matches(word, names, n=1)
-    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}"
-
-
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    return tuple(kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
-
-
-def _is_optional(hint: Any) -> bool:
-    return type(None) in get_args(hint)
-
-
-def _kind_names(hint: Any) -> str:
-    names = {bool: "true or false", int: "a whole number", float: "a number", str: "text", Path: "a file"}
-    return " or ".join(names[kind] for kind in _kinds(hint))
-
-
-def _typed(value: Any, hint: Any) -> Any:
-    # TOML writes 1 where 1.0 is meant; both must give one key.
-    if float in _kinds(hint) and type(value) is int:
-        return float(value)
-    return Path(value) if Path in _kinds(hint) and isinstance(value, str) else value
-
-
-def _from_word(text: str, hint: Any, where: str) -> Any:
-    if text.lower() == "none" and _is_optional(hint):
-        return None
-    kinds = _kinds(hint)
-    if bool in kinds and text.lower() in _WORDS:
-        return _WORDS[text.lower()]
-    for kind in (int, float):
-        if kind in kinds:
-            try:
-                return kind(text)
-            except ValueError:
-                continue
-    if str in kinds or Path in kinds:
-        return text
-    raise UsageError(f"{where} must be {_kind_names(hint)}, not {text!r}.")
-
-
-def _canonical_value(value: Any, hint: Any, where: str) -> Any:
-    if isinstance(value, float) and value in (float("inf"), float("-inf")):
-        raise UsageError(f"{where} is infinite; give a number, or leave it out.")
-    if isinstance(value, Path):
-        raise TypeError(f"{where} is a path; a result must depend on the file's content, not on its name")
-    typed = _typed(value, hint)
-    return typed + 0.0 if isinstance(typed, float) else typed  # -0.0 is 0.0
-
-
-def _section_toml(name: str, params: Any) -> str:
-    summary = (type(params).__doc__ or "").strip().split("\n")[0]
-    lines = [f"[{name}]", *_comment(summary)]
-    hints = get_type_hints(type(params))
-    for key, about in described(type(params)).items():
-        default = next(f.default for f in dataclasses.fields(params) if f.name == key)
-        lines += ["", *_comment(about.text), *_comment(_facts(about, default, hints[key]))]
-        value = getattr(params, key)
-        lines.append(f"# {key} =" if value is None else f"{key} = {_toml(value)}")
-    return "\n".join(lines) + "\n"
-
-
-def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, 100, initial_indent="# ", subsequent_indent="# ")
-
-
-def _facts(about: Described, default: Any, hint: Any) -> str:
-    unit = f" {about.unit}" if about.unit else ""
-    kind = f"one of {', '.join(about.choices)}" if about.choices else _kind_names(hint)
-    facts = [kind + (f" in {about.unit}" if unit else "")]
-    if about.low is not None:
-        facts.append(f"{'more than' if about.low_open else 'at least'} {about.low:g}{unit}")
-    if about.high is not None:
-        facts.append(f"at most {about.high:g}{unit}")
-    facts.append("default: derived from the data" if default is None else f"default: {_toml(default)}{unit}")
-    return "; ".join(facts)
-
-
-def _toml(value: Any) -> str:
-    # TOML's strings, numbers and booleans are written as JSON's are, but for the infinities.
-    if isinstance(value, float) and value in (float("inf"), float("-inf")):
-        return "inf" if value > 0 else "-inf"
-    return json.dumps(str(value) if isinstance(value, Path) else value, ensure_ascii=False)
+    scan: ScanParams = field(default_factory=ScanParams)
+    depth: DepthParams = field(default_factory=DepthParams)
+    fuse: FuseParams = field(default_factory=FuseParams)
+    clean: CleanParams = field(default_factory=CleanParams)
+    simplify: SimplifyParams = field(default_factory=SimplifyParams)
+    compare: CompareParams = field(default_factory=CompareParams)
+    report: ReportParams = field(default_factory=ReportParams)

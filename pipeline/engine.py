@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cache import Cache, Entry, Recipe
-from pipeline.config import Sections
 from pipeline.events import Events, StageFinished, StageProgress, StageStarted
 from pipeline.failures import explained
 from pipeline.memory import peak_bytes, reset_peak
 from pipeline.reasons import reason
 from pipeline.results import Results
+from pipeline.sections import Sections
 from stages.progress import Progress
 
 

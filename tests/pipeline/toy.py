@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.cache import Cache
-from pipeline.config import Sections
+from pipeline.sections import Sections
 from pipeline.digest import scan_digest
 from pipeline.engine import Engine, Job, Outcome, Source, Stage
 from pipeline.events import Events, unwatched

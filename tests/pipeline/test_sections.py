@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.config import Sections
+from pipeline.sections import Sections
 from stages.errors import UsageError
 from stages.params import check, param
 

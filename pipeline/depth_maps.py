@@ -1,0 +1,141 @@
+"""Leave the depth of a stereo scan as files: an RGB-D scan folder of our own layout, and a coloured cloud.
+
+    scan.json                what stages.layouts reads back as RGB-D frames
+    color/000000.png         the rectified left image, 8-bit RGB
+    depth/000000.png         16-bit; the units of a metre are in scan.json, 0 is missing
+    confidence/000000.png    8-bit, 0 to 255
+    points.ply               coloured points of all frames, thinned out
+
+Frames are numbered, not named after their files: names decide nothing, so a result must not hold them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.depth import DepthMap
+from stages.layouts import write_scan_json
+from stages.ply import write_ply_cloud
+from stages.prefetch import read_ahead
+from stages.scan import ColorImage, DepthImage, Frame, SkippedFrame
+
+# Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
+MAX_POINTS = 1_000_000
+_LARGEST = np.iinfo(np.uint16).max
+# Low: these files are read once more and then kept, and higher levels take longer than matching does.
+_PNG_COMPRESSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class _Written:
+    frame: Frame
+    points: NDArray[np.float32]
+    colors: ColorImage
+    figures: dict[str, Any]
+
+
+def write_depth_maps(
+    folder: Path, measured: Iterable[tuple[Frame, DepthMap | SkippedFrame]], count: int
+) -> dict[str, Any]:
+    """Write the frames that come, a few ahead and in threads, and return figures.
+
+    Parameters
+    ----------
+    folder : an empty folder.
+    measured : as `stages.depth.depth_scan` yields them.
+    count : how many will come.
+    """
+    for name in ("color", "depth", "confidence"):
+        (folder / name).mkdir()
+    skipped: list[SkippedFrame] = []
+    budget = max(1, MAX_POINTS // max(1, count))
+
+    def usable() -> Iterator[tuple[int, Frame, DepthMap]]:
+        for number, (frame, result) in enumerate(measured):
+            if isinstance(result, SkippedFrame):
+                skipped.append(result)
+            else:
+                yield number, frame, result
+
+    def write(item: tuple[int, Frame, DepthMap]) -> _Written:
+        return _write(folder, *item, budget)
+
+    threads = os.cpu_count() or 1
+    written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
+    write_scan_json(folder, [one.frame for one in written])
+    points = np.concatenate([one.points for one in written])
+    write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))
+    return {
+        "frames_used": len(written),
+        "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in skipped],
+        **_summary([one.figures for one in written]),
+        "points": len(points),
+    }
+
+
+def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: int) -> _Written:
+    scale = depth_scale(result.max_depth)
+    raw = np.rint(result.depth * np.float32(scale))
+    raw[raw > _LARGEST] = 0
+    name = f"{number:06d}.png"
+    _write_png(folder / "color" / name, result.color[:, :, ::-1])
+    _write_png(folder / "depth" / name, raw.astype(np.uint16))
+    _write_png(folder / "confidence" / name, result.confidence)
+    kept = replace(
+        frame,
+        name=f"{number:06d}",
+        color=folder / "color" / name,
+        depth=folder / "depth" / name,
+        depth_scale=scale,
+        depth_missing=(),
+        timestamp=None,
+    )
+    return _Written(kept, *_cloud(result.depth, result.color, frame, budget), result.figures())
+
+
+def depth_scale(max_depth: float) -> float:
+    """Return the units of a metre that make the most of 16 bits for depths up to `max_depth` metres."""
+    scale = _LARGEST / max_depth
+    # A whole number where that costs nothing: people read it, and other programs ask for it.
+    return float(math.floor(scale)) if scale >= 100 else scale
+
+
+def _write_png(path: Path, image: NDArray[Any]) -> None:
+    import cv2
+
+    # Encoded in memory and written here, so that a full disk is an error and not a False nobody looks at.
+    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION])
+    path.write_bytes(data.tobytes())
+
+
+def _cloud(
+    depth: DepthImage, color: ColorImage, frame: Frame, budget: int
+) -> tuple[NDArray[np.float32], ColorImage]:
+    """Return at most `budget` of a frame's points in the world, evenly taken from its pixels."""
+    valid = np.flatnonzero(depth)
+    chosen = valid[:: max(1, math.ceil(len(valid) / budget))]
+    rows, columns = np.divmod(chosen, depth.shape[1])
+    z = depth.ravel()[chosen].astype(np.float64)
+    camera = frame.camera
+    points = np.stack([(columns - camera.cx) * z / camera.fx, (rows - camera.cy) * z / camera.fy, z], axis=1)
+    if frame.world_from_camera is not None:
+        points = points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3]
+    return points.astype(np.float32), color.reshape(-1, 3)[chosen]
+
+
+def _summary(figures: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the mean of what is measured for each frame; what is equal in all is said once."""
+    summary = {}
+    for name in figures[0]:
+        values = [one[name] for one in figures if one[name] is not None]
+        equal = all(value == values[0] for value in values[1:])
+        summary[name] = None if not values else values[0] if equal else float(np.mean(values))
+    return summary

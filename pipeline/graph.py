@@ -1,0 +1,147 @@
+"""The stages of the pipeline, declared: what each reads and writes, what decides its result, what it runs.
+
+pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
+(an RGB-D scan is frames from the start, and has no depth stage)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from pipeline import report
+from pipeline.depth_maps import write_depth_maps
+from pipeline.engine import Job, Stage
+from stages import clean as clean_stage
+from stages import compare as compare_stage
+from stages import depth as depth_stage
+from stages import fuse as fuse_stage
+from stages import simplify as simplify_stage
+from stages.layouts import read_scan
+from stages.ply import read_ply, write_ply
+from stages.scan import Scan
+
+
+def _depth(job: Job) -> Mapping[str, Any]:
+    scan: Scan = job.inputs["pairs"]
+    measured = depth_stage.depth_scan(scan, job.config.depth, job.progress)
+    return write_depth_maps(job.folder, measured, len(scan.frames))
+
+
+def _fuse(job: Job) -> Mapping[str, Any]:
+    fused = fuse_stage.fuse(_frames(job), job.config.fuse, progress=job.progress)
+    write_ply(job.folder / "fused.ply", fused.mesh)
+    return fused.figures()
+
+
+def _clean(job: Job) -> Mapping[str, Any]:
+    cleaned = clean_stage.clean(read_ply(job.inputs["fused"] / "fused.ply"), job.config.clean)
+    write_ply(job.folder / "clean.ply", cleaned.mesh)
+    return cleaned.figures()
+
+
+def _simplify(job: Job) -> Mapping[str, Any]:
+    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    simplified = simplify_stage.simplify(mesh, job.config.simplify, progress=job.progress)
+    write_ply(job.folder / "simplified.ply", simplified.mesh)
+    return simplified.figures()
+
+
+def _report(job: Job) -> Mapping[str, Any]:
+    names = ("fused", "clean", "simplified")
+    meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
+    pictures = job.folder / "pictures"
+    pictures.mkdir()
+    measured = report.measure(meshes["simplified"], meshes["fused"], meshes["clean"], job.config.compare)
+    job.progress(1, 2)
+    drawn = report.draw(pictures, meshes, _frames(job).frames, job.config.report)
+    job.progress(2, 2)
+    return {"mesh": measured, "pictures": [f"pictures/{name}" for name in drawn]}
+
+
+def _frames(job: Job) -> Scan:
+    """Return the RGB-D scan, or the one the depth stage left in its folder."""
+    frames = job.inputs["frames"]
+    return read_scan(frames) if isinstance(frames, Path) else frames
+
+
+def _version(*distributions: str) -> str:
+    """Return the installed version of a library, by the names of its distributions; nothing is imported."""
+    found = (one.version for name in distributions for one in metadata.distributions(name=name))
+    return next(found, "unknown")
+
+
+_OPENCV = {
+    "opencv": _version(
+        "opencv-contrib-python-headless",
+        "opencv-contrib-python",
+        "opencv-python-headless",
+        "opencv-python",
+    )
+}
+_OPEN3D = {"open3d": _version("open3d", "open3d-cpu")}
+_KERNELS = {"kernels": _version("scanloom")}
+
+STAGES: tuple[Stage, ...] = (
+    Stage(
+        name="depth",
+        version=depth_stage.VERSION,
+        reads=("pairs",),
+        writes="frames",
+        sections=("depth",),
+        make=_depth,
+        libraries=_OPENCV,
+        results=("points.ply",),
+    ),
+    Stage(
+        name="fuse",
+        version=fuse_stage.VERSION,
+        reads=("frames",),
+        writes="fused",
+        sections=("fuse",),
+        make=_fuse,
+        libraries=_OPENCV | _OPEN3D,
+        results=("fused.ply",),
+    ),
+    Stage(
+        name="clean",
+        version=clean_stage.VERSION,
+        reads=("fused",),
+        writes="clean",
+        sections=("clean",),
+        make=_clean,
+        results=("clean.ply",),
+    ),
+    Stage(
+        name="simplify",
+        version=simplify_stage.VERSION,
+        reads=("clean",),
+        writes="simplified",
+        sections=("simplify",),
+        make=_simplify,
+        libraries=_KERNELS,
+        results=("simplified.ply",),
+    ),
+    Stage(
+        name="report",
+        version=report.VERSION,
+        reads=("frames", "fused", "clean", "simplified"),
+        writes="report",
+        sections=("compare", "report"),
+        make=_report,
+        libraries=_OPEN3D | {"compare": str(compare_stage.VERSION)},
+        results=("pictures/",),
+    ),
+)
+
+
+def plan_for(scan: Scan) -> Sequence[Stage]:
+    """Return the stages a scan goes through: RGB-D frames need no depth stage."""
+    return STAGES if scan.is_stereo else tuple(stage for stage in STAGES if stage.name != "depth")
+
+
+def source_of(scan: Scan) -> str:
+    """Return the name under which stages read this scan."""
+    return "pairs" if scan.is_stereo else "frames"
