@@ -1,0 +1,420 @@
+"""The depth stage: a pair of images to metric depth with a confidence a pixel."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import images
+from stages.confidence import confidence
+from stages.errors import InputError, UsageError
+from stages.matching import SUBPIXELS, Matcher, SearchRange, consistency, matched_pixels, narrowed
+from stages.pairs import pair_warnings, require_pair
+from stages.params import check, param, resolve
+from stages.prefetch import read_ahead
+from stages.progress import Progress, silent
+from stages.rectify import RectifiedRig, rectified_rig
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.smoothing import smoothed
+
+VERSION = 1
+
+# Disparities that are looked for when nothing says how near the scene is, as a share of the width.
+_WIDEST = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthParams:
+    """Parameters of the depth stage."""
+
+    min_depth: float | None = param(
+        None,
+        "Nearest depth that is looked for. If neither it nor `disparities` is given: the calibration's own "
+        "number of disparities, else up to a quarter of the image's width, narrowed to what a pair uses",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    max_depth: float | None = param(
+        None,
+        "Farthest depth that is looked for and used; without it, the depth error alone bounds the range",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    max_relative_depth_error: float = param(
+        0.025,
+        "Depth is used up to where its expected error σ_z = z²/(f·b)·σ_d is this share of it",
+        low=0,
+        low_open=True,
+        high=1,
+    )
+    disparity_sigma: float = param(
+        0.25, "Standard deviation σ_d of a good match's disparity", unit="px", low=0, low_open=True, high=10
+    )
+    min_confidence: int = param(
+        128, "Pixels of lower confidence get no depth; 128 is a spread of about 1.6 px", low=0, high=255
+    )
+    matcher: str = param(
+        "3way",
+        "Semi-global matcher: 3way gathers costs along three paths in little memory; sgbm along five, hh4 "
+        "along four in two passes, hh along all eight, each slower and no more accurate where it matters",
+        choices=("3way", "sgbm", "hh4", "hh"),
+    )
+    disparities: int | None = param(
+        None,
+        "Number of disparities that are tried, in place of those that follow from the depth range",
+        unit="px",
+        low=1,
+        high=4096,
+    )
+    block_size: int = param(
+        3,
+        "Width of the compared blocks, odd: larger ones stand more noise, smaller ones keep detail",
+        unit="px",
+        low=1,
+        high=11,
+    )
+    p1: int | None = param(
+        None,
+        "Penalty for a change of disparity by 1 px between neighbours; 8·block_size² by default",
+        low=0,
+    )
+    p2: int | None = param(
+        None, "Penalty for a larger change, more than p1; 32·block_size² by default", low=1, high=10000
+    )
+    prefilter_cap: int = param(
+        31,
+        "Horizontal gradients are cut off here before comparison",
+        unit="grey levels",
+        low=1,
+        high=63,
+    )
+    uniqueness: int = param(
+        5, "By how much the best match must beat every other, else there is none", unit="%", low=0, high=100
+    )
+    left_right_tolerance: float = param(
+        1.0,
+        "How far the disparities of a pixel and of its match may differ",
+        unit="px",
+        low=0,
+    )
+    speckle_size: int = param(
+        100, "Connected pieces of fewer pixels are dropped as speckles; 0 keeps all", unit="px", low=0
+    )
+    speckle_range: float = param(
+        1.0, "Neighbours whose disparities differ by more are not connected", unit="px", low=0
+    )
+    smooth: bool = param(
+        False,
+        "Smooth disparity along the image's edges (weighted least squares): pleasant to look at, fuses "
+        "worse. What it fills in keeps its low confidence and gets no depth",
+    )
+    smooth_lambda: float = param(1000.0, "Strength of the smoothing", low=0, low_open=True)
+    smooth_sigma: float = param(
+        1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
+    )
+    max_skipped: float = param(
+        0.5, "The scan is given up when a larger share of its frames cannot be used", low=0, high=1
+    )
+    threads: int | None = param(
+        None, "Pairs matched at the same time; one a core if not given", low=1, high=256, invalidates=False
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.block_size % 2 == 0:
+            raise UsageError(f"block_size is {self.block_size}; it must be odd.")
+        if self.min_depth is not None and self.max_depth is not None and self.min_depth >= self.max_depth:
+            raise UsageError(
+                f"min_depth is {self.min_depth:g} m; it must be below max_depth, {self.max_depth:g} m."
+            )
+        if self.penalties[0] >= self.penalties[1]:
+            raise UsageError(f"p1 is {self.penalties[0]}; it must be below p2, {self.penalties[1]}.")
+
+    @property
+    def penalties(self) -> tuple[int, int]:
+        """Return p1 and p2 as used."""
+        area = self.block_size**2
+        return 8 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth of a rectified left image.
+
+    Attributes
+    ----------
+    depth : (h, w) float32 metres along the optical axis; 0 where there is none to be trusted.
+    confidence : (h, w) uint8, 0 (no measurement) to 255.
+    disparity : (h, w) float32 pixels, x of the left less x of the right image; NaN where there is none.
+    color : (h, w, 3) uint8 RGB, the rectified left image.
+    camera : of the rectified left image.
+    rectified_from_left : (3, 3) float64, the turn from the calibrated camera's axes to the rectified ones'.
+    search : the disparities that were tried.
+    max_depth : metres, where the expected error or the parameter ends the range.
+    warnings : what is odd about the pair, in plain sentences.
+    """
+
+    depth: DepthImage
+    confidence: NDArray[np.uint8]
+    disparity: NDArray[np.float32]
+    color: ColorImage
+    camera: Camera
+    rectified_from_left: NDArray[np.float64]
+    search: SearchRange
+    max_depth: float
+    warnings: tuple[str, ...] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was derived and what came out, for reports."""
+        used = self.depth > 0
+        return {
+            "width_px": self.camera.width,
+            "height_px": self.camera.height,
+            "lowest_disparity_px": self.search.lowest,
+            "disparities_px": self.search.count,
+            "max_depth_m": self.max_depth,
+            "matched_share": float(np.count_nonzero(self.confidence) / self.confidence.size),
+            "used_share": float(np.count_nonzero(used) / used.size),
+            "median_depth_m": float(np.median(self.depth[used])) if used.any() else None,
+        }
+
+
+def depth(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    rig: StereoRig,
+    params: DepthParams | None = None,
+    **changes: Any,
+) -> DepthMap:
+    """Measure depth from one calibrated pair.
+
+    The pair is rectified if it is not, matched semi-globally in both directions, and every pixel gets a
+    confidence; what is below `min_confidence`, or beyond the range of the allowed depth error, has no depth.
+
+    Parameters
+    ----------
+    left, right : (h, w, 3) RGB or (h, w) grey uint8, of the size the rig is calibrated for.
+    rig : the calibration; `rig.rectified` says whether rows correspond already.
+    params, changes : the parameters, and changes to them by name.
+
+    Raises
+    ------
+    InputError
+        If images and calibration do not belong together, or left and right are swapped.
+    UsageError
+        If a parameter is out of its range.
+
+    References
+    ----------
+    Hirschmüller 2008 (semi-global matching); Min et al. 2014 (the optional smoothing).
+    """
+    params = resolve(DepthParams, params, changes)
+    stage = _Stage(rig, params)
+    pair = stage.rectified(left, right)
+    return stage.measure(*pair, stage.warnings(*pair))
+
+
+def depth_scan(
+    scan: Scan, params: DepthParams | None = None, progress: Progress = silent, **changes: Any
+) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
+    """Measure the depth of every pair of a scan, on all cores, in the order of its frames.
+
+    Each frame comes with its depth map in place of the right image, the camera of the rectified left image
+    and a pose turned alike; or unchanged, with the reason why it had to be skipped. Frames are matched
+    ahead of the caller, a few at a time. Results do not depend on the number of threads.
+
+    Raises
+    ------
+    InputError
+        If the scan has no pairs, they are swapped, or more than `max_skipped` of its frames cannot be used.
+    """
+    params = resolve(DepthParams, params, changes)
+    if scan.rig is None:
+        raise InputError("the scan has no stereo pairs; its depth maps need no matching.", scan.folder)
+    stage = _Stage(scan.rig, params)
+    warnings = _first_warnings(stage, scan)
+    threads = params.threads or os.cpu_count() or 1
+    total = len(scan.frames)
+    skipped = 0
+    results = read_ahead(
+        partial(_measure_frame, stage, warnings), scan.frames, threads=threads, ahead=threads + 2
+    )
+    for done, (frame, result) in enumerate(results, 1):
+        if isinstance(result, SkippedFrame):
+            skipped += 1
+            if skipped > params.max_skipped * total:
+                raise InputError(
+                    f"{skipped} of the scan's {total} pairs cannot be used, more than the share of "
+                    f"{params.max_skipped:g} that max_skipped allows; the last of them: {result.reason}",
+                    scan.folder,
+                )
+        progress(done, total)
+        yield frame, result
+
+
+def _first_warnings(stage: _Stage, scan: Scan) -> tuple[str, ...]:
+    """Return what is odd about the first pair that can be read: swapped folders show in any."""
+    for frame in scan.frames:
+        try:
+            pair = _read_pair(stage, frame)
+        except InputError:
+            continue  # Reported when its turn comes.
+        try:
+            return stage.warnings(*pair)
+        except InputError as error:
+            raise InputError(str(error), scan.folder) from error
+    return ()
+
+
+def _read_pair(stage: _Stage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
+    left, right = images.read_color(frame), images.read_right(frame)
+    if left is None or right is None:
+        raise InputError(f"frame {frame.name} has no {'left' if left is None else 'right'} image.")
+    files = [source if isinstance(source, Path) else None for source in (frame.color, frame.right)]
+    return stage.rectified(left, right, (files[0], files[1]))
+
+
+def _measure_frame(
+    stage: _Stage, warnings: tuple[str, ...], frame: Frame
+) -> tuple[Frame, DepthMap | SkippedFrame]:
+    try:
+        pair = _read_pair(stage, frame)
+    except InputError as error:
+        return frame, SkippedFrame(frame.name, str(error))
+    result = stage.measure(*pair, warnings)
+    world_from_camera = frame.world_from_camera
+    if world_from_camera is not None:
+        left_from_rectified = np.eye(4)
+        left_from_rectified[:3, :3] = result.rectified_from_left.T
+        world_from_camera = world_from_camera @ left_from_rectified
+    measured = replace(
+        frame,
+        camera=result.camera,
+        color=result.color,
+        right=None,
+        depth=result.depth,
+        world_from_camera=world_from_camera,
+    )
+    return measured, result
+
+
+class _Stage:
+    """What all pairs of a rig share: rectification, search range, matcher, the bound of depth."""
+
+    def __init__(self, rig: StereoRig, params: DepthParams) -> None:
+        self.params = params
+        self.rig: RectifiedRig = rectified_rig(rig)
+        self.matcher = Matcher(
+            params.matcher, params.block_size, *params.penalties, params.prefilter_cap, params.uniqueness
+        )
+        self.search = _search_range(self.rig, params, rig.disparities)
+        self.narrow = params.min_depth is None and params.disparities is None and rig.disparities is None
+        self.max_depth = _depth_bound(self.rig, params)
+
+    def rectified(
+        self,
+        left: NDArray[np.uint8],
+        right: NDArray[np.uint8],
+        files: tuple[Path | None, Path | None] = (None, None),
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the pair with common rows, once it is known to fit the calibration."""
+        require_pair(left, right, self.rig.left, files)
+        return self.rig.apply(left, right)
+
+    def warnings(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[str, ...]:
+        return pair_warnings(_grey(left), _grey(right), self.rig.principal_offset)
+
+    def measure(
+        self, left: NDArray[np.uint8], right: NDArray[np.uint8], warnings: tuple[str, ...]
+    ) -> DepthMap:
+        """Match a rectified pair."""
+        pair = _grey(left), _grey(right)
+        search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
+        first = self.matcher.left(*pair, search)
+        second = self.matcher.right(*pair, search)
+        residual = consistency(first, second, search)
+        matched = matched_pixels(
+            first,
+            residual,
+            search,
+            tolerance=self.params.left_right_tolerance,
+            speckle_size=self.params.speckle_size,
+            speckle_range=self.params.speckle_range,
+        )
+        trust = confidence(first, residual, matched, search)
+        if self.params.smooth:
+            first = smoothed(first, second, _rgb(left), self.params.smooth_lambda, self.params.smooth_sigma)
+        none = first < SUBPIXELS * search.lowest
+        disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
+        return DepthMap(
+            self._depth(disparity, trust),
+            trust,
+            disparity,
+            _rgb(left),
+            self.rig.left,
+            self.rig.rectified_from_left,
+            search,
+            self.max_depth,
+            warnings,
+        )
+
+    def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
+        """Return z = f·b / (d + cx_right − cx_left), where it is to be trusted and within range."""
+        parallel = disparity + np.float32(self.rig.principal_offset)
+        near = self.params.min_depth or 0.0
+        used = (trust >= max(self.params.min_confidence, 1)) & (parallel > 0)
+        z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
+        z[(z < near) | (z > self.max_depth)] = 0
+        return np.asarray(z, np.float32)
+
+
+def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:
+    """Return the depth at which σ_z = z²/(f·b)·σ_d reaches its share of z, or `max_depth` if nearer."""
+    bound = params.max_relative_depth_error * rig.focal_baseline / params.disparity_sigma
+    return min(bound, params.max_depth) if params.max_depth is not None else bound
+
+
+def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None) -> SearchRange:
+    """Return the disparities of the depth range; `stated` is the calibration's own number of them, from 0."""
+    width, offset = rig.left.width, rig.principal_offset
+    # Rays are parallel at disparity −offset: nothing lies beyond.
+    parallel = 0.0 if params.max_depth is None else rig.focal_baseline / params.max_depth
+    lowest = math.floor(parallel - offset)
+    if params.disparities is not None:
+        highest = lowest + params.disparities - 1.0
+    elif params.min_depth is not None:
+        highest = rig.focal_baseline / params.min_depth - offset
+    elif stated is not None:
+        lowest = max(lowest, 0)
+        highest = stated - 1.0
+    else:
+        highest = max(lowest, 0) + width * _WIDEST
+    if lowest >= width or highest < lowest:
+        raise UsageError(
+            f"max_depth is {params.max_depth:g} m, nearer than the rig's pairs can be matched "
+            f"({rig.focal_baseline / (min(highest, width) + offset):.3g} m); give a larger one."
+        )
+    # At the image's width nothing of the scene is in both images.
+    return SearchRange.covering(lowest, min(highest, width - 1.0))
+
+
+def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    import cv2
+
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _rgb(image: NDArray[np.uint8]) -> ColorImage:
+    import cv2
+
+    return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB), np.uint8)

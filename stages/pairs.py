@@ -1,0 +1,97 @@
+"""What can be told about a pair before it is matched: sizes, left and right, rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scan import Camera
+
+# Fewer matched corners say nothing.
+_ENOUGH = 40
+# Corners matched farther off their row are false matches or no rectified pair at all.
+_ROWS = 8.0
+# Rows that differ by more than this cost the matcher its best match.
+_ROW_TOLERANCE = 0.5
+# Corners differ in no more bits of 256 when they are the same point.
+_SAME_CORNER = 40
+
+
+def require_pair(
+    left: NDArray[Any],
+    right: NDArray[Any],
+    camera: Camera,
+    files: tuple[Path | None, Path | None] = (None, None),
+) -> None:
+    """Raise InputError unless both images are 8-bit and of the size the camera is calibrated for."""
+    for image, file, side in zip((left, right), files, ("left", "right"), strict=True):
+        grey = image.ndim == 2
+        if image.dtype != np.uint8 or not (grey or (image.ndim == 3 and image.shape[2] == 3)):
+            raise InputError(
+                f"the {side} image must be (h, w) or (h, w, 3) uint8, not {image.shape} {image.dtype}.", file
+            )
+    if left.shape[:2] != right.shape[:2]:
+        other = f" ({files[0]})" if files[0] is not None else ""
+        raise InputError(
+            f"the right image is {_size(right)}, but the left one{other} is {_size(left)}; "
+            "give both images of a pair in one size.",
+            files[1],
+        )
+    if left.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"the image is {_size(left)}, but its camera is calibrated for {camera.width}×{camera.height}. "
+            "Give images of the calibrated size, or the calibration of this size.",
+            files[0],
+        )
+
+
+def pair_warnings(
+    left: NDArray[np.uint8], right: NDArray[np.uint8], principal_offset: float
+) -> tuple[str, ...]:
+    """Return what is odd about a rectified grey pair, from corners matched between its images.
+
+    Raises
+    ------
+    InputError
+        If points lie farther right in the right image than in the left one: the pair is swapped.
+    """
+    shift = _corner_shifts(left, right)
+    shift = shift[np.abs(shift[:, 1]) < _ROWS]
+    if len(shift) < _ENOUGH:
+        return ()
+    disparity = shift[:, 0] + principal_offset
+    if np.median(disparity) < -1:
+        raise InputError(
+            f"left and right images seem swapped: {np.mean(disparity < 0):.0%} of the corners found in both "
+            "lie farther right in the right image. Exchange the images."
+        )
+    rows = float(np.median(shift[:, 1]))
+    if abs(rows) > _ROW_TOLERANCE:
+        return (
+            f"rows of the pair differ by {abs(rows):.1f} px (median of {len(shift)} corners), more than "
+            f"{_ROW_TOLERANCE} px: the calibration does not fit the images well, and depth will have holes",
+        )
+    return ()
+
+
+def _corner_shifts(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Position in the left less position in the right image of the corners found in both, (n, 2) pixels."""
+    import cv2
+
+    orb = cv2.ORB.create(1000)
+    (here, first), (there, second) = (orb.detectAndCompute(image, None) for image in (left, right))
+    if not here or not there:
+        return np.empty((0, 2))
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(first, second)
+    shifts = [
+        np.subtract(here[m.queryIdx].pt, there[m.trainIdx].pt) for m in matches if m.distance < _SAME_CORNER
+    ]
+    return np.array(shifts, np.float64).reshape(-1, 2)
+
+
+def _size(image: NDArray[Any]) -> str:
+    return f"{image.shape[1]}×{image.shape[0]}"

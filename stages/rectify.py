@@ -1,0 +1,148 @@
+"""Turn a calibrated pair so that corresponding points lie on the same row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scan import Camera, StereoRig
+
+# The lengths of distortion OpenCV knows: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
+_DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+# A rig that claims to be rectified may differ by rounding in its file, not by a visible fraction of a pixel.
+_ROW_TOLERANCE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedRig:
+    """Two cameras side by side with parallel axes and common rows.
+
+    Attributes
+    ----------
+    left, right : without distortion, of equal focal length and cy.
+    baseline : metres, > 0.
+    rectified_from_left : (3, 3) float64, turns points of the calibrated left camera into the rectified one.
+    """
+
+    left: Camera
+    right: Camera
+    baseline: float
+    rectified_from_left: NDArray[np.float64]
+    _maps: tuple[tuple[Any, Any], tuple[Any, Any]] | None = None
+
+    @property
+    def focal_baseline(self) -> float:
+        """Return f·b in metre pixels: depth is this over the disparity of parallel rays."""
+        return self.left.fx * self.baseline
+
+    @property
+    def principal_offset(self) -> float:
+        """Return cx of the right camera less that of the left (`doffs`), pixels: z = f·b / (d + this)."""
+        return self.right.cx - self.left.cx
+
+    def apply(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return both images as the rectified cameras see them; the images themselves if nothing changes."""
+        if self._maps is None:
+            return left, right
+        import cv2
+
+        first, second = (
+            cv2.remap(image, *maps, cv2.INTER_LINEAR)
+            for image, maps in zip((left, right), self._maps, strict=True)
+        )
+        return first, second
+
+
+def rectified_rig(rig: StereoRig) -> RectifiedRig:
+    """Return the rig with common rows: as it is where rectified, else turned (Bouguet's method, in OpenCV).
+
+    Both cameras are turned by half of the rotation between them and zoomed so that only pixels with
+    content remain.
+
+    Raises
+    ------
+    InputError
+        If the cameras do not stand side by side, left one left, or the calibration cannot hold.
+    """
+    left, right = rig.left, rig.right
+    if (left.width, left.height) != (right.width, right.height):
+        raise InputError(
+            f"the left camera is calibrated for {left.width}×{left.height}, the right one for "
+            f"{right.width}×{right.height}; a pair needs one size."
+        )
+    if not np.isfinite(rig.right_from_left).all() or rig.baseline == 0:
+        raise InputError("the rig's two cameras stand at the same place; give the baseline in metres.")
+    return _as_it_is(rig) if rig.rectified else _turned(rig)
+
+
+def _as_it_is(rig: StereoRig) -> RectifiedRig:
+    left, right = rig.left, rig.right
+    for name, tolerance in (("fx", 1e-3 * left.fx), ("fy", 1e-3 * left.fy), ("cy", _ROW_TOLERANCE)):
+        a, b = getattr(left, name), getattr(right, name)
+        if abs(a - b) > tolerance:
+            raise InputError(
+                f"the pair is said to be rectified, but {name} is {a:g} on the left and {b:g} on the right; "
+                "correct the calibration or mark it as not rectified."
+            )
+    baseline = -float(rig.right_from_left[0, 3])
+    _require_left_is_left(baseline)
+    return RectifiedRig(left, right, baseline, np.eye(3))
+
+
+def _turned(rig: StereoRig) -> RectifiedRig:
+    import cv2
+
+    left, right = rig.left, rig.right
+    size = (left.width, left.height)
+    for side, camera in (("left", left), ("right", right)):
+        if len(camera.distortion) not in _DISTORTION_LENGTHS:
+            raise InputError(
+                f"the {side} camera has {len(camera.distortion)} distortion coefficients; "
+                f"OpenCV's model has {', '.join(map(str, _DISTORTION_LENGTHS))}."
+            )
+    distortion = [np.array(camera.distortion or (0.0,) * 4, np.float64) for camera in (left, right)]
+    rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
+    r_left, r_right, p_left, p_right = cv2.stereoRectify(
+        left.matrix,
+        distortion[0],
+        right.matrix,
+        distortion[1],
+        size,
+        rotation,
+        translation,
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0,
+    )[:4]
+    if p_right[1, 3] != 0:
+        raise InputError(
+            "the cameras stand one above the other; only cameras side by side can be matched. "
+            "Turn images and calibration by 90 degrees."
+        )
+    baseline = -float(p_right[0, 3] / p_right[0, 0])
+    _require_left_is_left(baseline)
+    maps = tuple(
+        cv2.initUndistortRectifyMap(camera.matrix, d, r, p, size, cv2.CV_16SC2)
+        for camera, d, r, p in zip(
+            (left, right), distortion, (r_left, r_right), (p_left, p_right), strict=True
+        )
+    )
+    return RectifiedRig(
+        _camera(size, p_left), _camera(size, p_right), baseline, np.asarray(r_left), (maps[0], maps[1])
+    )
+
+
+def _camera(size: tuple[int, int], projection: NDArray[Any]) -> Camera:
+    fx, fy, cx, cy = (float(projection[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(*size, fx, fy, cx, cy)
+
+
+def _require_left_is_left(baseline: float) -> None:
+    if baseline <= 0:
+        raise InputError(
+            "the calibration puts the right camera left of the left one: the two are swapped, or the "
+            "rotation and translation take right-camera points to the left camera; give their inverse."
+        )
