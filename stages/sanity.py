@@ -1,0 +1,190 @@
+"""Do the images agree with what the folder says of them? Cheap tests on a few frames.
+
+Each returns sentences about what is odd. They catch the mistakes that give a blurred or mirrored mesh and no
+error: poses taken the wrong way round, a wrong axis, colour beside depth, left and right exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.images import read_depth
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose, StereoRig
+from stages.trajectories import inverted
+
+_COUPLES = 8
+# Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
+_LEAST_OVERLAP = 0.1
+_LARGEST_SHIFT = 8
+# Kinect edges wander by a pixel or two; below this no camera offset can be told from noise.
+_NOTED_SHIFT = 3
+_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+
+
+def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
+    """Reproject depth from frame to frame with the poses as given, inverted, with flipped axes, and both.
+
+    Parameters
+    ----------
+    frames : of an RGB-D scan, with poses.
+
+    Returns
+    -------
+    The median depth error in metres of each way (those that overlap enough), and a warning when another way
+    has less than half the error of the declared one.
+    """
+    errors: dict[str, list[NDArray[np.float64]]] = {}
+    for first, second in _couples(frames):
+        points = _points(first[1], first[0].camera)
+        ways = _ways(_pose(first[0]), _pose(second[0]))
+        for name, second_from_first in ways.items():
+            found = _depth_errors(points, second_from_first, second[1], second[0].camera)
+            if found.size >= _LEAST_OVERLAP * len(points):
+                errors.setdefault(name, []).append(found)
+    medians = {name: float(np.median(np.concatenate(found))) for name, found in errors.items()}
+    declared = medians.get("as given")
+    if not medians:
+        return {}, []
+    best = min(medians, key=lambda name: medians[name])
+    if best == "as given" or (declared is not None and medians[best] >= declared / 2):
+        return medians, []
+    was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
+    return medians, [
+        f"the poses are probably {best}: so taken, the depth of one frame meets another's to "
+        f"{medians[best] * 1000:.0f} mm, as given to {was}"
+    ]
+
+
+def check_registration(pairs: Sequence[tuple[ColorImage | None, DepthImage | None]]) -> list[str]:
+    """Shift depth edges over colour edges by up to 8 px; warn when they meet best off their place."""
+    import cv2
+
+    total = np.zeros((2 * _LARGEST_SHIFT + 1,) * 2)
+    for color, depth in pairs:
+        if color is None or depth is None or min(depth.shape) < 8 * _LARGEST_SHIFT:
+            continue
+        small = cv2.resize(color, depth.shape[::-1], interpolation=cv2.INTER_AREA)
+        edges = _edges(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32))
+        jumps = _edges(np.log(np.maximum(depth, 0.01)))
+        # Where depth begins or ends is no edge of the scene.
+        known = cv2.erode((depth > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        strong = np.where(known, np.minimum(jumps, 0.2), 0).astype(np.float32)
+        border = _LARGEST_SHIFT
+        inner = strong[border:-border, border:-border]
+        if np.count_nonzero(inner > 0.1) > 200:
+            total += cv2.matchTemplate(np.minimum(edges, 200), inner, cv2.TM_CCOEFF_NORMED)
+    at = np.unravel_index(int(total.argmax()), total.shape)
+    down, right = int(at[0]) - _LARGEST_SHIFT, int(at[1]) - _LARGEST_SHIFT
+    centre = total[_LARGEST_SHIFT, _LARGEST_SHIFT]
+    if max(abs(down), abs(right)) < _NOTED_SHIFT or total.max() < 1.1 * max(centre, 0.02):
+        return []
+    return [
+        "colour is not registered to depth: its edges lie about "
+        f"{abs(right)} px {'right' if right > 0 else 'left'} and {abs(down)} px {'below' if down > 0 else 'above'}"
+    ]
+
+
+def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> list[str]:
+    """Match features of left and right: they must lie on the same row if rectified, and left must be left."""
+    moves = [_feature_moves(left, right) for left, right in pairs if left is not None and right is not None]
+    found = np.concatenate(moves) if moves else np.empty((0, 2))
+    if len(found) < 50:
+        return []
+    # With an offset between the centres, disparity may rightly be negative.
+    disparity = float(np.median(found[:, 0])) + rig.right.cx - rig.left.cx
+    row = float(np.median(np.abs(found[:, 1])))
+    warnings = []
+    if disparity < 0:
+        warnings.append(f"left and right seem exchanged: the median disparity is {disparity:.1f} px")
+    if rig.rectified and row > 0.5:
+        warnings.append(f"the pairs are said to be rectified, but matched features differ by {row:.1f} rows")
+    return warnings
+
+
+def _couples(frames: Sequence[Frame]) -> list[tuple[tuple[Frame, DepthImage], tuple[Frame, DepthImage]]]:
+    """Read a few couples of frames some way apart, so that the camera has moved between them."""
+    step = max(1, len(frames) // 25)
+    starts = np.unique(np.linspace(0, len(frames) - 1 - step, _COUPLES).round().astype(int))
+    couples = []
+    for i in starts[starts >= 0]:
+        first, second = frames[i], frames[i + step]
+        depths = [_depth_or_none(frame) for frame in (first, second)]
+        if depths[0] is not None and depths[1] is not None:
+            couples.append(((first, depths[0]), (second, depths[1])))
+    return couples
+
+
+def _depth_or_none(frame: Frame) -> DepthImage | None:
+    try:
+        return read_depth(frame)
+    except InputError:
+        return None
+
+
+def _pose(frame: Frame) -> Pose:
+    return np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
+
+
+def _ways(first: Pose, second: Pose) -> dict[str, Pose]:
+    """Return second_from_first as each way to take the two poses gives it."""
+    given = inverted(second) @ first
+    turned = second @ inverted(first)
+    return {
+        "as given": given,
+        "world-to-camera": turned,
+        "of a camera with y up and z back": _FLIP @ given @ _FLIP,
+        "world-to-camera, with y up and z back": _FLIP @ turned @ _FLIP,
+    }
+
+
+def _points(depth: DepthImage, camera: Camera) -> NDArray[np.float64]:
+    """Return (n, 3) points in the camera's axes from every eighth pixel that has depth."""
+    rows, columns = np.mgrid[4 : depth.shape[0] : 8, 4 : depth.shape[1] : 8]
+    z = depth[rows, columns].astype(np.float64)
+    x = (columns - camera.cx) / camera.fx * z
+    y = (rows - camera.cy) / camera.fy * z
+    points: NDArray[np.float64] = np.stack([x, y, z], axis=-1)[z > 0]
+    return points
+
+
+def _depth_errors(
+    points: NDArray[np.float64], second_from_first: Pose, depth: DepthImage, camera: Camera
+) -> NDArray[np.float64]:
+    """Return how far the depth map lies from each point that falls on it, in metres."""
+    moved = points @ second_from_first[:3, :3].T + second_from_first[:3, 3]
+    moved = moved[moved[:, 2] > 0.05]
+    columns = np.rint(moved[:, 0] / moved[:, 2] * camera.fx + camera.cx)
+    rows = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy)
+    inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    seen = depth[rows[inside].astype(int), columns[inside].astype(int)]
+    errors: NDArray[np.float64] = np.abs(moved[inside, 2] - seen)[seen > 0]
+    return errors
+
+
+def _edges(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    import cv2
+
+    across, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    return np.asarray(cv2.magnitude(across, down), np.float32)
+
+
+def _feature_moves(left: ColorImage, right: ColorImage) -> NDArray[np.float64]:
+    """Return (n, 2) left minus right positions of features that match both ways, in pixels."""
+    import cv2
+
+    finder = cv2.ORB.create(1000)
+    points_left, words_left = finder.detectAndCompute(left, None)
+    points_right, words_right = finder.detectAndCompute(right, None)
+    if words_left is None or words_right is None:
+        return np.empty((0, 2))
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(words_left, words_right)
+    moves = [
+        np.subtract(points_left[one.queryIdx].pt, points_right[one.trainIdx].pt)
+        for one in matches
+        if one.distance < 40
+    ]
+    return np.reshape(np.array(moves, np.float64), (-1, 2))
