@@ -23,6 +23,9 @@ from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, in
 
 VERSION = 1
 
+# A colour error below this (levels) is the rounding of interpolation, not a difference.
+_EQUAL = 1e-4
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompareParams:
@@ -76,7 +79,7 @@ class ColorError:
     @property
     def psnr(self) -> float:
         """Return the peak signal-to-noise ratio in dB for a peak of 255 levels; inf for equal colours."""
-        return 20 * math.log10(255 / self.rmse) if self.rmse > 0 else math.inf
+        return 20 * math.log10(255 / self.rmse) if self.rmse > _EQUAL else math.inf
 
     def figures(self) -> dict[str, float | None]:
         """Return RMSE and maximum in levels and the PSNR in dB (None, not infinity, for equal colours)."""
@@ -140,8 +143,8 @@ def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **cha
         If a mesh has no triangles, or no area to sample.
     """
     params = resolve(CompareParams, params, changes)
-    mesh_a, mesh_b = as_mesh(a), as_mesh(b)
-    areas_a, areas_b = _areas(mesh_a, "first"), _areas(mesh_b, "second")
+    mesh_a, mesh_b = as_mesh(a, "first mesh"), as_mesh(b, "second mesh")
+    areas_a, areas_b = _areas(mesh_a, "first mesh"), _areas(mesh_b, "second mesh")
     box = bounding_box(mesh_a, mesh_b)
     forward = _one_way(mesh_a, areas_a, Surface(mesh_b, box), params.samples, (params.seed, 0))
     backward = _one_way(mesh_b, areas_b, Surface(mesh_a, box), params.samples, (params.seed, 1))
@@ -242,15 +245,15 @@ def _vertices(mesh: Mesh) -> Iterator[Located]:
         yield Located(triangle, np.eye(3)[place], np.zeros(len(triangle)))
 
 
-def _areas(mesh: Mesh, which: str) -> Floats:
+def _areas(mesh: Mesh, where: str) -> Floats:
     if len(mesh.triangles) == 0:
-        raise InputError(f"the {which} mesh has no triangles; there is nothing to compare.")
+        raise InputError("it has no triangles; there is no surface to compare.", where)
     a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     with np.errstate(over="ignore", invalid="ignore"):
         areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
         total = areas.sum()
     if total == 0:
-        raise InputError(f"all triangles of the {which} mesh have zero area; there is nothing to compare.")
+        raise InputError("all its triangles have zero area; there is no surface to compare.", where)
     if not np.isfinite(total):
-        raise InputError(f"the {which} mesh has coordinates too large to measure; its unit cannot be metres.")
+        raise InputError("its coordinates are too large to measure; is their unit really metres?", where)
     return np.asarray(areas)

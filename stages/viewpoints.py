@@ -14,7 +14,7 @@ from stages.raycasting import Floats
 from stages.scan import Camera, Frame, Pose
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
-_STRAY = 0.005
+_STRAY = 0.001
 _ELEVATION = math.radians(30)
 _FIELD_OF_VIEW = math.radians(40)
 
@@ -137,7 +137,7 @@ def _looking(
     kept = seen[((seen >= low) & (seen <= high)).all(axis=1)]
     seen = kept if len(kept) else seen
     focal = 0.5 * width / math.tan(0.5 * _FIELD_OF_VIEW)
-    slopes = 0.95 * np.array((width, height)) / (2 * focal)
+    slopes = 0.92 * np.array((width, height)) / (2 * focal)
     # |x - eye_x| <= slope (z - eye_z) for all points: both sides of each axis bound the eye.
     lower = np.array([(seen[:, i] - slopes[i] * seen[:, 2]).max() for i in (0, 1)])
     upper = np.array([(seen[:, i] + slopes[i] * seen[:, 2]).min() for i in (0, 1)])

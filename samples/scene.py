@@ -1,0 +1,316 @@
+"""The corner of a room that both sample scans look at: known geometry, procedural colours, fixed light.
+
+Metres, z up. A floor and two walls meet at (-0.45, 0.45, 0); on the floor stand a box, a vase, a globe and a
+ring. Colours are functions of the point in space, sharper than any mesh of this size could hold, with
+features from centimetres down to millimetres so that stereo has something to match.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.mesh import Mesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+HALF = 0.45  # of the floor's side
+WALL = 0.42  # height
+GLOBE, GLOBE_RADIUS = np.array((0.17, -0.12, 0.095)), 0.095
+RING, RING_RADII = np.array((-0.14, -0.20, 0.034)), (0.085, 0.034)
+VASE = np.array((0.14, 0.20, 0.0))
+BOX, BOX_SIZE, BOX_TURN = np.array((-0.18, 0.13, 0.0)), np.array((0.20, 0.14, 0.17)), np.deg2rad(25)
+# Outline of the vase from the foot over the lip down to the bottom inside: radius, height.
+VASE_OUTLINE = np.array(
+    [
+        *(
+            (0.045, 0),
+            (0.05, 0.008),
+            (0.065, 0.05),
+            (0.072, 0.09),
+            (0.066, 0.13),
+            (0.046, 0.175),
+            (0.034, 0.205),
+        ),
+        *(
+            (0.036, 0.23),
+            (0.046, 0.25),
+            (0.044, 0.254),
+            (0.036, 0.246),
+            (0.028, 0.225),
+            (0.024, 0.2),
+            (0, 0.195),
+        ),
+    ]
+)
+# An area light, as points: soft shadows.
+_LIGHTS = np.array((0.9, -0.5, 1.5)) + 0.16 * np.array(
+    [(np.cos(a), np.sin(a), 0.4 * np.sin(2 * a)) for a in np.arange(8) * np.pi / 4]
+)
+_AMBIENT = 0.42
+
+
+@dataclass(frozen=True)
+class Part:
+    """One object: a grid of vertices with their normals, and its paint (albedo, 0..1 sRGB, of a point)."""
+
+    vertices: Floats
+    normals: Floats
+    triangles: Ints
+    paint: Callable[[Floats], Floats]
+
+
+class Scene:
+    """Rays go in; distances, normals and lit colours come out.
+
+    Attributes
+    ----------
+    mesh : the true surface, coloured by sampling the procedural colours at its vertices.
+    """
+
+    def __init__(self, spacing: float = 0.0091) -> None:
+        self._parts = _parts(spacing)
+        counts = [len(part.vertices) for part in self._parts]
+        offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        vertices = np.concatenate([part.vertices for part in self._parts])
+        self._normals = np.concatenate([part.normals for part in self._parts])
+        triangles = [part.triangles + offset for part, offset in zip(self._parts, offsets, strict=True)]
+        self._part_of = np.repeat(np.arange(len(triangles)), [len(t) for t in triangles])
+        self._triangles = np.concatenate(triangles)
+        core = open3d().core
+        self._rays = open3d().t.geometry.RaycastingScene()
+        self._rays.add_triangles(
+            core.Tensor(vertices.astype(np.float32)), core.Tensor(self._triangles.astype(np.uint32))
+        )
+        colors = self.color(vertices, self._normals, np.repeat(np.arange(len(counts)), counts))
+        self.mesh = Mesh(vertices, self._triangles.astype(np.int32), np.rint(colors * 255).astype(np.uint8))
+
+    def cast(self, origin: Floats, directions: Floats) -> tuple[Floats, Floats, Ints]:
+        """Return distance (inf for a miss), unit normal and part of what rays (k, 3) meet first."""
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = origin, directions
+        hits = self._rays.cast_rays(open3d().core.Tensor(rays))
+        distance = hits["t_hit"].numpy().astype(np.float64)
+        triangle = np.where(np.isfinite(distance), hits["primitive_ids"].numpy(), 0).astype(np.int64)
+        u, v = hits["primitive_uvs"].numpy().astype(np.float64).T
+        corner_normals = self._normals[self._triangles[triangle]]
+        normal = np.einsum("kc,kcx->kx", np.stack([1 - u - v, u, v], axis=1), corner_normals)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        return distance, normal / np.maximum(length, 1e-9), self._part_of[triangle]
+
+    def color(self, points: Floats, normals: Floats, parts: Ints) -> Floats:
+        """Return the lit colours of surface points, sRGB 0..1: what a perfect camera would record."""
+        albedo = np.empty((len(points), 3))
+        for number, part in enumerate(self._parts):
+            own = np.flatnonzero(parts == number)
+            albedo[own] = part.paint(points[own])
+        light = np.full(len(points), _AMBIENT)
+        for lamp in _LIGHTS:
+            towards = lamp - points
+            towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+            rays = np.concatenate([points + 1e-3 * normals, towards], axis=1).astype(np.float32)
+            blocked = self._rays.test_occlusions(open3d().core.Tensor(rays)).numpy()
+            facing = np.einsum("kx,kx->k", normals, towards).clip(0, 1)
+            light += np.where(blocked, 0, facing) * (1 - _AMBIENT) * 1.3 / len(_LIGHTS)
+        return np.asarray((albedo**2.2 * light[:, None]).clip(0, 1) ** (1 / 2.2))
+
+
+def _parts(spacing: float) -> list[Part]:
+    x, y, z = np.eye(3)
+    corner = np.array((-HALF, HALF, 0.0))
+    floor = _patch(corner - 2 * HALF * y, 2 * HALF * x, 2 * HALF * y, spacing, _paint_floor)
+    left = _patch(corner - 2 * HALF * y, 2 * HALF * y, WALL * z, spacing, _paint_left_wall)
+    back = _patch(corner, 2 * HALF * x, WALL * z, spacing, _paint_back_wall)
+    globe = _swept(
+        lambda t: (GLOBE_RADIUS * np.sin(np.pi * t), -GLOBE_RADIUS * np.cos(np.pi * t)),
+        GLOBE,
+        (np.pi * GLOBE_RADIUS, 2 * np.pi * GLOBE_RADIUS),
+        spacing * 0.9,
+        _paint_globe,
+    )
+    wide, thin = RING_RADII
+    ring = _swept(
+        lambda t: (wide + thin * np.cos(2 * np.pi * t), thin * np.sin(2 * np.pi * t)),
+        RING,
+        (2 * np.pi * thin, 2 * np.pi * wide),
+        spacing * 0.8,
+        _paint_ring,
+    )
+    vase = _swept(_vase_outline, VASE, (0.42, 0.4), spacing * 0.8, _paint_vase)
+    return [floor, left, back, globe, ring, vase, *_box(spacing)]
+
+
+def _patch(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Callable[[Floats], Floats]) -> Part:
+    """Return a flat rectangle spanned by u and v, seen from the side of u × v."""
+    i, j = (max(2, round(float(np.linalg.norm(side)) / spacing) + 1) for side in (u, v))
+    s, t = (
+        a.ravel()[:, None] for a in np.meshgrid(np.linspace(0, 1, i), np.linspace(0, 1, j), indexing="ij")
+    )
+    normal = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
+    vertices = corner + s * u + t * v
+    return Part(vertices, np.tile(normal, (len(vertices), 1)), _grid(i, j), paint)
+
+
+def _box(spacing: float) -> list[Part]:
+    c, s = np.cos(BOX_TURN), np.sin(BOX_TURN)
+    turn = np.array(((c, -s, 0), (s, c, 0), (0, 0, 1)))
+    width, depth, height = BOX_SIZE
+    x, y, z = width * turn[:, 0], depth * turn[:, 1], height * turn[:, 2]
+    low = BOX - (x + y) / 2
+    sides = [(low, x, z), (low + x, y, z), (low + x + y, -x, z), (low + y, -y, z), (low + z, x, y)]
+    return [_patch(corner, u, v, spacing, _paint_box) for corner, u, v in sides]
+
+
+def _swept(
+    outline: Callable[[Floats], tuple[Floats, Floats]],
+    center: Floats,
+    lengths: tuple[float, float],
+    spacing: float,
+    paint: Callable[[Floats], Floats],
+) -> Part:
+    """Return a surface of revolution about z; `outline` maps 0..1 to radius, height, outside on its right."""
+    i, j = (round(length / spacing) + 1 for length in lengths)
+    t, angle = np.linspace(0, 1, i), np.linspace(0, 2 * np.pi, j)
+    radius, height = outline(t)
+    ahead, behind = outline(np.minimum(t + 1e-4, 1)), outline(np.maximum(t - 1e-4, 0))
+    slope = np.stack([ahead[1] - behind[1], behind[0] - ahead[0]])
+    slope /= np.linalg.norm(slope, axis=0)
+    around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    vertices, normals = (
+        np.concatenate([r[:, None, None] * around, np.broadcast_to(h[:, None, None], (i, j, 1))], axis=2)
+        for r, h in ((radius, height), slope)
+    )
+    # The first and last column are the same points; poles collapse to slivers without area, left out.
+    triangles = _grid(i, j, wrap=True)
+    flat = vertices.reshape(-1, 3)
+    a, b, c = (flat[triangles[:, k]] for k in range(3))
+    triangles = triangles[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-12]
+    used, triangles = np.unique(triangles, return_inverse=True)
+    return Part(flat[used] + center, normals.reshape(-1, 3)[used], triangles.reshape(-1, 3), paint)
+
+
+def _vase_outline(t: Floats) -> tuple[Floats, Floats]:
+    from scipy.interpolate import PchipInterpolator
+
+    steps = np.linalg.norm(np.diff(VASE_OUTLINE, axis=0), axis=1)
+    along = np.concatenate([[0], np.cumsum(steps)]) / steps.sum()
+    radius, height = PchipInterpolator(along, VASE_OUTLINE)(t).T
+    return radius, height
+
+
+def _grid(i: int, j: int, *, wrap: bool = False) -> Ints:
+    """Return two triangles a cell of a grid with j points a row; `wrap` joins last and first column."""
+    row, column = (a.ravel() for a in np.meshgrid(np.arange(i - 1), np.arange(j - 1), indexing="ij"))
+    right = (column + 1) % (j - 1) if wrap else column + 1
+    a, b, c, d = row * j + column, (row + 1) * j + column, (row + 1) * j + right, row * j + right
+    if wrap:  # the second direction is the angle: seen from outside, the cell turns the other way
+        b, d = d, b
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def _noise(points: Floats, wavelength: float, seed: int) -> Floats:
+    """Return smooth value noise, -1..1, on a cubic lattice of this wavelength (metres)."""
+    q = points / wavelength + 1000.0
+    cell = np.floor(q).astype(np.int64)
+    f = q - cell
+    f = f * f * (3 - 2 * f)
+    total = np.zeros(len(points))
+    for dx, dy, dz in np.ndindex(2, 2, 2):
+        weight = np.abs(1 - dx - f[:, 0]) * np.abs(1 - dy - f[:, 1]) * np.abs(1 - dz - f[:, 2])
+        total += weight * _hash(cell + np.array((dx, dy, dz)), seed)
+    return total
+
+
+def _hash(cell: Ints, seed: int) -> Floats:
+    """Return a fixed pseudo-random number, -1..1, of every lattice point."""
+    h = (cell[:, 0] * 73856093) ^ (cell[:, 1] * 19349663) ^ (cell[:, 2] * 83492791) ^ (seed * 2654435761)
+    h = (h ^ (h >> 13)) * 1274126177 & 0xFFFFFFFF
+    return ((h ^ (h >> 16)) & 0xFFFF) / 32767.5 - 1
+
+
+def _grain(points: Floats, seed: int) -> Floats:
+    """Return noise of all sizes from 5 cm to 5 mm, about -1..1, (k, 1)."""
+    octaves = [(0.05, 0.3), (0.022, 0.35), (0.011, 0.45), (0.0055, 0.4)]
+    grain = np.zeros(len(points))
+    for k, (wavelength, weight) in enumerate(octaves):
+        grain += weight * _noise(points, wavelength, seed + k)
+    return grain[:, None]
+
+
+def _mix(mask: NDArray[np.bool_] | Floats, inside: Floats, outside: Floats) -> Floats:
+    share = np.asarray(mask, np.float64).reshape(-1, 1)
+    return np.asarray(share * inside + (1 - share) * outside)
+
+
+def _rgb(*levels: int) -> Floats:
+    return np.array(levels) / 255
+
+
+def _paint_floor(p: Floats) -> Floats:
+    tile = np.floor(p[:, :2] / 0.15)
+    tone = _hash(np.concatenate([tile, tile[:, :1]], axis=1).astype(np.int64), 5)[:, None]
+    color = _mix((tile.sum(axis=1) % 2) == 0, _rgb(196, 164, 122), _rgb(150, 92, 68)) + 0.05 * tone
+    grout = (np.abs((p[:, :2] / 0.15) % 1 - 0.5) > 0.5 - 0.02).any(axis=1)
+    return np.asarray((_mix(grout, _rgb(92, 86, 80), color) + 0.15 * _grain(p, 11)).clip(0.02, 1))
+
+
+def _paint_left_wall(p: Floats) -> Floats:
+    stripe = np.sin(2 * np.pi * p[:, 1] / 0.09) > 0.2
+    color = _mix(stripe, _rgb(176, 198, 178), _rgb(206, 214, 190))
+    panel = p[:, 2] < 0.13
+    color = _mix(panel, _rgb(112, 132, 118), color)
+    return np.asarray((color + 0.13 * _grain(p, 23)).clip(0.02, 1))
+
+
+def _paint_back_wall(p: Floats) -> Floats:
+    color = np.broadcast_to(_rgb(196, 192, 206), (len(p), 3))
+    # A poster: rings around a sun over hills.
+    x, z = p[:, 0] + 0.05, p[:, 2] - 0.25
+    poster = (np.abs(x) < 0.2) & (np.abs(z) < 0.13)
+    rings = np.sin(np.hypot(x - 0.06, z - 0.03) * 2 * np.pi / 0.04) > 0
+    picture = _mix(rings, _rgb(240, 188, 72), _rgb(84, 126, 190))
+    hills = z < -0.05 + 0.03 * np.sin(x * 30) + 0.012 * np.sin(x * 95)
+    picture = _mix(hills, _rgb(58, 110, 70), picture)
+    frame = poster & ((np.abs(x) > 0.188) | (np.abs(z) > 0.118))
+    color = _mix(frame, _rgb(70, 48, 36), _mix(poster, picture, color))
+    return np.asarray((color + 0.12 * _grain(p, 31)).clip(0.02, 1))
+
+
+def _paint_globe(p: Floats) -> Floats:
+    q = p - GLOBE
+    land = _noise(p, 0.06, 41) + 0.5 * _noise(p, 0.025, 42)
+    color = _mix(land > 0.1, _rgb(96, 148, 70), _rgb(52, 96, 170))
+    color = _mix(land > 0.55, _rgb(176, 148, 96), color)
+    color = _mix(np.abs(q[:, 2]) > 0.083, _rgb(236, 240, 244), color)
+    return np.asarray((color + 0.12 * _grain(p, 43)).clip(0.02, 1))
+
+
+def _paint_ring(p: Floats) -> Floats:
+    q = p - RING
+    angle = np.arctan2(q[:, 1], q[:, 0])
+    turn = np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]) - RING_RADII[0])
+    color = _mix(np.sin(6 * angle + turn) > 0, _rgb(206, 60, 52), _rgb(240, 206, 92))
+    return np.asarray((color + 0.13 * _grain(p, 53)).clip(0.02, 1))
+
+
+def _paint_vase(p: Floats) -> Floats:
+    q = p - VASE
+    angle = np.arctan2(q[:, 1], q[:, 0])
+    zigzag = np.abs((angle * 8 / np.pi) % 2 - 1) * 0.016
+    band = np.sin((q[:, 2] + zigzag) * 2 * np.pi / 0.05)
+    color = _mix(band > 0.1, _rgb(44, 72, 140), _rgb(228, 224, 212))
+    color = _mix(np.abs(band - 0.1) < 0.25, _rgb(196, 120, 60), color)
+    return np.asarray((color + 0.11 * _grain(p, 61)).clip(0.02, 1))
+
+
+def _paint_box(p: Floats) -> Floats:
+    q = (p - BOX) / 0.042
+    dot = np.linalg.norm(q - np.round(q), axis=1) < 0.33
+    kind = _hash(np.round(q).astype(np.int64), 71)
+    spots = _mix(kind > 0, _rgb(232, 96, 120), _rgb(74, 170, 176))
+    return np.asarray((_mix(dot, spots, _rgb(222, 206, 176)) + 0.13 * _grain(p, 73)).clip(0.02, 1))

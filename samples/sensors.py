@@ -1,0 +1,85 @@
+"""What real cameras do to a perfect picture: distortion, blur, vignetting, noise, quantisation, holes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scene import Floats, Scene
+
+from stages.scan import Camera, Pose
+
+_FINE = 2  # rays a pixel and direction: keeps fine texture from aliasing
+_BLUR = 0.55  # pixels, standard deviation of the lens's blur
+_FULL_WELL = 9000.0  # electrons at white: shot noise is its square root
+_READ_NOISE = 12.0  # electrons
+_CORNER = 0.82  # brightness in the image's corners
+
+
+def photograph(
+    scene: Scene, camera: Camera, world_from_camera: Pose, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """Return the (h, w, 3) uint8 RGB picture a camera takes."""
+    import cv2
+
+    height, width = camera.height, camera.width
+    fine_u = (np.arange(width * _FINE) + 0.5) / _FINE - 0.5
+    fine_v = (np.arange(height * _FINE) + 0.5) / _FINE - 0.5
+    rays = _rays(camera, *np.meshgrid(fine_u, fine_v))
+    distance, normals, parts = scene.cast(world_from_camera[:3, 3], rays @ world_from_camera[:3, :3].T)
+    hit = np.flatnonzero(np.isfinite(distance))
+    # Beyond the scene there is an evenly grey room, without anything to match.
+    color = np.full((len(rays), 3), 0.36)
+    points = world_from_camera[:3, 3] + distance[hit, None] * (rays[hit] @ world_from_camera[:3, :3].T)
+    color[hit] = scene.color(points, normals[hit], parts[hit])
+    linear = (color**2.2).reshape(height, _FINE, width, _FINE, 3).mean(axis=(1, 3))
+    linear = cv2.GaussianBlur(linear, (0, 0), _BLUR)
+    u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
+    linear *= (1 - (1 - _CORNER) * (u * u + v * v) / 2)[:, :, None]
+    electrons = rng.poisson(linear * _FULL_WELL) + rng.normal(0, _READ_NOISE, linear.shape)
+    return np.asarray(np.rint(255 * (electrons / _FULL_WELL).clip(0, 1) ** (1 / 2.2)), np.uint8)
+
+
+def measure_depth(
+    scene: Scene, camera: Camera, world_from_camera: Pose, rng: np.random.Generator
+) -> NDArray[np.uint16]:
+    """Return the (h, w) depth image, millimetres, 0 where missing, of a structured-light sensor.
+
+    Axial and lateral noise follow Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D
+    reconstruction and tracking" (2012): σ_z grows with the square of the distance, edges wander by about
+    half a pixel. Nothing comes back from surfaces seen at a grazing angle, or beside many depth edges.
+    """
+    import cv2
+
+    height, width = camera.height, camera.width
+    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    rays = _rays(camera, *(a + 0.4 * rng.standard_normal(a.shape) for a in (u, v)))
+    directions = rays @ world_from_camera[:3, :3].T
+    distance, normals, _ = scene.cast(world_from_camera[:3, 3], directions)
+    z = np.where(np.isfinite(distance), distance * rays[:, 2], 0).reshape(height, width)
+    cosine = -np.einsum("kx,kx->k", normals, directions).reshape(height, width)
+
+    # Neighbouring pixels share part of their matching window, and so of their error.
+    error = cv2.GaussianBlur(rng.standard_normal(z.shape), (0, 0), 0.7) * 2.2
+    measured = z + error * (0.0008 + 0.0016 * z**2)
+    lost = (z == 0) | (cosine < 0.14 + 0.06 * rng.random(z.shape)) | (rng.random(z.shape) < 0.004)
+    jump = cv2.morphologyEx(np.where(z > 0, z, 9.0), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0.03
+    lost |= jump & (rng.random(z.shape) < 0.7)
+    blotches = cv2.GaussianBlur(rng.standard_normal(z.shape), (0, 0), 3.0)
+    lost |= blotches > 2.6 * blotches.std()
+    return np.asarray(np.where(lost, 0, np.rint(measured * 1000)), np.uint16)
+
+
+def _rays(camera: Camera, u: Floats, v: Floats) -> Floats:
+    """Return the unit directions (k, 3), camera axes, of pixels of a distorted image."""
+    bent_x, bent_y = (u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy
+    k1, k2, p1, p2 = camera.distortion or (0.0, 0.0, 0.0, 0.0)
+    x, y = bent_x, bent_y
+    for _ in range(30):  # OpenCV's lens model, inverted by fixed-point iteration: contracts for mild lenses
+        r2 = x * x + y * y
+        radial = 1 + k1 * r2 + k2 * r2 * r2
+        x, y = (
+            (bent_x - 2 * p1 * x * y - p2 * (r2 + 2 * x * x)) / radial,
+            (bent_y - p1 * (r2 + 2 * y * y) - 2 * p2 * x * y) / radial,
+        )
+    rays = np.stack([x, y, np.ones_like(x)], axis=1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
