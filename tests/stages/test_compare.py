@@ -118,13 +118,14 @@ def test_figures_agree_with_trimesh_on_its_own_samples():
     points, _ = trimesh.sample.sample_surface(
         trimesh.Trimesh(a.vertices, a.triangles, process=False), 2000, seed=5
     )
+    points = np.vstack([points, a.vertices])
     every = np.repeat(points, len(b.triangles), axis=0)
     corners = np.tile(b.vertices[b.triangles], (len(points), 1, 1))
     gaps = np.linalg.norm(trimesh.triangles.closest_point(corners, every) - every, axis=1)
     distances = gaps.reshape(len(points), -1).min(axis=1)
     result = compare(a, b, samples=100_000)
-    assert result.a_to_b.mean == pytest.approx(distances.mean(), rel=0.05)
-    assert result.a_to_b.rms == pytest.approx(np.sqrt((distances**2).mean()), rel=0.05)
+    assert result.a_to_b.mean == pytest.approx(distances[:2000].mean(), rel=0.05)
+    assert result.a_to_b.rms == pytest.approx(np.sqrt((distances[:2000] ** 2).mean()), rel=0.05)
     assert distances.max() - 1e-6 <= result.a_to_b.maximum <= 1.05 * distances.max()
 
 
