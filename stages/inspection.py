@@ -232,8 +232,8 @@ def _path(frames: Sequence[Frame]) -> tuple[Path3D, list[str]]:
         return path, []
     named = ", ".join(outliers[:3]) + (" …" if len(outliers) > 3 else "")
     return path, [
-        f"{len(outliers)} poses jump, by more than {limit:.2g} m or {_LARGEST_TURN_DEG:g}° from the one before: "
-        f"{named}"
+        f"{len(outliers)} poses jump, by more than {limit:.2g} m or {_LARGEST_TURN_DEG:g}° "
+        f"from the one before: {named}"
     ]
 
 

@@ -82,10 +82,9 @@ def check_registration(pairs: Sequence[tuple[ColorImage | None, DepthImage | Non
     centre = total[_LARGEST_SHIFT, _LARGEST_SHIFT]
     if max(abs(down), abs(right)) < _NOTED_SHIFT or total.max() < 1.1 * max(centre, 0.02):
         return []
-    return [
-        "colour is not registered to depth: its edges lie about "
-        f"{abs(right)} px {'right' if right > 0 else 'left'} and {abs(down)} px {'below' if down > 0 else 'above'}"
-    ]
+    across = f"{abs(right)} px {'right' if right > 0 else 'left'}"
+    along = f"{abs(down)} px {'below' if down > 0 else 'above'}"
+    return [f"colour is not registered to depth: its edges lie about {across} and {along}"]
 
 
 def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> list[str]:
@@ -179,7 +178,7 @@ def _feature_moves(left: ColorImage, right: ColorImage) -> NDArray[np.float64]:
     finder = cv2.ORB.create(1000)
     points_left, words_left = finder.detectAndCompute(left, None)
     points_right, words_right = finder.detectAndCompute(right, None)
-    if words_left is None or words_right is None:
+    if not points_left or not points_right:
         return np.empty((0, 2))
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(words_left, words_right)
     moves = [

@@ -39,19 +39,23 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
     poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
 
+    colors = [first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg") for stem in stems]
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    for position, ((_, depth), stem) in enumerate(zip(depths, stems, strict=True)):
+    for position, ((_, depth), stem, color) in enumerate(zip(depths, stems, colors, strict=True)):
         pose_file = folder / f"{stem}.pose.txt"
         if poses is None and not pose_file.exists():
             skipped.append(SkippedFrame(stem, f"{pose_file.name} is missing"))
+            continue
+        if color is None and any(colors):
+            skipped.append(SkippedFrame(stem, "its colour image is missing"))
             continue
         pose = trajectories.read_pose(pose_file) if poses is None else poses[position]
         frames.append(
             Frame(
                 name=stem,
                 camera=camera,
-                color=first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg"),
+                color=color,
                 depth=depth,
                 depth_scale=options.depth_scale or scale,
                 depth_missing=(65535,),

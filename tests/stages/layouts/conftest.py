@@ -1,0 +1,71 @@
+"""A tiny world with one known point, written by hand in each layout's own convention.
+
+The camera is 32×24 pixels with fx = fy = 100, cx = 16, cy = 12. Pixel (26, 17) looks along (0.1, 0.05, 1); at
+a depth of 2 m it shows the camera point (0.2, 0.1, 2). Frame 0 stands at the origin. Frame 1 stands at (1, 2, 3)
+and looks along world +x: its axes are x = -z, y = y, z = +x, so the same pixel shows the world point
+(1 + 2, 2 + 0.1, 3 - 0.2) = (3, 2.1, 2.8).
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.images import read_depth
+
+PIXEL = (26, 17)
+INTRINSICS = (100.0, 100.0, 16.0, 12.0)
+WORLD_POINTS = ((0.2, 0.1, 2.0), (3.0, 2.1, 2.8))
+
+
+class TinyWorld:
+    """Writes the images of the tiny world and reads its known points back."""
+
+    intrinsics = INTRINSICS
+    option = "100,100,16,12"
+    points = WORLD_POINTS
+    identity = np.eye(4)
+    second = np.array([[0, 0, 1, 1], [0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 0, 1.0]])
+    # The rotation of the second frame as a quaternion x y z w: 90 degrees about +y.
+    second_quaternion = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
+
+    def color(self, path: Path, size: tuple[int, int] = (32, 24)) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        image = np.zeros((size[1], size[0], 3), np.uint8)
+        image[:, :, 2] = 200  # OpenCV writes BGR: this is red
+        assert cv2.imwrite(str(path), image)
+
+    def depth(self, path: Path, scale: float, metres: float = 2.0) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        image = np.full((24, 32), round(metres * scale), np.uint16)
+        image[0, 0] = 0
+        image[0, 1] = 65535
+        assert cv2.imwrite(str(path), image)
+
+    def seen(self, frame) -> np.ndarray:
+        """World point at the known pixel, from the frame's own depth, camera and pose."""
+        u, v = PIXEL
+        camera = frame.camera
+        z = float(read_depth(frame)[v, u])
+        point = ((u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z, 1.0)
+        return (frame.world_from_camera @ point)[:3]
+
+    def pixel(self, point, camera_from_world: np.ndarray, camera) -> np.ndarray:
+        """Where a camera sees a world point, without distortion."""
+        x, y, z = (camera_from_world @ (*point, 1.0))[:3]
+        return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
+
+@pytest.fixture(scope="session")
+def tiny() -> TinyWorld:
+    return TinyWorld()
+
+
+def rows(matrix: np.ndarray) -> str:
+    return "\n".join(" ".join(f"{value:.9g}" for value in row) for row in matrix) + "\n"
+
+
+@pytest.fixture(scope="session")
+def matrix_text():
+    return rows

@@ -1,0 +1,103 @@
+import json
+
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.layouts import ScanParams, read_scan
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny, matrix_text):
+    for number in (2, 10):
+        tiny.color(tmp_path / "color" / f"{number}.jpg")
+        tiny.depth(tmp_path / "depth" / f"{number}.png", 1000)
+    (tmp_path / "trajectory.log").write_text(
+        "0 0 1\n" + matrix_text(tiny.identity) + "1 1 2\n" + matrix_text(tiny.second)
+    )
+    # Column-major, as Open3D writes it.
+    (tmp_path / "intrinsic.json").write_text(
+        json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [100, 0, 0, 0, 100, 0, 16, 12, 1]})
+    )
+    return tmp_path
+
+
+def points(folder, tiny, **options):
+    return [tiny.seen(frame) for frame in read_scan(folder, ScanParams(**options)).frames]
+
+
+def test_known_points_come_out_in_the_world(scan_folder, tiny):
+    assert read_scan(scan_folder).layout == "redwood"
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_json_trajectory_is_world_to_camera_column_major(scan_folder, tiny):
+    (scan_folder / "trajectory.log").unlink()
+    # camera_from_world of the second frame by hand: R^T = [[0,0,-1],[0,1,0],[1,0,0]], -R^T t = (3, -2, -1).
+    extrinsics = [
+        [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+        [0, 0, 1, 0, 0, 1, 0, 0, -1, 0, 0, 0, 3, -2, -1, 1],
+    ]
+    (scan_folder / "trajectory.json").write_text(
+        json.dumps({"class_name": "PinholeCameraTrajectory", "parameters": [{"extrinsic": e} for e in extrinsics]})
+    )
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny):
+    document = json.loads((scan_folder / "intrinsic.json").read_text())
+    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"depth_scale": 4000}))
+    for number in (2, 10):
+        tiny.depth(scan_folder / "depth" / f"{number}.png", 4000)
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_camera_of_another_size_is_refused(scan_folder):
+    document = json.loads((scan_folder / "intrinsic.json").read_text())
+    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"width": 640, "height": 480}))
+    with pytest.raises(InputError, match=r"intrinsic\.json.*640×480.*32×24"):
+        read_scan(scan_folder)
+
+
+def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
+    (scan_folder / "intrinsic.json").unlink()
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].camera.fx == 525
+    assert any("525" in text for text in scan.warnings)
+
+
+def test_fewer_poses_than_frames_stops(scan_folder, matrix_text):
+    (scan_folder / "trajectory.log").write_text("0 0 1\n" + matrix_text(np.eye(4)))
+    with pytest.raises(InputError, match=r"trajectory\.log.*1 poses.*2 frames"):
+        read_scan(scan_folder)
+
+
+def test_a_frame_without_colour_is_left_out(scan_folder, tiny, matrix_text):
+    tiny.depth(scan_folder / "depth" / "11.png", 1000)
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["2", "10"]
+    assert scan.skipped[0].name == "11"
+
+
+def test_unequal_counts_without_common_numbers_stop(scan_folder, tiny):
+    for path in (scan_folder / "color").iterdir():
+        path.rename(path.with_name(f"9{path.name}"))
+    tiny.color(scan_folder / "color" / "95.jpg")
+    with pytest.raises(InputError, match="2 images and color/ 3"):
+        read_scan(scan_folder)
+
+
+def test_no_trajectory_is_an_error(scan_folder):
+    (scan_folder / "trajectory.log").unlink()
+    with pytest.raises(InputError, match=r"no poses: trajectory\.log"):
+        read_scan(scan_folder)
+
+
+def test_open3d_test_data(shared_data):
+    scan = read_scan(shared_data / "rgbd" / "open3d_testdata" / "RGBD")
+    assert (scan.layout, len(scan.frames)) == ("redwood", 5)
+    assert (scan.frames[0].camera.fx, scan.frames[0].camera.cx) == (525, 319.5)
+    np.testing.assert_allclose(
+        scan.frames[0].world_from_camera[:3, 3], (-0.31057997, 0.57301224, 2.12648002), atol=1e-7
+    )
+    assert any("camera_primesense.json" in text for text in scan.warnings)

@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.images import read_depth
+from stages.layouts import ScanParams, read_scan
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    folder = tmp_path / "rgbd_dataset_freiburg3_tiny"
+    # The depth camera's clock lies 10 ms behind; the third colour frame has no depth near it.
+    color, depth = ("10.000000", "10.500000", "11.000000"), ("10.010000", "10.510000", "12.000000")
+    for name in color:
+        tiny.color(folder / "rgb" / f"{name}.png")
+    for name in depth:
+        tiny.depth(folder / "depth" / f"{name}.png", 5000)
+    (folder / "rgb.txt").write_text("# color\n" + "".join(f"{n} rgb/{n}.png\n" for n in color))
+    (folder / "depth.txt").write_text("# depth\n" + "".join(f"{n} depth/{n}.png\n" for n in depth))
+    x, y, z, w = tiny.second_quaternion
+    (folder / "groundtruth.txt").write_text(
+        "# timestamp tx ty tz qx qy qz qw\n"
+        "10.0100 0 0 0 0 0 0 1\n"
+        "10.0150 0 0 0 0 0 0 1\n"
+        f"10.5000 1 2 2 {x} {y} {z} {w}\n"
+        f"10.5200 1 2 4 {x} {y} {z} {w}\n"
+    )
+    return folder
+
+
+def test_known_points_come_out_in_the_world(scan_folder, tiny):
+    # The second pose is half-way between two of the trajectory: (1, 2, 3).
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert scan.layout == "tum"
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+
+
+def test_frames_without_a_partner_in_time_are_skipped(scan_folder):
+    scan = read_scan(scan_folder)
+    assert [one.name for one in scan.skipped] == ["11.000000"]
+    assert "0.02 s" in scan.skipped[0].reason
+
+
+def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
+    lines = (scan_folder / "groundtruth.txt").read_text().splitlines()
+    (scan_folder / "groundtruth.txt").write_text("\n".join(lines[:3]))
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10.000000"]
+    assert any(one.reason.startswith("no pose within") for one in scan.skipped)
+
+
+def test_each_depth_frame_is_used_once(scan_folder, tiny):
+    tiny.color(scan_folder / "rgb" / "10.015000.png")
+    with (scan_folder / "rgb.txt").open("a") as file:
+        file.write("10.015000 rgb/10.015000.png\n")
+    scan = read_scan(scan_folder)
+    used = [frame.depth for frame in scan.frames]
+    assert len(set(used)) == len(used) == 2
+    # The colour frame 5 ms away takes it from the one 10 ms away.
+    assert "10.015000" in [frame.name for frame in scan.frames]
+
+
+def test_the_camera_follows_the_folder_name(scan_folder):
+    scan = read_scan(scan_folder)
+    camera = scan.frames[0].camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion) == (535.4, 539.2, 320.1, 247.6, ())
+    assert any("freiburg3" in text for text in scan.warnings)
+
+
+def test_freiburg1_keeps_its_distortion(scan_folder):
+    moved = scan_folder.rename(scan_folder.with_name("freiburg1_xyz"))
+    assert read_scan(moved).frames[0].camera.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+
+
+def test_an_unknown_camera_is_said(scan_folder):
+    moved = scan_folder.rename(scan_folder.with_name("desk"))
+    scan = read_scan(moved)
+    assert scan.frames[0].camera.fx == 525
+    assert any("scan.intrinsics" in text for text in scan.warnings)
+
+
+def test_scale_can_be_stated(scan_folder):
+    depth = read_depth(read_scan(scan_folder, ScanParams(depth_scale=10000)).frames[0])
+    assert depth[5, 5] == 1.0
+
+
+def test_poses_without_times_cannot_be_paired(scan_folder, matrix_text):
+    (scan_folder / "groundtruth.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(InputError, match=r"groundtruth\.txt.*no timestamps"):
+        read_scan(scan_folder)
+
+
+def test_desk_excerpt_lacks_poses(shared_data):
+    with pytest.raises(InputError, match=r"realsense_desk_tum_layout.*no poses: groundtruth\.txt"):
+        read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout")
