@@ -1,7 +1,7 @@
 """Leave the depth of a stereo scan as files: an RGB-D scan folder of our own layout, and a coloured cloud.
 
     scan.json                what stages.layouts reads back as RGB-D frames
-    color/000000.png         the rectified left image, 8-bit RGB
+    color/000000.png         the rectified left image, 8-bit RGB or grey
     depth/000000.png         16-bit; the units of a metre are in scan.json, 0 is missing
     confidence/000000.png    8-bit, 0 to 255
     points.ply               coloured points of all frames, thinned out
@@ -30,8 +30,6 @@ from stages.scan import ColorImage, DepthImage, Frame, SkippedFrame
 # Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
 MAX_POINTS = 1_000_000
 _LARGEST = np.iinfo(np.uint16).max
-# Low: these files are read once more and then kept, and higher levels take longer than matching does.
-_PNG_COMPRESSION = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +84,7 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
     raw = np.rint(result.depth * np.float32(scale))
     raw[raw > _LARGEST] = 0
     name = f"{number:06d}.png"
-    _write_png(folder / "color" / name, result.color[:, :, ::-1])
+    _write_png(folder / "color" / name, _grey_or_bgr(result.color))
     _write_png(folder / "depth" / name, raw.astype(np.uint16))
     _write_png(folder / "confidence" / name, result.confidence)
     kept = replace(
@@ -111,9 +109,18 @@ def depth_scale(max_depth: float) -> float:
 def _write_png(path: Path, image: NDArray[Any]) -> None:
     import cv2
 
+    # Quick rather than small: at higher levels this takes longer than matching does, for a tenth of the size.
+    quick = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
     # Encoded in memory and written here, so that a full disk is an error and not a False nobody looks at.
-    _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_COMPRESSION])
+    _, data = cv2.imencode(".png", image, quick)
     path.write_bytes(data.tobytes())
+
+
+def _grey_or_bgr(color: ColorImage) -> ColorImage:
+    """Return the image as PNG writing wants it; one channel is enough for that of a grey camera."""
+    grey = color[:, :, 0]
+    is_grey = np.array_equal(grey, color[:, :, 1]) and np.array_equal(grey, color[:, :, 2])
+    return grey if is_grey else color[:, :, ::-1]
 
 
 def _cloud(

@@ -40,9 +40,8 @@ class ReportParams:
 
 def measure(mesh: Mesh, fused: Mesh, clean: Mesh, params: CompareParams) -> dict[str, Any]:
     """Measure the final mesh: its counts, its edges, and how far it is from the meshes it came from."""
-    from stages.topology import topology
-
     from stages.compare import compare
+    from stages.topology import topology
 
     found = topology(mesh)
     return {

@@ -1,7 +1,7 @@
 """Kill a process at every step it takes in the file system, and look at what it leaves.
 
-`python kill_everywhere.py SCAN FOLDER EVERY` works on the toy pipeline and prints how many kills there were. A
-child is forked for each; it kills itself when it is about to make its n-th call that touches a file.
+`python kill_everywhere.py SCAN FOLDER EVERY` works on the toy pipeline and prints how many kills there were.
+A child is forked for each; it kills itself when it is about to make its n-th call that touches a file.
 """
 
 import os

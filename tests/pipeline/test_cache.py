@@ -268,7 +268,7 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, 
     stored(cache)
 
 
-def test_disk_that_fills_while_a_stage_writes(cache, monkeypatch):
+def test_disk_that_fills_while_a_stage_writes(cache):
     def write(folder):
         (folder / "begun").write_bytes(b"x")
         raise StageError("fused.ply: cannot be written") from OSError(errno.ENOSPC, "No space left on device")
@@ -281,7 +281,7 @@ def test_disk_that_fills_while_a_stage_writes(cache, monkeypatch):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_cache_that_may_not_be_written(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(StageError, match="cannot be written to the cache .*Permission denied"):
+    with pytest.raises(StageError, match=r"cannot be written to the cache .*Permission denied"):
         Cache(tmp_path / "cache").store(RECIPE, make)
     tmp_path.chmod(0o700)
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.cache import Cache
-from pipeline.sections import Sections
 from pipeline.digest import scan_digest
 from pipeline.engine import Engine, Job, Outcome, Source, Stage
 from pipeline.events import Events, unwatched
+from pipeline.sections import Sections
 from stages.params import check, param
 from stages.scan import Camera, Frame, Scan
 

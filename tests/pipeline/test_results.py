@@ -1,0 +1,202 @@
+"""What stands in the output folder, and what a run says while it works."""
+
+import errno
+import os
+from dataclasses import replace
+
+import pytest
+
+from pipeline.events import StageFinished, StageProgress, StageStarted
+from stages.errors import InputError, StageError
+
+NAMES = ["cut.bin", "mixed.bin", "tables/counts.txt"]
+
+
+def files(out):
+    """Names of the files a person sees."""
+    found = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
+    return sorted(str(path) for path in found if path.parts[0] != "cache")
+
+
+def contents(out):
+    return [(out / name).read_bytes() for name in files(out)]
+
+
+def fail(job):
+    raise InputError("no such luck", job.folder)
+
+
+@pytest.fixture
+def out(toy, scan, tmp_path):
+    """An output folder after a first run."""
+    toy.run(scan, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_results_stand_under_plain_names(toy, scan, out):
+    assert files(out) == NAMES
+    outcomes = toy.run(scan, out)
+    assert [path.relative_to(out).as_posix() for o in outcomes for path in o.results] == [
+        "mixed.bin",
+        "cut.bin",
+        "tables/counts.txt",
+    ]
+
+
+def test_results_that_are_right_are_not_written_again(toy, scan, out):
+    before = [(out / name).stat() for name in NAMES]
+    toy.run(scan, out)
+    after = [(out / name).stat() for name in NAMES]
+    assert [(s.st_ino, s.st_mtime_ns) for s in after] == [(s.st_ino, s.st_mtime_ns) for s in before]
+
+
+def test_changed_and_deleted_results_come_back(toy, scan, out):
+    expected = contents(out)
+    (out / "mixed.bin").write_bytes(b"edited")
+    (out / "cut.bin").unlink()
+    data = bytearray((out / "tables" / "counts.txt").read_bytes())
+    data[0] ^= 1
+    (out / "tables" / "counts.txt").write_bytes(data)
+    assert all(outcome.cached for outcome in toy.run(scan, out))
+    assert contents(out) == expected
+
+
+def test_editing_a_result_does_not_reach_into_the_cache(toy, scan, out):
+    with (out / "mixed.bin").open("r+b") as file:
+        file.write(b"edited in place")
+    warnings = []
+    assert all(outcome.cached for outcome in toy.run(scan, out, warnings=warnings))
+    assert warnings == []
+
+
+def test_before_a_stage_runs_its_old_results_and_the_later_ones_leave(toy, scan, out):
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], make=fail), toy.PLAN[2])
+    with pytest.raises(InputError, match="no such luck"):
+        toy.run(scan, out, "cut.far=3", plan=plan)
+    assert files(out) == ["mixed.bin"]
+    assert toy.run(scan, out)
+    assert files(out) == NAMES
+
+
+def test_what_a_person_put_or_changed_there_stays(toy, scan, out):
+    (out / "mine.txt").write_text("mine")
+    (out / "tables" / "mine.txt").write_text("mine")
+    (out / "cut.bin").write_bytes(b"edited")
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], make=fail), toy.PLAN[2])
+    with pytest.raises(InputError):
+        toy.run(scan, out, "cut.far=3", plan=plan)
+    assert files(out) == ["cut.bin", "mine.txt", "mixed.bin", "tables/mine.txt"]
+    assert (out / "cut.bin").read_bytes() == b"edited"
+
+
+def test_until_removes_later_results_that_do_not_follow_any_more(toy, scan, out):
+    assert [o.stage for o in toy.run(scan, out, "mix.gain=0.25", until="cut")] == ["mix", "cut"]
+    assert files(out) == ["cut.bin", "mixed.bin"]
+
+
+def test_until_leaves_later_results_that_still_follow(toy, scan, out):
+    assert [o.cached for o in toy.run(scan, out, until="mix")] == [True]
+    assert files(out) == NAMES
+
+
+def test_files_a_stage_no_longer_writes_leave(toy, scan, out):
+    def count_otherwise(job):
+        (job.folder / "tables").mkdir()
+        (job.folder / "tables" / "other.txt").write_text("4")
+        return {}
+
+    plan = (*toy.PLAN[:2], replace(toy.PLAN[2], version=2, make=count_otherwise))
+    toy.run(scan, out, plan=plan)
+    assert files(out) == ["cut.bin", "mixed.bin", "tables/other.txt"]
+
+
+def test_output_inside_the_scan_folder_changes_nothing(toy, scan):
+    before = files(scan)
+    toy.run(scan, scan / "out")
+    assert all(outcome.cached for outcome in toy.run(scan, scan / "out"))
+    assert [name for name in files(scan) if not name.startswith("out/")] == before
+
+
+def test_cache_elsewhere_is_shared_by_output_folders(toy, scan, tmp_path):
+    cache = tmp_path / "shared"
+    toy.run(scan, tmp_path / "a", cache=cache)
+    assert all(outcome.cached for outcome in toy.run(scan, tmp_path / "b", cache=cache))
+    assert files(tmp_path / "b") == NAMES
+    assert not (tmp_path / "b" / "cache").exists()
+
+
+def test_drafts_of_killed_copies_are_removed(toy, scan, out):
+    (out / ".cut.bin.0123abcd.part").write_bytes(b"half")
+    toy.run(scan, out)
+    assert files(out) == NAMES
+
+
+def test_full_disk_while_results_are_placed(toy, scan, out, monkeypatch):
+    (out / "cut.bin").unlink()
+
+    def refuse(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("pipeline.files.shutil.copyfile", refuse)
+    with pytest.raises(StageError, match=r"results cannot be written to .*: the disk is full"):
+        toy.run(scan, out)
+    assert files(out) == ["mixed.bin", "tables/counts.txt"]
+
+
+def test_failures_of_the_machine_in_a_stage_are_one_sentence(toy, scan, tmp_path):
+    def starve(_):
+        raise MemoryError
+
+    def lose(job):
+        (job.folder / "none").read_bytes()
+
+    for make, message in (
+        (starve, "cut failed: the memory is used up"),
+        (lose, r"cut failed: No such file.*none"),
+    ):
+        with pytest.raises(StageError, match=message):
+            toy.run(scan, tmp_path / "out", plan=(toy.PLAN[0], replace(toy.PLAN[1], make=make), toy.PLAN[2]))
+
+
+def test_scan_that_changes_while_a_stage_reads_it_is_not_kept(toy, scan, tmp_path):
+    def slow(job):
+        figures = toy.mix(job)
+        (scan / "01.raw").write_bytes(bytes(64))
+        return figures
+
+    plan = (replace(toy.PLAN[0], make=slow), *toy.PLAN[1:])
+    with pytest.raises(StageError, match=r"01\.raw changed while it was being read"):
+        toy.run(scan, tmp_path / "out", plan=plan)
+    assert files(tmp_path / "out") == []
+    assert [o.cached for o in toy.run(scan, tmp_path / "out")] == [False] * 3
+
+
+def test_events_tell_the_story(toy, scan, tmp_path):
+    told = []
+    toy.run(scan, tmp_path / "out", events=told.append, until="mix")
+    assert told[:4] == [
+        StageStarted("mix", "first run"),
+        StageProgress("mix", 1, 3),
+        StageProgress("mix", 2, 3),
+        StageProgress("mix", 3, 3),
+    ]
+    [finished] = told[4:]
+    assert isinstance(finished, StageFinished)
+    assert (finished.stage, finished.cached, finished.reason) == ("mix", False, "first run")
+    assert finished.figures["worst_m"] is None, "infinity is no JSON"
+    assert finished.results == (tmp_path / "out" / "mixed.bin",)
+    told.clear()
+    toy.run(scan, tmp_path / "out", events=told.append, until="mix")
+    assert [(e.stage, e.cached, e.reason) for e in told] == [("mix", True, "")]
+
+
+def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
+    def hungry(job):
+        block = bytearray(200_000_000)
+        block[::4096] = b"x" * len(block[::4096])
+        return toy.mix(job)
+
+    plan = (replace(toy.PLAN[0], make=hungry), *toy.PLAN[1:])
+    mix, cut, _ = toy.run(scan, tmp_path / "out", plan=plan)
+    assert mix.made["peak_memory_bytes"] > 200_000_000
+    assert cut.made["peak_memory_bytes"] < mix.made["peak_memory_bytes"] - 100_000_000

@@ -1,0 +1,64 @@
+"""Imports go one way, cli → pipeline → stages → stages._kernels, and only what is declared is imported."""
+
+import ast
+import re
+import subprocess
+import sys
+from importlib.metadata import requires
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("stages", "pipeline", "cli")
+MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+# What a distribution is imported as, where that is not its own name.
+IMPORTED_AS = {
+    "opencv-contrib-python-headless": "cv2",
+    "pyyaml": "yaml",
+    "scikit-image": "skimage",
+    "libusb-package": "libusb_package",
+}
+HEAVY = ("open3d", "cv2", "scipy", "skimage", "trimesh")
+
+
+def imported(path: Path) -> set[str]:
+    """First names of everything a module imports, wherever in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names.add((node.module or "").split(".")[0])
+    return names
+
+
+def declared() -> set[str]:
+    """Import names of the dependencies that every installation has."""
+    lines = [line for line in requires("scanloom") or [] if "extra ==" not in line]
+    names = [re.match(r"[\w.-]+", line)[0].lower() for line in lines]
+    return {IMPORTED_AS.get(name, name.replace("-", "_")) for name in names}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_go_one_way_and_are_declared(path):
+    room = path.relative_to(ROOT).parts[0]
+    allowed = set(ROOMS[: ROOMS.index(room) + 1])
+    others = imported(path) - set(sys.stdlib_module_names) - {"tomllib"} - declared()
+    assert others <= allowed, f"{path} imports {sorted(others - allowed)}"
+
+
+def test_kernels_know_no_python_outside_the_binding():
+    for path in (ROOT / "kernels" / "src").rglob("*.rs"):
+        if "python" not in path.relative_to(ROOT / "kernels" / "src").parts[0]:
+            assert not re.search(r"^\s*use (pyo3|numpy)\b", path.read_text(encoding="utf-8"), re.MULTILINE), (
+                path
+            )
+
+
+@pytest.mark.parametrize("module", ["stages", "pipeline.run", "cli.app"])
+def test_importing_is_light(module):
+    code = f"import sys, {module}; print([name for name in {HEAVY!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
