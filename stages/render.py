@@ -25,7 +25,8 @@ SUPERSAMPLING = 2
 _CLAY = (214.0, 212.0, 207.0)
 _CLAY_BEHIND = (150.0, 165.0, 190.0)
 _EDGE = np.array((38.0, 52.0, 74.0))
-_BACKGROUND_TOP, _BACKGROUND_BOTTOM = 255.0, 228.0
+# A cool grey: scans are full of white paper and walls, which must not melt into it.
+_BACKGROUND_TOP, _BACKGROUND_BOTTOM = np.array((242.0, 244.0, 247.0)), np.array((212.0, 217.0, 224.0))
 # Towards the light, in camera axes: from behind the viewer's left shoulder.
 _LIGHT = np.array((-0.35, -0.55, -0.75)) / np.linalg.norm((-0.35, -0.55, -0.75))
 # A ray that starts on a surface culled before begins this share of its length later.
@@ -117,7 +118,7 @@ def _band(
     directions = in_camera @ rotation.T
     seen = _cast(surface, frames.normals, origin, directions, view.cull)
     shade = ((vv.ravel() + 0.5) / camera.height)[:, None]
-    pixels = np.repeat(_BACKGROUND_TOP + (_BACKGROUND_BOTTOM - _BACKGROUND_TOP) * shade, 3, axis=1)
+    pixels = _BACKGROUND_TOP + (_BACKGROUND_BOTTOM - _BACKGROUND_TOP) * shade
     hit = np.flatnonzero(seen.triangles >= 0)
     at = Located(seen.triangles[hit], seen.weights[hit], seen.distances[hit])
     pixels[hit] = _shaded(surface.mesh, frames, at, directions[hit], rotation, camera, shading)
