@@ -6,12 +6,12 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LimitExceeded", "MeshRefused", "Simplified", "simplify"]
+__all__ = ["LimitError", "InvalidMeshError", "Simplified", "simplify"]
 
-class MeshRefused(ValueError):
+class InvalidMeshError(ValueError):
     """The mesh breaks a rule the kernels need; the message names the elements."""
 
-class LimitExceeded(OverflowError):
+class LimitError(OverflowError):
     """The result would be larger than the stated limit."""
 
 @final
@@ -70,5 +70,5 @@ def simplify(
 ) -> Simplified:
     """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound.
 
-    Raises MeshRefused for a mesh it cannot work on, LimitExceeded when splitting would pass `triangle_limit`.
+    Raises InvalidMeshError for a mesh it cannot work on, LimitError when splitting would pass `triangle_limit`.
     """

@@ -41,8 +41,8 @@ class SimplifyParams:
 
     resolution: float | None = param(
         None,
-        "Wanted edge length: longer edges are split first, and stay when collapses make them. Default: 8 times "
-        "the mean edge length, more where splitting would add over 5 % of triangles.",
+        "Wanted edge length: longer edges are split first, and do not collapse. Default: 8 times the mean "
+        "edge length, more where splitting would add over 5 % of triangles.",
         unit="m",
         low=0,
         low_open=True,
@@ -216,12 +216,12 @@ def simplify(
             triangle_limit=max(_TRIANGLE_LIMIT, count),
             progress=progress,
         )
-    except _kernels.LimitExceeded as error:
+    except _kernels.LimitError as error:
         raise UsageError(
             f"resolution is {limits.scales[0]:g} m, and with edges no longer than that {error}; "
             "give a coarser one."
         ) from error
-    except _kernels.MeshRefused as error:
+    except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
     return Simplified(
         mesh=_result_mesh(mesh, result),

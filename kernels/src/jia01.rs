@@ -10,11 +10,12 @@
 
 use crate::engine::{Collapsed, Engine, Measure, Proposal, Refusal, Stop};
 use crate::error::KernelError;
-use crate::geometry::{Vec3, add_scaled, distance2, position, segment_distance2, sub, triangle_distance2};
+use crate::geometry::{add_scaled, distance2, sub};
 use crate::ids::EdgeId;
 use crate::legality::Illegal;
 use crate::mesh::{Compact, Mesh};
 use crate::progress::Progress;
+use crate::shape::{Overlay, boundary_change, shape_change};
 use crate::split::split_long_edges;
 use crate::star::Star;
 
@@ -41,7 +42,7 @@ pub struct Options {
     pub scales: Limits,
     /// Length that counts as much as one level of an attribute in the placement (4)–(6).
     pub attribute_scale: f64,
-    /// Check the sums after a collapse, as the paper does, instead of before.
+    /// As in the paper: check the sums after a collapse instead of before, and look at vertices only.
     pub paper_rule: bool,
     /// Stop as soon as no more triangles are left.
     pub target_triangles: usize,
@@ -169,6 +170,7 @@ pub struct Jia01<const D: usize> {
     attribute_weight: f64,
     paper_rule: bool,
     accumulated: Vec<Accumulated>,
+    overlay: Overlay,
     largest: Change,
 }
 
@@ -180,6 +182,7 @@ impl<const D: usize> Jia01<D> {
             attribute_weight: options.attribute_scale * options.attribute_scale,
             paper_rule: options.paper_rule,
             accumulated: initial_contrast(mesh),
+            overlay: Overlay::default(),
             largest: Change::default(),
         }
     }
@@ -276,14 +279,11 @@ impl<const D: usize> Measure<D> for Jia01<D> {
     fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, Change>, Bound> {
         let texture = texture_change(star);
         if !self.paper_rule {
-            if self.accumulated[star.edge.index()].total_texture() + texture > self.bounds.texture {
+            let sum = |edge: &EdgeId| self.accumulated[edge.index()].texture;
+            let largest = star.others.iter().map(sum).fold(0.0, f64::max);
+            let total = self.accumulated[star.edge.index()].total_texture();
+            if largest.max(total) + texture > self.bounds.texture {
                 return Err(Bound::Texture);
-            }
-            for edge in &star.others {
-                let sums = &self.accumulated[edge.index()];
-                if sums.texture + texture > self.bounds.texture {
-                    return Err(Bound::Texture);
-                }
             }
         }
         let point = match (star.end_on_boundary, star.boundary_neighbours) {
@@ -306,16 +306,23 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         star: &Star<D>,
         proposal: &mut Proposal<D, Change>,
     ) -> Result<(), Bound> {
-        let shape = match star.boundary_neighbours {
+        let mut shape = match star.boundary_neighbours {
             Some(neighbours) => boundary_change(star, neighbours.map(|v| mesh.point(v)), &proposal.point),
             None => shape_change(star, &proposal.point),
         };
-        proposal.change.shape = shape;
-        if self.paper_rule {
-            return Ok(());
+        if !self.paper_rule {
+            let sum = |edge: &EdgeId| self.accumulated[edge.index()].shape;
+            let largest = star.others.iter().map(sum).fold(sum(&star.edge), f64::max);
+            if largest + shape > self.bounds.shape {
+                return Err(Bound::Shape);
+            }
+            shape = shape.max(self.overlay.crossing_gap(star, &proposal.point));
+            if largest + shape > self.bounds.shape {
+                return Err(Bound::Shape);
+            }
         }
-        let holds = |edge: &EdgeId| self.accumulated[edge.index()].shape + shape <= self.bounds.shape;
-        if holds(&star.edge) && star.others.iter().all(holds) { Ok(()) } else { Err(Bound::Shape) }
+        proposal.change.shape = shape;
+        Ok(())
     }
 
     fn commit(&mut self, _mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Change) {
@@ -375,56 +382,4 @@ fn initial_contrast<const D: usize>(mesh: &Mesh<D>) -> Vec<Accumulated> {
         accumulated[edge.index()].contrast = around[a.index()].max(around[b.index()]).sqrt();
     }
     accumulated
-}
-
-/// S(e) (1)–(2). The ring is common to both stars, so only the ends against the new star and the new vertex
-/// against the old one count.
-pub fn shape_change<const D: usize>(star: &Star<D>, point: &[f64; D]) -> f64 {
-    let to = position(point);
-    let ends = star.end_points.map(|p| position(&p));
-    let mut largest2 = 0f64;
-    for from in &ends {
-        let wings = star
-            .wings
-            .iter()
-            .map(|w| triangle_distance2(from, [&to, &position(&w.from_point), &position(&w.to_point)]));
-        largest2 = largest2.max(least(wings, largest2));
-    }
-    let apexes = star
-        .vanishing
-        .iter()
-        .map(|(_, _, apex)| triangle_distance2(&to, [&ends[0], &ends[1], &position(apex)]));
-    let wings = star
-        .wings
-        .iter()
-        .map(|w| triangle_distance2(&to, [&ends[w.end], &position(&w.from_point), &position(&w.to_point)]));
-    largest2.max(least(apexes.chain(wings), largest2)).sqrt()
-}
-
-/// S(e) on a boundary edge: the distances between the boundary polylines before and after. They are part
-/// of the stars, so the distances to the stars are never larger.
-fn boundary_change<const D: usize>(star: &Star<D>, neighbours: [&[f64; D]; 2], point: &[f64; D]) -> f64 {
-    let to = position(point);
-    let [first, second] = star.end_points.map(|p| position(&p));
-    let [before, after] = neighbours.map(position);
-    let nearest = |p: &Vec3, line: &[[&Vec3; 2]]| {
-        line.iter().map(|[a, b]| segment_distance2(p, a, b)).fold(f64::INFINITY, f64::min)
-    };
-    let new = [[&before, &to], [&to, &after]];
-    let old = [[&before, &first], [&first, &second], [&second, &after]];
-    nearest(&first, &new).max(nearest(&second, &new)).max(nearest(&to, &old)).sqrt()
-}
-
-/// The least of some distances, or anything up to `enough` if one is that small: what then follows cannot
-/// change the maximum.
-#[inline]
-fn least(distances: impl Iterator<Item = f64>, enough: f64) -> f64 {
-    let mut least = f64::INFINITY;
-    for distance in distances {
-        least = least.min(distance);
-        if least <= enough {
-            break;
-        }
-    }
-    least
 }

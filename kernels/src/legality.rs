@@ -107,7 +107,7 @@ pub fn keeps_triangles<const D: usize>(star: &Star<D>, point: &[f64; D]) -> Resu
             return Err(Illegal::Fold);
         }
         let flat = old_area2 <= least2 * least2 * old_side2 * old_side2;
-        let reference = if flat { mean_normal(star) } else { old };
+        let reference = if flat { star.mean_normal() } else { old };
         let cosine = dot(&reference, &new);
         let least = if flat { 0.0 } else { LEAST_COSINE };
         if cosine < least * (old_area2 * new_area2).sqrt() {
@@ -122,18 +122,4 @@ pub fn keeps_triangles<const D: usize>(star: &Star<D>, point: &[f64; D]) -> Resu
 fn shape(p: &Vec3, a: &Vec3, b: &Vec3) -> (Vec3, f64) {
     let (pa, pb) = (sub(a, p), sub(b, p));
     (cross(&pa, &pb), norm2(&pa).max(norm2(&pb)).max(norm2(&sub(b, a))))
-}
-
-/// Sum of the normals of all triangles of the star, each weighted with its area.
-fn mean_normal<const D: usize>(star: &Star<D>) -> Vec3 {
-    let ends = star.end_points.map(|p| position(&p));
-    let mut sum = [0.0; 3];
-    let mut add = |n: Vec3| (0..3).for_each(|i| sum[i] += n[i]);
-    for wing in &star.wings {
-        add(shape(&ends[wing.end], &position(&wing.from_point), &position(&wing.to_point)).0);
-    }
-    for (side, (_, _, apex)) in star.vanishing.iter().enumerate() {
-        add(shape(&ends[side], &ends[1 - side], &position(apex)).0);
-    }
-    sum
 }

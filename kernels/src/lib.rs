@@ -8,7 +8,7 @@
 //! | [`legality`] | what no collapse may do |
 //! | [`queue`], [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
 //! | [`split`] | splitting long edges |
-//! | [`jia01`] | texture-preserving simplification |
+//! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 
 mod connect;
@@ -22,6 +22,7 @@ pub mod legality;
 pub mod mesh;
 pub mod progress;
 pub mod queue;
+pub mod shape;
 pub mod split;
 pub mod star;
 pub mod validate;

@@ -18,13 +18,13 @@ use crate::progress::Progress;
 
 create_exception!(
     stages._kernels,
-    MeshRefused,
+    InvalidMeshError,
     PyValueError,
     "The mesh breaks a rule the kernels need; the message names the elements."
 );
 create_exception!(
     stages._kernels,
-    LimitExceeded,
+    LimitError,
     PyOverflowError,
     "The result would be larger than the stated limit."
 );
@@ -32,8 +32,8 @@ create_exception!(
 impl From<KernelError> for PyErr {
     fn from(error: KernelError) -> Self {
         match error {
-            KernelError::TooManyTriangles { .. } => LimitExceeded::new_err(error.to_string()),
-            _ => MeshRefused::new_err(error.to_string()),
+            KernelError::TooManyTriangles { .. } => LimitError::new_err(error.to_string()),
+            _ => InvalidMeshError::new_err(error.to_string()),
         }
     }
 }
@@ -233,7 +233,7 @@ fn sources(py: Python<'_>, sources: &[u32]) -> Py<PyArray1<i32>> {
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Simplified>()?;
-    module.add("MeshRefused", module.py().get_type::<MeshRefused>())?;
-    module.add("LimitExceeded", module.py().get_type::<LimitExceeded>())?;
+    module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
+    module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add_function(wrap_pyfunction!(simplify, module)?)
 }

@@ -1,7 +1,7 @@
 //! The edge star N_c(e): every triangle that touches either end of an edge, gathered once per attempt.
 
 use crate::connectivity::Connectivity;
-use crate::geometry::midpoint;
+use crate::geometry::{Vec3, cross, midpoint, position, sub};
 use crate::ids::{EdgeId, TriangleId, VertexId};
 use crate::mesh::Mesh;
 
@@ -29,6 +29,8 @@ pub struct Star<const D: usize> {
     /// Triangles that a collapse removes, and their corners across from the edge.
     pub vanishing: Vec<(TriangleId, VertexId, [f64; D])>,
     pub wings: Vec<Wing<D>>,
+    /// Edges from an end, 0 or 1, to a neighbour that is not the other end.
+    pub spokes: Vec<(usize, [f64; D])>,
     /// Edges of the star without `edge` itself: spokes of both ends and the ring around.
     pub others: Vec<EdgeId>,
     /// For a boundary edge: the boundary vertices before its first and after its second end.
@@ -45,6 +47,7 @@ impl<const D: usize> Default for Star<D> {
             end_on_boundary: [false; 2],
             vanishing: vec![],
             wings: vec![],
+            spokes: vec![],
             others: vec![],
             boundary_neighbours: None,
         }
@@ -61,6 +64,7 @@ impl<const D: usize> Star<D> {
         self.middle = midpoint(&self.end_points[0], &self.end_points[1]);
         self.vanishing.clear();
         self.wings.clear();
+        self.spokes.clear();
         self.others.clear();
 
         let first = connectivity.halfedge(edge);
@@ -102,6 +106,7 @@ impl<const D: usize> Star<D> {
         for (spoke, neighbour) in connectivity.spokes(v) {
             if neighbour != opposite {
                 self.others.push(spoke);
+                self.spokes.push((end, *mesh.point(neighbour)));
             }
             last = neighbour;
         }
@@ -111,5 +116,22 @@ impl<const D: usize> Star<D> {
     #[inline]
     pub fn end_point(&self, end: usize) -> &[f64; D] {
         &self.end_points[end]
+    }
+
+    /// Sum of the normals of all triangles, each weighted with its area.
+    pub fn mean_normal(&self) -> Vec3 {
+        let ends = self.end_points.map(|p| position(&p));
+        let mut sum = [0.0; 3];
+        let mut add = |p: &Vec3, a: &[f64; D], b: &[f64; D]| {
+            let normal = cross(&sub(&position(a), p), &sub(&position(b), p));
+            (0..3).for_each(|i| sum[i] += normal[i]);
+        };
+        for wing in &self.wings {
+            add(&ends[wing.end], &wing.from_point, &wing.to_point);
+        }
+        for (side, (_, _, apex)) in self.vanishing.iter().enumerate() {
+            add(&ends[side], &self.end_points[1 - side], apex);
+        }
+        sum
     }
 }
