@@ -45,7 +45,12 @@ def read_depth_scale(path: Path) -> float:
 
 
 def read_rig(
-    path: Path, width: int, height: int, document: dict[str, Any] | None = None
+    path: Path,
+    width: int,
+    height: int,
+    *,
+    document: dict[str, Any] | None = None,
+    baseline: float | None = None,
 ) -> tuple[StereoRig, list[str]]:
     """Read a stereo rig for images of this size in pixels, and return it with what is odd about the file.
 
@@ -57,6 +62,7 @@ def read_rig(
     ----------
     path : named in messages, and read unless `document` is given.
     document : the file's content, when several files make it up.
+    baseline : metres, in place of the file's.
 
     Raises
     ------
@@ -70,31 +76,42 @@ def read_rig(
         left, right = (
             camera_from_table(_table(values, side, path), width, height, path) for side in ("left", "right")
         )
-        right_from_left = _extrinsics(values, path)
+        right_from_left = _extrinsics(values, path, required=baseline is None)
     elif (keys := _present(values, _MATRICES)) is not None:
         bent = _present(values, _DISTORTIONS) or ("", "")
         left, right = (
             matrix_camera(_array(values, key, path), _coefficients(values.get(d), path), width, height, path)
             for key, d in zip(keys, bent, strict=True)
         )
-        right_from_left = _extrinsics(values, path)
+        right_from_left = _extrinsics(values, path, required=baseline is None)
     elif "P1" in values and "P2" in values:
         left, right, right_from_left = _projections(values, width, height, path)
     else:
         left = right = camera_from_table(values, width, height, path)
-        right_from_left = _extrinsics(values, path)
+        right_from_left = _extrinsics(values, path, required=baseline is None)
 
-    right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
+    if baseline is None:
+        right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
+    else:
+        right_from_left, warnings = with_baseline(right_from_left, baseline), []
     rectified = values.get("rectified", _looks_rectified(left, right, right_from_left))
     if not isinstance(rectified, (bool, int)):
         raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
-    if rectified and right_from_left[0, 3] >= 0:
+    if right_from_left[0, 3] >= 0:
         raise InputError(
             "the second camera is not right of the first: T maps left-camera points to the right "
             "camera, so its x must be negative. Are the two cameras swapped?",
             path,
         )
     return StereoRig(left, right, right_from_left, bool(rectified)), warnings
+
+
+def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
+    """Return the relation of two cameras, their distance set to `baseline` metres (along x if it was 0)."""
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    moved: Pose = right_from_left.copy()
+    moved[:3, 3] = (-baseline, 0, 0) if length == 0 else right_from_left[:3, 3] * (baseline / length)
+    return moved
 
 
 def checked(camera: Camera, path: Path) -> Camera:
@@ -187,7 +204,7 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
     return cameras[0], cameras[1], right_from_left
 
 
-def _extrinsics(values: dict[str, Any], path: Path) -> Pose:
+def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
     matrix = np.eye(4)
     rotation = next((key for key in ("R", "rotation") if key in values), None)
@@ -208,7 +225,7 @@ def _extrinsics(values: dict[str, Any], path: Path) -> Pose:
         matrix[:3, 3] = shift.ravel()
     elif "baseline" in values:
         matrix[0, 3] = -abs(_number(values["baseline"], "baseline", path))
-    else:
+    elif required:
         raise InputError(
             "how the cameras stand to each other is missing: R and T, or a baseline "
             "(or set scan.baseline=METRES).",

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from stages import documents, trajectories
-from stages.calibration import checked
+from stages.calibration import checked, with_baseline
 from stages.errors import InputError
 from stages.layouts.files import common_size, first_existing
 from stages.layouts.layout import Layout
@@ -93,7 +91,7 @@ def _rig(mav: Path, size: tuple[int, int], options: ScanParams) -> tuple[StereoR
         body_from_camera.append(_mounting(document, path))
     right_from_left = trajectories.inverted(body_from_camera[1]) @ body_from_camera[0]
     if options.baseline is not None:
-        right_from_left[:3, 3] *= options.baseline / np.linalg.norm(right_from_left[:3, 3])
+        right_from_left = with_baseline(right_from_left, options.baseline)
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
 
 

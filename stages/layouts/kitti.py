@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import documents, trajectories
-from stages.calibration import matrix_camera
+from stages.calibration import matrix_camera, with_baseline
 from stages.errors import InputError
 from stages.layouts.files import common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
@@ -71,20 +71,20 @@ def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
     found: dict[int, NDArray[np.float64]] = {}
     bare = 0
     for number, line in enumerate(documents.read_text(calib).splitlines(), 1):
-        match = re.fullmatch(r"\s*(?:([A-Za-z]\w*)\s*:)?([-+.\deE\s]+)", line)
-        if match is None or not match[2].strip():
+        key, _, text = line.rpartition(":")
+        if not text.strip():
             continue
-        key = match[1] or f"P{bare}"
-        bare += match[1] is None
-        if not re.fullmatch(r"P[0-3]", key):
+        if not key:
+            key, bare = f"P{bare}", bare + 1
+        if not re.fullmatch(r"P[0-3]", key.strip()):
             continue
         try:
-            row = np.array([float(word) for word in match[2].split()])
+            row = np.array([float(word) for word in text.split()])
         except ValueError:
             row = np.empty(0)
         if row.size != 12 or not np.isfinite(row).all():
             raise InputError(f"line {number} ({key}) is not 12 numbers.", calib)
-        found[int(key[1])] = row.reshape(3, 4)
+        found[int(key.strip()[1])] = row.reshape(3, 4)
     return found
 
 
@@ -112,7 +112,7 @@ def _rig(
             calib,
         )
     if options.baseline is not None:
-        right_from_left[:3, 3] *= options.baseline / np.linalg.norm(right_from_left[:3, 3])
+        right_from_left = with_baseline(right_from_left, options.baseline)
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]
 
 

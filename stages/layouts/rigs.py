@@ -11,8 +11,8 @@ import numpy as np
 
 from stages import calibration, documents
 from stages.errors import InputError
-from stages.layouts.files import first_existing
-from stages.scan import Pose, StereoRig
+from stages.layouts.files import first_existing, has
+from stages.scan import StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -37,32 +37,20 @@ def rig_of(
     stated = options.camera(*size)
     path = options.file("calibration", folder) or first_existing(folder, *names)
     if path is not None:
-        rig, warnings = calibration.read_rig(path, *size)
+        rig, warnings = calibration.read_rig(path, *size, baseline=options.baseline)
     elif stated is not None and options.baseline is not None:
-        rig, warnings = StereoRig(stated, stated, np.eye(4), rectified=True), []
-    elif (folder / "intrinsics.yml").exists() and (folder / "extrinsics.yml").exists():
+        beside = calibration.with_baseline(np.eye(4), options.baseline)
+        return StereoRig(stated, stated, beside, rectified=True), []
+    elif has(folder, "intrinsics.yml", "extrinsics.yml"):
         # OpenCV's stereo sample writes the two halves as two files.
-        document = {
-            **documents.read_document(folder / "intrinsics.yml"),
-            **documents.read_document(folder / "extrinsics.yml"),
-        }
-        # The projections in it are those of the images once rectified, which these are not yet.
-        rig, warnings = calibration.read_rig(folder / "extrinsics.yml", *size, document)
+        halves = [documents.read_document(folder / name) for name in ("intrinsics.yml", "extrinsics.yml")]
+        rig, warnings = calibration.read_rig(
+            folder / "extrinsics.yml", *size, document=halves[0] | halves[1], baseline=options.baseline
+        )
     else:
-        looked_for = f" ({names[0]})" if names else ""
         raise InputError(
-            f"no calibration{looked_for}: name one with scan.calibration=FILE, or set "
+            f"no calibration ({names[0]}): name one with scan.calibration=FILE, or set "
             "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair.",
             folder,
         )
-    if stated is not None:
-        rig = replace(rig, left=stated, right=stated)
-    if options.baseline is not None:
-        rig = replace(rig, right_from_left=_with_baseline(rig, options.baseline))
-    return rig, warnings
-
-
-def _with_baseline(rig: StereoRig, baseline: float) -> Pose:
-    matrix: Pose = rig.right_from_left.copy()
-    matrix[:3, 3] *= baseline / rig.baseline
-    return matrix
+    return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings

@@ -1,9 +1,9 @@
 """A tiny world with one known point, written by hand in each layout's own convention.
 
 The camera is 32×24 pixels with fx = fy = 100, cx = 16, cy = 12. Pixel (26, 17) looks along (0.1, 0.05, 1); at
-a depth of 2 m it shows the camera point (0.2, 0.1, 2). Frame 0 stands at the origin. Frame 1 stands at (1, 2, 3)
-and looks along world +x: its axes are x = -z, y = y, z = +x, so the same pixel shows the world point
-(1 + 2, 2 + 0.1, 3 - 0.2) = (3, 2.1, 2.8).
+a depth of 2 m it shows the camera point (0.2, 0.1, 2). Frame 0 stands at the origin. Frame 1 stands at
+(1, 2, 3) and looks along world +x: its axes are x = -z, y = y, z = +x, so the same pixel shows the world
+point (1 + 2, 2 + 0.1, 3 - 0.2) = (3, 2.1, 2.8).
 """
 
 from pathlib import Path

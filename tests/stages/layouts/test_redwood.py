@@ -39,7 +39,9 @@ def test_json_trajectory_is_world_to_camera_column_major(scan_folder, tiny):
         [0, 0, 1, 0, 0, 1, 0, 0, -1, 0, 0, 0, 3, -2, -1, 1],
     ]
     (scan_folder / "trajectory.json").write_text(
-        json.dumps({"class_name": "PinholeCameraTrajectory", "parameters": [{"extrinsic": e} for e in extrinsics]})
+        json.dumps(
+            {"class_name": "PinholeCameraTrajectory", "parameters": [{"extrinsic": e} for e in extrinsics]}
+        )
     )
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
@@ -72,7 +74,7 @@ def test_fewer_poses_than_frames_stops(scan_folder, matrix_text):
         read_scan(scan_folder)
 
 
-def test_a_frame_without_colour_is_left_out(scan_folder, tiny, matrix_text):
+def test_a_frame_without_colour_is_left_out(scan_folder, tiny):
     tiny.depth(scan_folder / "depth" / "11.png", 1000)
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["2", "10"]

@@ -84,7 +84,7 @@ def test_scale_can_be_stated(scan_folder):
     assert depth[5, 5] == 1.0
 
 
-def test_poses_without_times_cannot_be_paired(scan_folder, matrix_text):
+def test_poses_without_times_cannot_be_paired(scan_folder):
     (scan_folder / "groundtruth.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     with pytest.raises(InputError, match=r"groundtruth\.txt.*no timestamps"):
         read_scan(scan_folder)
