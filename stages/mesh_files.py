@@ -115,9 +115,9 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         raise InputError(f"cannot be read, it is damaged or cut short ({reason[:200]}).", path) from error
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
-        return merge_vertices(_joined(meshes))[0]
+        return merge_vertices(_joined(meshes))
     if extension in (".glb", ".gltf"):
-        meshes = [merge_vertices(mesh)[0] for mesh in meshes]
+        meshes = [merge_vertices(mesh) for mesh in meshes]
     return _joined(meshes)
 
 

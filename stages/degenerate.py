@@ -1,0 +1,108 @@
+r"""Triangles without area, removed so that no slit opens where they were.
+
+A flat triangle is a needle, one of whose edges has no length: that edge is collapsed. Or it is a cap, whose
+middle vertex lies on the longest edge: dropping it would leave that vertex hanging on the neighbour's edge,
+so the neighbour is split there instead.
+
+        w                      w
+       / \                    /|\
+      /   \                  / | \
+     p-----q       →        p--v--q
+      `-v-'
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stages.edges import Ids, components, edges_of
+from stages.mesh import Triangles, Vertices
+from stages.topology import FLAT, is_degenerate, repeats_vertex
+from stages.traced import Traced
+
+# Each round removes a layer of flat triangles; real scans need two. What is left after this many, a heap
+# of collinear triangles, is dropped.
+_ROUNDS = 32
+
+
+def without_degenerate(traced: Traced) -> Traced:
+    """Return the surface without triangles that repeat a vertex or have no area."""
+    for _ in range(_ROUNDS):
+        traced = traced.keep(~repeats_vertex(traced.mesh.triangles))
+        flat = np.flatnonzero(is_degenerate(traced.mesh.vertices, traced.mesh.triangles))
+        if len(flat) == 0:
+            return traced
+        representative = _ends_of_short_edges(traced, flat)
+        if representative is not None:
+            traced = traced.unite(representative)
+        else:
+            traced = _split_neighbours(traced, flat)
+    return traced.keep(~is_degenerate(traced.mesh.vertices, traced.mesh.triangles))
+
+
+def _ends_of_short_edges(traced: Traced, flat: Ids) -> Ids | None:
+    """Return the vertex that stands for each after collapsing the short edges, None if there are none."""
+    triangles = traced.mesh.triangles[flat]
+    lengths = _edge_lengths(traced.mesh.vertices, triangles)
+    short = lengths <= FLAT * lengths.max(axis=1, keepdims=True)
+    if not short.any():
+        return None
+    tails, heads = triangles[short], np.roll(triangles, -1, axis=1)[short]
+    _, labels = components(len(traced.mesh.vertices), tails, heads)
+    _, first = np.unique(labels, return_index=True)
+    return np.asarray(first[labels])
+
+
+def _split_neighbours(traced: Traced, flat: Ids) -> Traced:
+    """Split the neighbour across the longest edge of each cap; of caps that touch, one goes first."""
+    triangles = traced.mesh.triangles.astype(np.int64)
+    count = len(triangles)
+    edges = edges_of(traced.mesh.triangles, len(traced.mesh.vertices))
+    longest = _edge_lengths(traced.mesh.vertices, triangles[flat]).argmax(axis=1)
+    halfedge = 3 * flat + longest
+    edge = edges.of_halfedge[halfedge]
+    paired = edges.count[edge] == 2
+    # On the border nothing hangs on the longest edge. Beside three or more triangles the cap is dropped
+    # too: what meets there is taken apart anyway.
+    keep = np.ones(count, bool)
+    keep[flat[~paired]] = False
+
+    cap, halfedge, edge = flat[paired], halfedge[paired], edge[paired]
+    start = edges.start[edge]
+    other = edges.halfedges[start] + edges.halfedges[start + 1] - halfedge
+    neighbour = other // 3
+    claim = np.full(count, count)
+    np.minimum.at(claim, cap, cap)
+    np.minimum.at(claim, neighbour, cap)
+    first = (claim[cap] == cap) & (claim[neighbour] == cap)
+    cap, neighbour, other, halfedge = cap[first], neighbour[first], other[first], halfedge[first]
+
+    v = triangles[cap, (halfedge % 3 + 2) % 3]
+    columns = (other[:, None] % 3 + np.arange(3)) % 3
+    p, q, w = np.take_along_axis(triangles[neighbour], columns, axis=1).T
+    uvs = None
+    if traced.mesh.texture is not None:
+        uvs = traced.mesh.texture.uvs.copy()
+        corner = np.take_along_axis(uvs[neighbour], columns[..., None], axis=1)
+        middle = _between(traced.mesh.vertices, p, q, v, corner)
+        uvs[neighbour] = np.stack((corner[:, 0], middle, corner[:, 2]), axis=1)
+        uvs[cap] = np.stack((middle, corner[:, 1], corner[:, 2]), axis=1)
+    triangles[neighbour] = np.stack((p, v, w), axis=1)
+    triangles[cap] = np.stack((v, q, w), axis=1)
+    origin = np.arange(count)
+    origin[cap] = neighbour
+    return traced.with_triangles(triangles.astype(np.int32), uvs, origin).keep(keep)
+
+
+def _between(vertices: Vertices, p: Ids, q: Ids, v: Ids, corner: Vertices) -> Vertices:
+    """Return the texture coordinate of v, which lies between p and q."""
+    from_p = np.linalg.norm(vertices[v] - vertices[p], axis=1, keepdims=True)
+    from_q = np.linalg.norm(vertices[v] - vertices[q], axis=1, keepdims=True)
+    share = from_p / (from_p + from_q)
+    return np.asarray(corner[:, 0] * (1 - share) + corner[:, 1] * share)
+
+
+def _edge_lengths(vertices: Vertices, triangles: Triangles | Ids) -> Vertices:
+    """Return (m, 3) lengths, the first of the edge from corner 0 to corner 1."""
+    corners = vertices[triangles]
+    return np.asarray(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2))

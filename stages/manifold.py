@@ -1,0 +1,157 @@
+"""Make any set of triangles an oriented manifold, keeping as much surface as possible.
+
+Neighbours are turned to agree on the outside; at each edge at most two triangles are linked; then every
+vertex is split into one vertex for each fan of linked corners. Sheets that touch come apart, and nothing is
+removed unless two sheets stay joined at both ends of an edge: there the smallest triangle goes.
+Splitting vertices by their fans follows Guéziec, Taubin, Lazarus and Horn, "Cutting and stitching", 2001.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
+from stages.mesh import Mesh
+from stages.traced import Traced
+
+# Edges of more triangles are not matched but taken apart; the pairs to compare grow with the square.
+_MOST_TO_MATCH = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Manifold:
+    """An oriented manifold and what it took: triangles turned, vertices added, triangles removed."""
+
+    traced: Traced
+    flipped: int
+    split_vertices: int
+    removed: int
+
+
+def make_manifold(traced: Traced) -> Manifold:
+    """Return the surface as an oriented manifold; no triangle may repeat a vertex or another triangle."""
+    flipped = split_vertices = removed = 0
+    while True:
+        count = len(traced.mesh.vertices)
+        edges = edges_of(traced.mesh.triangles, count)
+        flip = _disagreeing(edges, len(traced.mesh.triangles))
+        if flip.any():
+            traced = traced.flip(flip)
+            edges = edges_of(traced.mesh.triangles, count)
+            flipped += np.count_nonzero(flip)
+        sound = not (edges.count > 2).any() and not ((edges.count == 2) & (edges.forward != 1)).any()
+        traced = traced.split(fans(traced.mesh.triangles, *_links(traced.mesh, edges)))
+        split_vertices += len(traced.mesh.vertices) - count
+        offenders = np.zeros(0, bool) if sound else _offenders(traced.mesh)
+        if not offenders.any():
+            return Manifold(traced, int(flipped), split_vertices, int(removed))
+        removed += np.count_nonzero(offenders)
+        traced = traced.keep(~offenders)
+
+
+def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
+    """Choose triangles to turn over so that neighbours agree, as few as possible in each patch.
+
+    A patch is what edges of exactly two triangles hold together. It can be oriented if its two-sheeted
+    orientation cover falls into two parts; if not (a Möbius strip), a seam is left along which
+    neighbours disagree.
+    """
+    a, b = (halfedge // 3 for halfedge in neighbours(edges, edges.count == 2))
+    differ = edges.forward[edges.count == 2] != 1
+    if not differ.any():
+        return np.zeros(count, bool)
+    _, labels = components(
+        2 * count,
+        np.concatenate((a, a + count)),
+        np.concatenate((np.where(differ, b + count, b), np.where(differ, b, b + count))),
+    )
+    side, other_side = labels[:count], labels[count:]
+    flip = side > other_side
+    patch = np.minimum(side, other_side)
+    one_sided = side == other_side
+    if one_sided.any():
+        inside = one_sided[a]
+        parity = _parity_of_tree(count, a[inside], b[inside], differ[inside], one_sided, patch)
+        left = np.bincount(patch[a], (parity[a] ^ parity[b]) != differ, 2 * count)
+        as_is = np.bincount(patch[a], differ, 2 * count)
+        better = (left < as_is)[patch]
+        flip = np.where(one_sided, parity & better, flip)
+    turned = np.bincount(patch, flip, 2 * count)
+    return np.asarray(flip ^ (2 * turned > np.bincount(patch, minlength=2 * count))[patch])
+
+
+def _parity_of_tree(
+    count: int, a: Ids, b: Ids, differ: NDArray[np.bool_], chosen: NDArray[np.bool_], patch: Ids
+) -> NDArray[np.bool_]:
+    """Return whether to turn each triangle so that all agree along a breadth-first tree of each patch."""
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import breadth_first_order
+
+    # Of several edges between the same two triangles the tree takes the first.
+    _, first = np.unique(np.minimum(a, b) * count + np.maximum(a, b), return_index=True)
+    a, b, differ = a[first], b[first], differ[first]
+    members = np.flatnonzero(chosen)
+    _, roots = np.unique(patch[members], return_index=True)
+    root = members[roots]
+    # A node beside the triangles joins all patches, so that one search visits them all.
+    rows, columns = np.concatenate((a, root)), np.concatenate((b, np.full(len(root), count)))
+    weights = np.concatenate((1 + differ, np.ones(len(root))))
+    graph = csr_matrix((weights, (rows, columns)), shape=(count + 1, count + 1))
+    graph = graph + graph.T
+    order, before = breadth_first_order(graph, count, directed=False)
+    parity = np.zeros(count + 1, bool)
+    ancestor = np.full(count + 1, count, np.int64)
+    nodes = order[1:]
+    ancestor[nodes] = before[nodes]
+    parity[nodes] = np.asarray(graph[nodes, before[nodes]]).reshape(-1) == 2
+    while (ancestor != count).any():
+        parity ^= parity[ancestor]
+        ancestor = ancestor[ancestor]
+    return parity[:count]
+
+
+def _links(mesh: Mesh, edges: Edges) -> tuple[Ids, Ids]:
+    """Return the pairs of halfedges to link: those of a plain edge, and of others the flattest pairs."""
+    a, b = neighbours(edges, (edges.count == 2) & (edges.forward == 1))
+    crowded = np.flatnonzero((edges.count > 2) & (edges.count <= _MOST_TO_MATCH))
+    pairs = [pair for edge in crowded.tolist() for pair in _flattest_pairs(mesh, edges, edge)]
+    more = np.array(pairs, np.int64).reshape(-1, 2)
+    return np.concatenate((a, more[:, 0])), np.concatenate((b, more[:, 1]))
+
+
+def _flattest_pairs(mesh: Mesh, edges: Edges, edge: int) -> list[tuple[int, int]]:
+    """Match the triangles of an edge, flattest continuation first; only pairs that agree on the outside."""
+    start = edges.start[edge]
+    halfedges = edges.halfedges[start : start + edges.count[edge]]
+    corners = mesh.triangles.reshape(-1)
+    tail, head = mesh.vertices[edges.ends[edge]]
+    opposite = mesh.vertices[corners[next_corner(next_corner(halfedges))]]
+    along = (head - tail) / np.linalg.norm(head - tail)
+    away = opposite - tail
+    away -= np.outer(away @ along, along)
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    forward = corners[halfedges] == edges.ends[edge, 0]
+    flatness = -away[forward] @ away[~forward].T
+    ones, others = halfedges[forward], halfedges[~forward]
+    pairs = []
+    while flatness.size and flatness.max() > -np.inf:
+        i, j = np.unravel_index(flatness.argmax(), flatness.shape)
+        pairs.append((int(ones[i]), int(others[j])))
+        flatness[i], flatness[:, j] = -np.inf, -np.inf
+    return pairs
+
+
+def _offenders(mesh: Mesh) -> NDArray[np.bool_]:
+    """Return the smallest triangle of each edge that still breaks the rule."""
+    edges = edges_of(mesh.triangles, len(mesh.vertices))
+    bad = (edges.count > 2) | ((edges.count == 2) & (edges.forward != 1))
+    offenders = np.zeros(len(mesh.triangles), bool)
+    for edge in np.flatnonzero(bad).tolist():
+        start = edges.start[edge]
+        candidates = edges.halfedges[start : start + edges.count[edge]] // 3
+        a, b, c = mesh.vertices[mesh.triangles[candidates]].transpose(1, 0, 2)
+        offenders[candidates[np.linalg.norm(np.cross(b - a, c - a), axis=1).argmin()]] = True
+    return offenders

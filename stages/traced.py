@@ -1,0 +1,116 @@
+"""A mesh under repair that remembers where its vertices and triangles came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.edges import Ids
+from stages.mesh import Mesh, Texture, Triangles
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """A mesh and its origin; every edit returns a new one.
+
+    Attributes
+    ----------
+    vertex_source : (n,) vertex of the original mesh each vertex was.
+    triangle_source : (m,) triangle of the original mesh each one was, or lies on; -1 for new ones.
+    """
+
+    mesh: Mesh
+    vertex_source: Ids
+    triangle_source: Ids
+
+    @classmethod
+    def start(cls, mesh: Mesh) -> Traced:
+        """Return the mesh as its own origin."""
+        return cls(mesh, np.arange(len(mesh.vertices)), np.arange(len(mesh.triangles)))
+
+    def keep(self, chosen: NDArray[np.bool_]) -> Traced:
+        """Drop the triangles that are not chosen."""
+        if chosen.all():
+            return self
+        texture = self.mesh.texture
+        if texture is not None:
+            texture = Texture(texture.uvs[chosen], texture.material_ids[chosen], texture.images)
+        mesh = self.mesh.with_(triangles=self.mesh.triangles[chosen], texture=texture)
+        return replace(self, mesh=mesh, triangle_source=self.triangle_source[chosen])
+
+    def with_triangles(self, triangles: Triangles, uvs: NDArray[np.float64] | None, origin: Ids) -> Traced:
+        """Replace the triangles; row i is, or lies on, what was row origin[i], whose material it keeps."""
+        texture = self.mesh.texture
+        if texture is not None and uvs is not None:
+            texture = Texture(uvs, texture.material_ids[origin], texture.images)
+        mesh = self.mesh.with_(triangles=triangles, texture=texture)
+        return replace(self, mesh=mesh, triangle_source=self.triangle_source[origin])
+
+    def flip(self, chosen: NDArray[np.bool_]) -> Traced:
+        """Turn the chosen triangles over."""
+        order = np.where(chosen[:, None], [0, 2, 1], [0, 1, 2])
+        triangles = np.take_along_axis(self.mesh.triangles, order, axis=1)
+        uvs = None
+        if self.mesh.texture is not None:
+            uvs = np.take_along_axis(self.mesh.texture.uvs, order[..., None], axis=1)
+        return self.with_triangles(triangles, uvs, np.arange(len(triangles)))
+
+    def unite(self, representative: Ids) -> Traced:
+        """Let each vertex be replaced by its representative in all triangles."""
+        triangles = representative[self.mesh.triangles].astype(np.int32)
+        return replace(self, mesh=self.mesh.with_(triangles=triangles))
+
+    def split(self, fan: Ids) -> Traced:
+        """Give each fan of corners a vertex of its own; the vertex's first fan keeps the old one.
+
+        Parameters
+        ----------
+        fan : (3 m,) label of each corner, in the order in which the labels first appear.
+        """
+        corners = self.mesh.triangles.reshape(-1)
+        vertex_of_fan = np.zeros(fan.max(initial=-1) + 1, np.int64)
+        vertex_of_fan[fan] = corners
+        first_fan = np.zeros(len(self.mesh.vertices), np.int64)
+        first_fan[vertex_of_fan[::-1]] = np.arange(len(vertex_of_fan))[::-1]
+        extra = first_fan[vertex_of_fan] != np.arange(len(vertex_of_fan))
+        if not extra.any():
+            return self
+        source = np.concatenate((np.arange(len(self.mesh.vertices)), vertex_of_fan[extra]))
+        new_vertex = vertex_of_fan.copy()
+        new_vertex[extra] = len(self.mesh.vertices) + np.arange(np.count_nonzero(extra))
+        triangles = new_vertex[fan].reshape(-1, 3).astype(np.int32)
+        return self._with_vertices(source, triangles)
+
+    def extend(self, triangles: Triangles) -> Traced:
+        """Add triangles that lie on no original one; they carry no texture."""
+        texture = self.mesh.texture
+        if texture is not None:
+            texture = Texture(
+                np.concatenate((texture.uvs, np.zeros((len(triangles), 3, 2)))),
+                np.concatenate((texture.material_ids, np.full(len(triangles), -1, np.int32))),
+                texture.images,
+            )
+        mesh = self.mesh.with_(triangles=np.concatenate((self.mesh.triangles, triangles)), texture=texture)
+        new = np.full(len(triangles), -1, np.int64)
+        return replace(self, mesh=mesh, triangle_source=np.concatenate((self.triangle_source, new)))
+
+    def compact(self) -> Traced:
+        """Drop the vertices no triangle uses."""
+        used = np.zeros(len(self.mesh.vertices), bool)
+        used[self.mesh.triangles] = True
+        if used.all():
+            return self
+        index = np.cumsum(used) - 1
+        return self._with_vertices(np.flatnonzero(used), index[self.mesh.triangles].astype(np.int32))
+
+    def _with_vertices(self, source: Ids, triangles: Triangles) -> Traced:
+        mesh = self.mesh
+        mesh = mesh.with_(
+            vertices=mesh.vertices[source],
+            colors=None if mesh.colors is None else mesh.colors[source],
+            normals=None if mesh.normals is None else mesh.normals[source],
+            triangles=triangles,
+        )
+        return replace(self, mesh=mesh, vertex_source=self.vertex_source[source])
