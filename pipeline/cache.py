@@ -6,6 +6,7 @@
       fuse/<key>/              an entry: the stage's files, manifest.json and in-use.lock
       drafts/fuse-k3j2…/       an entry being made or removed, locked by the process that does it
       runs/<output>.json       which entries the latest run of each output folder used
+      runs/<output>.lock       held by the run that works into that folder
 
 An entry is made in `drafts`, flushed to disk and moved to its place in one rename, so it is whole or it is
 not there. Who reads an entry holds a shared lock on its `in-use.lock`; who removes one must first get it
@@ -215,14 +216,12 @@ class Cache:
 
     def ls(self) -> list[Listed]:
         """List all entries, by stage and from the last used to the longest unused; nothing is verified."""
-        used = self._used_by_latest_runs()
-        listed = [_listed(place, place.name in used) for place in self._places()]
+        listed = self._listed(thorough=False)
         return sorted(listed, key=lambda entry: (entry.stage, -entry.last_used.timestamp()))
 
     def verify(self) -> list[Listed]:
         """List all entries with what is wrong with each, reading every file; nothing is changed."""
-        used = self._used_by_latest_runs()
-        return [_listed(place, place.name in used, thorough=True) for place in self._places()]
+        return self._listed(thorough=True)
 
     def prune(
         self,
@@ -260,6 +259,22 @@ class Cache:
         self.remove_abandoned()
         return removed
 
+    def sole_run(self, out: Path, waiting: Callable[[], None]) -> int:
+        """Wait until no other run works into an output folder; close the descriptor to let the next one in.
+
+        Parameters
+        ----------
+        waiting : called once if another run is at it.
+        """
+        with explained(f"the cache folder {self.folder} cannot be used"):
+            self._prepare()
+            path = self._run_record(out).with_suffix(".lock")
+            lock = try_lock(path)
+            if lock is None:
+                waiting()
+                lock = take_lock(path, fcntl.LOCK_EX)
+            return lock
+
     def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
         """Keep what the latest run of an output folder used; `record["keys"]` names its entries."""
         with explained(f"the cache folder {self.folder} cannot be used"):
@@ -278,6 +293,15 @@ class Cache:
         for stage in sorted(self.folder.iterdir()) if self.folder.is_dir() else ():
             if stage.is_dir() and stage.name not in (_DRAFTS, _RUNS):
                 yield from sorted(path for path in stage.iterdir() if _KEY.fullmatch(path.name))
+
+    def _listed(self, *, thorough: bool) -> list[Listed]:
+        used = self._used_by_latest_runs()
+        listed = []
+        for place in self._places():
+            # Another process may remove an entry while it is being listed.
+            with contextlib.suppress(FileNotFoundError):
+                listed.append(_listed(place, place.name in used, thorough=thorough))
+        return listed
 
     def _prepare(self) -> None:
         for name in (_DRAFTS, _RUNS):
@@ -427,7 +451,7 @@ def _read_record(path: Path) -> dict[str, Any]:
     return record if isinstance(record, dict) else {}
 
 
-def _listed(place: Path, in_latest_run: bool, *, thorough: bool = False) -> Listed:
+def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
     manifest: dict[str, Any] = {}
     problem = None
     try:

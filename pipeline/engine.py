@@ -6,6 +6,7 @@ The engine knows no stage by name; `pipeline.graph` declares them.
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cache import Cache, Entry, Recipe
-from pipeline.events import Events, StageFinished, StageProgress, StageStarted
+from pipeline.events import Events, StageFinished, StageProgress, StageStarted, Warned
 from pipeline.failures import explained
 from pipeline.memory import peak_bytes, reset_peak
 from pipeline.reasons import reason
@@ -107,31 +108,43 @@ class Outcome:
 class Engine:
     """One run: the stages of a plan, over the sources, into an output folder.
 
-    Use it in a `with` block: until its end, nobody removes the cache entries the run has met.
+    Use it in a `with` block: until its end, no other run works into the folder, and nobody removes the cache
+    entries this one has met.
     """
 
     def __init__(
-        self, plan: Sequence[Stage], config: Sections, sources: Mapping[str, Source], cache: Cache, out: Path
+        self,
+        plan: Sequence[Stage],
+        config: Sections,
+        sources: Mapping[str, Source],
+        cache: Cache,
+        out: Path,
+        events: Events,
     ) -> None:
         self._plan = plan
         self._config = config
         self._sources = dict(sources)
         self._cache = cache
-        self.results = Results(cache, out)
+        self._out = out
+        self._events = events
         self._entries: list[Entry] = []
 
     def __enter__(self) -> Engine:
+        text = f"another run is working into {self._out}; this one waits for it"
+        self._lock = self._cache.sole_run(self._out, lambda: self._events(Warned(text)))
+        self.results = Results(self._cache, self._out)
         return self
 
     def __exit__(self, *exception: object) -> None:
         for entry in self._entries:
             entry.close()
+        os.close(self._lock)
 
-    def run(self, until: str, force: Collection[str], events: Events) -> Iterator[Outcome]:
+    def run(self, until: str, force: Collection[str]) -> Iterator[Outcome]:
         """Run the stages up to and with `until`, one a step; those in `force` without asking the cache."""
         last = next(i for i, stage in enumerate(self._plan) if stage.name == until)
         for i, stage in enumerate(self._plan[: last + 1]):
-            yield self._run_stage(stage, self._plan[i:], stage.name in force, events)
+            yield self._run_stage(stage, self._plan[i:], stage.name in force)
 
     def withdraw_outdated(self, after: str) -> Entry | None:
         """Remove results of later stages that do not follow from what is there now.
@@ -148,7 +161,7 @@ class Engine:
             self._add(self._plan[i], entry)
         return entry
 
-    def _run_stage(self, stage: Stage, following: Sequence[Stage], forced: bool, events: Events) -> Outcome:
+    def _run_stage(self, stage: Stage, following: Sequence[Stage], forced: bool) -> Outcome:
         started = time.perf_counter()
         recipe = self._recipe(stage)
         entry = None if forced else self._cache.get(recipe)
@@ -158,16 +171,14 @@ class Engine:
         decided = {"recipe": recipe.as_json(), "parts": parts}
         if entry is None:
             why = "forced" if forced else reason(decided, self.results.decided(stage.name))
-            events(StageStarted(stage.name, why))
+            self._events(StageStarted(stage.name, why))
             # Files of this stage and the later ones belong to another run from here on.
             self.results.withdraw(stage.name for stage in following)
-            entry = self._cache.store(
-                recipe, lambda folder: self._make(stage, folder, events), replace=forced
-            )
+            entry = self._cache.store(recipe, lambda folder: self._make(stage, folder), replace=forced)
         self._add(stage, entry)
         placed = self.results.place(stage.name, entry, stage.results, decided)
         seconds = time.perf_counter() - started
-        events(StageFinished(stage.name, cached, seconds, why, entry.figures, placed))
+        self._events(StageFinished(stage.name, cached, seconds, why, entry.figures, placed))
         return Outcome(
             stage.name,
             cached,
@@ -189,9 +200,9 @@ class Engine:
             libraries=dict(stage.libraries),
         )
 
-    def _make(self, stage: Stage, folder: Path, events: Events) -> dict[str, Any]:
+    def _make(self, stage: Stage, folder: Path) -> dict[str, Any]:
         def progress(done: int, total: int) -> None:
-            events(StageProgress(stage.name, done, total))
+            self._events(StageProgress(stage.name, done, total))
 
         inputs = {name: self._sources[name].value for name in stage.reads}
         reset_peak()

@@ -123,8 +123,8 @@ def _run(
     cache.remove_abandoned()
     content = scan_digest(scan, lambda done, total: events(StageProgress("scan", done, total)))
     source = Source(content.digest, scan, content.parts, content.require_unchanged)
-    with Engine(plan, config, {source_of(scan): source}, cache, out) as engine:
-        outcomes = tuple(engine.run(until, force, events))
+    with Engine(plan, config, {source_of(scan): source}, cache, out, events) as engine:
+        outcomes = tuple(engine.run(until, force))
         final = engine.withdraw_outdated(until)
         report = compose(scan, outcomes, {} if final is None else final.figures, out)
         engine.results.write_report(to_json(report))

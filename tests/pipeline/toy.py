@@ -132,8 +132,8 @@ def run(
     frames = Source(content.digest, scan, content.parts, content.require_unchanged)
     store = Cache(cache or out / "cache", None if warnings is None else warnings.append)
     store.remove_abandoned()
-    with Engine(plan, ToyConfig().set(assignments), {"frames": frames}, store, out) as engine:
-        outcomes = list(engine.run(until, force, events))
+    with Engine(plan, ToyConfig().set(assignments), {"frames": frames}, store, out, events) as engine:
+        outcomes = list(engine.run(until, force))
         engine.withdraw_outdated(until)
         return outcomes
 
