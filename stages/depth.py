@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from stages import images
 from stages.confidence import confidence
 from stages.errors import InputError, UsageError
-from stages.matching import SUBPIXELS, Matcher, SearchRange, consistency, matched_pixels, narrowed
+from stages.matching import SUBPIXELS, Matcher, SearchRange, consistency, matched_pixels, narrowed, textured
 from stages.pairs import pair_warnings, require_pair
 from stages.params import check, param, resolve
 from stages.prefetch import read_ahead
@@ -112,6 +112,13 @@ class DepthParams:
     )
     speckle_range: float = param(
         1.0, "Neighbours whose disparities differ by more are not connected", unit="px", low=0
+    )
+    min_texture: float = param(
+        0.5,
+        "Where pixels two apart in a row differ by less in the mean around, as in a clipped sky, nothing "
+        "was measured",
+        unit="grey levels",
+        low=0,
     )
     smooth: bool = param(
         False,
@@ -351,9 +358,17 @@ class _Stage:
             speckle_size=self.params.speckle_size,
             speckle_range=self.params.speckle_range,
         )
+        matched &= textured(pair[0], self.params.min_texture)
         trust = confidence(first, residual, matched, search)
         if self.params.smooth:
-            first = smoothed(first, second, _rgb(left), self.params.smooth_lambda, self.params.smooth_sigma)
+            first = smoothed(
+                first,
+                second,
+                _rgb(left),
+                block_size=self.params.block_size,
+                strength=self.params.smooth_lambda,
+                edge_sigma=self.params.smooth_sigma,
+            )
         none = first < SUBPIXELS * search.lowest
         disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
         return DepthMap(

@@ -29,10 +29,12 @@ _COARSE = 4
 _MARGIN_PX = 6
 _MARGIN_RELATIVE = 0.05
 # False matches must not widen the range to all there is: they are few, in small pieces, or where the
-# image is flat (mean difference of pixels two apart, grey levels).
+# image is flat.
 _LARGEST_PERCENTILE = 99.8
 _COARSE_PIECE = 50
-_COARSE_TEXTURE = 3
+_COARSE_TEXTURE = 3.0
+# Texture is averaged over this many pixels each way.
+_TEXTURE_WINDOW = 9
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,15 @@ def matched_pixels(
     return np.asarray(pieces != none)
 
 
+def textured(image: Grey, least: float) -> Mask:
+    """Return where pixels two apart in a row differ by at least so many grey levels, in the mean around."""
+    import cv2
+
+    difference = np.abs(cv2.Sobel(image, cv2.CV_16S, 1, 0, ksize=1))
+    total = cv2.boxFilter(difference, cv2.CV_32F, (_TEXTURE_WINDOW, _TEXTURE_WINDOW), normalize=False)
+    return np.asarray(total >= least * _TEXTURE_WINDOW**2)
+
+
 def narrowed(left: Grey, right: Grey, search: SearchRange, matcher: Matcher) -> SearchRange:
     """Return the part of a range that the pair uses, found by matching it at a quarter of its size.
 
@@ -170,9 +181,7 @@ def narrowed(left: Grey, right: Grey, search: SearchRange, matcher: Matcher) -> 
         disparity, residual, coarse, tolerance=1, speckle_size=_COARSE_PIECE, speckle_range=1
     )
     # A clear sky matches itself at any disparity.
-    slope = np.abs(cv2.Sobel(first, cv2.CV_16S, 1, 0, ksize=1))
-    matched &= cv2.boxFilter(slope, -1, (5, 5), normalize=False) > 25 * _COARSE_TEXTURE
-    found = disparity[matched]
+    found = disparity[matched & textured(first, _COARSE_TEXTURE)]
     if found.size < _COARSE_PIECE:
         return search
     largest = float(np.percentile(found, _LARGEST_PERCENTILE)) * _COARSE / SUBPIXELS

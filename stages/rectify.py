@@ -105,7 +105,8 @@ def _turned(rig: StereoRig) -> RectifiedRig:
                 f"OpenCV's model has {', '.join(map(str, _DISTORTION_LENGTHS))}."
             )
     distortion = [np.array(camera.distortion or (0.0,) * 4, np.float64) for camera in (left, right)]
-    rotation, translation = rig.right_from_left[:3, :3], rig.right_from_left[:3, 3]
+    # A column, as OpenCV 5 wants it; copies, because OpenCV does not look at strides.
+    rotation, translation = rig.right_from_left[:3, :3].copy(), rig.right_from_left[:3, 3:].copy()
     r_left, r_right, p_left, p_right = cv2.stereoRectify(
         left.matrix,
         distortion[0],

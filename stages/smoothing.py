@@ -13,7 +13,13 @@ from stages.scan import ColorImage
 
 
 def smoothed(
-    left: Disparity16, right: Disparity16, guide: ColorImage, strength: float, edge_sigma: float
+    left: Disparity16,
+    right: Disparity16,
+    guide: ColorImage,
+    *,
+    block_size: int,
+    strength: float,
+    edge_sigma: float,
 ) -> Disparity16:
     """Return the left disparity smoothed where the left image is, dense.
 
@@ -21,6 +27,7 @@ def smoothed(
     ----------
     left, right : int16, 1/16 px, as `Matcher.left` and `Matcher.right` return them.
     guide : the left image.
+    block_size : of the matcher, whose blocks blur disparity beside its jumps.
     strength, edge_sigma : the filter's λ, and its σ in grey levels.
     """
     import cv2
@@ -28,4 +35,5 @@ def smoothed(
     wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)
     wls.setLambda(strength)
     wls.setSigmaColor(edge_sigma)
+    wls.setDepthDiscontinuityRadius((block_size + 1) // 2)
     return np.asarray(wls.filter(left, guide, disparity_map_right=right), np.int16)

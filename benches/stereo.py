@@ -1,0 +1,148 @@
+"""Depth against ground truth, and against OpenCV's matcher called the way its users call it.
+
+    python benches/stereo.py DATA
+
+DATA holds `stereo/middlebury2014_motorcycle`, `stereo/middlebury2003_cones` and, for the time of a whole
+sequence, `stereo/kitti_sequence_1`. "covered" is of the pixels that both cameras see, "off" of the pixels
+that are given out ("seen": of those of them that both see); "s" is processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stages.depth import depth, depth_scan
+from stages.layouts import read_scan
+from stages.scan import Camera, StereoRig
+
+Image = np.ndarray
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    stereo = parser.parse_args().data / "stereo"
+    print(f"OpenCV {cv2.__version__}, {os.cpu_count()} cores\n")
+    print(
+        "| pair | setting | covered % | off > 1 px % | off > 2 px % | visible and off > 2 px % | median px | s |"
+    )
+    print("|---|---|---:|---:|---:|---:|---:|---:|")
+    for name, pair in (("Motorcycle", motorcycle(stereo)), ("Cones", cones(stereo))):
+        for setting, run in settings(*pair[:3]).items():
+            print(f"| {name} | {setting} | {row(run, pair[3])} |")
+    sequence(stereo / "kitti_sequence_1")
+
+
+def settings(left: Image, right: Image, rig: StereoRig) -> dict[str, Callable[[], tuple[Image, Image]]]:
+    """Return what is compared: each gives a disparity and the pixels it vouches for."""
+
+    def ours(**changes: object) -> Callable[[], tuple[Image, Image]]:
+        def run() -> tuple[Image, Image]:
+            result = depth(left, right, rig, **changes)
+            return result.disparity, result.depth > 0
+
+        return run
+
+    count = -(-(rig.disparities or 64) // 16) * 16
+    return {
+        "OpenCV SGBM, as it is": lambda: opencv(left, right, count, "sgbm"),
+        "OpenCV HH4 + WLS, padded": lambda: opencv(left, right, count, "hh4"),
+        "depth": ours(),
+        "depth, matcher=sgbm": ours(matcher="sgbm"),
+        "depth, matcher=hh4": ours(matcher="hh4"),
+        "depth, block_size=5": ours(block_size=5),
+        "depth, min_confidence=1": ours(min_confidence=1),
+        "depth, smooth=true": ours(smooth=True),
+    }
+
+
+def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Image]:
+    """Return plain SGBM; or HH4 in both directions on a padded pair, smoothed by weighted least squares."""
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right)]
+    if mode == "sgbm":
+        matcher = cv2.StereoSGBM.create(0, count, 3, 72, 288, 1, 31, 10, 100, 1)
+        disparity = matcher.compute(*grey) / 16.0
+        return disparity, disparity >= 0
+    padded = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in grey]
+    matcher = cv2.StereoSGBM.create(0, count, 3, 36, 216, -1, 31, mode=cv2.STEREO_SGBM_MODE_HH4)
+    other = cv2.ximgproc.createRightMatcher(matcher)
+    wls = cv2.ximgproc.createDisparityWLSFilter(matcher)
+    wls.setLambda(1000)
+    wls.setSigmaColor(1.5)
+    smooth = wls.filter(matcher.compute(*padded), padded[0], None, other.compute(*padded[::-1]))
+    disparity = smooth[:, count:] / 16.0
+    return disparity, disparity >= 0
+
+
+def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
+    """Return the figures of one setting; the time is the best of three runs."""
+    seconds = []
+    for _ in range(3):
+        start = time.process_time()
+        disparity, given = run()
+        seconds.append(time.process_time() - start)
+    seen = visible(truth)
+    error = np.abs(disparity - truth)[given & np.isfinite(truth)]
+    figures = [100 * np.mean(given[seen]), 100 * np.mean(error > 1), 100 * np.mean(error > 2)]
+    return " | ".join(f"{value:.2f}" for value in figures) + f" | {np.median(error):.3f} | {min(seconds):.3f}"
+
+
+def visible(truth: Image) -> Image:
+    """Return the pixels whose true match in the right image is not hidden by a nearer one."""
+    rows, columns = np.nonzero(np.isfinite(truth))
+    target = np.round(columns - truth[rows, columns]).astype(int)
+    inside = target >= 0
+    rows, columns, target = rows[inside], columns[inside], target[inside]
+    nearest = np.full(truth.shape, -np.inf)
+    np.maximum.at(nearest, (rows, target), truth[rows, columns])
+    seen = np.zeros(truth.shape, bool)
+    seen[rows, columns] = truth[rows, columns] >= nearest[rows, target] - 1
+    return seen
+
+
+def motorcycle(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
+    """Return the pair with its calibration and true disparity."""
+    folder = stereo / "middlebury2014_motorcycle"
+    rig = read_scan(folder).rig
+    assert rig is not None
+    truth = cv2.imread(str(folder / "disp0.pfm"), cv2.IMREAD_UNCHANGED)
+    return rgb(folder / "im0.png"), rgb(folder / "im1.png"), rig, truth
+
+
+def cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
+    """Return the pair, a calibration made up for it, and the true disparity."""
+    folder = stereo / "middlebury2003_cones"
+    camera = Camera(450, 375, 600.0, 600.0, 224.5, 187.0)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -0.1
+    truth = cv2.imread(str(folder / "disp2.pgm"), cv2.IMREAD_UNCHANGED) / 4.0
+    truth[truth == 0] = np.inf
+    left, right = (rgb(next(folder.glob(f"{name}.*"))) for name in ("im2", "im6"))
+    return left, right, StereoRig(camera, camera, right_from_left, rectified=True), truth
+
+
+def rgb(path: Path) -> Image:
+    """Return an image file as RGB."""
+    return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+
+
+def sequence(folder: Path) -> None:
+    """Print how long a whole sequence takes, files to depth maps."""
+    scan = read_scan(folder)
+    start, cpu = time.perf_counter(), time.process_time()
+    used = [np.mean(result.depth > 0) for _, result in depth_scan(scan)]
+    wall, cpu = time.perf_counter() - start, time.process_time() - cpu
+    print(f"\n{len(used)} pairs of {folder.name}: {wall:.2f} s on {os.cpu_count()} cores, {cpu:.2f} s of "
+          f"processor time, {100 * np.mean(used):.1f} % of the pixels given out")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
