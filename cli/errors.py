@@ -74,6 +74,8 @@ def bug_of(error: BaseException) -> Failure:
 
 def _usage_sentence(error: Exception) -> str:
     message = str(error.format_message()).rstrip()  # type: ignore[attr-defined]
+    if not message.endswith((".", "?", "!")):
+        message += "."
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else "scanloom"
     return f"{message} See `{where} --help`."

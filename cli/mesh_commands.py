@@ -24,7 +24,10 @@ MeshFile = Annotated[
     Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)
 ]
 NewMesh = Annotated[
-    Path, typer.Argument(metavar="OUT", help="Mesh file to write (.ply).", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="OUT", help="Mesh file to write (.ply, .obj, .off, .stl, .glb).", show_default=False
+    ),
 ]
 
 

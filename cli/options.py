@@ -96,7 +96,7 @@ def default_of(cls: type, name: str) -> Any:
 
 def help_of(about: Described, default: Any) -> str:
     """Return a parameter's text with its unit, range and default, as every help and comment shows it."""
-    return f"{about.text.rstrip()} ({_facts(about, default)})"
+    return f"{about.text.rstrip().removesuffix('.')}. ({_facts(about, default)})"
 
 
 def _facts(about: Described, default: Any) -> str:

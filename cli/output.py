@@ -11,20 +11,22 @@ from typing import Any
 
 from stages.progress import Progress, silent
 
-# Ends of figure names, and the unit a person reads instead.
+# Ends of figure names, longest first, and the unit a person reads instead.
 _UNITS = {
-    "_m": "m",
-    "_mm": "mm",
-    "_px": "px",
-    "_s": "s",
-    "_mb": "MB",
-    "_bytes": "bytes",
-    "_deg": "°",
-    "_degrees": "°",
+    "_m_per_level": "m per level",
+    "_per_m": "per m",
     "_percent": "%",
     "_levels": "levels of 255",
+    "_frames": "frames",
+    "_bytes": "bytes",
+    "_share": "%",
+    "_deg": "°",
+    "_mb": "MB",
     "_db": "dB",
-    "_ns": "ns",
+    "_px": "px",
+    "_mm": "mm",
+    "_m": "m",
+    "_s": "s",
 }
 
 
@@ -91,32 +93,39 @@ def _plain(value: Any) -> Any:
 
 def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
     """Return figures as aligned lines for a person; nested ones are indented under their name."""
-    names = {key: name_and_unit(key) for key, value in figures.items() if not isinstance(value, Mapping)}
-    width = max((len(name) for name, _ in names.values()), default=0)
+    single = {key: name_and_value(key, value) for key, value in figures.items() if not _is_nested(value)}
+    width = max((len(name) for name, _ in single.values()), default=0)
     lines = []
     for key, value in figures.items():
-        if isinstance(value, Mapping):
-            lines.append(f"{indent}{name_and_unit(key)[0]}")
-            if value:
-                lines.append(lines_of(value, indent + "  "))
+        if key in single:
+            name, text = single[key]
+            lines.append(f"{indent}{name:<{width}}  {text}")
         else:
-            name, unit = names[key]
-            text = shown(value)
-            lines.append(f"{indent}{name:<{width}}  {text}{' ' + unit if unit and value is not None else ''}")
+            lines.append(f"{indent}{name_and_value(key, None)[0]}")
+            nested = [value] if isinstance(value, Mapping) else value
+            lines += [lines_of(item, indent + "  ") for item in nested]
     return "\n".join(lines)
 
 
-def name_and_unit(key: str) -> tuple[str, str]:
-    """Split a figure's name into words and the unit its end stands for."""
-    for end, unit in _UNITS.items():
-        if key.endswith(end):
-            return key.removesuffix(end).replace("_", " "), unit
-    return key.replace("_", " "), ""
+def name_and_value(key: str, value: Any) -> tuple[str, str]:
+    """Return a figure's name in words, and its value with the unit that the end of the name stands for."""
+    end = next((end for end in _UNITS if key.endswith(end)), "")
+    name = key.removesuffix(end).replace("_", " ")
+    if value is None or not end:
+        return name, _shown(value)
+    if end == "_share" and isinstance(value, float):
+        value = 100 * value
+    return name, f"{_shown(value)} {_UNITS[end]}"
 
 
-def shown(value: Any) -> str:
-    """Return one value as a person reads it."""
-    if value is None:
+def _is_nested(value: Any) -> bool:
+    if isinstance(value, (list, tuple)):
+        return any(isinstance(item, Mapping) for item in value)
+    return isinstance(value, Mapping) and bool(value)
+
+
+def _shown(value: Any) -> str:
+    if value is None or value == {}:
         return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -125,7 +134,7 @@ def shown(value: Any) -> str:
     if isinstance(value, int):
         return f"{value:,}"
     if isinstance(value, (list, tuple)):
-        return ", ".join(map(shown, value)) or "–"
+        return ", ".join(map(_shown, value)) or "–"
     return str(value)
 
 

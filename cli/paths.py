@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from stages.errors import InputError, UsageError
 
-# What write_mesh can write.
-MESH_SUFFIXES = (".ply",)
+# What stages.mesh_files.write_mesh can write.
+MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def require_scan(folder: Path) -> Path:
@@ -61,3 +65,24 @@ def prepare_output_folder(folder: Path) -> Path:
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError("this folder cannot be written to; choose another.", folder)
     return folder
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Give a temporary folder beside `path` that takes its name when the block ends well, or else is removed.
+
+    Raises
+    ------
+    InputError
+        If there is something at `path` already, other than an empty folder.
+    """
+    if path.is_dir() and any(path.iterdir()):
+        raise InputError("this folder is not empty; name a new one.", path)
+    prepare_output_folder(path)
+    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.absolute().parent))
+    try:
+        yield draft
+        draft.chmod(path.stat().st_mode)  # mkdtemp keeps a folder to its owner
+        draft.replace(path)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,15 +15,20 @@ from cli.options import with_options
 from cli.output import Output, size_of, table_of
 from cli.paths import prepare_output_folder, require_scan
 from cli.watch import watching
-from stages.errors import InputError
+from stages.errors import InputError, UsageError
 from stages.params import check, param
 
 if TYPE_CHECKING:
     from pipeline.cache import Cache, Listed
+    from pipeline.run import RunResult
 
 CacheFolder = Annotated[
     Path | None,
-    typer.Argument(metavar="[DIR]", help="Cache folder; by default that of all runs.", show_default=False),
+    typer.Argument(
+        metavar="DIR",
+        help="Cache folder, or the output folder of a run; $SCANLOOM_CACHE if not given.",
+        show_default=False,
+    ),
 ]
 
 _DAY = 86_400.0
@@ -97,7 +103,11 @@ def run(
     ] = None,
     cache: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Where results of stages are kept.", show_default=False),
+        typer.Option(
+            metavar="DIR",
+            help="Where the results of stages are kept; $SCANLOOM_CACHE, or OUT/cache, if not given.",
+            show_default=False,
+        ),
     ] = None,
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
@@ -118,7 +128,7 @@ def run(
         result = run_pipeline(
             scan, target, config, until=until, force=tuple(force or ()), cache_dir=cache, events=events
         )
-    out.result(result.figures())
+    out.result(result.figures(), _summary(result))
 
 
 def config(
@@ -178,14 +188,37 @@ def cache_prune(params: PruneParams, out: Output, folder: CacheFolder = None) ->
     _print_entries(cache.folder, removed, out, "would be removed" if params.dry_run else "removed")
 
 
+def _summary(result: RunResult) -> str:
+    """Say where the results are, and how good the final mesh is."""
+    mesh = result.report["mesh"]
+    lines = []
+    if mesh is not None:
+        distance = mesh["to_clean"]["distance"]["symmetric"]
+        color = mesh["to_clean"]["color"]
+        lines += [
+            f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold, "
+            f"edges of {mesh['edges'].get('length_mean_m', 0):.3g} m in the mean",
+            f"from the clean mesh: RMS {distance['rms_m']:.3g} m, maximum {distance['maximum_m']:.3g} m"
+            + (f"; colour RMSE {color['symmetric']['rmse_levels']:.3g} levels of 255" if color else ""),
+        ]
+    placed = [path.relative_to(result.out).parts[0] for stage in result.stages for path in stage.results]
+    lines.append(f"results in {result.out}: {', '.join(dict.fromkeys([*placed, 'report.json']))}")
+    return "\n".join(lines)
+
+
 def _open(folder: Path | None) -> Cache:
     from pipeline.cache import Cache
+    from pipeline.run import CACHE_VARIABLE, cache_folder
 
-    if folder is None:
-        folder = default_cache()
-    if not folder.is_dir():
-        raise InputError("there is no cache here.", folder)
-    return Cache(folder)
+    if folder is None and CACHE_VARIABLE not in os.environ:
+        raise UsageError(
+            f"which cache? Give its folder, or the output folder of a run, or set {CACHE_VARIABLE}."
+        )
+    chosen = Path(os.environ[CACHE_VARIABLE]) if folder is None else folder
+    for place in (chosen, cache_folder(chosen)) if chosen.is_dir() else ():
+        if (place / "CACHEDIR.TAG").is_file():
+            return Cache(place)
+    raise InputError("there is no cache here.", chosen)
 
 
 def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: str = "kept") -> None:

@@ -9,7 +9,7 @@ import typer
 
 from cli.options import with_options
 from cli.output import Output
-from cli.paths import MESH_SUFFIXES, prepare_output_file, prepare_output_folder, require_scan
+from cli.paths import MESH_SUFFIXES, new_folder, prepare_output_file, require_scan
 from stages.depth import DepthParams
 from stages.errors import InputError
 from stages.fuse import FuseParams
@@ -52,12 +52,23 @@ def depth(
 
     Example: scanloom depth my_pairs my_depth --max-depth 30
     """
+    from pipeline.depth_maps import write_depth_maps
+    from stages.depth import depth_scan
+    from stages.layouts import read_scan
+
+    source = read_scan(require_scan(folder), scan)
+    with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
+        figures = write_depth_maps(draft, depth_scan(source, params, progress), len(source.frames))
+    out.result({"output": str(target), **figures})
 
 
 def fuse(
     folder: ScanFolder,
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Mesh file to write (.ply).", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="OUT", help="Mesh file to write (.ply, .obj, .off, .stl, .glb).", show_default=False
+        ),
     ],
     scan: ScanParams,
     params: FuseParams,

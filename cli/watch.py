@@ -6,11 +6,19 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from cli.output import Output, name_and_unit, shown
+from cli.output import Output, name_and_value
 from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
 from stages.progress import Progress
 
+# What is counted while a stage works.
 _UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "collapses"}
+# What came out of a stage and what was derived for it, in one line; all figures are in report.json.
+_HEADLINES = {
+    "depth": ("frames_used", "used_share", "median_depth_m", "max_depth_m"),
+    "fuse": ("triangles", "voxel_size_m", "truncation_m", "max_depth_m", "frames_used"),
+    "clean": ("triangles",),
+    "simplify": ("triangles", "resolution_m", "max_shape_m", "max_texture_levels", "stopped_by"),
+}
 
 
 @contextmanager
@@ -69,15 +77,10 @@ def line_of(event: StageFinished) -> str:
     """Return the line of a finished stage: its name, cached or the seconds, what came out, why it ran."""
     state = "cached" if event.cached else f"{event.seconds:.1f} s"
     reason = f" ({event.reason})" if event.reason else ""
-    return f"{event.stage:<9} {state:>8}  {headline(event.figures)}{reason}".rstrip()
+    return f"{event.stage:<9}{state:>8}  {headline(event.stage, event.figures)}{reason}".rstrip()
 
 
-def headline(figures: Mapping[str, Any]) -> str:
-    """Return the figures that are single values as one line."""
-    words = []
-    for key, value in figures.items():
-        if value is None or isinstance(value, (Mapping, list, tuple)):
-            continue
-        name, unit = name_and_unit(key)
-        words.append(f"{name} {shown(value)}{' ' + unit if unit else ''}")
-    return ", ".join(words)
+def headline(stage: str, figures: Mapping[str, Any]) -> str:
+    """Return the figures of a stage that say most, as one line."""
+    words = [name_and_value(key, figures.get(key)) for key in _HEADLINES.get(stage, ())]
+    return ", ".join(f"{name} {value}" for name, value in words)

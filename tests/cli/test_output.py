@@ -34,13 +34,28 @@ def test_json_holds_only_what_every_reader_takes() -> None:
 
 
 def test_lines_for_a_person_carry_units() -> None:
-    figures = {"voxel_size_m": 0.0123456, "triangles": 1234567, "manifold": True, "colour": {"psnr_db": None}}
+    figures = {
+        "voxel_size_m": 0.0123456,
+        "triangles": 1234567,
+        "used_share": 0.25,
+        "scale_m_per_level": 2.0,
+        "manifold": True,
+        "colour": {"psnr_db": None},
+        "skipped": [{"frame": "7", "reason": "dark"}],
+        "none": [],
+    }
     assert lines_of(figures).splitlines() == [
         "voxel size  0.01235 m",
         "triangles   1,234,567",
+        "used        25 %",
+        "scale       2 m per level",
         "manifold    yes",
         "colour",
         "  psnr  –",
+        "skipped",
+        "  frame   7",
+        "  reason  dark",
+        "none        –",
     ]
 
 

@@ -1,0 +1,93 @@
+"""A scan small enough to run whole within a second or two, and a mesh."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from cli.app import run_command
+from stages.layouts import write_scan_json
+from stages.mesh import Mesh
+from stages.ply import write_ply
+from stages.scan import Camera, Frame
+
+CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=47.5, cy=35.5)
+WALL, CENTRE, RADIUS = 1.2, np.array([0.0, 0.0, 1.0]), 0.25
+
+
+def ball_before_a_wall(x: float) -> np.ndarray:
+    """Depth map in metres, of a camera at (x, 0, 0) that looks along z."""
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
+    origin = np.array([x, 0.0, 0.0]) - CENTRE
+    a, b = (rays**2).sum(-1), rays @ origin
+    root = b * b - a * (origin @ origin - RADIUS**2)
+    ball = (-b - np.sqrt(np.maximum(root, 0))) / a
+    return np.where(root > 0, ball, WALL)
+
+
+@pytest.fixture(scope="session")
+def tiny_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six RGB-D frames of a ball before a wall, in the plain layout."""
+    folder = tmp_path_factory.mktemp("tiny_scan")
+    frames = []
+    for i, x in enumerate(np.linspace(-0.1, 0.1, 6)):
+        depth = np.rint(ball_before_a_wall(x) * 1000).astype(np.uint16)
+        color = np.where((depth < 1200)[..., None], (40, 80, 200), (180, 180, 160)).astype(np.uint8)
+        files = {kind: folder / f"{kind}-{i}.png" for kind in ("color", "depth")}
+        cv2.imwrite(str(files["depth"]), depth)
+        cv2.imwrite(str(files["color"]), color)
+        pose = np.eye(4)
+        pose[0, 3] = x
+        frames.append(Frame(f"{i}", CAMERA, files["color"], depth=files["depth"], world_from_camera=pose))
+    write_scan_json(folder, frames)
+    return folder
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> Path:
+    """PLY file of a coloured ball of 1 m radius: 1,280 triangles, and one far speck."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    vertices = np.vstack([mesh.vertices, [[9, 9, 9], [9.001, 9, 9], [9, 9.001, 9]]])
+    triangles = np.vstack([mesh.faces, [[len(mesh.vertices) + i for i in range(3)]]])
+    colors = np.clip(128 + 100 * vertices, 0, 255).astype(np.uint8)
+    path = tmp_path / "ball.ply"
+    write_ply(path, Mesh(vertices, triangles.astype(np.int32), colors))
+    return path
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a command line did."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.stdout)
+
+
+@pytest.fixture
+def scanloom(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
+    """Run a command line in this process, as the installed command does."""
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(*words: object) -> Ran:
+        capsys.readouterr()
+        code = run_command([str(word) for word in words])
+        captured = capsys.readouterr()
+        return Ran(code, captured.out, captured.err)
+
+    return run

@@ -1,0 +1,133 @@
+"""clean, simplify, compare and render on files: figures, files, and what bad input is told."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.mesh_files import read_mesh
+
+Run = Callable[..., Any]
+
+
+def test_clean_removes_the_speck_and_keeps_the_colours(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    target = tmp_path / "new" / "clean.ply"
+    ran = scanloom("clean", ball, target, "--json")
+    assert ran.exit_code == 0
+    assert ran.stderr == ""
+    assert ran.json["output"] == str(target)
+    cleaned = read_mesh(target)
+    assert len(cleaned.triangles) == 1280
+    assert cleaned.colors is not None
+
+
+def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
+    scanloom("clean", ball, clean)
+    ran = scanloom("simplify", clean, light, "--max-shape", 0.05, "--triangles", 300)
+    assert ran.exit_code == 0, ran.stderr
+    figures = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
+    assert figures["distance"]["symmetric"]["maximum_m"] <= 0.05
+    assert 4 <= len(read_mesh(light).triangles) < 1280
+
+
+def test_a_mesh_may_be_replaced_by_its_clean_self(scanloom: Run, ball: Path) -> None:
+    assert scanloom("clean", ball, ball).exit_code == 0
+    assert len(read_mesh(ball).triangles) == 1280
+    assert [path.name for path in ball.parent.iterdir()] == ["ball.ply"]
+
+
+def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path) -> None:
+    figures = scanloom("compare", ball, ball, "--samples", 1000, "--json").json
+    assert figures["distance"]["symmetric"]["maximum_m"] == pytest.approx(0, abs=1e-6)
+    text = scanloom("compare", ball, ball, "--samples", 1000).stdout
+    assert "maximum m" in text
+    assert "PSNR dB" in text
+
+
+def test_compare_is_repeatable_by_its_seed(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    light = tmp_path / "light.ply"
+    scanloom("clean", ball, light)
+    words = ("compare", ball, light, "--samples", 1000, "--json")
+    assert scanloom(*words, "--seed", 3).stdout == scanloom(*words, "--seed", 3).stdout
+    assert scanloom(*words, "--seed", 3).stdout != scanloom(*words, "--seed", 4).stdout
+
+
+def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    target = tmp_path / "ball.png"
+    scanloom("clean", ball, ball)
+    ran = scanloom("render", ball, target, "--width", 120, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    picture = cv2.imread(str(target))
+    assert picture.shape[1] == 120
+    assert np.ptp(picture.reshape(-1, 3), axis=0).min() > 50
+
+
+@pytest.mark.parametrize(
+    ("words", "exit_code", "sentence"),
+    [
+        (("clean", "missing.ply", "out.ply"), 3, "missing.ply: there is no such file."),
+        (("clean", ".", "out.ply"), 3, "this is a folder"),
+        (("clean", "ball.ply", "out.xyz"), 2, "the extension .xyz stands for no format"),
+        (("render", "ball.ply", "out.gif"), 2, "the extension .gif stands for no format"),
+        (("clean", "ball.ply", "ball.ply/out.ply"), 3, "ball.ply"),
+        (("simplify", "ball.ply", "out.ply", "--max-shape", "-1"), 2, "--max-shape is -1 m"),
+        (("simplify", "ball.ply", "out.ply", "--ratio", "2"), 2, "--ratio is 2"),
+        (("simplify", "ball.ply", "out.ply", "--triangles", "few"), 2, "--triangles"),
+        (("simplify", "ball.ply", "out.ply", "--speed", "9"), 2, "--speed"),
+        (("simplify", "ball.ply"), 2, "OUT"),
+        (("compare", "ball.ply", "ball.ply", "--samples", "0"), 2, "--samples is 0"),
+        (("knit",), 2, "knit"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(
+    scanloom: Run,
+    ball: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    exit_code: int,
+    sentence: str,
+) -> None:
+    monkeypatch.chdir(ball.parent)
+    ran = scanloom(*words)
+    assert ran.exit_code == exit_code
+    assert sentence in ran.stderr
+    assert ran.stderr.count("\n") == 1
+    assert "Traceback" not in ran.stderr
+    assert ran.stdout == ""
+    assert not Path("out.ply").exists()
+
+
+def test_a_truncated_mesh_is_bad_input_and_leaves_nothing(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    cut, target = tmp_path / "cut.ply", tmp_path / "out.ply"
+    cut.write_bytes(ball.read_bytes()[:-50])
+    ran = scanloom("clean", cut, target, "--json")
+    assert ran.exit_code == 3
+    assert "cut.ply" in ran.json["error"]
+    assert ran.json["exit_code"] == 3
+    assert not target.exists()
+
+
+def test_debug_adds_the_traceback(scanloom: Run) -> None:
+    ran = scanloom("clean", "missing.ply", "out.ply", "--debug")
+    assert ran.exit_code == 3
+    assert "Traceback" in ran.stderr
+
+
+def test_an_unforeseen_error_is_a_sentence_too(
+    scanloom: Run, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise KeyError("oops")
+
+    monkeypatch.setattr("stages.clean.clean", fail)
+    ran = scanloom("clean", ball, tmp_path / "out.ply", "--json")
+    assert ran.exit_code == 1
+    assert "bug in scanloom" in json.loads(ran.stdout)["error"]
+    assert "Traceback" not in ran.stderr

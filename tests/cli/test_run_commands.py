@@ -1,0 +1,233 @@
+"""run, config, cache and the whole program: what is cached, what reruns, what Ctrl-C leaves."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.config import Config
+from stages.params import described
+
+Run = Callable[..., Any]
+SCANLOOM = [sys.executable, "-m", "cli.app"]
+
+
+def states(ran: Any) -> dict[str, str]:
+    """Whether each stage was cached or run."""
+    return {name: "cached" if stage["cached"] else "run" for name, stage in ran.json["stages"].items()}
+
+
+def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    small_report = ("--set", "compare.samples=1000", "--set", "report.views=1", "--set", "report.width=64")
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--json", *small_report)
+    first = scanloom(*words)
+    assert first.exit_code == 0, first.stderr
+    assert first.stderr == ""
+    assert set(states(first).values()) == {"run"}
+    for name in ("fused.ply", "clean.ply", "simplified.ply", "report.json"):
+        assert (tmp_path / "out" / name).is_file()
+
+    assert set(states(scanloom(*words)).values()) == {"cached"}
+
+    changed = states(scanloom(*words, "--set", "simplify.max_shape=0.02"))
+    assert (changed["fuse"], changed["clean"], changed["simplify"]) == ("cached", "cached", "run")
+
+    forced = states(scanloom(*words, "--set", "simplify.max_shape=0.02", "--force", "clean"))
+    assert (forced["fuse"], forced["clean"]) == ("cached", "run")
+
+
+def test_a_person_gets_a_line_a_stage_and_the_place_of_the_results(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--until", "clean")
+    ran = scanloom(*words)
+    assert ran.exit_code == 0, ran.stderr
+    assert re.search(r"^fuse +[\d.]+ s .*voxel size .* m.*first run", ran.stderr, re.MULTILINE)
+    assert str(tmp_path / "out") in ran.stdout
+    again = scanloom(*words)
+    assert re.search(r"^fuse +cached", again.stderr, re.MULTILINE)
+    assert scanloom(*words, "--quiet").stderr == ""
+
+
+def test_inspect_says_what_was_found(scanloom: Run, tiny_scan: Path) -> None:
+    text = scanloom("inspect", tiny_scan).stdout
+    assert "plain-rgbd" in text
+    assert scanloom("inspect", tiny_scan, "--json").json["frames"] == 6
+
+
+def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    fused, clean = tmp_path / "fused.ply", tmp_path / "clean.ply"
+    ran = scanloom("fuse", tiny_scan, fused, "--voxel-size", "0.02", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["voxel_size_m"] == 0.02
+    assert scanloom("clean", fused, clean).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "exit_code", "sentence"),
+    [
+        (("run", "empty", "-o", "out"), 3, "empty"),
+        (("run", "missing", "-o", "out"), 3, "missing: there is no such folder"),
+        (("run", "file", "-o", "out"), 3, "file: this is a file"),
+        (("inspect", "empty"), 3, "empty"),
+        (("inspect", "empty", "--layout", "cubist"), 2, "--layout is 'cubist'"),
+        (("inspect", "empty", "--intrinsics", "1,2"), 2, "--intrinsics"),
+        (("run", "empty"), 2, "--out"),
+        (("run", "empty", "-o", "file/out"), 3, "file"),
+        (("run", "empty", "-o", "out", "--config", "missing.toml"), 2, "missing.toml"),
+        (("run", "empty", "-o", "out", "--set", "fuse.voxel_size"), 2, "fuse.voxel_size"),
+        (("run", "empty", "-o", "out", "--set", "fuse.voxel_size=-1"), 2, "voxel_size"),
+        (("run", "empty", "-o", "out", "--set", "fuse.voxle_size=1"), 2, "voxel_size"),
+        (("run", "empty", "-o", "out", "--until", "lunch"), 2, "lunch"),
+        (("run", "empty", "-o", "out", "--force", "lunch"), 2, "lunch"),
+        (("config", "--check", "file"), 2, "file"),
+        (("cache", "ls", "missing"), 3, "missing"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(
+    scanloom: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    exit_code: int,
+    sentence: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    Path("file").write_text("not TOML")
+    ran = scanloom(*words, *(("--cache", "cache") if words[0] == "run" else ()))
+    assert ran.exit_code == exit_code, ran.stderr
+    assert sentence in ran.stderr
+    assert ran.stderr.count("\n") == 1
+    as_json = scanloom(*words, *(("--cache", "cache") if words[0] == "run" else ()), "--json")
+    assert as_json.json["exit_code"] == exit_code
+    assert sentence in as_json.json["error"]
+
+
+def test_a_folder_of_no_known_layout_is_told_what_is_known(scanloom: Run, tmp_path: Path) -> None:
+    (tmp_path / "holiday.txt").write_text("sun")
+    ran = scanloom("inspect", tmp_path)
+    assert ran.exit_code == 3
+    assert ran.stderr.startswith(f"scanloom: {tmp_path}: unknown layout.")
+    assert "plain-rgbd" in ran.stderr
+
+
+def test_the_printed_config_is_the_defaults(scanloom: Run, tmp_path: Path) -> None:
+    file = tmp_path / "defaults.toml"
+    file.write_text(scanloom("config").stdout)
+    assert Config.load(file) == Config()
+    checked = scanloom("config", "--check", file, "--json")
+    assert checked.json == scanloom("config", "--json").json
+
+
+def test_the_cache_is_listed_verified_and_pruned(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    scanloom("run", tiny_scan, "-o", tmp_path / "out", "--cache", cache, "--until", "clean")
+    entries = scanloom("cache", "ls", cache, "--json").json["entries"]
+    assert {"fuse", "clean"} <= {entry["stage"] for entry in entries}
+    assert scanloom("cache", "verify", cache).exit_code == 0
+
+    damaged = next(cache.glob("clean/*/*.ply"))
+    damaged.write_bytes(damaged.read_bytes()[:-1])
+    ran = scanloom("cache", "verify", cache, "--json")
+    assert ran.exit_code == 1
+    assert [entry["stage"] for entry in ran.json["entries"] if entry["problem"]] == ["clean"]
+
+    assert scanloom("cache", "prune", cache, "--json").json["entries"] == []
+    assert len(scanloom("cache", "prune", cache, "--all", "--dry-run", "--json").json["entries"]) == len(
+        entries
+    )
+    assert len(scanloom("cache", "prune", cache, "--all", "--json").json["entries"]) == len(entries)
+    assert scanloom("cache", "ls", cache, "--json").json["entries"] == []
+
+
+COMMANDS = [
+    *(
+        ("inspect",),
+        ("run",),
+        ("config",),
+        ("depth",),
+        ("fuse",),
+        ("clean",),
+        ("simplify",),
+        ("compare",),
+        ("render",),
+    ),
+    *(("cache", "ls"), ("cache", "verify"), ("cache", "prune")),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_teaches_with_an_example(scanloom: Run, command: tuple[str, ...]) -> None:
+    ran = scanloom(*command, "--help")
+    assert ran.exit_code == 0
+    assert f"Example: scanloom {' '.join(command)}" in ran.stdout
+    assert "--json" in ran.stdout
+
+
+@pytest.mark.parametrize("command", ["depth", "fuse", "clean", "simplify"])
+def test_help_of_a_stage_names_unit_and_default_of_every_parameter(scanloom: Run, command: str) -> None:
+    text = re.sub(r"[\s│]+", " ", scanloom(command, "--help").stdout)
+    helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
+    for name, about in described(Config.types()[command]).items():
+        facts = re.search(r"\(([^()]*)default: [^()]+\)", helps[name.replace("_", "-")])
+        assert facts, name
+        assert about.unit in facts[1]
+
+
+def test_the_installed_program_starts_fast_and_knows_its_version() -> None:
+    def once() -> float:
+        before = os.times()
+        ran = subprocess.run([*SCANLOOM, "--help"], capture_output=True, text=True, check=True)
+        assert "inspect" in ran.stdout
+        after = os.times()
+        return after.children_user + after.children_system - before.children_user - before.children_system
+
+    assert min(once() for _ in range(3)) < 0.5
+    version = subprocess.run([*SCANLOOM, "--version"], capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"scanloom \d+\.\d+\.\d+\n", version.stdout)
+
+
+def test_help_imports_no_heavy_library() -> None:
+    code = (
+        "import sys, cli.app; cli.app.run_command(['--help']); "
+        "print([name for name in ('cv2', 'open3d', 'scipy', 'skimage', 'trimesh') if name in sys.modules])"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_reader_that_leaves_early_causes_no_traceback() -> None:
+    program = subprocess.Popen([*SCANLOOM, "config"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert program.stdout is not None
+    assert program.stderr is not None
+    program.stdout.close()
+    assert program.stderr.read() == b""
+    program.stderr.close()
+    assert program.wait() == 1
+
+
+def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path, tmp_path: Path) -> None:
+    out, cache = tmp_path / "out", tmp_path / "cache"
+    words = ["run", str(tiny_scan), "-o", str(out), "--cache", str(cache)]
+    program = subprocess.Popen([*SCANLOOM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert program.stderr is not None
+    assert "6 frames" in program.stderr.readline()
+    program.send_signal(signal.SIGINT)
+    stdout, stderr = program.communicate(timeout=30)
+    assert program.returncode == 130
+    assert stdout == ""
+    assert stderr.splitlines()[-1] == "scanloom: Interrupted; what was finished is kept."
+    assert "Traceback" not in stderr
+    assert list(out.iterdir()) == []
+    assert [path for path in cache.rglob("*") if path.is_dir() and path.name not in ("drafts", "runs")] == []
