@@ -117,6 +117,12 @@ impl Connectivity {
         self.edges[edge.index()]
     }
 
+    /// Whether an edge is still there.
+    #[inline]
+    pub fn is_edge(&self, edge: EdgeId) -> bool {
+        self.halfedge(edge).is_some()
+    }
+
     #[inline]
     pub fn ends(&self, edge: EdgeId) -> [VertexId; 2] {
         let h = self.halfedge(edge);

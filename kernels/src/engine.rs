@@ -78,8 +78,6 @@ pub enum Refusal<B> {
 pub enum Step<B> {
     Collapsed(Collapsed),
     Refused(EdgeId, Refusal<B>),
-    /// The first edge had become less urgent and was put back.
-    Postponed,
     /// The queue is empty.
     Finished,
 }
@@ -96,7 +94,6 @@ pub enum Stop {
 pub struct Engine<const D: usize, M: Measure<D>> {
     mesh: Mesh<D>,
     measure: M,
-    /// A key may be smaller than the edge's priority by now: that is found out when its turn comes.
     queue: Queue,
     refusals: Vec<Option<Refusal<M::Bound>>>,
     marks: Marks,
@@ -158,29 +155,17 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     /// Try the first edge of the queue.
     pub fn step(&mut self) -> Step<M::Bound> {
-        let Some((edge, key)) = self.queue.first() else {
+        let Some(edge) = self.queue.pop() else {
             return Step::Finished;
         };
-        let refusal = match self.measure.priority(&self.mesh, edge) {
-            Ok(priority) if priority > key => {
-                self.queue.set(edge, priority);
-                return Step::Postponed;
+        self.attempts += 1;
+        match self.attempt(edge) {
+            Ok(collapsed) => Step::Collapsed(collapsed),
+            Err(refusal) => {
+                self.refusals[edge.index()] = Some(refusal);
+                Step::Refused(edge, refusal)
             }
-            Ok(_) => {
-                self.queue.remove(edge);
-                self.attempts += 1;
-                match self.attempt(edge) {
-                    Ok(collapsed) => return Step::Collapsed(collapsed),
-                    Err(refusal) => refusal,
-                }
-            }
-            Err(bound) => {
-                self.queue.remove(edge);
-                Refusal::Barred(bound)
-            }
-        };
-        self.refusals[edge.index()] = Some(refusal);
-        Step::Refused(edge, refusal)
+        }
     }
 
     fn attempt(&mut self, edge: EdgeId) -> Result<Collapsed, Refusal<M::Bound>> {
@@ -195,9 +180,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         self.collapses += 1;
         self.measure.commit(&self.mesh, &self.star, &collapsed, proposal.change);
         for (_, gone) in collapsed.merged.into_iter().flatten() {
-            if self.queue.contains(gone) {
-                self.queue.remove(gone);
-            }
+            self.queue.discard(gone);
         }
         self.offer_around(survivor);
         Ok(collapsed)
@@ -205,23 +188,30 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     /// Bring the queue up to date around a vertex that has moved.
     fn offer_around(&mut self, centre: VertexId) {
-        self.ring.clear();
-        let connectivity = &self.mesh.connectivity;
-        for (spoke, neighbour) in connectivity.spokes(centre) {
-            self.ring.push(neighbour);
-            if self.queue.contains(spoke) {
-                if let Ok(priority) = self.measure.priority(&self.mesh, spoke) {
-                    self.queue.hasten(spoke, priority);
+        let Self { mesh, measure, queue, refusals, star, ring, .. } = self;
+        let connectivity = &mesh.connectivity;
+        for &edge in star.others.iter().filter(|&&edge| connectivity.is_edge(edge)) {
+            match measure.priority(mesh, edge) {
+                Ok(priority) => {
+                    refusals[edge.index()] = None;
+                    queue.set(edge, priority);
                 }
-            } else {
-                offer(&mut self.queue, &mut self.refusals, &self.measure, &self.mesh, spoke);
+                Err(bound) => {
+                    refusals[edge.index()] = Some(Refusal::Barred(bound));
+                    queue.discard(edge);
+                }
             }
         }
-        // Edges with one end on the ring: their stars have changed, so what was refused may be legal now.
-        for &v in &self.ring {
+        // Other edges with one end on the ring: what was refused may be legal now that their stars have changed.
+        ring.clear();
+        ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
+        for &v in ring.iter() {
             for (edge, _) in connectivity.spokes(v) {
-                if matches!(self.refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_))) {
-                    offer(&mut self.queue, &mut self.refusals, &self.measure, &self.mesh, edge);
+                if matches!(refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_))) {
+                    if let Ok(priority) = measure.priority(mesh, edge) {
+                        refusals[edge.index()] = None;
+                        queue.set(edge, priority);
+                    }
                 }
             }
         }
@@ -252,21 +242,5 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     pub fn into_mesh(self) -> Mesh<D> {
         self.mesh
-    }
-}
-
-fn offer<const D: usize, M: Measure<D>>(
-    queue: &mut Queue,
-    refusals: &mut [Option<Refusal<M::Bound>>],
-    measure: &M,
-    mesh: &Mesh<D>,
-    edge: EdgeId,
-) {
-    match measure.priority(mesh, edge) {
-        Ok(priority) => {
-            refusals[edge.index()] = None;
-            queue.set(edge, priority);
-        }
-        Err(bound) => refusals[edge.index()] = Some(Refusal::Barred(bound)),
     }
 }

@@ -50,15 +50,11 @@ impl Queue {
         self.heap.is_empty()
     }
 
-    #[inline]
-    pub fn contains(&self, edge: EdgeId) -> bool {
-        self.place.get(edge.index()).is_some_and(|&place| place != ABSENT)
-    }
-
-    /// The edge with the smallest key.
-    #[inline]
-    pub fn first(&self) -> Option<(EdgeId, f64)> {
-        self.heap.first().map(|entry| (entry.edge, entry.key))
+    /// Take out the edge with the smallest key.
+    pub fn pop(&mut self) -> Option<EdgeId> {
+        let edge = self.heap.first()?.edge;
+        self.discard(edge);
+        Some(edge)
     }
 
     /// Insert an edge, or change its key.
@@ -80,19 +76,13 @@ impl Queue {
         if sooner { self.sift_up(at) } else { self.sift_down(at) }
     }
 
-    /// Let an edge that waits come sooner; a key that is not smaller changes nothing.
-    #[inline]
-    pub fn hasten(&mut self, edge: EdgeId, key: f64) {
-        let at = self.place[edge.index()] as usize;
-        if key < self.heap[at].key {
-            self.heap[at].key = key;
-            self.sift_up(at);
+    /// Take an edge out, if it is in.
+    pub fn discard(&mut self, edge: EdgeId) {
+        let place = std::mem::replace(&mut self.place[edge.index()], ABSENT);
+        if place == ABSENT {
+            return;
         }
-    }
-
-    pub fn remove(&mut self, edge: EdgeId) {
-        let at = self.place[edge.index()] as usize;
-        self.place[edge.index()] = ABSENT;
+        let at = place as usize;
         let last = self.heap.pop().expect("an edge with a place is in the heap");
         if at == self.heap.len() {
             return;
@@ -146,8 +136,7 @@ mod tests {
 
     fn drain(queue: &mut Queue) -> Vec<u32> {
         let mut order = vec![];
-        while let Some((edge, _)) = queue.first() {
-            queue.remove(edge);
+        while let Some(edge) = queue.pop() {
             order.push(edge.0);
         }
         order
@@ -164,10 +153,10 @@ mod tests {
         let mut queue = Queue::new(6, (0..6).map(|e| (EdgeId(e), f64::from(e))));
         queue.set(EdgeId(5), -1.0);
         queue.set(EdgeId(0), 2.5);
-        queue.hasten(EdgeId(4), 9.0);
-        queue.hasten(EdgeId(3), 0.5);
-        queue.remove(EdgeId(1));
-        assert!(!queue.contains(EdgeId(1)));
+        queue.set(EdgeId(3), 0.5);
+        queue.discard(EdgeId(1));
+        queue.discard(EdgeId(1));
+        assert_eq!(queue.len(), 5);
         assert_eq!(drain(&mut queue), [5, 3, 2, 0, 4]);
     }
 

@@ -34,8 +34,7 @@ pub fn split_long_edges<const D: usize>(
     });
     let mut queue = Queue::new(mesh.connectivity.edge_slots(), long);
     let mut splits = 0;
-    while let Some((edge, _)) = queue.first() {
-        queue.remove(edge);
+    while let Some(edge) = queue.pop() {
         if mesh.connectivity.triangle_count() + 2 > triangle_limit {
             let wanted = mesh.connectivity.triangle_count() as f64 + 2.0;
             return Err(KernelError::TooManyTriangles { wanted, limit: triangle_limit });
