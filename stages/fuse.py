@@ -15,12 +15,12 @@ from stages.errors import InputError, UsageError
 from stages.fusion_plan import make_plan
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
+from stages.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.prefetch import read_ahead
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, Frame, Scan, SkippedFrame
 from stages.survey import Noise
-from stages.views import View, read_view, read_view_color
-from stages.voxels import Layer, Volume, layers
+from stages.voxels import Layer, Volume
 
 VERSION = 1
 
@@ -31,16 +31,16 @@ class FuseParams:
 
     voxel_size: float | None = param(
         None,
-        "Edge of a voxel. Derived: twice the spacing of depth pixels at median depth, twice the measured depth "
-        "noise there, or what keeps the mesh near 2 million triangles, whichever is largest.",
+        "Edge of a voxel. Derived: twice the spacing of depth pixels at median depth, twice the measured "
+        "depth noise there, or what keeps the mesh near 2 million triangles, whichever is largest.",
         unit="m",
         low=0,
         low_open=True,
     )
     truncation: float | None = param(
         None,
-        "Distance from the surface, along its normal, at which the field is cut off. Derived: three times the "
-        "measured noise of far depth, but 3 to 5 voxels.",
+        "Distance from the surface, along its normal, at which the field is cut off. Derived: three times "
+        "the measured noise of far depth, but 3 to 5 voxels.",
         unit="m",
         low=0,
         low_open=True,
@@ -48,7 +48,7 @@ class FuseParams:
     min_depth: float = param(0.0, "Nearer depth is ignored.", unit="m", low=0)
     max_depth: float | None = param(
         None,
-        "Farther depth is ignored. Derived: where the measured noise reaches half the truncation.",
+        "Farther depth is ignored. Derived: where the measured noise reaches a third of the truncation.",
         unit="m",
         low=0,
         low_open=True,
@@ -61,12 +61,16 @@ class FuseParams:
         low_open=True,
     )
     max_angle: float = param(
-        87.0, "Pixels that see the surface at a larger angle to its normal are dropped.", unit="degrees", low=0, high=89
-    )  # fmt: skip
+        87.0,
+        "Pixels that see the surface at a larger angle to its normal are dropped.",
+        unit="degrees",
+        low=0,
+        high=89,
+    )
     min_weight: int | None = param(
         None,
-        "How many frames must have seen a voxel for the surface to pass through it. Derived: a fifth of what "
-        "the median voxel was seen, from 1 to 4.",
+        "How many frames must have seen a voxel for the surface to pass through it. Derived: half of what "
+        "the median voxel was seen, from 1 to 3.",
         unit="frames",
         low=1,
     )
@@ -143,7 +147,7 @@ class Fused:
 class _Prepared:
     """A frame ready to be integrated."""
 
-    view: View
+    view: PosedDepth
     parts: list[Layer]
     color: ColorImage | None
 
@@ -189,12 +193,11 @@ def fuse(
     _require_usable(frames, where)
     threads = min(os.cpu_count() or 1, 8)
     plan = make_plan(frames, params, where, threads)
-    max_depth = plan.limits.max_depth
     color = params.color and any(frame.color is not None for frame in frames)
     volume = Volume(
         plan.voxel_size,
         plan.truncation,
-        max_depth,
+        plan.limits.max_depth,
         color=color,
         blocks=plan.blocks,
         max_bytes=params.memory * 1e6,
@@ -203,11 +206,11 @@ def fuse(
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
-            view = read_view(frame, plan.limits)
-            image = read_view_color(frame) if color else None
+            view = read_posed_depth(frame, plan.limits)
+            image = read_matching_color(frame) if color else None
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
-        return _Prepared(view, layers(view, truncation=plan.truncation, max_depth=max_depth), image)
+        return _Prepared(view, plan.layers(view), image)
 
     skipped: list[SkippedFrame] = []
     pixels = valid = used = 0
@@ -223,19 +226,19 @@ def fuse(
             used += int(np.count_nonzero(view.surface.depth))
         progress(done, len(frames))
 
-    min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 5), 1, 4))
+    min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 2), 1, 3))
     mesh = volume.mesh(min_weight)
     if len(mesh.triangles) == 0:
         raise InputError(
-            f"no surface came out of {len(frames) - len(skipped)} frames at voxels of {plan.voxel_size:g} m: no "
-            f"place was seen by {min_weight} frames. Check poses and depth scale, or lower min_weight.",
+            f"no surface came out of {len(frames) - len(skipped)} frames at voxels of {plan.voxel_size:g} m: "
+            f"none was seen by {min_weight} of them. Check poses and depth scale, or lower min_weight.",
             where,
         )
     return Fused(
         mesh=mesh.with_(vertices=mesh.vertices + plan.origin),
         voxel_size=plan.voxel_size,
         truncation=plan.truncation,
-        max_depth=max_depth,
+        max_depth=plan.limits.max_depth,
         min_weight=min_weight,
         noise=plan.noise,
         frames=len(frames) - len(skipped),
@@ -273,7 +276,7 @@ def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
 def _require_share(skipped: Sequence[SkippedFrame], count: int, share: float, where: Path | None) -> None:
     if len(skipped) > share * count:
         raise InputError(
-            f"{len(skipped)} of {count} frames cannot be used; at most {share:.0%} may be bad (max_bad_share). "
-            f"The first: {skipped[0].reason}",
+            f"{len(skipped)} of {count} frames cannot be used; at most {share:.0%} may be bad "
+            f"(max_bad_share). The first: {skipped[0].reason}",
             where,
         )

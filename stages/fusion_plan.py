@@ -1,4 +1,4 @@
-"""Derive the scale of a fusion from a look at some of its frames: voxel size, truncation, depth range, memory."""
+"""Derive the scale of a fusion from some of its frames: voxel size, truncation, depth range, memory."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.prefetch import read_ahead
 from stages.scan import Frame, Pose
 from stages.survey import Noise, survey
-from stages.views import DepthLimits, View, read_view
-from stages.voxels import BLOCK, block_keys, layers
+from stages.voxels import BLOCK, Layer, block_keys, layers
 
 if TYPE_CHECKING:
     from stages.fuse import FuseParams
@@ -48,9 +48,15 @@ class Plan:
     origin: NDArray[np.float64]
     blocks: int = 0
 
+    def layers(self, view: PosedDepth) -> list[Layer]:
+        """Split a view's depth map for the volume."""
+        return layers(
+            view, voxel_size=self.voxel_size, truncation=self.truncation, max_depth=self.limits.max_depth
+        )
+
     def local(self, pose: Pose) -> Pose:
         """Return a pose relative to the origin, so that float32 is exact enough wherever the world's is."""
-        moved = pose.copy()
+        moved = np.array(pose)
         moved[:3, 3] -= self.origin
         return moved
 
@@ -78,7 +84,9 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         np.clip(3 * found.noise.at(found.far), 3 * voxel_size, 5 * voxel_size)
     )
     # Another frame may see farther than those looked at, hence the half more.
-    max_depth = params.max_depth or min(found.noise.reach(truncation / 2), 1.5 * found.farthest)
+    max_depth = params.max_depth or min(found.noise.reach(truncation / 3), 1.5 * found.farthest)
+    # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
+    max_depth = min(max_depth, 10 * found.farthest)
     centers = np.stack([view.pose[:3, 3] for view, _ in pairs])
     block = BLOCK * voxel_size
     plan = Plan(
@@ -93,7 +101,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
 
 def _look(
     frames: Sequence[Frame], limits: DepthLimits, where: Path | None, threads: int
-) -> list[tuple[View, View | None]]:
+) -> list[tuple[PosedDepth, PosedDepth | None]]:
     """Read frames at even places, each with the one after it; those that cannot be read are left out."""
     first = np.unique(np.linspace(0, max(len(frames) - 2, 0), _PLACES).astype(int))
     wanted = sorted({i for i in (*first, *(first + 1)) if i < len(frames)})
@@ -101,23 +109,25 @@ def _look(
         partial(_attempt, limits=limits), [frames[i] for i in wanted], threads=threads, ahead=threads
     )
     results = dict(zip(wanted, attempts, strict=True))
-    views = {i: result for i, result in results.items() if isinstance(result, View)}
+    views = {i: result for i, result in results.items() if isinstance(result, PosedDepth)}
     if not views:
         raise InputError(
             f"none of the {len(results)} frames looked at can be used. The first: {results[wanted[0]]}", where
         )
-    pairs: list[tuple[View, View | None]] = [(views[i], views.get(i + 1)) for i in first if i in views]
+    pairs: list[tuple[PosedDepth, PosedDepth | None]] = [
+        (views[i], views.get(i + 1)) for i in first if i in views
+    ]
     return pairs or [(view, None) for view in views.values()]
 
 
-def _attempt(frame: Frame, limits: DepthLimits) -> View | InputError:
+def _attempt(frame: Frame, limits: DepthLimits) -> PosedDepth | InputError:
     try:
-        return read_view(frame, limits)
+        return read_posed_depth(frame, limits)
     except InputError as error:
         return error
 
 
-def _expected_blocks(views: Sequence[View], plan: Plan, frames: int) -> int:
+def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> int:
     """Estimate how many blocks all frames touch from those that some touch.
 
     The first-order jackknife (Burnham and Overton 1978): what only one view of the sample saw tells how much
@@ -125,7 +135,7 @@ def _expected_blocks(views: Sequence[View], plan: Plan, frames: int) -> int:
     """
     touched = []
     for view in views:
-        parts = layers(view, truncation=plan.truncation, max_depth=plan.limits.max_depth)
+        parts = plan.layers(view)
         if parts:
             touched.append(block_keys(parts, plan.voxel_size, plan.local(view.pose)))
     if not touched:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.posed_depth import PosedDepth
 from stages.scan import DepthImage
-from stages.views import View
 
 _STEP = 4  # every fourth pixel of a row and a column is looked at
 _BINS = 8
@@ -44,7 +44,7 @@ class Survey:
 
     Attributes
     ----------
-    median, far, farthest : median depth, its 90 % quantile and its maximum, metres.
+    median, far, farthest : median depth, its 98 % quantile and its maximum, metres.
     spacing : metres between measured pixels on a surface facing the camera at median depth.
     noise : see Noise.
     area : square metres, a rough lower estimate of the surface seen.
@@ -58,11 +58,11 @@ class Survey:
     area: float
 
 
-def survey(pairs: Sequence[tuple[View, View | None]]) -> Survey:
+def survey(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Survey:
     """Measure on pairs of neighbouring views; the second of a pair may be missing."""
     views = [view for view, _ in pairs]
     depth = np.concatenate([_seen_depth(view) for view in views])
-    median, far = (float(z) for z in np.percentile(depth, [50, 90]))
+    median, far = (float(z) for z in np.percentile(depth, [50, 98]))
     spacing = float(
         np.median([median / view.camera.fx / math.sqrt(_density(view.surface.depth)) for view in views])
     )
@@ -76,7 +76,7 @@ def survey(pairs: Sequence[tuple[View, View | None]]) -> Survey:
     )
 
 
-def _seen_depth(view: View) -> NDArray[np.float32]:
+def _seen_depth(view: PosedDepth) -> NDArray[np.float32]:
     depth = view.surface.depth[::_STEP, ::_STEP]
     return depth[depth > 0]
 
@@ -89,13 +89,13 @@ def _density(depth: DepthImage) -> float:
     return float(cv2.blur(valid, (5, 5))[valid > 0].mean())
 
 
-def _area(views: Sequence[View], cell: float) -> float:
+def _area(views: Sequence[PosedDepth], cell: float) -> float:
     """Cells of a coarse grid that hold a point, times the area of a cell's face."""
     cells = np.concatenate([np.unique(np.floor(view.points(_STEP) / cell), axis=0) for view in views])
     return len(np.unique(cells, axis=0)) * cell**2
 
 
-def _noise(pairs: Sequence[tuple[View, View]]) -> Noise:
+def _noise(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> Noise:
     """Compare each first view with its second: the same places, measured twice."""
     found = [_differences(a, b) for a, b in pairs]
     depth = np.concatenate([z for z, _ in found]) if found else np.zeros(0)
@@ -120,7 +120,7 @@ def _noise(pairs: Sequence[tuple[View, View]]) -> Noise:
     return Noise(float(constant), float(quadratic))
 
 
-def _differences(a: View, b: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _differences(a: PosedDepth, b: PosedDepth) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Depth in `b` of places seen in `a`, and how far apart both measure them along the normal."""
     seen = (a.points(_STEP) - b.pose[:3, 3]) @ b.pose[:3, :3]
     seen = seen[seen[:, 2] > 0]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.errors import StageError
 from stages.mesh import Mesh
+from stages.posed_depth import PosedDepth
 from stages.scan import Camera, ColorImage, Pose
-from stages.views import View
 
 # 8³ voxels a block: half as many voxels that no surface needs as with Open3D's own 16³.
 BLOCK = 8
@@ -34,8 +34,8 @@ _VOXEL_BYTES = {True: 20, False: 8}
 # Obliqueness grows by this factor from layer to layer: truncation along the normal then stays within a
 # factor of √3 of what was asked for, and nearly all pixels of an indoor scan fall into one layer.
 _LAYER_RATIO = 3.0
-# Every how many pixels a layer's blocks are looked for; oblique pixels lie farther apart on the surface.
-_TOUCH_STEPS = (4, 2, 1)
+# The blocks that a layer touches are found from pixels this share of a block apart on the surface.
+_TOUCH_SPACING = 0.4
 # No voxel is nearer to the surface than this many voxels: zero would put the vertices of several edges in
 # one place, which makes triangles without area and leaves the order of vertices open.
 _LEAST_DISTANCE = 1e-3
@@ -47,8 +47,8 @@ class Layer:
 
     Attributes
     ----------
-    depth : (h, w) uint16 in units of the longest depth / 65535, 0 at all other pixels.
-    points : (n, 3) float32 metres, camera axes: a sample of the band of one truncation around the surface.
+    depth : (h, w) uint16 in units of max_depth / 65535, 0 at all other pixels.
+    points : (n, 3) float32 metres, camera axes; a sample of the band that has to be in the volume.
     stretch : truncation along the optical axis, in truncations along the normal.
     """
 
@@ -57,29 +57,39 @@ class Layer:
     stretch: float
 
 
-def layers(view: View, *, truncation: float, max_depth: float) -> list[Layer]:
+def layers(view: PosedDepth, *, voxel_size: float, truncation: float, max_depth: float) -> list[Layer]:
     """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`."""
     surface = view.surface
     valid = (surface.depth > 0) & (surface.depth <= max_depth)
     level = np.floor(np.log(surface.obliqueness) * np.float32(1 / np.log(_LAYER_RATIO)))
     level = np.where(valid, np.maximum(level, 0), -1).astype(np.int8)
     depth = np.where(valid, np.rint(surface.depth * np.float32(65535 / max_depth)), 0).astype(np.uint16)
+    sample = _sample(view, _TOUCH_SPACING * BLOCK * voxel_size)
     result = []
     for k in range(int(level.max(initial=-1)) + 1):
         here = level == k
-        points = _band(view, here, truncation, _TOUCH_STEPS[min(k, len(_TOUCH_STEPS) - 1)])
+        points = _band(view, here & sample, truncation)
         if len(points):
             result.append(Layer(np.where(here, depth, np.uint16(0)), points, _LAYER_RATIO ** (k + 0.5)))
     return result
 
 
-def _band(view: View, here: NDArray[np.bool_], truncation: float, step: int) -> NDArray[np.float32]:
-    """Points on the surface and one truncation to either side along its normal, every `step` pixels."""
-    rows, columns = np.nonzero(here[::step, ::step])
-    rows, columns = rows * step, columns * step
+def _sample(view: PosedDepth, spacing: float) -> NDArray[np.bool_]:
+    """Choose pixels, every eighth to every one, whose places on the surface are within `spacing` metres."""
+    apart = view.surface.depth * view.surface.obliqueness * np.float32(1 / view.camera.fx)
+    chosen = np.zeros(apart.shape, bool)
+    for step in (8, 4, 2, 1):
+        grid = np.s_[::step, ::step]
+        chosen[grid] |= apart[grid] > (spacing / (2 * step) if step < 8 else 0)
+    return chosen
+
+
+def _band(view: PosedDepth, here: NDArray[np.bool_], truncation: float) -> NDArray[np.float32]:
+    """Points on the surface, and half a truncation to either side along its normal."""
+    rows, columns = np.nonzero(here)
     on = view.camera_points(rows, columns)
     normal = np.stack([axis[rows, columns] for axis in view.surface.normal], axis=1)
-    offset = normal * (np.float32(truncation) / view.surface.obliqueness[rows, columns])[:, None]
+    offset = normal * (np.float32(truncation / 2) / view.surface.obliqueness[rows, columns])[:, None]
     return np.concatenate([on, on + offset, on - offset])
 
 
@@ -91,7 +101,7 @@ def block_keys(parts: list[Layer], voxel_size: float, pose: Pose) -> NDArray[np.
 
 
 def _moved(points: NDArray[np.float32], pose: Pose) -> NDArray[np.float32]:
-    return points @ pose[:3, :3].T.astype(np.float32) + pose[:3, 3].astype(np.float32)
+    return np.asarray(points @ pose[:3, :3].T.astype(np.float32) + pose[:3, 3].astype(np.float32))
 
 
 class Volume:
@@ -169,9 +179,10 @@ class Volume:
         for part in parts:
             blocks = self._touched(_moved(part.points, pose))
             stretch = part.stretch * self._truncation / self._voxel_size
+            depth = self._image(part.depth)
             self._grid.integrate(
-                blocks, self._image(part.depth), *images, intrinsic, extrinsic, self._depth_scale, math.inf, stretch
-            )  # fmt: skip
+                blocks, depth, *images, intrinsic, extrinsic, self._depth_scale, math.inf, stretch
+            )
 
     def _image(self, pixels: NDArray[Any]) -> Any:
         o3d = open3d()
@@ -193,7 +204,8 @@ class Volume:
         if needed > self._max_blocks:
             raise StageError(
                 f"the volume outgrows its memory of {self._max_blocks * self._block_bytes / 1e6:.0f} MB at "
-                f"voxels of {self._voxel_size:g} m. Give a larger voxel_size, a smaller max_depth or more memory."
+                f"voxels of {self._voxel_size:g} m. Give a larger voxel_size, a smaller max_depth or more "
+                "memory."
             )
         blocks.reserve(min(max(needed, blocks.capacity() * 3 // 2), self._max_blocks))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stages.depth_filter import Surface, surface
 from stages.errors import InputError
 from stages.images import read_color, read_depth
-from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose
+from stages.scan import Camera, ColorImage, Frame, Pose
 
 # Poses come from text with few digits and from trackers that drift off rotation a little.
 _RIGID_TOLERANCE = 1e-2
@@ -29,7 +29,7 @@ class DepthLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PosedDepth:
     """A frame that was read.
 
     Attributes
@@ -49,7 +49,7 @@ class View:
         """Return the world points (n, 3) of the pixels in every `step`-th row and column."""
         rows, columns = np.nonzero(self.surface.depth[::step, ::step])
         points = self.camera_points(rows * step, columns * step).astype(np.float64)
-        return points @ self.pose[:3, :3].T + self.pose[:3, 3]
+        return np.asarray(points @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def camera_points(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float32]:
         """Return the points (n, 3) of some pixels in camera axes."""
@@ -59,7 +59,7 @@ class View:
         return np.stack([x * z, y * z, z], axis=1)
 
 
-def read_view(frame: Frame, limits: DepthLimits) -> View:
+def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     """Read a frame's depth.
 
     Raises
@@ -79,10 +79,10 @@ def read_view(frame: Frame, limits: DepthLimits) -> View:
     if not seen.depth.any():
         what = "no pixel has a depth" if valid == 0 else "no pixel's depth is within the limits"
         raise InputError(f"{what}.", f"frame {frame.name}")
-    return View(seen, camera, pose, valid)
+    return PosedDepth(seen, camera, pose, valid)
 
 
-def read_view_color(frame: Frame) -> ColorImage:
+def read_matching_color(frame: Frame) -> ColorImage:
     """Read a frame's colour image in the size and geometry of its depth map.
 
     Raises
