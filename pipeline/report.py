@@ -31,7 +31,7 @@ SCHEMA = 1
 class ReportParams:
     """Pictures of each stage's mesh."""
 
-    views: int = param(4, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100)
+    views: int = param(3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100)
     width: int = param(800, "Width of a picture.", unit="px", low=64, high=4096)
 
     def __post_init__(self) -> None:

@@ -2,6 +2,8 @@
 
 import errno
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -200,3 +202,17 @@ def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
     mix, cut, _ = toy.run(scan, tmp_path / "out", plan=plan)
     assert mix.made["peak_memory_bytes"] > 200_000_000
     assert cut.made["peak_memory_bytes"] < mix.made["peak_memory_bytes"] - 100_000_000
+
+
+def test_two_runs_with_other_parameters_take_turns(toy, scan, tmp_path):
+    out = tmp_path / "out"
+    commands = [
+        [sys.executable, toy.__file__, str(scan), str(out), f"mix.gain={gain}"] for gain in (0.1, 0.2, 0.3)
+    ]
+    processes = [subprocess.Popen(command) for command in commands]
+    assert [process.wait() for process in processes] == [0, 0, 0]
+    alone = []
+    for gain in (0.1, 0.2, 0.3):
+        toy.run(scan, tmp_path / str(gain), f"mix.gain={gain}")
+        alone.append(contents(tmp_path / str(gain)))
+    assert contents(out) in alone

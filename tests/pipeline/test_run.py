@@ -1,0 +1,339 @@
+"""The real stages, on scans of a few small frames."""
+
+import json
+import math
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.cache import Cache
+from pipeline.config import Config
+from pipeline.depth_maps import depth_scale
+from pipeline.events import RunStarted
+from pipeline.graph import STAGES
+from pipeline.report import edge_figures
+from pipeline.run import CACHE_VARIABLE, run
+from stages.errors import InputError, UsageError
+from stages.images import read_color, read_depth
+from stages.layouts import read_scan, write_scan_json
+from stages.mesh import Mesh
+from stages.params import described
+from stages.ply import read_ply
+from stages.scan import Camera, Frame
+
+WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
+CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+QUICK = ("fuse.voxel_size=0.02", "report.views=1", "report.width=64", "compare.samples=1000")
+PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply"]
+
+
+@pytest.fixture(autouse=True)
+def _no_shared_cache(monkeypatch):
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+
+
+def moved(x: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+@pytest.fixture
+def rgbd(tmp_path: Path) -> Path:
+    """Six frames that pass a ball of 0.25 m before a wall 1.2 m away."""
+    folder = tmp_path / "rgbd"
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+    columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    ray = np.stack(
+        [(columns - CAMERA.cx) / FOCAL, (rows - CAMERA.cy) / FOCAL, np.ones((HEIGHT, WIDTH))], axis=-1
+    )
+    frames = []
+    for i in range(6):
+        x = 0.02 * i
+        to_ball = np.array([-x, 0, 0.9])
+        along = ray @ to_ball / (ray**2).sum(-1)
+        inside = along**2 - (to_ball @ to_ball - 0.25**2) / (ray**2).sum(-1)
+        depth = np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0)), 1.2)
+        color = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        color[..., 0] = np.where(inside > 0, 220, 60)
+        color[..., 1] = np.clip(128 + 200 * (ray[..., 1] * depth), 0, 255)
+        color[..., 2] = np.clip(128 + 200 * (ray[..., 0] * depth + x), 0, 255)
+        name = f"{i:04d}.png"
+        cv2.imwrite(str(folder / "color" / name), color)
+        cv2.imwrite(str(folder / "depth" / name), np.rint(depth * 1000).astype(np.uint16))
+        frames.append(
+            Frame(
+                name,
+                CAMERA,
+                folder / "color" / name,
+                depth=folder / "depth" / name,
+                world_from_camera=moved(x),
+            )
+        )
+    write_scan_json(folder, frames)
+    return folder
+
+
+@pytest.fixture
+def stereo(tmp_path: Path) -> Path:
+    """Four pairs of a textured wall: 16 px of disparity at f = 140 px and b = 0.1 m put it 0.875 m away."""
+    folder = tmp_path / "stereo"
+    for name in ("left", "right"):
+        (folder / name).mkdir(parents=True)
+    wall = cv2.GaussianBlur(
+        np.random.default_rng(5).integers(0, 255, (HEIGHT, 2 * WIDTH, 3), np.uint8), (3, 3), 0
+    )
+    poses = []
+    for i in range(4):
+        at = 8 * i
+        cv2.imwrite(str(folder / "left" / f"{i:04d}.png"), wall[:, at : at + WIDTH])
+        cv2.imwrite(str(folder / "right" / f"{i:04d}.png"), wall[:, at + 16 : at + 16 + WIDTH])
+        poses.append(" ".join(map(str, moved(at * 0.875 / FOCAL)[:3].ravel())))
+    (folder / "poses.txt").write_text("\n".join(poses) + "\n")
+    matrix = CAMERA.matrix.tolist()
+    calibration = {"K1": matrix, "K2": matrix, "R": np.eye(3).tolist(), "T": [-0.1, 0, 0], "rectified": True}
+    (folder / "calibration.json").write_text(json.dumps(calibration))
+    return folder
+
+
+def quick(*assignments: str) -> Config:
+    return Config().set([*QUICK, *assignments])
+
+
+def ran(result) -> list[str]:
+    return [outcome.stage for outcome in result.stages if not outcome.cached]
+
+
+def names(out: Path) -> list[str]:
+    return sorted(path.name for path in out.iterdir() if path.name != "cache")
+
+
+def results(out: Path) -> dict[str, bytes]:
+    """Every result but the report, which tells of seconds."""
+    paths = [*out.glob("*.ply"), *out.glob("pictures/*")]
+    return {str(path.relative_to(out)): path.read_bytes() for path in paths}
+
+
+def snapshot(folder: Path) -> list[tuple]:
+    return sorted((str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in folder.rglob("*"))
+
+
+def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
+    out = tmp_path / "out"
+    before = snapshot(rgbd)
+    events = []
+    result = run(rgbd, out, quick(), events=events.append)
+    assert snapshot(rgbd) == before, "the scan is only read"
+    assert events[0] == RunStarted("plain-rgbd", 6, (), ("fuse", "clean", "simplify", "report"))
+    assert ran(result) == ["fuse", "clean", "simplify", "report"]
+    assert names(out) == PLAIN
+
+    report = json.loads((out / "report.json").read_text())
+    assert report == result.report
+    assert result.figures()["out"] == str(out)
+    assert report["schema"] == 1
+    assert report["scan"] == {"layout": "plain-rgbd", "frames": 6, "frames_skipped": [], "warnings": []}
+    assert list(report["stages"]) == ["fuse", "clean", "simplify", "report"]
+    for stage in report["stages"].values():
+        assert stage["cached"] is False
+        assert stage["reason"] == "first run"
+        assert stage["seconds"] >= stage["made_in_s"] > 0
+        assert stage["peak_memory_mb"] > 10
+    assert report["stages"]["fuse"]["params"]["fuse"]["voxel_size"] == 0.02
+
+    mesh = read_ply(out / "simplified.ply")
+    found = report["mesh"]
+    assert (found["vertices"], found["triangles"]) == (len(mesh.vertices), len(mesh.triangles))
+    assert found["manifold"] is True
+    assert found["boundary_loops"] >= 1
+    assert 0 < found["to_fused"]["distance"]["symmetric"]["rms_m"] < 0.02
+    assert found["to_fused"]["color"]["symmetric"]["rmse_levels"] < 40
+    for picture in report["pictures"]:
+        assert cv2.imread(str(out / picture)).shape == (48, 64, 3)
+    assert [Path(picture).name.split("-")[0] for picture in report["pictures"]] == [
+        "fused",
+        "clean",
+        "simplified",
+    ]
+
+
+def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
+    out = tmp_path / "out"
+    run(rgbd, out, quick())
+    code = (
+        "import sys; from pipeline.config import Config; from pipeline.run import run\n"
+        f"result = run({str(rgbd)!r}, {str(out)!r}, Config().set({QUICK!r}))\n"
+        "print([o.cached for o in result.stages], {'open3d', 'scipy', 'trimesh'} & set(sys.modules))"
+    )
+    started = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[True, True, True, True] set()"
+    assert time.perf_counter() - started < 10
+    report = json.loads((out / "report.json").read_text())
+    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 4
+    assert report["mesh"]["triangles"] > 0
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected"),
+    [
+        ("fuse.voxel_size=0.03", ["fuse", "clean", "simplify", "report"]),
+        ("simplify.ratio=0.5", ["simplify", "report"]),
+        ("compare.seed=1", ["report"]),
+        ("report.width=80", ["report"]),
+        ("fuse.memory=3000", []),
+        ("depth.block_size=5", []),
+    ],
+)
+def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, tmp_path, assignment, expected):
+    run(rgbd, tmp_path / "out", quick())
+    result = run(rgbd, tmp_path / "out", quick(assignment))
+    assert ran(result) == expected
+    if expected:
+        name = assignment.partition("=")[0]
+        assert name.split(".")[1] in next(o.reason for o in result.stages if not o.cached)
+
+
+def test_every_section_decides_one_stage():
+    used = [section for stage in STAGES for section in stage.sections]
+    assert sorted([*used, "scan"]) == sorted(Config.types())
+
+
+@pytest.mark.parametrize("section", sorted(set(Config.types()) - {"scan"}))
+def test_every_parameter_is_in_the_key_unless_it_cannot_change_the_result(section):
+    about = described(Config.types()[section])
+    assert set(Config().canonical(section)) == {name for name, one in about.items() if one.invalidates}
+
+
+def test_configuration_prints_and_reads_back():
+    assert Config.loads(Config().dumps()) == Config()
+
+
+def test_results_do_not_depend_on_the_run(rgbd, tmp_path):
+    run(rgbd, tmp_path / "a", quick())
+    run(rgbd, tmp_path / "b", quick())
+    assert results(tmp_path / "a") == results(tmp_path / "b")
+
+
+def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
+    code = (
+        "from pipeline.config import Config; from pipeline.run import run; import sys\n"
+        f"run({str(rgbd)!r}, sys.argv[1], Config().set({QUICK!r}))"
+    )
+    started = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code, tmp_path / "whole"], check=True)
+    seconds = time.perf_counter() - started
+    out = tmp_path / "out"
+    draw = random.Random(11)
+    kills = 0
+    for _ in range(5):
+        with subprocess.Popen([sys.executable, "-c", code, out]) as process:
+            time.sleep(seconds * draw.uniform(0.2, 0.9))
+            process.kill()
+        kills += process.returncode == -signal.SIGKILL
+        assert all(entry.problem is None for entry in Cache(out / "cache").verify())
+    assert kills > 0
+    run(rgbd, out, quick())
+    assert results(out) == results(tmp_path / "whole")
+    assert names(out) == PLAIN
+    assert not list((out / "cache" / "drafts").iterdir())
+
+
+def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
+    out = tmp_path / "out"
+    result = run(stereo, out, quick(), until="fuse")
+    assert ran(result) == ["depth", "fuse"]
+    assert names(out) == ["fused.ply", "points.ply", "report.json"]
+    assert result.report["mesh"] is None
+
+    scan = read_scan(result.stages[0].folder)
+    assert [frame.name for frame in scan.frames] == ["000000", "000001", "000002", "000003"]
+    for i, frame in enumerate(scan.frames):
+        depth = read_depth(frame)
+        assert np.count_nonzero(depth) > 0.5 * depth.size
+        assert np.median(depth[depth > 0]) == pytest.approx(0.875, abs=0.005)
+        assert np.array_equal(read_color(frame), read_color(read_scan(stereo).frames[i]))
+        assert frame.world_from_camera[0, 3] == pytest.approx(8 * i * 0.875 / FOCAL)
+        confidence = cv2.imread(str(result.stages[0].folder / "confidence" / f"{frame.name}.png"), -1)
+        assert confidence.shape == depth.shape
+        assert (confidence[depth > 0] > 0).all()
+    points = read_ply(out / "points.ply")
+    assert np.median(points.vertices[:, 2]) == pytest.approx(0.875, abs=0.005)
+    assert points.colors is not None
+    assert ran(run(stereo, out, quick(), until="fuse")) == []
+    assert ran(run(stereo, out, quick("depth.threads=1"), until="fuse")) == []
+    assert ran(run(stereo, out, quick("depth.uniqueness=6"), until="depth")) == ["depth"]
+
+
+def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
+    (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
+    result = run(rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse")
+    [skipped] = result.stages[0].figures["frames_skipped"]
+    assert "0003" in skipped["reason"]
+
+
+@pytest.mark.parametrize("limit", [0.5, 1.0, 38.0, 655.35, 2000.0])
+def test_depth_scale_uses_the_sixteen_bits(limit):
+    assert 65535 * 0.98 < limit * depth_scale(limit) <= 65535 * (1 + 1e-12)
+
+
+def test_edge_figures_of_a_known_mesh():
+    square = Mesh(
+        np.array([[0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0]], float),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+    )
+    found = edge_figures(square)
+    assert found["count"] == 5
+    assert found["length_mean_m"] == pytest.approx((3 + 3 + 4 + 4 + 5) / 5)
+    assert found["length_deviation_m"] == pytest.approx(math.sqrt((2 * 0.8**2 + 2 * 0.2**2 + 1.2**2) / 5))
+    assert (found["length_minimum_m"], found["length_maximum_m"]) == (3, 5)
+
+
+def test_output_may_not_be_the_scan(rgbd, tmp_path, monkeypatch):
+    before = snapshot(rgbd)
+    with pytest.raises(UsageError, match="the output folder is the scan itself"):
+        run(rgbd, rgbd)
+    monkeypatch.setenv(CACHE_VARIABLE, str(rgbd))
+    with pytest.raises(UsageError, match="the cache folder is the scan itself"):
+        run(rgbd, tmp_path / "out")
+    assert snapshot(rgbd) == before
+
+
+def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "shared"))
+    assert run(rgbd, tmp_path / "out", quick(), until="fuse").cache == tmp_path / "shared"
+    assert ran(run(rgbd, tmp_path / "other", quick(), until="fuse")) == []
+    given = run(rgbd, tmp_path / "out", quick(), until="fuse", cache_dir=tmp_path / "given")
+    assert ran(given) == ["fuse"]
+    assert given.cache == tmp_path / "given"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
+        ({"force": ["all"]}, "there is no stage 'all'; known are depth, fuse, clean, simplify, report."),
+        ({"until": "depth"}, "depth is not a stage of this scan"),
+        ({"force": ["depth"]}, "depth is not a stage of this scan"),
+    ],
+)
+def test_stages_that_are_not_there(rgbd, tmp_path, options, message):
+    with pytest.raises(UsageError) as raised:
+        run(rgbd, tmp_path / "out", **options)
+    assert str(raised.value).startswith(message)
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_scan_leaves_no_output_folder(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="empty"):
+        run(tmp_path / "empty", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
