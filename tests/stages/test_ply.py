@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError, MeshError, StageError
@@ -59,6 +59,7 @@ def test_round_trip_is_exact(tmp_path, dtype):
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=0, max_size=30))
 def test_any_finite_position_survives(tmp_path_factory, rows):
     path = tmp_path_factory.getbasetemp() / "any.ply"
@@ -101,7 +102,7 @@ def test_other_programs_read_what_is_written(tmp_path):
     theirs = open3d().t.io.read_triangle_mesh(str(path))
     np.testing.assert_allclose(theirs.vertex.positions.numpy(), mesh.vertices, rtol=1e-6)  # it reads floats
     np.testing.assert_array_equal(theirs.triangle.indices.numpy(), mesh.triangles)
-    np.testing.assert_array_equal(theirs.vertex.colors.numpy(), mesh.colors)
+    np.testing.assert_allclose(theirs.vertex.colors.numpy() * 255, mesh.colors, atol=1e-3)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
@@ -306,6 +307,7 @@ def test_every_cut_of_a_file_is_refused_or_told_apart(tmp_path):
             read_ply(path)
 
 
+@settings(deadline=None)
 @given(st.data())
 def test_damaged_bytes_never_crash(tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp()
