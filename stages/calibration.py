@@ -184,7 +184,7 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
             )
         if table.get("resolution", [width, height]) != [width, height]:
             raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
-        row = _coefficients(table.get("intrinsics"), path)
+        row = number_row(table.get("intrinsics"), "intrinsics", path)
         if len(row) != 4:
             raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
         bent = _coefficients(table.get("distortion_coeffs"), path)
@@ -317,14 +317,19 @@ def _array(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
         raise InputError(f"{key} is not a matrix of numbers.", path) from error
 
 
-def _coefficients(value: object, path: Path) -> tuple[float, ...]:
-    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them) from any form of list."""
+def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
+    """Return a list of numbers of any shape as one row; empty for None."""
     if value is None:
         return ()
-    row = _array({"distortion": value}, "distortion", path).ravel()
-    if row.size not in (0, 4, 5, 8, 12, 14):
-        raise InputError(f"distortion has {row.size} coefficients; OpenCV knows 4, 5, 8, 12 or 14.", path)
-    return tuple(float(number) for number in row) if row.any() else ()
+    return tuple(float(number) for number in _array({name: value}, name, path).ravel())
+
+
+def _coefficients(value: object, path: Path) -> tuple[float, ...]:
+    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0."""
+    row = number_row(value, "distortion", path)
+    if len(row) not in (0, 4, 5, 8, 12, 14):
+        raise InputError(f"distortion has {len(row)} coefficients; OpenCV knows 4, 5, 8, 12 or 14.", path)
+    return row if any(row) else ()
 
 
 def _number(value: object, key: str, path: Path) -> float:

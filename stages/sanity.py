@@ -107,9 +107,12 @@ def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], ri
 def _couples(frames: Sequence[Frame]) -> list[tuple[tuple[Frame, DepthImage], tuple[Frame, DepthImage]]]:
     """Read a few couples of frames some way apart, so that the camera has moved between them."""
     step = max(1, len(frames) // 25)
-    starts = np.unique(np.linspace(0, len(frames) - 1 - step, _COUPLES).round().astype(int))
+    last = len(frames) - 1 - step
+    if last < 0:
+        return []
+    starts = np.unique(np.linspace(0, last, _COUPLES).round().astype(int))
     couples = []
-    for i in starts[starts >= 0]:
+    for i in starts:
         first, second = frames[i], frames[i + step]
         depths = [_depth_or_none(frame) for frame in (first, second)]
         if depths[0] is not None and depths[1] is not None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stages import documents, trajectories
-from stages.calibration import checked, with_baseline
+from stages import calibration, documents, trajectories
 from stages.errors import InputError
 from stages.layouts.files import common_size, first_existing
 from stages.layouts.layout import Layout
@@ -91,7 +90,7 @@ def _rig(mav: Path, size: tuple[int, int], options: ScanParams) -> tuple[StereoR
         body_from_camera.append(_mounting(document, path))
     right_from_left = trajectories.inverted(body_from_camera[1]) @ body_from_camera[0]
     if options.baseline is not None:
-        right_from_left = with_baseline(right_from_left, options.baseline)
+        right_from_left = calibration.with_baseline(right_from_left, options.baseline)
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
 
 
@@ -108,14 +107,14 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ScanParams
         )
     fx, fy, cx, cy = _four(document, "intrinsics", path)
     distortion = _four(document, "distortion_coefficients", path)
-    return options.camera(*size) or checked(Camera(*size, fx, fy, cx, cy, distortion), path)
+    return options.camera(*size) or calibration.checked(Camera(*size, fx, fy, cx, cy, distortion), path)
 
 
 def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
-    row = document.get(key)
-    if not isinstance(row, list) or len(row) != 4 or not all(isinstance(v, (int, float)) for v in row):
+    row = calibration.number_row(document.get(key), key, path)
+    if len(row) != 4:
         raise InputError(f"{key} must be 4 numbers.", path)
-    return tuple(float(value) for value in row)
+    return row
 
 
 def _mounting(document: dict[str, Any], path: Path) -> Pose:

@@ -75,6 +75,10 @@ def _require_folder(folder: Path) -> None:
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
         raise InputError(problem, folder)
+    try:
+        next(folder.iterdir(), None)
+    except OSError as error:
+        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:

@@ -185,7 +185,7 @@ def _camera(table: object, options: ScanParams, path: Path) -> Camera:
 
 
 def _positive(value: object, path: Path) -> float:
-    if not isinstance(value, (int, float)) or not 0 < value < float("inf"):
+    if not isinstance(value, (int, float)) or not 0 < value < 1e12:
         raise InputError(f"depth_scale is {value!r}; it must be a positive number.", path)
     return float(value)
 

@@ -1,0 +1,120 @@
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.images import image_size, read_color, read_depth, read_right
+from stages.scan import Camera, Frame
+
+CAMERA = Camera(32, 24, 100, 100, 16, 12)
+
+
+def frame(**images):
+    return Frame("f", CAMERA, **images)
+
+
+def png_of_size(path, width, height):
+    header = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + b"\x08\x02\x00\x00\x00"
+    chunk = (13).to_bytes(4, "big") + header + zlib.crc32(header).to_bytes(4, "big")
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk + b"\x00\x00\x00\x00IEND\xaeB`\x82")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".ppm", ".bmp", ".tif"])
+def test_the_size_is_width_then_height(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), np.zeros((24, 32, 3), np.uint8))
+    assert image_size(path) == (32, 24)
+
+
+def test_grey_and_transparent_images_become_rgb(tmp_path):
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((24, 32), 7, np.uint8))
+    cv2.imwrite(str(tmp_path / "bgra.png"), np.full((24, 32, 4), (1, 2, 3, 255), np.uint8))
+    assert read_color(frame(color=tmp_path / "grey.png"))[0, 0].tolist() == [7, 7, 7]
+    assert read_right(frame(right=tmp_path / "bgra.png"))[0, 0].tolist() == [3, 2, 1]
+
+
+def test_images_that_are_not_there_are_none():
+    assert read_color(frame()) is None
+    assert read_right(frame()) is None
+    assert read_depth(frame()) is None
+
+
+def test_depth_in_memory_is_cleaned():
+    depth = np.full((24, 32), 1.5, np.float32)
+    depth[0, :3] = (np.nan, np.inf, -1)
+    read = read_depth(frame(depth=depth))
+    assert read[0, :4].tolist() == [0, 0, 0, 1.5]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_an_image_cut_short_is_told(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8))
+    path.write_bytes(path.read_bytes()[:20_000])
+    with pytest.raises(InputError, match=r"a\.(png|jpg): the image is cut short"):
+        read_color(frame(color=path))
+
+
+@pytest.mark.parametrize("size", [(60_000, 60_000), (0, 10), (2**31, 2**31)])
+def test_a_header_that_promises_a_giant_is_refused_before_decoding(tmp_path, size):
+    png_of_size(tmp_path / "a.png", *size)
+    with pytest.raises(InputError, match="header is damaged"):
+        read_color(frame(color=tmp_path / "a.png"))
+
+
+def test_a_giant_map_is_refused(tmp_path):
+    (tmp_path / "a.pgm").write_bytes(b"P5 100000 100000 65535\n" + bytes(100))
+    with pytest.raises(InputError, match="header is damaged"):
+        read_depth(frame(depth=tmp_path / "a.pgm"))
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"])
+def test_what_is_no_image_is_told(tmp_path, content):
+    path = tmp_path / "a.jpg"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.jpg: the image"):
+        read_color(frame(color=path))
+    with pytest.raises(InputError, match=r"a\.jpg: the image"):
+        image_size(path)
+
+
+def test_a_missing_image_is_told(tmp_path):
+    with pytest.raises(InputError, match=r"gone\.png: the image cannot be opened"):
+        read_color(frame(color=tmp_path / "gone.png"))
+
+
+def test_bits_and_channels_are_not_mixed_up(tmp_path):
+    cv2.imwrite(str(tmp_path / "deep.png"), np.zeros((24, 32, 3), np.uint16))
+    cv2.imwrite(str(tmp_path / "shallow.png"), np.zeros((24, 32), np.uint8))
+    with pytest.raises(InputError, match=r"deep\.png: .*8 bits a channel.*uint16"):
+        read_color(frame(color=tmp_path / "deep.png"))
+    with pytest.raises(InputError, match=r"deep\.png: .*colour image"):
+        read_depth(frame(depth=tmp_path / "deep.png"))
+    with pytest.raises(InputError, match=r"shallow\.png: .*8 bits"):
+        read_depth(frame(depth=tmp_path / "shallow.png"))
+
+
+def test_depth_of_another_size_is_told(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((48, 64), np.uint16))
+    with pytest.raises(InputError, match=r"a\.png: the image is 64×48, .* 32×24"):
+        read_depth(frame(depth=tmp_path / "a.png"))
+
+
+def test_damaged_arrays_are_told(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, np.ones((24, 32), np.float32))
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"(24, 32)", b"(99999999, 99999999)"))
+    with pytest.raises(InputError, match=r"a\.npy"):
+        read_depth(frame(depth=path))
+    path.write_bytes(data[:200])
+    with pytest.raises(InputError, match=r"a\.npy"):
+        read_depth(frame(depth=path))
+    np.save(path, np.array([{"no": "numbers"}]), allow_pickle=True)
+    with pytest.raises(InputError, match=r"a\.npy"):
+        read_depth(frame(depth=path))
+    np.save(path, np.full((24, 32), "x"))
+    with pytest.raises(InputError, match=r"a\.npy"):
+        read_depth(frame(depth=path))
