@@ -9,16 +9,13 @@ from typing import Annotated, Any
 
 import typer
 
+import stages
 from cli.options import with_options
 from cli.output import Output, table_of
 from cli.paths import MESH_SUFFIXES, prepare_output_file, require_file
-from stages.clean import CleanParams
-from stages.compare import CompareParams
-from stages.errors import UsageError
-from stages.layouts import ScanParams
-from stages.mesh import Mesh
+from stages import CleanParams, CompareParams, Mesh, SimplifyParams, UsageError
 from stages.params import check, param
-from stages.simplify import SimplifyParams
+from stages.render import write_png
 
 MeshFile = Annotated[
     Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)
@@ -62,11 +59,11 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
 
     Example: scanloom clean fused.ply clean.ply
     """
-    import stages.clean
+    from stages.clean import clean as run_clean
 
     prepare_output_file(target, MESH_SUFFIXES)
     mesh = _read(source, out)
-    cleaned = stages.clean.clean(mesh, params)
+    cleaned = run_clean(mesh, params)
     _write(target, cleaned.mesh, out)
     out.result({"output": str(target), **cleaned.figures()})
 
@@ -80,12 +77,12 @@ def simplify(source: MeshFile, target: NewMesh, params: SimplifyParams, out: Out
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
     """
-    import stages.simplify
+    from stages.simplify import simplify as run_simplify
 
     prepare_output_file(target, MESH_SUFFIXES)
     mesh = _read(source, out)
     with out.progress("simplify", "collapses") as progress:
-        simplified = stages.simplify.simplify(mesh, params, progress=progress)
+        simplified = run_simplify(mesh, params, progress=progress)
     _write(target, simplified.mesh, out)
     out.result({"output": str(target), **simplified.figures()})
 
@@ -104,10 +101,10 @@ def compare(
 
     Example: scanloom compare fused.ply simplified.ply --json
     """
-    import stages.compare
+    from stages.compare import compare as run_compare
 
     mesh_a, mesh_b = _read(reference, out), _read(other, out)
-    figures = stages.compare.compare(mesh_a, mesh_b, params).figures()
+    figures = run_compare(mesh_a, mesh_b, params).figures()
     out.result(figures, None if out.as_json else _comparison_text(figures))
 
 
@@ -129,36 +126,27 @@ def render(
 
     Example: scanloom render simplified.ply picture.png --shading edges --view 2
     """
-    from stages.layouts import read_scan
-    from stages.render import render as draw
-    from stages.render import write_png
-    from stages.viewpoints import viewpoints
-
     prepare_output_file(target, (".png",))
-    frames = read_scan(scan, ScanParams()).frames if scan is not None else ()
+    frames = stages.read_scan(scan).frames if scan is not None else ()
     mesh = _read(source, out)
-    views = viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
+    views = stages.viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
     if params.view > len(views):
         raise UsageError(f"--view is {params.view}, but there are only {len(views)} views.")
     view = views[params.view - 1]
-    write_png(target, draw(mesh, view, shading=params.shading))  # type: ignore[arg-type]
+    write_png(target, stages.render(mesh, view, shading=params.shading))  # type: ignore[arg-type]
     figures = {"output": str(target), "view": view.name}
     out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})
 
 
 def _read(path: Path, out: Output) -> Mesh:
-    from stages.mesh_files import read_mesh
-
-    mesh = read_mesh(require_file(path))
+    mesh = stages.read_mesh(require_file(path))
     for note in mesh.notes:
         out.remark(f"{path}: {note}")
     return mesh
 
 
 def _write(path: Path, mesh: Mesh, out: Output) -> None:
-    from stages.mesh_files import write_mesh
-
-    write_mesh(path, mesh)
+    stages.write_mesh(path, mesh)
     out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
 
 

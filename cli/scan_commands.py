@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from cli.options import with_options
+import stages
+from cli.options import as_typed, with_options
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, new_folder, prepare_output_file, require_scan
-from stages.depth import DepthParams
-from stages.errors import InputError
-from stages.fuse import FuseParams
-from stages.layouts import ScanParams
+from stages import DepthParams, FuseParams, InputError, ScanParams
 
 ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
 
@@ -30,11 +28,8 @@ def inspect(folder: ScanFolder, params: ScanParams, out: Output) -> None:
 
     Example: scanloom inspect my_scan
     """
-    from stages.inspection import inspect as inspect_scan
-    from stages.layouts import read_scan
-
-    inspection = inspect_scan(read_scan(require_scan(folder), params))
-    out.result(inspection.figures(), "\n".join(inspection.lines()))
+    inspection = stages.inspect(stages.read_scan(require_scan(folder), params))
+    out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))
 
 
 def depth(
@@ -53,12 +48,10 @@ def depth(
     Example: scanloom depth my_pairs my_depth --max-depth 30
     """
     from pipeline.depth_maps import write_depth_maps
-    from stages.depth import depth_scan
-    from stages.layouts import read_scan
 
-    source = read_scan(require_scan(folder), scan)
+    source = stages.read_scan(require_scan(folder), scan)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
-        figures = write_depth_maps(draft, depth_scan(source, params, progress), len(source.frames))
+        figures = write_depth_maps(draft, stages.depth_scan(source, params, progress), len(source.frames))
     out.result({"output": str(target), **figures})
 
 
@@ -80,12 +73,10 @@ def fuse(
 
     Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
     """
-    import stages.fuse
-    from stages.layouts import read_scan
-    from stages.mesh_files import write_mesh
+    from stages.fuse import fuse as run_fuse
 
     prepare_output_file(target, MESH_SUFFIXES)
-    source = read_scan(require_scan(folder), scan)
+    source = stages.read_scan(require_scan(folder), scan)
     if source.is_stereo:
         raise InputError(
             f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, "
@@ -93,6 +84,6 @@ def fuse(
             folder,
         )
     with out.progress("fuse", "frames") as progress:
-        fused = stages.fuse.fuse(source, params, progress=progress)
-    write_mesh(target, fused.mesh)
+        fused = run_fuse(source, params, progress=progress)
+    stages.write_mesh(target, fused.mesh)
     out.result({"output": str(target), **fused.figures()})

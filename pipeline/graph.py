@@ -14,37 +14,41 @@ from typing import Any
 from pipeline import report
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
-from stages import clean as clean_stage
-from stages import compare as compare_stage
-from stages import depth as depth_stage
-from stages import fuse as fuse_stage
-from stages import simplify as simplify_stage
+from stages.clean import VERSION as CLEAN_VERSION
+from stages.clean import clean
+from stages.compare import VERSION as COMPARE_VERSION
+from stages.depth import VERSION as DEPTH_VERSION
+from stages.depth import depth_scan
+from stages.fuse import VERSION as FUSE_VERSION
+from stages.fuse import fuse
 from stages.layouts import read_scan
 from stages.ply import read_ply, write_ply
 from stages.scan import Scan
+from stages.simplify import VERSION as SIMPLIFY_VERSION
+from stages.simplify import simplify
 
 
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
-    measured = depth_stage.depth_scan(scan, job.config.depth, job.progress)
+    measured = depth_scan(scan, job.config.depth, job.progress)
     return write_depth_maps(job.folder, measured, len(scan.frames))
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
-    fused = fuse_stage.fuse(_frames(job), job.config.fuse, progress=job.progress)
+    fused = fuse(_frames(job), job.config.fuse, progress=job.progress)
     write_ply(job.folder / "fused.ply", fused.mesh)
     return fused.figures()
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
-    cleaned = clean_stage.clean(read_ply(job.inputs["fused"] / "fused.ply"), job.config.clean)
+    cleaned = clean(read_ply(job.inputs["fused"] / "fused.ply"), job.config.clean)
     write_ply(job.folder / "clean.ply", cleaned.mesh)
     return cleaned.figures()
 
 
 def _simplify(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(job.inputs["clean"] / "clean.ply")
-    simplified = simplify_stage.simplify(mesh, job.config.simplify, progress=job.progress)
+    simplified = simplify(mesh, job.config.simplify, progress=job.progress)
     write_ply(job.folder / "simplified.ply", simplified.mesh)
     return simplified.figures()
 
@@ -87,7 +91,7 @@ _KERNELS = {"kernels": _version("scanloom")}
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="depth",
-        version=depth_stage.VERSION,
+        version=DEPTH_VERSION,
         reads=("pairs",),
         writes="frames",
         sections=("depth",),
@@ -97,7 +101,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="fuse",
-        version=fuse_stage.VERSION,
+        version=FUSE_VERSION,
         reads=("frames",),
         writes="fused",
         sections=("fuse",),
@@ -107,7 +111,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="clean",
-        version=clean_stage.VERSION,
+        version=CLEAN_VERSION,
         reads=("fused",),
         writes="clean",
         sections=("clean",),
@@ -116,7 +120,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="simplify",
-        version=simplify_stage.VERSION,
+        version=SIMPLIFY_VERSION,
         reads=("clean",),
         writes="simplified",
         sections=("simplify",),
@@ -131,7 +135,7 @@ STAGES: tuple[Stage, ...] = (
         writes="report",
         sections=("compare", "report"),
         make=_report,
-        libraries=_OPEN3D | {"compare": str(compare_stage.VERSION)},
+        libraries=_OPEN3D | {"compare": str(COMPARE_VERSION)},
         results=("pictures/",),
     ),
 )

@@ -1,1 +1,72 @@
-"""Stages of the scan pipeline, as plain functions on in-memory data."""
+"""Stages of the scan pipeline, as plain functions on in-memory data.
+
+>>> from stages import clean, depth, fuse, read_scan, simplify
+>>> fused = fuse(read_scan("my_scan"))
+>>> light = simplify(clean(fused.mesh).mesh, ratio=0.1).mesh
+
+Each name below that is a verb is a function; its module of the same name holds the parameter class
+(`from stages.simplify import SimplifyParams`). Open3D, OpenCV, SciPy and trimesh are imported when
+first used, so importing this package is cheap.
+"""
+
+from stages.clean import Cleaned, CleanParams, clean
+from stages.compare import CompareParams, Comparison, compare
+from stages.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
+from stages.depth import DepthMap, DepthParams, depth, depth_scan
+from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
+from stages.fuse import Fused, FuseParams, fuse
+from stages.inspection import Inspection, inspect
+from stages.layouts import ScanParams, read_scan
+from stages.mesh import Mesh, Texture
+from stages.mesh_files import read_mesh, write_mesh
+from stages.render import View, render
+from stages.scan import Camera, Frame, Scan, StereoRig
+from stages.simplify import Simplified, SimplifyParams, simplify
+from stages.topology import Topology, topology
+from stages.viewpoints import viewpoints
+
+__all__ = [
+    "Camera",
+    "CleanParams",
+    "Cleaned",
+    "CompareParams",
+    "Comparison",
+    "DepthMap",
+    "DepthParams",
+    "Frame",
+    "FuseParams",
+    "Fused",
+    "InputError",
+    "Inspection",
+    "Mesh",
+    "MeshError",
+    "MeshLike",
+    "Scan",
+    "ScanParams",
+    "ScanloomError",
+    "Simplified",
+    "SimplifyParams",
+    "StageError",
+    "StereoRig",
+    "Texture",
+    "Topology",
+    "UsageError",
+    "View",
+    "as_mesh",
+    "clean",
+    "compare",
+    "depth",
+    "depth_scan",
+    "fuse",
+    "inspect",
+    "read_mesh",
+    "read_scan",
+    "render",
+    "simplify",
+    "to_open3d",
+    "to_open3d_legacy",
+    "to_trimesh",
+    "topology",
+    "viewpoints",
+    "write_mesh",
+]
