@@ -8,8 +8,8 @@ impl Connectivity {
     /// Connect triangles that share edges.
     ///
     /// # Errors
-    /// An index out of range, an edge of three triangles or of two with opposite orientation, a vertex where
-    /// two fans touch. A triangle that names a vertex twice is none of these only if it is left out before.
+    /// An index out of range, an edge of three triangles or of two with opposite orientation, two triangles with
+    /// the same vertices, a vertex where two fans touch. Triangles that name a vertex twice must be left out.
     pub fn from_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
         let limit = Self::MOST_TRIANGLES;
         if triangles.len() > limit || vertex_count >= u32::MAX as usize {
@@ -35,8 +35,26 @@ impl Connectivity {
             edges,
             triangle_count: triangles.len(),
         };
+        connectivity.find_back_to_back()?;
         connectivity.find_outgoing()?;
         Ok(connectivity)
+    }
+
+    fn find_back_to_back(&self) -> Result<(), KernelError> {
+        let across = |h| self.origin(Self::prev(h));
+        let same = |&edge: &EdgeId| {
+            let h = self.halfedge(edge);
+            self.twin(h).is_some() && across(h) == across(self.twin(h))
+        };
+        let beside = |edge| {
+            let h = self.halfedge(edge);
+            let (one, other) = (Self::triangle(h).0, Self::triangle(self.twin(h)).0);
+            [one.min(other), one.max(other)]
+        };
+        let mut pairs: Vec<[u32; 2]> = self.edges().filter(same).map(beside).collect();
+        pairs.sort_unstable();
+        pairs.dedup();
+        if pairs.is_empty() { Ok(()) } else { Err(KernelError::SameVertices(pairs)) }
     }
 
     fn find_outgoing(&mut self) -> Result<(), KernelError> {

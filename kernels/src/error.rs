@@ -15,6 +15,8 @@ pub enum KernelError {
     NonManifoldEdges(Vec<[u32; 2]>),
     /// Edges whose two triangles run through them in the same direction.
     InconsistentEdges(Vec<[u32; 2]>),
+    /// Triangles back to back: sound edge by edge, but their edges are there twice as soon as one is split.
+    SameVertices(Vec<[u32; 2]>),
     /// Vertices where two fans of triangles touch.
     PinchedVertices(Vec<u32>),
     /// More elements than 32-bit indices or the stated limit allow.
@@ -32,33 +34,30 @@ impl fmt::Display for KernelError {
             Self::NotFinite { vertex } => {
                 write!(f, "vertex {vertex} has a value that is not finite or is beyond ±1e60")
             }
-            Self::NonManifoldEdges(edges) => named(
-                f,
-                edges.len(),
-                "edge",
-                "belongs",
-                "belong",
-                "to more than two triangles",
-                edges.iter().map(ends),
-            ),
-            Self::InconsistentEdges(edges) => named(
-                f,
-                edges.len(),
-                "edge",
-                "lies",
-                "lie",
-                "between triangles of opposite orientation",
-                edges.iter().map(ends),
-            ),
-            Self::PinchedVertices(vertices) => named(
-                f,
-                vertices.len(),
-                "vertex",
-                "joins",
-                "join",
-                "fans of triangles that share no edge",
-                vertices.iter().map(u32::to_string),
-            ),
+            Self::NonManifoldEdges(edges) => {
+                let phrases =
+                    ["edge belongs to more than two triangles", "edges belong to more than two triangles"];
+                named(f, phrases, edges.iter().map(pair))
+            }
+            Self::InconsistentEdges(edges) => {
+                let phrases = [
+                    "edge lies between triangles of opposite orientation",
+                    "edges lie between triangles of opposite orientation",
+                ];
+                named(f, phrases, edges.iter().map(pair))
+            }
+            Self::SameVertices(pairs) => {
+                let phrases =
+                    ["pair of triangles has the same vertices", "pairs of triangles have the same vertices"];
+                named(f, phrases, pairs.iter().map(pair))
+            }
+            Self::PinchedVertices(vertices) => {
+                let phrases = [
+                    "vertex joins fans of triangles that share no edge",
+                    "vertices join fans of triangles that share no edge",
+                ];
+                named(f, phrases, vertices.iter().map(u32::to_string))
+            }
             Self::TooManyTriangles { wanted, limit } => {
                 write!(f, "it takes at least {wanted:.0} triangles; the limit is {limit}")
             }
@@ -69,26 +68,17 @@ impl fmt::Display for KernelError {
 
 impl std::error::Error for KernelError {}
 
-fn ends(edge: &[u32; 2]) -> String {
-    format!("{}–{}", edge[0], edge[1])
+fn pair(pair: &[u32; 2]) -> String {
+    format!("{}–{}", pair[0], pair[1])
 }
 
 fn named(
     f: &mut fmt::Formatter<'_>,
-    count: usize,
-    noun: &str,
-    verb: &str,
-    verb_plural: &str,
-    what: &str,
-    names: impl Iterator<Item = String>,
+    [one, many]: [&str; 2],
+    names: impl ExactSizeIterator<Item = String>,
 ) -> fmt::Result {
-    let shown: Vec<String> = names.take(NAMED).collect();
+    let count = names.len();
+    let phrase = if count == 1 { one } else { many };
     let more = if count > NAMED { ", …" } else { "" };
-    let plural = match (noun, count) {
-        (_, 1) => noun,
-        ("vertex", _) => "vertices",
-        _ => "edges",
-    };
-    let verb = if count == 1 { verb } else { verb_plural };
-    write!(f, "{count} {plural} {verb} {what} ({}{more})", shown.join(", "))
+    write!(f, "{count} {phrase} ({}{more})", names.take(NAMED).collect::<Vec<_>>().join(", "))
 }
