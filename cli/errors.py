@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import typer
 
+from cli.options import as_typed
 from stages.errors import InputError, UsageError
 
 STAGE_FAILED, WRONG_USAGE, BAD_INPUT, INTERRUPTED = 1, 2, 3, 130
@@ -54,7 +55,7 @@ def failure_of(error: BaseException) -> Failure:
     if isinstance(error, UsageError):
         return Failure(str(error), WRONG_USAGE)
     if isinstance(error, InputError):
-        return Failure(str(error), BAD_INPUT)
+        return Failure(as_typed(str(error)), BAD_INPUT)
     if isinstance(error, OSError):
         return _system_failure(error)
     if isinstance(error, MemoryError):

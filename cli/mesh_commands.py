@@ -59,11 +59,9 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
 
     Example: scanloom clean fused.ply clean.ply
     """
-    from stages.clean import clean as run_clean
-
     prepare_output_file(target, MESH_SUFFIXES)
     mesh = _read(source, out)
-    cleaned = run_clean(mesh, params)
+    cleaned = stages.clean(mesh, params)
     _write(target, cleaned.mesh, out)
     out.result({"output": str(target), **cleaned.figures()})
 
@@ -77,12 +75,10 @@ def simplify(source: MeshFile, target: NewMesh, params: SimplifyParams, out: Out
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
     """
-    from stages.simplify import simplify as run_simplify
-
     prepare_output_file(target, MESH_SUFFIXES)
     mesh = _read(source, out)
     with out.progress("simplify", "collapses") as progress:
-        simplified = run_simplify(mesh, params, progress=progress)
+        simplified = stages.simplify(mesh, params, progress=progress)
     _write(target, simplified.mesh, out)
     out.result({"output": str(target), **simplified.figures()})
 
@@ -101,10 +97,8 @@ def compare(
 
     Example: scanloom compare fused.ply simplified.ply --json
     """
-    from stages.compare import compare as run_compare
-
     mesh_a, mesh_b = _read(reference, out), _read(other, out)
-    figures = run_compare(mesh_a, mesh_b, params).figures()
+    figures = stages.compare(mesh_a, mesh_b, params).figures()
     out.result(figures, None if out.as_json else _comparison_text(figures))
 
 

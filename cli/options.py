@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -21,6 +22,12 @@ from stages.errors import UsageError
 from stages.params import Described, described
 
 OUTPUT_PANEL = "Output"
+P = TypeVar("P")
+
+
+class Changes(dict[str, Any], Generic[P]):
+    """The fields of a parameter class whose options were given, for a command whose defaults are a file's."""
+
 
 JsonOption = Annotated[
     bool,
@@ -55,9 +62,11 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         if hint is Output:
             generated += _switches()
             builders[parameter.name] = _output
-        elif isinstance(hint, type) and is_dataclass(hint) and described(hint):
-            # The options that say how to do the work come before those that say how to talk about it.
-            generated = [*_options(hint), *generated]
+        elif get_origin(hint) is Changes:
+            generated += _options(get_args(hint)[0])
+            builders[parameter.name] = functools.partial(given, get_args(hint)[0])
+        elif isinstance(hint, type) and is_dataclass(hint):
+            generated += _options(hint)
             builders[parameter.name] = functools.partial(build, hint)
         else:
             kept.append(parameter.replace(annotation=hint, kind=inspect.Parameter.KEYWORD_ONLY))
@@ -74,19 +83,32 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
 def build(cls: type, values: dict[str, Any]) -> Any:
     """Build a parameter class from the options that were given (the others are None)."""
-    given = {name: values[name] for name in described(cls) if values[name] is not None}
+    fields_given = {name: values[name] for name in described(cls) if values[name] is not None}
     try:
-        return cls(**given)
+        return cls(**fields_given)
     except UsageError as error:
         message = str(error)
         name = message.split(" ", 1)[0]
         # The person typed an option, not a field.
-        raise UsageError(message.replace(name, option_name(name), 1) if name in given else message) from None
+        raise UsageError(
+            message.replace(name, option_name(name), 1) if name in fields_given else message
+        ) from None
+
+
+def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
+    """Return the fields whose options were given, checked."""
+    params = build(cls, values)
+    return Changes({name: getattr(params, name) for name in described(cls) if values[name] is not None})
 
 
 def option_name(field_name: str) -> str:
     """Return how a field is called on the command line."""
     return "--" + field_name.replace("_", "-")
+
+
+def as_typed(text: str) -> str:
+    """Write advice such as `scan.depth_scale=1000` as the option every command on scans has for it."""
+    return re.sub(r"\bscan\.(\w+)=", lambda found: f"{option_name(found[1])}=", text)
 
 
 def default_of(cls: type, name: str) -> Any:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cli.errors import STAGE_FAILED
-from cli.options import with_options
+from cli.options import Changes, with_options
 from cli.output import Output, size_of, table_of
 from cli.paths import prepare_output_folder, require_scan
 from cli.watch import watching
-from stages.errors import InputError, UsageError
+from stages import InputError, ScanParams, UsageError
 from stages.params import check, param
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ def run(
         Path,
         typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", show_default=False),
     ],
+    scan_options: Changes[ScanParams],
     out: Output,
     config_file: Annotated[
         Path | None,
@@ -123,6 +124,7 @@ def run(
     require_scan(scan)
     config = Config.load(config_file) if config_file is not None else Config()
     config = config.set(settings or ())
+    config = replace(config, scan=replace(config.scan, **scan_options))
     prepare_output_folder(target)
     with watching(out) as events:
         result = run_pipeline(

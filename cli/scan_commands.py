@@ -73,8 +73,6 @@ def fuse(
 
     Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
     """
-    from stages.fuse import fuse as run_fuse
-
     prepare_output_file(target, MESH_SUFFIXES)
     source = stages.read_scan(require_scan(folder), scan)
     if source.is_stereo:
@@ -84,6 +82,6 @@ def fuse(
             folder,
         )
     with out.progress("fuse", "frames") as progress:
-        fused = run_fuse(source, params, progress=progress)
+        fused = stages.fuse(source, params, progress=progress)
     stages.write_mesh(target, fused.mesh)
     out.result({"output": str(target), **fused.figures()})

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+from cli.options import as_typed
 from cli.output import Output, name_and_value
 from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
 from stages.progress import Progress
@@ -64,7 +65,7 @@ class _Watcher:
         self.close()
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:
-            self._out.remark(f"warning: {warning}")
+            self._out.remark(as_typed(f"warning: {warning}"))
 
     def _show_bar(self, stage: str) -> None:
         if stage != self._bar_stage:

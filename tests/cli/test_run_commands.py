@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pipeline.config import Config
@@ -63,6 +66,35 @@ def test_inspect_says_what_was_found(scanloom: Run, tiny_scan: Path) -> None:
     text = scanloom("inspect", tiny_scan).stdout
     assert "plain-rgbd" in text
     assert scanloom("inspect", tiny_scan, "--json").json["frames"] == 6
+
+
+def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    assert scanloom("inspect", tiny_scan, "--first", 2, "--every", 2, "--json").json["frames"] == 2
+    words = (
+        "run",
+        tiny_scan,
+        "-o",
+        tmp_path / "out",
+        "--cache",
+        tmp_path / "cache",
+        "--until",
+        "fuse",
+        "--json",
+    )
+    assert scanloom(*words, "--set", "scan.first=1").json["scan"]["frames"] == 5
+    assert scanloom(*words, "--set", "scan.every=2", "--every", 1).json["scan"]["frames"] == 6
+
+
+def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "lost"
+    shutil.copytree(tiny_scan, folder)
+    scan = json.loads((folder / "scan.json").read_text())
+    for frame in scan["frames"]:
+        frame["world_from_camera"] = np.eye(4).tolist()
+    (folder / "scan.json").write_text(json.dumps(scan))
+    ran = scanloom("inspect", folder)
+    assert ran.exit_code == 3
+    assert "--poses=FILE" in ran.stderr
 
 
 def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
