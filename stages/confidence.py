@@ -20,8 +20,9 @@ _REACH = 2
 # A missing neighbour stands for the farthest disparity matched this near to it: behind the gap beside
 # a foreground lies the background.
 _FILL = 9
-# Spread, in pixels, of a pixel none of whose neighbours has a match.
+# Spread, in pixels, of a pixel none of whose neighbours this far each way has a match.
 _ALONE = 4
+_NEIGHBOURS = 4
 # The spread at which confidence is one half. Chosen on Middlebury's Motorcycle (2014), looked at on Cones
 # (2003), and checked on the street of KITTI by how well consecutive frames' depth agrees.
 _HALF = 1.6
@@ -37,12 +38,12 @@ def confidence(
     Parameters
     ----------
     disparity : (h, w) int16, 1/16 px.
-    residual : (h, w) int16, 1/16 px, left against right (`stages.matching.consistency`).
+    residual : (h, w) int16, 1/16 px, left against right (see `stages.matching`).
     matched : (h, w), the pixels that hold a measurement.
     """
     import cv2
 
-    window = (2 * _REACH + 1, 2 * _REACH + 1)
+    window = (2 * _NEIGHBOURS + 1, 2 * _NEIGHBOURS + 1)
     alone = cv2.boxFilter(
         (~matched).astype(np.uint8), -1, window, normalize=False, borderType=cv2.BORDER_REPLICATE
     )

@@ -97,7 +97,8 @@ def test_depth_counts_in_the_offset_of_the_principal_points() -> None:
     assert result.search.lowest == -5
 
 
-def test_a_foreground_does_not_lend_its_depth_to_the_background() -> None:
+@pytest.mark.parametrize("left_right", ["project", "match"])
+def test_a_foreground_does_not_lend_its_depth_to_the_background(left_right: str) -> None:
     """A square in front of a wall: beside it lies what the right camera cannot see."""
     u, v = pixels()
     near = (np.abs(u - 180) < 50) & (np.abs(v - 120) < 50)
@@ -106,7 +107,7 @@ def test_a_foreground_does_not_lend_its_depth_to_the_background() -> None:
     right = np.where(near_right, texture(u + 30 + 200, v + 90), texture(u + 12, v)).astype(np.uint8)
     truth = np.where(near, 30, 12)
 
-    result = depth(left, right, RIG, disparities=48)
+    result = depth(left, right, RIG, disparities=48, left_right=left_right)
 
     used = result.depth > 0
     hidden = ~near & near_right[:, np.maximum(np.arange(WIDTH) - 12, 0)]
@@ -187,8 +188,7 @@ def test_smoothing_fills_the_picture_and_gives_no_more_depth() -> None:
     assert np.isfinite(smooth.disparity).sum() > np.isfinite(plain.disparity).sum()
     assert np.array_equal(smooth.confidence, plain.confidence)
     assert not (smooth.depth > 0)[plain.depth == 0].any()
-    inside = np.abs(smooth.disparity - truth)[110:130, 160:190]
-    assert np.nanmedian(inside) < 2
+    assert np.nanmax(np.abs(smooth.disparity - truth)[110:130, 160:190]) < 6
 
 
 def test_grey_and_colour_give_the_same_depth() -> None:
