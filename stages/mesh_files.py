@@ -62,8 +62,8 @@ def read_mesh(path: Path | str) -> Mesh:
 def write_mesh(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh; the extension tells the format. The file appears whole or not at all.
 
-    PLY and OBJ hold everything a Mesh has, to the bit. GLB holds one texture image, single precision. OFF
-    holds positions and colours, STL positions alone; a texture becomes vertex colours where none fits.
+    PLY and OBJ hold everything a Mesh has, to the bit. GLB holds colours or one texture image, in single
+    precision; several images become vertex colours. OFF and STL hold the shape alone.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     elif extension == ".obj":
         write_obj(path, mesh)
     else:
-        holds_texture = extension == ".glb" and mesh.texture is not None and len(mesh.texture.images) == 1
+        holds_texture = mesh.texture is not None and len(mesh.texture.images) == 1
         data = to_trimesh(mesh if holds_texture else with_vertex_colors(mesh))
         with _quiet():
             written = data.export(file_type=extension[1:])
@@ -100,6 +100,8 @@ def _quiet() -> Iterator[None]:
 def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     if extension in (".glb", ".gltf"):
         _require_honest_gltf(path, extension)
+    if extension == ".stl":
+        _require_whole_stl(path)
     import trimesh
 
     try:
@@ -192,4 +194,16 @@ def _require_honest_gltf(path: Path, extension: str) -> None:
     if counts and (min(counts) < 0 or max(counts) > held):
         raise InputError(
             f"has an accessor of {max(counts):,} elements for {held:,} bytes of data; it is damaged.", path
+        )
+
+
+def _require_whole_stl(path: Path) -> None:
+    """Refuse a binary STL file that is cut short; trimesh would take it for text and find nothing in it."""
+    with path.open("rb") as file:
+        start = file.read(84)
+    count = int.from_bytes(start[80:84], "little")
+    held = (path.stat().st_size - 84) // 50
+    if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
+        raise InputError(
+            f"promises {count:,} triangles but holds {held:,}; it is damaged or cut short.", path
         )
