@@ -70,15 +70,22 @@ def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Ima
         matcher = cv2.StereoSGBM.create(0, count, 3, 72, 288, 1, 31, 10, 100, 1)
         disparity = matcher.compute(*grey) / 16.0
         return disparity, disparity >= 0
-    padded = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in grey]
     matcher = cv2.StereoSGBM.create(0, count, 3, 36, 216, -1, 31, mode=cv2.STEREO_SGBM_MODE_HH4)
+    first = matcher.compute(*(pad(image, count, 0) for image in grey))[:, count:]
+    # The right image's search ends beyond its right side.
     other = cv2.ximgproc.createRightMatcher(matcher)
-    wls = cv2.ximgproc.createDisparityWLSFilter(matcher)
+    second = other.compute(*(pad(image, 0, count) for image in grey[::-1]))[:, :-count]
+    wls = cv2.ximgproc.createDisparityWLSFilterGeneric(True)
     wls.setLambda(1000)
     wls.setSigmaColor(1.5)
-    smooth = wls.filter(matcher.compute(*padded), padded[0], None, other.compute(*padded[::-1]))
-    disparity = smooth[:, count:] / 16.0
+    wls.setDepthDiscontinuityRadius(2)
+    disparity = wls.filter(np.ascontiguousarray(first), left, None, np.ascontiguousarray(second)) / 16.0
     return disparity, disparity >= 0
+
+
+def pad(image: Image, before: int, after: int) -> Image:
+    """Return the image with columns added, so that the matcher answers those at its side."""
+    return cv2.copyMakeBorder(image, 0, 0, before, after, cv2.BORDER_REPLICATE)
 
 
 def row(run: Callable[[], tuple[Image, Image]], truth: Image) -> str:
