@@ -1,10 +1,14 @@
 """Read a frame's images: 8-bit RGB colour, metric float32 depth.
 
+Lens distortion of RGB-D frames is removed here, so that what comes out is a pinhole image; pairs keep theirs,
+because rectification removes it together with the rotation.
+
 Files come from anywhere, so what an image promises is checked before a decoder allocates it.
 """
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
 from typing import Any, cast
@@ -34,7 +38,12 @@ def read_color(frame: Frame) -> ColorImage | None:
     InputError
         If the file is missing, does not decode or holds other than 8 bits a channel.
     """
-    return None if frame.color is None else _color(frame.color, frame.name)
+    if frame.color is None:
+        return None
+    image = _color(frame.color, frame.name)
+    if frame.depth is None or not frame.camera.distortion:
+        return image
+    return cast(ColorImage, _undistorted(image, frame.camera, smooth=True))
 
 
 def read_right(frame: Frame) -> ColorImage | None:
@@ -57,6 +66,8 @@ def read_depth(frame: Frame) -> DepthImage | None:
     else:
         depth = _depth_file(frame.depth, frame)
     require_size(depth, frame.camera, frame.depth, frame.name)
+    if frame.camera.distortion:
+        depth = cast(DepthImage, _undistorted(depth, frame.camera, smooth=False))
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
 
 
@@ -99,8 +110,8 @@ def image_size(path: Path) -> tuple[int, int]:
     try:
         with path.open("rb") as file:
             size = _promised_size(file.read(_HEADER_BYTES))
-    except OSError as error:
-        raise InputError(f"the image cannot be opened ({error.strerror}).", path) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"the image cannot be opened ({error}).", path) from error
     if size is not None:
         return size
     height, width = _decode(path).shape[:2]
@@ -117,6 +128,27 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
             "Give images of the calibrated size, or the calibration of this size.",
             source if isinstance(source, Path) else f"frame {name}",
         )
+
+
+def _undistorted(image: NDArray[Any], camera: Camera, *, smooth: bool) -> NDArray[Any]:
+    """Return what a pinhole camera with the same matrix sees; depth is never averaged across an edge."""
+    import cv2
+
+    across, down = _undistortion(camera, image.shape[1], image.shape[0])
+    return cv2.remap(image, across, down, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
+
+
+@functools.lru_cache(maxsize=4)
+def _undistortion(camera: Camera, width: int, height: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the maps for images of a size, the camera's matrix scaled to it."""
+    import cv2
+
+    sx, sy = width / camera.width, height / camera.height
+    matrix = camera.matrix
+    matrix[0] = (camera.fx * sx, 0, (camera.cx + 0.5) * sx - 0.5)
+    matrix[1] = (0, camera.fy * sy, (camera.cy + 0.5) * sy - 0.5)
+    distortion = np.array(camera.distortion)
+    return cv2.initUndistortRectifyMap(matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1)
 
 
 def _color(source: Path | ColorImage, name: str) -> ColorImage:
@@ -155,8 +187,8 @@ def _decode(path: Path) -> NDArray[Any]:
 
     try:
         data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"the image cannot be opened ({error.strerror}).", path) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"the image cannot be opened ({error}).", path) from error
     if _is_cut_short(data):
         raise InputError("the image is cut short; copy it again or leave the frame out.", path)
     size = _promised_size(data)

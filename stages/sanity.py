@@ -22,6 +22,7 @@ _LEAST_OVERLAP = 0.1
 _LARGEST_SHIFT = 8
 # Kinect edges wander by a pixel or two; below this no camera offset can be told from noise.
 _NOTED_SHIFT = 3
+_LEAST_CORRELATION = 0.08
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
 
 
@@ -60,27 +61,32 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
 
 
 def check_registration(pairs: Sequence[tuple[ColorImage | None, DepthImage | None]]) -> list[str]:
-    """Shift depth edges over colour edges by up to 8 px; warn when they meet best off their place."""
+    """Shift depth edges over colour edges by up to 8 px; warn when they clearly meet best off their place.
+
+    A peak must stand out: on smooth walls, or where the two cameras differ by more than a shift, the
+    correlation is flat and says nothing.
+    """
     import cv2
 
-    total = np.zeros((2 * _LARGEST_SHIFT + 1,) * 2)
+    border = _LARGEST_SHIFT
+    maps = []
     for color, depth in pairs:
-        if color is None or depth is None or min(depth.shape) < 8 * _LARGEST_SHIFT:
+        if color is None or depth is None or min(depth.shape) < 8 * border:
             continue
         small = cv2.resize(color, depth.shape[::-1], interpolation=cv2.INTER_AREA)
         edges = _edges(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32))
-        jumps = _edges(np.log(np.maximum(depth, 0.01)))
-        # Where depth begins or ends is no edge of the scene.
-        known = cv2.erode((depth > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        strong = np.where(known, np.minimum(jumps, 0.2), 0).astype(np.float32)
-        border = _LARGEST_SHIFT
-        inner = strong[border:-border, border:-border]
-        if np.count_nonzero(inner > 0.1) > 200:
-            total += cv2.matchTemplate(np.minimum(edges, 200), inner, cv2.TM_CCOEFF_NORMED)
-    at = np.unravel_index(int(total.argmax()), total.shape)
-    down, right = int(at[0]) - _LARGEST_SHIFT, int(at[1]) - _LARGEST_SHIFT
-    centre = total[_LARGEST_SHIFT, _LARGEST_SHIFT]
-    if max(abs(down), abs(right)) < _NOTED_SHIFT or total.max() < 1.1 * max(centre, 0.02):
+        jumps = _depth_jumps(depth)[border:-border, border:-border]
+        if np.count_nonzero(jumps) > 200:
+            maps.append(cv2.matchTemplate(np.minimum(edges, 200), jumps, cv2.TM_CCOEFF_NORMED))
+    if not maps:
+        return []
+    match = np.mean(maps, axis=0)
+    peak, centre = float(match.max()), float(match[border, border])
+    row, column = np.unravel_index(int(match.argmax()), match.shape)
+    down, right = int(row) - border, int(column) - border
+    stands_out = peak > max(_LEAST_CORRELATION, 1.5 * float(np.median(match)), 1.2 * centre)
+    shift = max(abs(down), abs(right))
+    if not stands_out or not _NOTED_SHIFT <= shift < border:
         return []
     across = f"{abs(right)} px {'right' if right > 0 else 'left'}"
     along = f"{abs(down)} px {'below' if down > 0 else 'above'}"
@@ -165,6 +171,16 @@ def _depth_errors(
     seen = depth[rows[inside].astype(int), columns[inside].astype(int)]
     errors: NDArray[np.float64] = np.abs(moved[inside, 2] - seen)[seen > 0]
     return errors
+
+
+def _depth_jumps(depth: DepthImage) -> NDArray[np.float32]:
+    """Return how much depth jumps, 0 where it is smooth; what is missing beside an object is background."""
+    import cv2
+
+    filled = np.where(depth > 0, depth, cv2.dilate(depth, np.ones((15, 15), np.uint8)))
+    known = cv2.erode((filled > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    jumps = _edges(np.log(np.maximum(filled, 0.01)))
+    return np.where(known, np.clip(jumps - 0.1, 0, 0.4), 0).astype(np.float32)
 
 
 def _edges(image: NDArray[np.float32]) -> NDArray[np.float32]:

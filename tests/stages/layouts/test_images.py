@@ -118,3 +118,34 @@ def test_damaged_arrays_are_told(tmp_path):
     np.save(path, np.full((24, 32), "x"))
     with pytest.raises(InputError, match=r"a\.npy"):
         read_depth(frame(depth=path))
+
+
+def test_distortion_of_rgbd_frames_is_removed(tmp_path):
+    """A dot drawn where the lens puts it is read where a pinhole would have put it."""
+    camera = Camera(320, 240, 200, 200, 160, 120, (-0.3, 0.1, 0.001, 0.002))
+    ray = np.array([[[0.6, -0.4, 1.0]]])
+    projected, _ = cv2.projectPoints(
+        ray, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion)
+    )
+    u, v = projected[0, 0]
+    depth = np.zeros((240, 320), np.uint16)
+    color = np.zeros((480, 640, 3), np.uint8)
+    cv2.circle(depth, (round(u), round(v)), 2, 3000, -1)
+    cv2.circle(color, (round(2 * u), round(2 * v)), 4, (255, 255, 255), -1)
+    cv2.imwrite(str(tmp_path / "depth.png"), depth)
+    cv2.imwrite(str(tmp_path / "color.png"), color)
+    read = Frame("f", camera, tmp_path / "color.png", depth=tmp_path / "depth.png")
+    pinhole = np.array((200 * 0.6 + 160, 200 * -0.4 + 120))
+    assert np.hypot(u - pinhole[0], v - pinhole[1]) > 10
+    rows, columns = np.nonzero(read_depth(read))
+    np.testing.assert_allclose((columns.mean(), rows.mean()), pinhole, atol=1)
+    assert read_depth(read)[rows[0], columns[0]] == 3
+    rows, columns = np.nonzero(read_color(read)[:, :, 0] > 128)
+    np.testing.assert_allclose((columns.mean(), rows.mean()), 2 * pinhole + 0.5, atol=1.5)
+    pair = Frame("f", camera, tmp_path / "color.png", right=tmp_path / "color.png")
+    np.testing.assert_array_equal(read_color(pair), color)
+
+
+def test_a_name_no_file_can_have_is_told(tmp_path):
+    with pytest.raises(InputError, match="cannot be opened"):
+        read_color(frame(color=tmp_path / "a\0b.png"))
