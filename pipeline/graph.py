@@ -58,7 +58,7 @@ def _report(job: Job) -> Mapping[str, Any]:
     meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
     pictures = job.folder / "pictures"
     pictures.mkdir()
-    measured = report.measure(meshes["simplified"], meshes["fused"], meshes["clean"], job.config.compare)
+    measured = report.measure(meshes["simplified"], meshes["fused"], job.config.compare)
     job.progress(1, 2)
     drawn = report.draw(pictures, meshes, _frames(job).frames, job.config.report)
     job.progress(2, 2)

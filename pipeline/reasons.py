@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+_NONE = object()
+
 
 def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
     """Say in a few words what changed since the latest run.
@@ -27,9 +29,9 @@ def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
 
 
 def _changed(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:
-    names = [name for name in {**now, **before} if before.get(name) != now.get(name)]
+    names = [name for name in {**now, **before} if before.get(name, _NONE) != now.get(name, _NONE)]
     if names:
-        each = [f"{name} {_shown(before.get(name))} → {_shown(now.get(name))}" for name in names]
+        each = [f"{name} {_shown(before, name)} → {_shown(now, name)}" for name in names]
         yield f"{what} {', '.join(each)}"
 
 
@@ -43,7 +45,9 @@ def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _shown(value: Any) -> str:
+def _shown(values: Mapping[str, Any], name: str) -> str:
+    # An earlier version of the program may not have had the parameter.
+    value = values.get(name, "unknown")
     return "derived" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -38,8 +38,8 @@ class ReportParams:
         check(self)
 
 
-def measure(mesh: Mesh, fused: Mesh, clean: Mesh, params: CompareParams) -> dict[str, Any]:
-    """Measure the final mesh: its counts, its edges, and how far it is from the meshes it came from."""
+def measure(mesh: Mesh, fused: Mesh, params: CompareParams) -> dict[str, Any]:
+    """Measure the final mesh: its counts, its edges, and how far it is from the fused one."""
     from stages.compare import compare
     from stages.topology import topology
 
@@ -53,15 +53,16 @@ def measure(mesh: Mesh, fused: Mesh, clean: Mesh, params: CompareParams) -> dict
         "components": found.components,
         "edges": edge_figures(mesh),
         "to_fused": compare(fused, mesh, params).figures(),
-        "to_clean": compare(clean, mesh, params).figures(),
     }
 
 
 def edge_figures(mesh: Mesh) -> dict[str, Any]:
     """Return mean and spread of the edges' lengths; every edge counts once."""
-    corners = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges = np.unique(np.sort(corners, axis=1), axis=0)
-    lengths = np.linalg.norm(mesh.vertices[edges[:, 0]] - mesh.vertices[edges[:, 1]], axis=1)
+    ends = np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    count = len(mesh.vertices)
+    # An edge as one number: sorting numbers is several times faster than sorting rows.
+    edges = np.unique(ends[:, 0] * count + ends[:, 1])
+    lengths = np.linalg.norm(mesh.vertices[edges // count] - mesh.vertices[edges % count], axis=1)
     if len(lengths) == 0:
         return {"count": 0}
     return {
