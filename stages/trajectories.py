@@ -96,9 +96,17 @@ def read_matrices(path: Path) -> Trajectory:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Read TUM lines: seconds, translation, quaternion with the scalar last; camera-to-world."""
+    """Read TUM lines: seconds, translation, quaternion with the scalar last; camera-to-world.
+
+    A widely used writer forgets to end its header `# …>`, so that the first pose stands in the comment; it is
+    taken from there.
+    """
     poses, times = [], []
-    for number, row in _number_lines(path):
+    swallowed = re.match(
+        r"#[^\n]*>[ \t]*([-+.\deE]+(?:[ \t]+[-+.\deE]+){7})[ \t]*\n", documents.read_text(path)
+    )
+    first = [(1, _floats(swallowed[1], 1, path))] if swallowed else []
+    for number, row in (*first, *_number_lines(path)):
         if len(row) != 8:
             raise InputError(
                 f"line {number} holds {len(row)} numbers; 8 (t tx ty tz qx qy qz qw) are expected.", path

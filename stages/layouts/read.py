@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.errors import InputError, UsageError
+from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
 from stages.layouts.refused import refused
@@ -45,6 +46,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None) -> Scan:
         reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
         raise InputError(f"none of its {len(skipped)} frames can be used{reason}.", folder)
     _require_motion(frames, folder)
+    _require_equal_sides(frames, folder)
     warnings = (*scan.warnings, *_time_warnings(frames))
     return replace(scan, frames=_selected(frames, options), skipped=skipped, warnings=warnings)
 
@@ -115,6 +117,20 @@ def _require_motion(frames: Sequence[Frame], folder: Path) -> None:
     if len(poses) > 1 and all(np.array_equal(poses[0], pose) for pose in poses[1:]):
         raise InputError(
             f"no poses: all {len(poses)} frames have the same one. Give a trajectory with scan.poses=FILE.",
+            folder,
+        )
+
+
+def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
+    lefts = [frame.color for frame in frames if isinstance(frame.color, Path)]
+    rights = [frame.right for frame in frames if isinstance(frame.right, Path)]
+    if not rights:
+        return
+    left, right = common_size(lefts), common_size(rights)
+    if left != right:
+        raise InputError(
+            f"left images are {left[0]}×{left[1]} and right images {right[0]}×{right[1]}; "
+            "both cameras of a pair must give one size.",
             folder,
         )
 

@@ -133,3 +133,10 @@ def test_opencv_stereo_sample_files(scan_folder, tiny):
     assert not scan.rig.rectified
     assert scan.rig.left.distortion == (0.01, 0, 0, 0, 0)
     assert_known_pixels(scan, tiny)
+
+
+def test_sides_of_different_size_are_told(scan_folder, tiny):
+    for number in (2, 10):
+        tiny.color(scan_folder / "right" / f"right{number}.png", (64, 48))
+    with pytest.raises(InputError, match="left images are 32×24 and right images 64×48"):
+        read_scan(scan_folder)

@@ -126,6 +126,13 @@ def test_any_text_gives_poses_or_a_sentence(tmp_path_factory, text, suffix):
         assert pose is None or np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=0.01)
 
 
+def test_a_first_pose_swallowed_by_the_header_is_found(tmp_path):
+    text = "# trajectory <t x y z qx qy qz qw>0.5 7 0 0 0 0 0 1\n1.5 8 0 0 0 0 0 1\n"
+    trajectory = read_trajectory(written(tmp_path, "a.tum", text))
+    assert [pose[0, 3] for pose in trajectory.poses] == [7, 8]
+    assert trajectory.timestamps.tolist() == [500_000_000, 1_500_000_000]
+
+
 def test_halfway_is_halfway_in_place_and_turn():
     trajectory = Trajectory([turn_about_z(0), turn_about_z(90, x=2)], np.array([1000, 2000]))
     np.testing.assert_allclose(interpolate(trajectory, 1500, 600), turn_about_z(45, x=1), atol=1e-12)
