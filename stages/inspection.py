@@ -133,8 +133,11 @@ class Inspection:
             start = "" if near is None else f"{near:.2f} m at the largest disparity, "
             lines.append(f"depth     {start}{far:.1f} m at a disparity of one pixel")
         if self.pose_errors_m:
-            words = [f"{error * 1000:.0f} mm {name}" for name, error in self.pose_errors_m.items()]
-            lines.append(f"poses     depth of one frame meets another's to (median): {', '.join(words)}")
+            ways = sorted(self.pose_errors_m.items(), key=lambda way: way[1])
+            words = " and ".join(f"{error * 1000:.0f} mm {name}" for name, error in ways[:2])
+            lines.append(
+                f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
+            )
         lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
         if len(scan.skipped) > 5:
             lines.append(f"left out  and {len(scan.skipped) - 5} more")

@@ -31,7 +31,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     if color is None or not (folder / "depth").is_dir():
         raise InputError("a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder)
     pairs, skipped = pair(images(folder / "depth", DEPTHS), images(color), "depth/", f"{color.name}/", folder)
-    path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
+    path = options.file("poses", folder) or _trajectory(folder)
     if path is None:
         raise InputError(
             "no poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE.", folder
@@ -51,6 +51,12 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _trajectory(folder: Path) -> Path | None:
+    """Return the trajectory: by its usual name, or the only file that looks like one."""
+    others = [*folder.glob("*traj*.log"), *folder.glob("*traj*.txt")]
+    return first_existing(folder, *_TRAJECTORIES) or (others[0] if len(others) == 1 else None)
 
 
 def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, float, list[str]]:

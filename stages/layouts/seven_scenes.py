@@ -77,7 +77,10 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
     info = folder / "info.txt"
     if options.calibration is None and info.exists():
         return *_bundle_fusion(info, width, height), []
-    path = options.file("calibration", folder) or first_existing(folder, *_INTRINSICS)
+    # 3DMatch keeps one file for all the sequences of a scene.
+    path = options.file("calibration", folder) or first_existing(
+        folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
+    )
     if path is not None:
         camera = calibration.read_camera(path, width, height)
         is_default = (camera.fx, camera.fy, camera.cx, camera.cy) == _DEFAULT

@@ -89,6 +89,12 @@ def test_unequal_counts_without_common_numbers_stop(scan_folder, tiny):
         read_scan(scan_folder)
 
 
+def test_the_only_trajectory_is_found_by_any_name(scan_folder, tiny):
+    (scan_folder / "trajectory.log").rename(scan_folder / "lounge_trajectory.log")
+    (scan_folder / "odometry.log").write_text("")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
 def test_no_trajectory_is_an_error(scan_folder):
     (scan_folder / "trajectory.log").unlink()
     with pytest.raises(InputError, match=r"no poses: trajectory\.log"):

@@ -45,6 +45,14 @@ def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
     assert any("not registered" in text for text in scan.warnings)
 
 
+def test_intrinsics_of_the_whole_scene_are_found(scan_folder, tmp_path):
+    sequence = tmp_path / "seq-01"
+    sequence.mkdir()
+    for path in scan_folder.glob("frame-*"):
+        path.rename(sequence / path.name)
+    assert read_scan(sequence).frames[0].camera.fx == 100
+
+
 def test_stated_intrinsics_and_scale_win(scan_folder):
     scan = read_scan(scan_folder, ScanParams(intrinsics="50, 60, 15, 11", depth_scale=2000))
     camera = scan.frames[0].camera
