@@ -43,7 +43,7 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
             convert = _from_open3d if ".t.geometry" in module else _from_open3d_legacy
             return validated(convert(data), where)
         if cls.__name__ == "Trimesh" and module.startswith("trimesh."):
-            return validated(_from_trimesh(data), where)
+            return _from_trimesh(data, where)
     if isinstance(data, tuple) and len(data) == 2:
         return validated(Mesh(np.asarray(data[0]), np.asarray(data[1])), where)
     raise MeshError(
@@ -92,23 +92,22 @@ def _from_open3d_legacy(data: Any) -> Mesh:
     )
 
 
-def _from_trimesh(data: Any) -> Mesh:
+def _from_trimesh(data: Any, where: str) -> Mesh:
     visual = data.visual
-    triangles = np.array(data.faces)
-    texture = None
-    uvs = getattr(visual, "uv", None)
-    if uvs is not None and len(uvs) == len(data.vertices) and len(triangles):
-        image = _trimesh_image(visual.material)
-        texture = _texture(np.array(uvs, np.float64)[triangles], None, () if image is None else (image,))
-    colored = visual.kind == "vertex"
-    return Mesh(
+    mesh = Mesh(
         vertices=np.array(data.vertices),
-        triangles=triangles,
-        colors=np.array(visual.vertex_colors[:, :3]) if colored else None,
+        triangles=np.array(data.faces),
+        colors=np.array(visual.vertex_colors[:, :3]) if visual.kind == "vertex" else None,
         # Reading the property would compute normals that were never given.
         normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
-        texture=texture,
     )
+    mesh = validated(mesh, where)
+    uvs = getattr(visual, "uv", None)
+    if uvs is None or len(uvs) != len(mesh.vertices) or len(mesh.triangles) == 0:
+        return mesh
+    image = _trimesh_image(visual.material)
+    texture = _texture(np.array(uvs, np.float64)[mesh.triangles], None, () if image is None else (image,))
+    return validated(mesh.with_(texture=texture), where)
 
 
 def _trimesh_image(material: Any) -> NDArray[np.uint8] | None:

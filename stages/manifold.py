@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
 from stages.mesh import Mesh
+from stages.topology import areas
 from stages.traced import Traced
 
 # Edges of more triangles are not matched but taken apart; the pairs to compare grow with the square.
@@ -152,6 +153,5 @@ def _offenders(mesh: Mesh) -> NDArray[np.bool_]:
     for edge in np.flatnonzero(bad).tolist():
         start = edges.start[edge]
         candidates = edges.halfedges[start : start + edges.count[edge]] // 3
-        a, b, c = mesh.vertices[mesh.triangles[candidates]].transpose(1, 0, 2)
-        offenders[candidates[np.linalg.norm(np.cross(b - a, c - a), axis=1).argmin()]] = True
+        offenders[candidates[areas(mesh.vertices, mesh.triangles[candidates]).argmin()]] = True
     return offenders

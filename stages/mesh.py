@@ -80,7 +80,22 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
     if normals is not None:
         normals = _array(normals, np.float64, (3,), "normals", where)
         _require_count(normals, len(vertices), "normals", where)
-    return mesh.with_(vertices=vertices, triangles=triangles, colors=colors, normals=normals)
+    texture = None if mesh.texture is None else _texture(mesh.texture, len(triangles), where)
+    return mesh.with_(vertices=vertices, triangles=triangles, colors=colors, normals=normals, texture=texture)
+
+
+def _texture(texture: Texture, triangle_count: int, where: str) -> Texture:
+    uvs = _array(texture.uvs, np.float64, (3, 2), "texture coordinates", where)
+    material_ids = np.asarray(texture.material_ids)
+    if len(uvs) != triangle_count or material_ids.shape != (triangle_count,):
+        raise MeshError(
+            f"there are {len(uvs)} × 3 texture coordinates and {material_ids.size} material indices "
+            f"for {triangle_count} triangles.",
+            where,
+        )
+    if ((material_ids < -1) | (material_ids >= len(texture.images))).any():
+        raise MeshError(f"a material index is beyond the {len(texture.images)} texture images.", where)
+    return Texture(uvs, material_ids.astype(np.int32), texture.images)
 
 
 def _array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: str) -> Any:

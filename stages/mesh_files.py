@@ -7,6 +7,7 @@ sentence, and files that promise more than they hold are refused before memory i
 from __future__ import annotations
 
 import json
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -91,10 +92,16 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    # NumPy's complaints about odd values inside the library; what matters of them is validated afterwards.
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        yield
+    # What NumPy and trimesh say of odd values on the way; what matters of them is validated afterwards.
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def _read_with_trimesh(path: Path, extension: str) -> Mesh:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.edges import components, edges_of, next_corner
+from stages.edges import Ids, components, edges_of, next_corner
 from stages.merge import same_rows
+from stages.mesh import Vertices
 from stages.topology import repeats_vertex
 from stages.traced import Traced
 
@@ -21,11 +22,14 @@ def stitch(traced: Traced) -> tuple[Traced, int]:
     The mesh, and the number of pairs of edges that were joined.
     """
     mesh = traced.mesh
-    place = same_rows(list(mesh.vertices.T))
     corners = mesh.triangles.reshape(-1)
-    proper = np.flatnonzero(np.repeat(~repeats_vertex(place[mesh.triangles]), 3))
+    proper = np.flatnonzero(np.repeat(~repeats_vertex(mesh.triangles), 3))
     edges = edges_of(mesh.triangles, len(mesh.vertices))
     border = proper[edges.count[edges.of_halfedge[proper]] == 1]
+    if len(border) == 0:
+        return traced, 0
+    place = _places(mesh.vertices, np.unique(corners[np.concatenate((border, next_corner(border)))]))
+    border = border[place[corners[border]] != place[corners[next_corner(border)]]]
     tail, head = corners[border], corners[next_corner(border)]
     low, high = np.minimum(place[tail], place[head]), np.maximum(place[tail], place[head])
     _, group, size = np.unique(low * len(place) + high, return_inverse=True, return_counts=True)
@@ -41,6 +45,13 @@ def stitch(traced: Traced) -> tuple[Traced, int]:
     )
     _, representative = np.unique(labels, return_index=True)
     return traced.unite(representative[labels]), len(first)
+
+
+def _places(vertices: Vertices, chosen: Ids) -> Ids:
+    """Return for each chosen vertex the first chosen one at its position."""
+    place = np.arange(len(vertices))
+    place[chosen] = chosen[same_rows(list(vertices[chosen].T))]
+    return place
 
 
 def weld(traced: Traced, distance: float) -> Traced:

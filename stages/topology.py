@@ -156,6 +156,11 @@ def is_degenerate(vertices: Vertices, triangles: Triangles) -> NDArray[np.bool_]
     return np.asarray(doubled_area <= FLAT * longest)
 
 
+def areas(vertices: Vertices, triangles: Triangles) -> NDArray[np.float64]:
+    """Return the area of each triangle, m²."""
+    return _sizes(vertices, triangles)[1] / 2
+
+
 def _sizes(vertices: Vertices, triangles: Triangles) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return each triangle's longest edge, squared, and twice its area."""
     # One coordinate at a time: three times as fast as rows of three, and this runs over all triangles.

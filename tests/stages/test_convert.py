@@ -122,6 +122,14 @@ def test_pairs_of_arrays():
         ((np.zeros((3, 2)), np.zeros((1, 3), int)), "n × 3"),
         ((np.zeros((3, 3)), np.array([[0, 1, 3]])), "triangle 0 uses vertices"),
         ((np.full((3, 3), np.nan), np.array([[0, 1, 2]])), "not finite"),
+        (
+            Mesh(np.eye(3), np.array([[0, 1, 2]]), texture=Texture(np.zeros((2, 3, 2)), np.zeros(2), ())),
+            "2 × 3",
+        ),
+        (
+            Mesh(np.eye(3), np.array([[0, 1, 2]]), texture=Texture(np.zeros((1, 3, 2)), np.zeros(1), ())),
+            "0 texture",
+        ),
     ],
 )
 def test_what_is_no_mesh_is_refused(data, sentence):

@@ -5,6 +5,8 @@ import struct
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from stages.errors import InputError, MeshError, UsageError
 from stages.mesh import Mesh, Texture
@@ -215,3 +217,32 @@ def test_gltf_that_promises_too_much(tmp_path, accessor):
 def test_index_out_of_range_is_a_mesh_error(shared_data):
     with pytest.raises(MeshError, match="triangle 0 uses vertices"):
         read_mesh(shared_data / "broken" / "IndexOutOfRange.gltf")
+
+
+@pytest.mark.parametrize("extension", WRITABLE)
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_damaged_bytes_give_a_mesh_or_a_sentence(tmp_path_factory, extension, data):
+    folder = tmp_path_factory.getbasetemp()
+    sound = folder / f"sound{extension}"
+    if not sound.exists():
+        write_mesh(sound, textured(cube().with_(colors=None)))
+    content = bytearray(sound.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + data.draw(st.integers(0, 8))] = data.draw(st.binary(max_size=8))
+        content = content or bytearray(1)
+    path = write(folder, f"damaged{extension}", bytes(content))
+    try:
+        mesh = read_mesh(path)
+    except InputError:
+        return
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.triangles.max() < len(mesh.vertices)
+
+
+def test_libraries_are_quiet(tmp_path, caplog):
+    path = write(tmp_path, "a.stl", b"solid\nfacet normal x\nvertex 0 0 0\n" + bytes(range(256)))
+    with pytest.raises(InputError):
+        read_mesh(path)
+    assert not caplog.records
