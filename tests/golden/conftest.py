@@ -1,0 +1,15 @@
+import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--update-golden",
+        action="store_true",
+        help="write the golden files of tests/golden anew instead of comparing with them",
+    )
+
+
+@pytest.fixture
+def update_golden(request) -> bool:
+    # Only known when this folder is named on the command line.
+    return bool(request.config.getoption("--update-golden", default=False))
