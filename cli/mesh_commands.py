@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,8 +13,8 @@ import typer
 import stages
 from cli.options import with_options
 from cli.output import Output, table_of
-from cli.paths import MESH_SUFFIXES, prepare_output_file, require_file
-from stages import CleanParams, CompareParams, Mesh, SimplifyParams, UsageError
+from cli.paths import MESH_SUFFIXES, require_file, require_new_file
+from stages import CleanParams, CompareParams, Mesh, MeshError, SimplifyParams, UsageError
 from stages.params import check, param
 from stages.render import write_png
 
@@ -59,9 +60,10 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
 
     Example: scanloom clean fused.ply clean.ply
     """
-    prepare_output_file(target, MESH_SUFFIXES)
+    require_new_file(target, MESH_SUFFIXES)
     mesh = _read(source, out)
-    cleaned = stages.clean(mesh, params)
+    with _about(source):
+        cleaned = stages.clean(mesh, params)
     _write(target, cleaned.mesh, out)
     out.result({"output": str(target), **cleaned.figures()})
 
@@ -75,9 +77,9 @@ def simplify(source: MeshFile, target: NewMesh, params: SimplifyParams, out: Out
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
     """
-    prepare_output_file(target, MESH_SUFFIXES)
+    require_new_file(target, MESH_SUFFIXES)
     mesh = _read(source, out)
-    with out.progress("simplify", "collapses") as progress:
+    with _about(source), out.progress("simplify", "collapses") as progress:
         simplified = stages.simplify(mesh, params, progress=progress)
     _write(target, simplified.mesh, out)
     out.result({"output": str(target), **simplified.figures()})
@@ -120,13 +122,14 @@ def render(
 
     Example: scanloom render simplified.ply picture.png --shading edges --view 2
     """
-    prepare_output_file(target, (".png",))
+    require_new_file(target, (".png",))
     frames = stages.read_scan(scan).frames if scan is not None else ()
     mesh = _read(source, out)
     views = stages.viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
     if params.view > len(views):
         raise UsageError(f"--view is {params.view}, but there are only {len(views)} views.")
     view = views[params.view - 1]
+    target.parent.mkdir(parents=True, exist_ok=True)
     write_png(target, stages.render(mesh, view, shading=params.shading))  # type: ignore[arg-type]
     figures = {"output": str(target), "view": view.name}
     out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})
@@ -139,7 +142,19 @@ def _read(path: Path, out: Output) -> Mesh:
     return mesh
 
 
+@contextmanager
+def _about(path: Path) -> Iterator[None]:
+    """Name the file in what a stage says about the mesh it was given."""
+    try:
+        yield
+    except MeshError as error:
+        if error.file != "mesh":
+            raise
+        raise MeshError(str(error).removeprefix("mesh: "), path) from error
+
+
 def _write(path: Path, mesh: Mesh, out: Output) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)
     out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
 

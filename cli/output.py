@@ -25,6 +25,7 @@ _UNITS = {
     "_db": "dB",
     "_px": "px",
     "_mm": "mm",
+    "_m2": "m²",
     "_m": "m",
     "_s": "s",
 }
@@ -73,7 +74,7 @@ class Output:
 
 def to_json(value: Any) -> str:
     """Return JSON text that any reader takes: values that are not finite become null."""
-    return json.dumps(_finite(value), indent=2, allow_nan=False, ensure_ascii=False, default=_plain)
+    return json.dumps(_finite(value), indent=2, allow_nan=False, default=_plain)
 
 
 def _finite(value: Any) -> Any:

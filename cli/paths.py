@@ -33,15 +33,15 @@ def require_file(path: Path) -> Path:
     return path
 
 
-def prepare_output_file(path: Path, suffixes: tuple[str, ...]) -> Path:
-    """Check that a result can be written to the path, and make its folder.
+def require_new_file(path: Path, suffixes: tuple[str, ...]) -> Path:
+    """Check that a result can be written to the path; nothing is made yet.
 
     Raises
     ------
     UsageError
         For an extension that stands for no format.
     InputError
-        If the folder cannot be made or written to.
+        If the path is a folder, or its folder cannot be made or written to.
     """
     if path.suffix.lower() not in suffixes:
         known = ", ".join(suffixes)
@@ -50,20 +50,17 @@ def prepare_output_file(path: Path, suffixes: tuple[str, ...]) -> Path:
         )
     if path.is_dir():
         raise InputError("this is a folder; give the name of a file.", path)
-    prepare_output_folder(path.parent)
+    require_writable(path.parent)
     return path
 
 
-def prepare_output_folder(folder: Path) -> Path:
-    """Make a folder for results and check that it can be written to."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError("this is a file; results need a folder.", folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"the folder cannot be made ({error.strerror}); choose another.", folder) from error
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError("this folder cannot be written to; choose another.", folder)
+def require_writable(folder: Path) -> Path:
+    """Check that a folder can be written to or, if it does not exist, that it can be made."""
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise InputError("this is a file; results need a folder.", there)
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise InputError("this folder cannot be written to; choose another.", there)
     return folder
 
 
@@ -78,11 +75,18 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     if path.is_dir() and any(path.iterdir()):
         raise InputError("this folder is not empty; name a new one.", path)
-    prepare_output_folder(path)
-    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.absolute().parent))
+    parent = require_writable(path).absolute().parent
+    parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=parent))
     try:
         yield draft
-        draft.chmod(path.stat().st_mode)  # mkdtemp keeps a folder to its owner
+        draft.chmod(0o777 & ~_umask())  # mkdtemp keeps a folder to its owner
         draft.replace(path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

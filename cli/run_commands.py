@@ -13,7 +13,7 @@ import typer
 from cli.errors import STAGE_FAILED
 from cli.options import Changes, with_options
 from cli.output import Output, size_of, table_of
-from cli.paths import prepare_output_folder, require_scan
+from cli.paths import require_scan, require_writable
 from cli.watch import watching
 from stages import InputError, ScanParams, UsageError
 from stages.params import check, param
@@ -125,7 +125,7 @@ def run(
     config = Config.load(config_file) if config_file is not None else Config()
     config = config.set(settings or ())
     config = replace(config, scan=replace(config.scan, **scan_options))
-    prepare_output_folder(target)
+    require_writable(target)
     with watching(out) as events:
         result = run_pipeline(
             scan, target, config, until=until, force=tuple(force or ()), cache_dir=cache, events=events
@@ -191,20 +191,21 @@ def cache_prune(params: PruneParams, out: Output, folder: CacheFolder = None) ->
 
 
 def _summary(result: RunResult) -> str:
-    """Say where the results are, and how good the final mesh is."""
+    """Say how good the final mesh is, and where the results are."""
     mesh = result.report["mesh"]
     lines = []
     if mesh is not None:
-        distance = mesh["to_clean"]["distance"]["symmetric"]
-        color = mesh["to_clean"]["color"]
+        # One way only: the other way would mostly tell how far away the islands were that cleaning removed.
+        distance = mesh["to_fused"]["distance"]["b_to_a"]
+        color = (mesh["to_fused"]["color"] or {}).get("b_to_a")
         lines += [
-            f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold, "
-            f"edges of {mesh['edges'].get('length_mean_m', 0):.3g} m in the mean",
-            f"from the clean mesh: RMS {distance['rms_m']:.3g} m, maximum {distance['maximum_m']:.3g} m"
-            + (f"; colour RMSE {color['symmetric']['rmse_levels']:.3g} levels of 255" if color else ""),
+            f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold",
+            f"off the fused mesh by {distance['rms_m']:.3g} m RMS, {distance['maximum_m']:.3g} m at most"
+            + (f"; colour by {color['rmse_levels']:.3g} of 255 levels RMS" if color else ""),
         ]
-    placed = [path.relative_to(result.out).parts[0] for stage in result.stages for path in stage.results]
-    lines.append(f"results in {result.out}: {', '.join(dict.fromkeys([*placed, 'report.json']))}")
+    placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
+    names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)
+    lines.append(f"results in {result.out}: {', '.join([*names, 'report.json'])}")
     return "\n".join(lines)
 
 

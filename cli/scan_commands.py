@@ -10,7 +10,7 @@ import typer
 import stages
 from cli.options import as_typed, with_options
 from cli.output import Output
-from cli.paths import MESH_SUFFIXES, new_folder, prepare_output_file, require_scan
+from cli.paths import MESH_SUFFIXES, new_folder, require_new_file, require_scan
 from stages import DepthParams, FuseParams, InputError, ScanParams
 
 ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
@@ -73,7 +73,7 @@ def fuse(
 
     Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
     """
-    prepare_output_file(target, MESH_SUFFIXES)
+    require_new_file(target, MESH_SUFFIXES)
     source = stages.read_scan(require_scan(folder), scan)
     if source.is_stereo:
         raise InputError(
@@ -83,5 +83,6 @@ def fuse(
         )
     with out.progress("fuse", "frames") as progress:
         fused = stages.fuse(source, params, progress=progress)
+    target.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(target, fused.mesh)
     out.result({"output": str(target), **fused.figures()})

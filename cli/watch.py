@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import string
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from cli.options import as_typed
-from cli.output import Output, name_and_value
+from cli.output import Output
 from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
 from stages.progress import Progress
 
@@ -15,10 +16,14 @@ from stages.progress import Progress
 _UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "collapses"}
 # What came out of a stage and what was derived for it, in one line; all figures are in report.json.
 _HEADLINES = {
-    "depth": ("frames_used", "used_share", "median_depth_m", "max_depth_m"),
-    "fuse": ("triangles", "voxel_size_m", "truncation_m", "max_depth_m", "frames_used"),
-    "clean": ("triangles",),
-    "simplify": ("triangles", "resolution_m", "max_shape_m", "max_texture_levels", "stopped_by"),
+    "depth": "{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
+    "up to {max_depth_m:.3g} m",
+    "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
+    "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
+    "clean": "{triangles:,} triangles; {islands:,} islands removed",
+    "simplify": "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, "
+    "shape within {max_shape_m:.3g} m, texture within {max_texture_levels:.3g} levels",
+    "report": "{pictures} pictures",
 }
 
 
@@ -52,6 +57,7 @@ class _Watcher:
             case StageFinished():
                 self.close()
                 self._out.remark(line_of(event))
+                self._tell_skipped(event.stage, event.figures)
             case Warned():
                 self.close()
                 self._out.remark(f"warning: {event.text}")
@@ -66,6 +72,11 @@ class _Watcher:
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:
             self._out.remark(as_typed(f"warning: {warning}"))
+
+    def _tell_skipped(self, stage: str, figures: Mapping[str, Any]) -> None:
+        sentence = skipped_line(stage, figures)
+        if sentence:
+            self._out.remark(sentence)
 
     def _show_bar(self, stage: str) -> None:
         if stage != self._bar_stage:
@@ -83,5 +94,29 @@ def line_of(event: StageFinished) -> str:
 
 def headline(stage: str, figures: Mapping[str, Any]) -> str:
     """Return the figures of a stage that say most, as one line."""
-    words = [name_and_value(key, figures.get(key)) for key in _HEADLINES.get(stage, ())]
-    return ", ".join(f"{name} {value}" for name, value in words)
+    return _Figures(figures).format(_HEADLINES.get(stage, ""))
+
+
+def skipped_line(stage: str, figures: Mapping[str, Any]) -> str:
+    """Return a sentence on the frames a stage could not use, empty if there were none."""
+    skipped = figures.get("frames_skipped") or ()
+    if not skipped:
+        return ""
+    first = skipped[0]
+    return (
+        f"warning: {stage} left out {len(skipped)} frames; the first is {first['frame']}: {first['reason']}"
+    )
+
+
+class _Figures(string.Formatter):
+    """Formats figures by their names; one that a stage had nothing to say for is a dash."""
+
+    def __init__(self, figures: Mapping[str, Any]) -> None:
+        self._figures = figures
+
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:  # noqa: ARG002
+        value = self._figures.get(str(key))
+        return len(value) if isinstance(value, list) else value
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        return "–" if value is None else format(value, format_spec)

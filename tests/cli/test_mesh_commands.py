@@ -11,7 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.mesh import Mesh
 from stages.mesh_files import read_mesh
+from stages.ply import write_ply
 
 Run = Callable[..., Any]
 
@@ -112,6 +114,16 @@ def test_a_truncated_mesh_is_bad_input_and_leaves_nothing(scanloom: Run, ball: P
     assert "cut.ply" in ran.json["error"]
     assert ran.json["exit_code"] == 3
     assert not target.exists()
+
+
+def test_a_mesh_that_is_not_manifold_is_named_and_sent_to_clean(scanloom: Run, tmp_path: Path) -> None:
+    fan = tmp_path / "fan.ply"
+    vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, -1, 0]], float)
+    write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))
+    ran = scanloom("simplify", fan, tmp_path / "light.ply")
+    assert ran.exit_code == 3
+    assert ran.stderr.startswith(f"scanloom: {fan}: ")
+    assert "clean" in ran.stderr
 
 
 def test_debug_adds_the_traceback(scanloom: Run) -> None:

@@ -105,6 +105,20 @@ def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Pa
     assert scanloom("clean", fused, clean).exit_code == 0
 
 
+def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) -> None:
+    pairs = Path(__file__).parents[2] / "samples" / "stereo"
+    ran = scanloom("depth", pairs, tmp_path / "depth", "--last", 1, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["frames_used"] == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["depth"]
+    assert scanloom("inspect", tmp_path / "depth", "--json").json["kind"] == "rgbd"
+    assert scanloom("depth", pairs, tmp_path / "depth").exit_code == 3  # nothing is overwritten
+    refused = scanloom("fuse", pairs, tmp_path / "fused.ply")
+    assert refused.exit_code == 3
+    assert "scanloom depth" in refused.stderr
+    assert scanloom("fuse", tmp_path / "depth", tmp_path / "fused.ply", "--voxel-size", "0.05").exit_code == 0
+
+
 @pytest.mark.parametrize(
     ("words", "exit_code", "sentence"),
     [
@@ -144,6 +158,7 @@ def test_what_is_wrong_is_said_in_one_sentence(
     as_json = scanloom(*words, *(("--cache", "cache") if words[0] == "run" else ()), "--json")
     assert as_json.json["exit_code"] == exit_code
     assert sentence in as_json.json["error"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file"]
 
 
 def test_a_folder_of_no_known_layout_is_told_what_is_known(scanloom: Run, tmp_path: Path) -> None:
@@ -152,6 +167,13 @@ def test_a_folder_of_no_known_layout_is_told_what_is_known(scanloom: Run, tmp_pa
     assert ran.exit_code == 3
     assert ran.stderr.startswith(f"scanloom: {tmp_path}: unknown layout.")
     assert "plain-rgbd" in ran.stderr
+
+
+def test_depth_that_cannot_be_leaves_no_folder(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    ran = scanloom("depth", tiny_scan, tmp_path / "depth")
+    assert ran.exit_code == 3
+    assert "stereo" in ran.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_printed_config_is_the_defaults(scanloom: Run, tmp_path: Path) -> None:
