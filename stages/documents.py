@@ -24,7 +24,7 @@ def read_text(path: Path) -> str:
     try:
         if path.stat().st_size > _MAX_TEXT_BYTES:
             raise InputError("the file is too large for what it should hold.", path)
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
     except UnicodeDecodeError as error:
@@ -103,7 +103,7 @@ def _parse_yaml(text: str) -> object:
     Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
     try:
         # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
-        document: object = yaml.load(re.sub(r"\A\ufeff?%YAML:?\s*[\d.]+", "", text), Loader)
+        document: object = yaml.load(re.sub(r"\A%YAML:?\s*[\d.]+", "", text), Loader)
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error
     return document

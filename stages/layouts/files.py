@@ -20,6 +20,15 @@ def numbers(name: str) -> tuple[int, ...]:
     return tuple(int(digits) for digits in re.findall(r"\d+", name))
 
 
+# What two names of one moment share: all numbers (0001-0002), the last (cam0_0001 and cam1_0001), or
+# the first (frame 7 at two times).
+_KEYS: tuple[Callable[[Path], object], ...] = (
+    lambda path: numbers(path.stem) or path.stem,
+    lambda path: (numbers(path.stem) or (path.stem,))[-1],
+    lambda path: (numbers(path.stem) or (path.stem,))[0],
+)
+
+
 def images(folder: Path, suffixes: Sequence[str] = IMAGES) -> list[Path]:
     """Return the image files of a folder, ordered by the numbers in their names."""
     try:
@@ -85,23 +94,23 @@ def pair(
     for files, name in ((first, first_name), (second, second_name)):
         if not files:
             raise InputError(f"no images in {name}; at least one is needed.", folder)
-    # The whole of the numbers may agree (0001-0002), or only the last (cam0_0001 and cam1_0001).
-    keys: tuple[Callable[[Path], object], ...] = (
-        lambda path: numbers(path.stem) or path.stem,
-        lambda path: (numbers(path.stem) or (path.stem,))[-1],
-    )
-    for key in keys:
-        left, right = {key(path): path for path in first}, {key(path): path for path in second}
-        common = left.keys() & right.keys()
-        if len(left) == len(first) and len(right) == len(second) and common:
-            pairs = [(path, right[at]) for at, path in left.items() if at in common]
-            alone = [
-                SkippedFrame(path.stem, f"{other} has no image of this number")
-                for side, other in ((left, second_name), (right, first_name))
-                for at, path in side.items()
-                if at not in common
-            ]
-            return pairs, alone
+    candidates = [
+        (left, right)
+        for key in _KEYS
+        if len(left := {key(path): path for path in first}) == len(first)
+        and len(right := {key(path): path for path in second}) == len(second)
+        and left.keys() & right.keys()
+    ]
+    if candidates:
+        left, right = max(candidates, key=lambda sides: len(sides[0].keys() & sides[1].keys()))
+        pairs = [(path, right[at]) for at, path in left.items() if at in right]
+        alone = [
+            SkippedFrame(path.stem, f"{name} has no image of this number")
+            for side, other, name in ((left, right, second_name), (right, left, first_name))
+            for at, path in side.items()
+            if at not in other
+        ]
+        return pairs, alone
     if len(first) != len(second):
         raise InputError(
             f"{first_name} holds {len(first)} images and {second_name} {len(second)}, and their names share "

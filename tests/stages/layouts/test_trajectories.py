@@ -99,6 +99,11 @@ def test_what_is_wrong_is_named_with_its_line(tmp_path, name, text, message):
         read_trajectory(written(tmp_path, name, text))
 
 
+def test_a_byte_order_mark_and_windows_line_ends_do_not_matter(tmp_path, tiny):
+    (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbf0 0 1 1 0 1 0 2 -1 0 0 3\r\n")
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "a.txt").poses[0], tiny.second)
+
+
 def test_a_binary_file_is_told(tmp_path):
     (tmp_path / "a.txt").write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match="binary"):
