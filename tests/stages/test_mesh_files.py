@@ -242,7 +242,8 @@ def test_damaged_bytes_give_a_mesh_or_a_sentence(tmp_path_factory, extension, da
 
 
 def test_libraries_are_quiet(tmp_path, caplog):
-    path = write(tmp_path, "a.stl", b"solid\nfacet normal x\nvertex 0 0 0\n" + bytes(range(256)))
-    with pytest.raises(InputError):
-        read_mesh(path)
+    # trimesh logs a traceback for the normal it cannot parse, and goes on without it.
+    corners = b"outer loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n"
+    path = write(tmp_path, "a.stl", b"solid a\nfacet normal 0 0 x\n" + corners)
+    assert len(read_mesh(path).triangles) == 1
     assert not caplog.records
