@@ -25,7 +25,7 @@ _ALONE = 4
 _NEIGHBOURS = 4
 # The spread at which confidence is one half. Chosen on Middlebury's Motorcycle (2014), looked at on Cones
 # (2003), and checked on the street of KITTI by how well consecutive frames' depth agrees.
-_HALF = 1.6
+_HALF = 1.5
 # Departures beyond this change nothing: confidence is a hundredth by then.
 _LARGEST = 16 * SUBPIXELS
 
@@ -33,7 +33,7 @@ _LARGEST = 16 * SUBPIXELS
 def confidence(
     disparity: Disparity16, residual: NDArray[np.int16], matched: Mask, search: SearchRange
 ) -> NDArray[np.uint8]:
-    """Confidence of each left pixel, 255 / (1 + (spread / 1.6 px)²); 0 where not matched.
+    """Confidence of each left pixel, 255 / (1 + (spread / 1.5 px)²); 0 where not matched.
 
     Parameters
     ----------

@@ -17,6 +17,7 @@ from stages import images
 from stages.confidence import confidence
 from stages.errors import InputError, UsageError
 from stages.matching import (
+    LARGEST_DISPARITY,
     SUBPIXELS,
     Matcher,
     SearchRange,
@@ -70,12 +71,12 @@ class DepthParams:
         0.25, "Standard deviation σ_d of a good match's disparity", unit="px", low=0, low_open=True, high=10
     )
     min_confidence: int = param(
-        128, "Pixels of lower confidence get no depth; 128 is a spread of about 1.6 px", low=0, high=255
+        128, "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px", low=0, high=255
     )
     matcher: str = param(
         "3way",
-        "Semi-global matcher: 3way gathers costs along three paths in little memory; sgbm along five, hh4 "
-        "along four in two passes, hh along all eight, each slower and no more accurate where it matters",
+        "Semi-global matcher: 3way gathers costs along three paths, in little memory; hh4 along four, "
+        "erring a little less for twice the time; sgbm along five and hh along eight, for no gain",
         choices=("3way", "sgbm", "hh4", "hh"),
     )
     disparities: int | None = param(
@@ -83,7 +84,7 @@ class DepthParams:
         "Number of disparities that are tried, in place of those that follow from the depth range",
         unit="px",
         low=1,
-        high=4096,
+        high=LARGEST_DISPARITY,
     )
     block_size: int = param(
         3,
@@ -94,17 +95,17 @@ class DepthParams:
     )
     p1: int | None = param(
         None,
-        "Penalty for a change of disparity by 1 px between neighbours; 8·block_size² by default",
+        "Penalty for a change of disparity by 1 px between neighbours; 16·block_size² by default",
         low=0,
     )
     p2: int | None = param(
         None, "Penalty for a larger change, more than p1; 32·block_size² by default", low=1, high=10000
     )
     prefilter_cap: int = param(
-        31,
+        15,
         "Horizontal gradients are cut off here before comparison",
         unit="grey levels",
-        low=1,
+        low=15,
         high=63,
     )
     uniqueness: int = param(
@@ -121,12 +122,13 @@ class DepthParams:
         "How far the disparities of a pixel and of its match may differ",
         unit="px",
         low=0,
+        high=100,
     )
     speckle_size: int = param(
         100, "Connected pieces of fewer pixels are dropped as speckles; 0 keeps all", unit="px", low=0
     )
     speckle_range: float = param(
-        1.0, "Neighbours whose disparities differ by more are not connected", unit="px", low=0
+        1.0, "Neighbours whose disparities differ by more are not connected", unit="px", low=0, high=100
     )
     min_texture: float = param(
         0.5,
@@ -166,7 +168,7 @@ class DepthParams:
     def penalties(self) -> tuple[int, int]:
         """Return p1 and p2 as used."""
         area = self.block_size**2
-        return 8 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
+        return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +184,8 @@ class DepthMap:
     camera : of the rectified left image.
     rectified_from_left : (3, 3) float64, the turn from the calibrated camera's axes to the rectified ones'.
     search : the disparities that were tried.
-    max_depth : metres, where the expected error or the parameter ends the range.
+    min_depth, max_depth : metres, the range that could be measured: of the disparities that were tried, or
+        up to where the expected error or the parameter ends it.
     warnings : what is odd about the pair, in plain sentences.
     """
 
@@ -193,6 +196,7 @@ class DepthMap:
     camera: Camera
     rectified_from_left: NDArray[np.float64]
     search: SearchRange
+    min_depth: float
     max_depth: float
     warnings: tuple[str, ...] = ()
 
@@ -204,6 +208,7 @@ class DepthMap:
             "height_px": self.camera.height,
             "lowest_disparity_px": self.search.lowest,
             "disparities_px": self.search.count,
+            "min_depth_m": self.min_depth,
             "max_depth_m": self.max_depth,
             "matched_share": float(np.count_nonzero(self.confidence) / self.confidence.size),
             "used_share": float(np.count_nonzero(used) / used.size),
@@ -236,6 +241,8 @@ def depth(
         If images and calibration do not belong together, or left and right are swapped.
     UsageError
         If a parameter is out of its range.
+    StageError
+        If the matcher runs out of memory.
 
     References
     ----------
@@ -387,6 +394,7 @@ class _Stage:
                 strength=self.params.smooth_lambda,
                 edge_sigma=self.params.smooth_sigma,
             )
+        near = self.params.min_depth or 0.0
         none = first < SUBPIXELS * search.lowest
         disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
         return DepthMap(
@@ -397,6 +405,7 @@ class _Stage:
             self.rig.left,
             self.rig.rectified_from_left,
             search,
+            max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), near),
             self.max_depth,
             warnings,
         )
@@ -404,10 +413,9 @@ class _Stage:
     def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
         """Return z = f·b / (d + cx_right − cx_left), where it is to be trusted and within range."""
         parallel = disparity + np.float32(self.rig.principal_offset)
-        near = self.params.min_depth or 0.0
         used = (trust >= max(self.params.min_confidence, 1)) & (parallel > 0)
         z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
-        z[(z < near) | (z > self.max_depth)] = 0
+        z[(z < (self.params.min_depth or 0)) | (z > self.max_depth)] = 0
         return np.asarray(z, np.float32)
 
 
@@ -432,13 +440,14 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None) ->
         highest = stated - 1.0
     else:
         highest = max(lowest, 0) + width * _WIDEST
-    if lowest >= width or highest < lowest:
+    # At the image's width nothing of the scene is in both images.
+    limit = min(width - 1, LARGEST_DISPARITY)
+    if lowest > limit or highest < lowest:
         raise UsageError(
             f"max_depth is {params.max_depth:g} m, nearer than the rig's pairs can be matched "
-            f"({rig.focal_baseline / (min(highest, width) + offset):.3g} m); give a larger one."
+            f"({rig.focal_baseline / (min(highest, limit) + offset):.3g} m); give a larger one."
         )
-    # At the image's width nothing of the scene is in both images.
-    return SearchRange.covering(lowest, min(highest, width - 1.0))
+    return SearchRange.covering(lowest, min(highest, limit))
 
 
 def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

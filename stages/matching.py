@@ -1,4 +1,4 @@
-"""Semi-global matching of a rectified pair, in both directions.
+"""Semi-global matching of a rectified pair, and the check of left against right.
 
 Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008, as OpenCV
 implements it (Birchfield–Tomasi cost on horizontal gradients, parabolic sub-pixel position). Disparities
@@ -14,12 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.errors import StageError
+
 Grey = NDArray[np.uint8]
 Disparity16 = NDArray[np.int16]
 Mask = NDArray[np.bool_]
 
 # The matcher's fixed point: disparities are multiples of 1/16 px.
 SUBPIXELS = 16
+# The largest disparity that fits into int16, and a step less: what is missing lies beyond the range.
+LARGEST_DISPARITY = 2000
 # The matcher takes its number of disparities in steps of this.
 _STEP = 16
 # The range is first looked for in images this much smaller, at a sixty-fourth of the work.
@@ -101,7 +105,13 @@ class Matcher:
             speckleRange=0,
             mode=_modes()[self.mode],
         )
-        disparity = sgbm.compute(*pair)
+        try:
+            disparity = sgbm.compute(*pair)
+        except cv2.error as error:
+            raise StageError(
+                f"a pair of {image.shape[1]}×{image.shape[0]} with {count} disparities could not be matched "
+                f"({error.err or error}); matcher=3way needs the least memory."
+            ) from error
         return np.ascontiguousarray(disparity[:, left : left + image.shape[1]])
 
 

@@ -164,6 +164,8 @@ def test_depth_range_gives_the_disparities_that_are_tried() -> None:
 
     # f·b = 30: 15 to 30 px.
     assert (result.search.lowest, result.search.count) == (15, 16)
+    assert result.figures()["min_depth_m"] == 1.0
+    assert result.figures()["max_depth_m"] == 2.0
     assert np.median(result.depth[result.depth > 0]) == pytest.approx(1.5, rel=0.01)
 
 
@@ -199,6 +201,16 @@ def test_grey_and_colour_give_the_same_depth() -> None:
 
     assert np.array_equal(grey.depth, color.depth)
     assert grey.color.shape == color.color.shape == (HEIGHT, WIDTH, 3)
+
+
+def test_a_very_wide_pair_stays_within_the_fixed_point() -> None:
+    """A quarter of the width is more disparities than int16 sixteenths can hold."""
+    camera = Camera(12000, 32, 9000.0, 9000.0, 5999.5, 15.5)
+    image = np.random.default_rng(5).integers(0, 255, (32, 12000), np.uint8)
+
+    result = depth(image, np.roll(image, -40, axis=1), StereoRig(camera, camera, baseline(0.1), True))
+
+    assert np.median(result.disparity[result.depth > 0]) == pytest.approx(40, abs=0.1)
 
 
 def test_blank_pair_has_no_depth() -> None:

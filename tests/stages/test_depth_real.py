@@ -110,3 +110,21 @@ def test_street_agrees_with_itself_from_frame_to_frame(shared_data: Path) -> Non
     assert np.mean(difference > 1) < 0.08
     # The road: its lower middle part is nearly closed in one frame already.
     assert np.mean(near.depth[280:360, 450:750] > 0) > 0.85
+
+
+def test_unrectified_room_has_common_rows_once_turned(shared_data: Path) -> None:
+    scan = read_scan(shared_data / "stereo/euroc_V1_01_easy_static")
+    assert scan.rig is not None
+    assert not scan.rig.rectified
+    (frame, result), *_ = depth_scan(type(scan)(scan.layout, scan.frames[:1], scan.rig))
+
+    assert isinstance(result, DepthMap)
+    assert result.warnings == ()
+    assert frame.camera.distortion == ()
+    assert np.mean(result.depth > 0) > 0.65
+    # The floor in front of the rig: one plane, to the noise of a quarter of a pixel at 2 m.
+    part = result.disparity[300:420, 150:350]
+    rows, columns = np.nonzero(result.depth[300:420, 150:350])
+    plane = np.column_stack([rows, columns, np.ones(len(rows))])
+    fit, *_ = np.linalg.lstsq(plane, part[rows, columns], rcond=None)
+    assert np.median(np.abs(plane @ fit - part[rows, columns])) < 0.25
