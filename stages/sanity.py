@@ -44,7 +44,7 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
         ways = _ways(_pose(first[0]), _pose(second[0]))
         for name, second_from_first in ways.items():
             found = _depth_errors(points, second_from_first, second[1], second[0].camera)
-            if found.size >= _LEAST_OVERLAP * len(points):
+            if found.size > _LEAST_OVERLAP * len(points):
                 errors.setdefault(name, []).append(found)
     medians = {name: float(np.median(np.concatenate(found))) for name, found in errors.items()}
     declared = medians.get("as given")

@@ -82,11 +82,11 @@ def test_depth_is_summed_up():
 
 
 def test_depth_all_zero_is_told():
-    scan = Scan(
-        "x", [Frame("a", CAMERA, depth=np.zeros((120, 160), np.float32), world_from_camera=np.eye(4))]
-    )
-    found = inspect(scan)
+    depth = np.zeros((120, 160), np.float32)
+    poses = (pose_at(0, 0, 0), pose_at(0.1, 0, 0))
+    found = inspect(Scan("x", [Frame("a", CAMERA, depth=depth, world_from_camera=pose) for pose in poses]))
     assert found.depth is None
+    assert found.pose_errors_m == {}
     assert any("all are 0 or missing" in text for text in found.warnings)
 
 
