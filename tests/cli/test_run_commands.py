@@ -283,5 +283,5 @@ def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path
     assert stdout == ""
     assert stderr.splitlines()[-1] == "scanloom: Interrupted; what was finished is kept."
     assert "Traceback" not in stderr
-    assert list(out.iterdir()) == []
+    assert list(out.rglob("*")) == []
     assert [path for path in cache.rglob("*") if path.is_dir() and path.name not in ("drafts", "runs")] == []
