@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LimitError", "InvalidMeshError", "Simplified", "simplify"]
+__all__ = ["InvalidMeshError", "LimitError", "Simplified", "simplify"]
 
 class InvalidMeshError(ValueError):
     """The mesh breaks a rule the kernels need; the message names the elements."""
@@ -70,5 +70,6 @@ def simplify(
 ) -> Simplified:
     """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound.
 
-    Raises InvalidMeshError for a mesh it cannot work on, LimitError when splitting would pass `triangle_limit`.
+    Raises InvalidMeshError for a mesh it cannot work on, LimitError when splitting would pass
+    `triangle_limit`.
     """

@@ -19,7 +19,7 @@ from stages.progress import Progress, silent
 VERSION = 1
 
 # The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see `simplify`).
-EDGES_PER_RESOLUTION = 8.0  # wanted edge length / mean edge length of the input
+EDGES_PER_RESOLUTION = 12.0  # wanted edge length / mean edge length of the input
 SHAPE_PER_RESOLUTION = 0.1  # the paper's choice
 MAX_TEXTURE = 300.0  # 8-bit levels, summed over the collapses around an edge
 
@@ -41,7 +41,7 @@ class SimplifyParams:
 
     resolution: float | None = param(
         None,
-        "Wanted edge length: longer edges are split first, and do not collapse. Default: 8 times the mean "
+        "Wanted edge length: longer edges are split first, and do not collapse. Default: 12 times the mean "
         "edge length, more where splitting would add over 5 % of triangles.",
         unit="m",
         low=0,
@@ -183,12 +183,16 @@ def simplify(
     Shape and texture changes are sums over collapses. The texture change counts contrast, not error, and so
     its default looks large. With the defaults:
 
-    ====================================  =========  ==========  ============  ===================  =========
-    mesh                                  triangles  reduction   RMS distance  colour error RMS/99 %  PSNR
-    ====================================  =========  ==========  ============  ===================  =========
-    room fused at 2 cm, vertex colours    @KITCHEN@
-    sphere of radius 1 with a world map   @GLOBE@
-    ====================================  =========  ==========  ============  ===================  =========
+    ==================================  =========  =========  ============  ============  =======
+    mesh                                triangles  reduction  RMS distance  colour RMSE   PSNR
+    ==================================  =========  =========  ============  ============  =======
+    room fused at 2 cm, 6.3 m across      144,611     70.2 %        1.2 mm    2.4 levels  40.6 dB
+    unit sphere with a satellite map       73,728     76.0 %        0.9 mm    4.0 levels  36.0 dB
+    ==================================  =========  =========  ============  ============  =======
+
+    The paper looks at vertices only, and a long triangle can swing away between its corners; unless
+    `paper_rule` is set, the shape change also counts how far the surfaces are apart where old and new edges
+    cross. The largest distance between input and result then stays below `max_shape` wherever we measured it.
 
     References
     ----------
@@ -299,7 +303,7 @@ def _limits(mesh: Mesh, params: SimplifyParams) -> _Limits:
 
 
 def _default_resolution(mesh: Mesh) -> float:
-    """Eight mean edge lengths, or more if that would split too many edges."""
+    """Twelve mean edge lengths, or more if that would split too many edges."""
     corners = mesh.vertices[mesh.triangles]
     lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel()
     resolution = EDGES_PER_RESOLUTION * float(lengths.mean()) if len(lengths) else 0.0
