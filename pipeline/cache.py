@@ -24,96 +24,20 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pipeline.digest import digest, file_digests
+from pipeline.digest import digest
+from pipeline.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
 from pipeline.failures import explained
-from pipeline.files import flush, flush_all, is_same_file, take_lock, try_lock, write_whole
+from pipeline.files import flush, is_same_file, take_lock, try_lock, write_whole
 
-# Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
-SCHEMA = 1
-
-_MANIFEST = "manifest.json"
-_IN_USE = "in-use.lock"
 _DRAFTS = "drafts"
 _RUNS = "runs"
 _KEY = re.compile("[0-9a-f]{64}")
 _TAG = "Signature: 8a477f597d28d172789f06886806bc55\n# Results of scanloom; safe to delete.\n"
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """All that decides a stage's result.
-
-    Attributes
-    ----------
-    stage, version : which computation, and the number its author raises when its results change.
-    params : its parameters in canonical form, by section.
-    inputs : content digests of what it reads, by name.
-    libraries : versions of the libraries that compute the result.
-    """
-
-    stage: str
-    version: int
-    params: Mapping[str, Any] = field(default_factory=dict)
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    libraries: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def key(self) -> str:
-        """Return the digest that names the entry."""
-        return digest({"schema": SCHEMA, **self.as_json()})
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the recipe as JSON values."""
-        return {
-            name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
-        }
-
-
-class Entry:
-    """A whole, verified entry; it cannot be removed by anyone until it is closed.
-
-    Attributes
-    ----------
-    folder : where its files are; not to be written to.
-    manifest : what its manifest.json says.
-    """
-
-    def __init__(self, folder: Path, manifest: dict[str, Any], lock: int) -> None:
-        self.folder = folder
-        self.manifest = manifest
-        self._lock: int | None = lock
-
-    @property
-    def key(self) -> str:
-        """Return the digest of the entry's recipe."""
-        return self.folder.name
-
-    @property
-    def files(self) -> dict[str, str]:
-        """Content digest of every file, by its path within the folder."""
-        return {name: about["sha256"] for name, about in self.manifest["files"].items()}
-
-    @property
-    def digest(self) -> str:
-        """Return the content digest of the whole entry, which the keys of later stages are made of."""
-        return digest(self.files)
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """What the stage counted and measured."""
-        figures: dict[str, Any] = self.manifest["figures"]
-        return figures
-
-    def close(self) -> None:
-        """Let the entry go."""
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
 
 
 @dataclass(frozen=True)
@@ -127,10 +51,6 @@ class Listed:
     in_latest_run: bool
     manifest: Mapping[str, Any]
     problem: str | None = None
-
-
-class DamagedError(Exception):
-    """An entry does not hold what its manifest promises."""
 
 
 class Cache:
@@ -154,9 +74,9 @@ class Cache:
                 with self._names():
                     if not place.is_dir():
                         break
-                    lock = take_lock(place / _IN_USE, fcntl.LOCK_SH)
+                    lock = take_lock(place / IN_USE, fcntl.LOCK_SH)
                 try:
-                    manifest = _verified(place)
+                    manifest = verified(place)
                 except DamagedError as error:
                     if self._drop(place, lock):
                         self._warn(
@@ -190,7 +110,7 @@ class Cache:
         with explained(f"the result of {recipe.stage} cannot be written to the cache {self.folder}"):
             draft, lock = self._new_draft(recipe.stage)
             try:
-                _seal(draft, recipe, make(draft))
+                seal(draft, recipe, make(draft))
                 while not self._publish(draft, self._place(recipe), lock, replace):
                     winner = self.get(recipe)
                     if winner is not None:
@@ -201,7 +121,7 @@ class Cache:
                 raise
             if replace:
                 self.remove_abandoned()
-            return Entry(self._place(recipe), _read_manifest(self._place(recipe)), lock)
+            return Entry(self._place(recipe), read_manifest(self._place(recipe)), lock)
 
     def remove_abandoned(self) -> None:
         """Remove what killed processes left half-made, and what was dropped while another was reading it."""
@@ -210,7 +130,7 @@ class Cache:
             for draft in drafts.iterdir() if drafts.is_dir() else ():
                 with self._names():
                     # A draft and its lock are made together under the names lock: without one it is debris.
-                    lock = try_lock(draft / _IN_USE) if draft.is_dir() else None
+                    lock = try_lock(draft / IN_USE) if draft.is_dir() else None
                 if lock is not None:
                     _discard(draft, lock)
 
@@ -322,7 +242,7 @@ class Cache:
         self._prepare()
         with self._names():
             draft = self._fresh_folder(stage)
-            return draft, take_lock(draft / _IN_USE, fcntl.LOCK_EX)
+            return draft, take_lock(draft / IN_USE, fcntl.LOCK_EX)
 
     def _fresh_folder(self, stage: str) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=f"{stage}-", dir=self.folder / _DRAFTS))
@@ -345,7 +265,7 @@ class Cache:
     def _drop(self, place: Path, lock: int) -> bool:
         """Put a damaged entry aside unless another process has done so; `lock` is given up."""
         with self._names():
-            ours = is_same_file(lock, place / _IN_USE)
+            ours = is_same_file(lock, place / IN_USE)
             if ours:
                 self._put_aside(place)
             os.close(lock)
@@ -359,7 +279,7 @@ class Cache:
     def _remove(self, entry: Listed) -> bool:
         place = self.folder / entry.stage / entry.key
         with self._names():
-            lock = try_lock(place / _IN_USE) if place.is_dir() else None
+            lock = try_lock(place / IN_USE) if place.is_dir() else None
             if lock is None:
                 return False
             self._put_aside(place)
@@ -381,65 +301,9 @@ class Cache:
         return used
 
 
-def _seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
-    """Flush a draft's files to the disk and write the manifest that makes it an entry."""
-    paths = sorted(path for path in draft.rglob("*") if path.is_file() and path != draft / _IN_USE)
-    names = [path.relative_to(draft).as_posix() for path in paths]
-    flush_all(paths)
-    files = {
-        name: {"size": path.stat().st_size, "sha256": content}
-        for name, path, content in zip(names, paths, file_digests(paths), strict=True)
-    }
-    manifest = {
-        "schema": SCHEMA,
-        "recipe": recipe.as_json(),
-        "files": files,
-        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        **record,
-    }
-    text = json.dumps({**manifest, "digest": digest(manifest)}, indent=1)
-    (draft / _MANIFEST).write_text(text, encoding="utf-8")
-    flush(draft / _MANIFEST)
-    flush_all([*(path for path in draft.rglob("*") if path.is_dir()), draft])
-
-
 def _discard(draft: Path, lock: int) -> None:
     shutil.rmtree(draft, ignore_errors=True)
     os.close(lock)
-
-
-def _verified(place: Path) -> dict[str, Any]:
-    """Return an entry's manifest after reading every file it names; raise DamagedError."""
-    manifest = _read_manifest(place)
-    names = list(manifest["files"])
-    for name in names:
-        if not (place / name).is_file():
-            raise DamagedError(f"{name} is missing")
-        if (place / name).stat().st_size != manifest["files"][name]["size"]:
-            raise DamagedError(f"{name} has another size")
-    try:
-        contents = file_digests([place / name for name in names])
-    except OSError as error:
-        raise DamagedError(f"{error.filename} cannot be read: {error.strerror}") from error
-    for name, content in zip(names, contents, strict=True):
-        if content != manifest["files"][name]["sha256"]:
-            raise DamagedError(f"{name} has another content")
-    return manifest
-
-
-def _read_manifest(place: Path) -> dict[str, Any]:
-    try:
-        manifest: dict[str, Any] = json.loads((place / _MANIFEST).read_text(encoding="utf-8"))
-        sealed = manifest.pop("digest")
-        if digest(manifest) != sealed:
-            raise DamagedError(f"{_MANIFEST} has another content")
-        if digest({"schema": manifest["schema"], **manifest["recipe"]}) != place.name:
-            raise DamagedError(f"{_MANIFEST} belongs to another entry")
-    except OSError as error:
-        raise DamagedError(f"{_MANIFEST} cannot be read: {error.strerror}") from error
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise DamagedError(f"{_MANIFEST} is not a manifest") from error
-    return manifest
 
 
 def _read_record(path: Path) -> dict[str, Any]:
@@ -455,10 +319,10 @@ def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
     manifest: dict[str, Any] = {}
     problem = None
     try:
-        manifest = (_verified if thorough else _read_manifest)(place)
+        manifest = (verified if thorough else read_manifest)(place)
     except DamagedError as error:
         problem = str(error)
     sizes = [path.stat().st_size for path in place.rglob("*") if path.is_file()]
-    stamp = place / _IN_USE
+    stamp = place / IN_USE
     last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).stat().st_mtime, timezone.utc)
     return Listed(place.parent.name, place.name, sum(sizes), last_used, in_latest_run, manifest, problem)

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.depth import DepthMap
+from stages.errors import InputError
 from stages.layouts import write_scan_json
 from stages.ply import write_ply_cloud
 from stages.prefetch import read_ahead
@@ -50,10 +51,16 @@ def write_depth_maps(
     folder : an empty folder.
     measured : as `stages.depth.depth_scan` yields them.
     count : how many will come.
+
+    Raises
+    ------
+    InputError
+        If no frame has a depth map.
     """
     for name in ("color", "depth", "confidence"):
         (folder / name).mkdir()
     skipped: list[SkippedFrame] = []
+    warnings: dict[str, None] = {}
     budget = max(1, MAX_POINTS // max(1, count))
 
     def usable() -> Iterator[tuple[int, Frame, DepthMap]]:
@@ -61,6 +68,7 @@ def write_depth_maps(
             if isinstance(result, SkippedFrame):
                 skipped.append(result)
             else:
+                warnings.update(dict.fromkeys(result.warnings))
                 yield number, frame, result
 
     def write(item: tuple[int, Frame, DepthMap]) -> _Written:
@@ -68,6 +76,8 @@ def write_depth_maps(
 
     threads = os.cpu_count() or 1
     written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
+    if not written:
+        raise InputError(f"none of the {count} pairs can be used; the first: {skipped[0].reason}")
     write_scan_json(folder, [one.frame for one in written])
     points = np.concatenate([one.points for one in written])
     write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))
@@ -76,6 +86,7 @@ def write_depth_maps(
         "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in skipped],
         **_summary([one.figures for one in written]),
         "points": len(points),
+        "warnings": list(warnings),
     }
 
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache import Cache, Entry, Recipe
+from pipeline.cache import Cache
+from pipeline.entry import Entry, Recipe
 from pipeline.events import Events, StageFinished, StageProgress, StageStarted, Warned
 from pipeline.failures import explained
 from pipeline.memory import peak_bytes, reset_peak
@@ -51,7 +52,7 @@ class Stage:
     reads, writes : names of what passes between stages.
     sections : the parts of the configuration that decide its result.
     libraries : distributions whose version decides its result, each a choice of names.
-    make : writes the files and returns the figures.
+    make : writes the files and returns the figures; `warnings` among them are sentences a person should see.
     results : which of its files stand in the output folder too; a name that ends in / is a folder of them.
     """
 
@@ -178,6 +179,8 @@ class Engine:
         self._add(stage, entry)
         placed = self.results.place(stage.name, entry, stage.results, decided)
         seconds = time.perf_counter() - started
+        for text in entry.figures.get("warnings", ()):
+            self._events(Warned(f"{stage.name}: {text}"))
         self._events(StageFinished(stage.name, cached, seconds, why, entry.figures, placed))
         return Outcome(
             stage.name,

@@ -31,13 +31,13 @@ from stages.simplify import simplify
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
     measured = depth_scan(scan, job.config.depth, job.progress)
-    return write_depth_maps(job.folder, measured, len(scan.frames))
+    return _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
     fused = fuse(_frames(job), job.config.fuse, progress=job.progress)
     write_ply(job.folder / "fused.ply", fused.mesh)
-    return fused.figures()
+    return _with_skipped(fused.figures())
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
@@ -63,6 +63,16 @@ def _report(job: Job) -> Mapping[str, Any]:
     drawn = report.draw(pictures, meshes, _frames(job).frames, job.config.report)
     job.progress(2, 2)
     return {"mesh": measured, "pictures": [f"pictures/{name}" for name in drawn]}
+
+
+def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Add to a stage's warnings that it skipped frames, if it did."""
+    warnings = list(figures.get("warnings", ()))
+    skipped = figures["frames_skipped"]
+    if skipped:
+        first = skipped[0]
+        warnings.append(f"{len(skipped)} frames were skipped; the first, {first['frame']}: {first['reason']}")
+    return {**figures, "warnings": warnings}
 
 
 def _frames(job: Job) -> Scan:

@@ -13,7 +13,7 @@ def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
 
     Parameters
     ----------
-    now, last : `recipe` (see pipeline.cache.Recipe) and `parts`, digests of the parts of every input by the
+    now, last : `recipe` (see pipeline.entry.Recipe) and `parts`, digests of the parts of every input by the
         input's name; `last` is None if the latest run did not get to this stage.
     """
     if last is None:

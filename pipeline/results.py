@@ -10,8 +10,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.cache import Cache, Entry
+from pipeline.cache import Cache
 from pipeline.digest import file_digest
+from pipeline.entry import Entry
 from pipeline.failures import explained
 from pipeline.files import copy_whole, has_content, remove_abandoned, write_whole
 

@@ -117,7 +117,11 @@ def _run(
 ) -> RunResult:
     names = [stage.name for stage in plan]
     planned = tuple(names[: names.index(until) + 1])
-    events(RunStarted(scan.layout, len(scan.frames), scan.warnings, planned))
+    warnings = list(scan.warnings)
+    if scan.skipped:
+        first = scan.skipped[0]
+        warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
+    events(RunStarted(scan.layout, len(scan.frames), tuple(warnings), planned))
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()

@@ -198,14 +198,13 @@ def _comment(text: str) -> list[str]:
 
 
 def _facts(about: Described, default: Any, hint: Any) -> str:
-    unit = f" {about.unit}" if about.unit else ""
     kind = f"one of {', '.join(about.choices)}" if about.choices else _kind_names(hint)
-    facts = [kind + (f" in {about.unit}" if unit else "")]
+    facts = [f"{kind} in {about.unit}" if about.unit else kind]
     if about.low is not None:
-        facts.append(f"{'more than' if about.low_open else 'at least'} {about.low:g}{unit}")
+        facts.append(f"{'more than' if about.low_open else 'at least'} {about.low:g}")
     if about.high is not None:
-        facts.append(f"at most {about.high:g}{unit}")
-    facts.append("default: derived from the data" if default is None else f"default: {_toml(default)}{unit}")
+        facts.append(f"at most {about.high:g}")
+    facts.append("default: derived from the data" if default is None else f"default: {_toml(default)}")
     return "; ".join(facts)
 
 

@@ -4,10 +4,14 @@ import ast
 import re
 import subprocess
 import sys
-from importlib.metadata import requires
 from pathlib import Path
 
 import pytest
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("stages", "pipeline", "cli")
@@ -15,6 +19,7 @@ MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py")
 # What a distribution is imported as, where that is not its own name.
 IMPORTED_AS = {
     "opencv-contrib-python-headless": "cv2",
+    "pillow": "PIL",
     "pyyaml": "yaml",
     "scikit-image": "skimage",
     "libusb-package": "libusb_package",
@@ -36,8 +41,8 @@ def imported(path: Path) -> set[str]:
 
 def declared() -> set[str]:
     """Import names of the dependencies that every installation has."""
-    lines = [line for line in requires("scanloom") or [] if "extra ==" not in line]
-    names = [re.match(r"[\w.-]+", line)[0].lower() for line in lines]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = [re.match(r"[\w.-]+", line)[0].lower() for line in project["dependencies"]]
     return {IMPORTED_AS.get(name, name.replace("-", "_")) for name in names}
 
 

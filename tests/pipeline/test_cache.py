@@ -13,7 +13,8 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.cache import Cache, Recipe
+from pipeline.cache import Cache
+from pipeline.entry import Recipe
 from stages.errors import StageError
 
 RECIPE = Recipe("fuse", 1, {"fuse": {"voxel_size": 0.01}}, {"frames": "abc"})
@@ -231,7 +232,8 @@ def test_entry_replaced_while_it_is_read_stays_until_the_reader_lets_go(cache):
 
 def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cache):
     script = (
-        "import os, sys, time; from pathlib import Path; from pipeline.cache import Cache, Recipe\n"
+        "import time; from pathlib import Path\n"
+        "from pipeline.cache import Cache; from pipeline.entry import Recipe\n"
         "def make(folder):\n"
         "    (folder / 'part').write_bytes(b'half'); print('made', flush=True); time.sleep(60)\n"
         f"Cache(Path({str(cache.folder)!r})).store(Recipe('fuse', 1), make)\n"

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from pipeline.cache import Recipe
+from pipeline.entry import Recipe
 
 ALL = ["mix", "cut", "count"]
 

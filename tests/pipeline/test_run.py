@@ -16,7 +16,7 @@ import pytest
 from pipeline.cache import Cache
 from pipeline.config import Config
 from pipeline.depth_maps import depth_scale
-from pipeline.events import RunStarted
+from pipeline.events import RunStarted, Warned
 from pipeline.graph import STAGES
 from pipeline.report import edge_figures
 from pipeline.run import CACHE_VARIABLE, run
@@ -275,9 +275,23 @@ def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
 
 def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
-    result = run(rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse")
-    [skipped] = result.stages[0].figures["frames_skipped"]
-    assert "0003" in skipped["reason"]
+    for _ in ("made", "cached"):
+        events = []
+        result = run(
+            rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse", events=events.append
+        )
+        [skipped] = result.stages[0].figures["frames_skipped"]
+        assert "0003" in skipped["reason"]
+        [warned] = [event.text for event in events if isinstance(event, Warned)]
+        assert warned.startswith("fuse: 1 frames were skipped; the first, ")
+
+
+def test_pairs_that_are_all_bad(stereo, tmp_path):
+    for path in stereo.glob("right/*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path)).astype(np.uint16))
+    with pytest.raises(InputError):
+        run(stereo, tmp_path / "out", quick("depth.max_skipped=1"))
+    assert names(tmp_path / "out") == []
 
 
 @pytest.mark.parametrize("limit", [0.5, 1.0, 38.0, 655.35, 2000.0])
