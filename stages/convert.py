@@ -100,6 +100,7 @@ def _from_trimesh(data: Any, where: str) -> Mesh:
         colors=np.array(visual.vertex_colors[:, :3]) if visual.kind == "vertex" else None,
         # Reading the property would compute normals that were never given.
         normals=np.array(data.vertex_normals) if "vertex_normals" in data._cache else None,
+        notes=("colours of faces are left out; only colours of vertices are used",) * (visual.kind == "face"),
     )
     mesh = validated(mesh, where)
     uvs = getattr(visual, "uv", None)
@@ -186,8 +187,8 @@ def to_open3d_legacy(mesh: Mesh) -> Any:
 def to_trimesh(mesh: Mesh) -> Any:
     """Return a trimesh.Trimesh, nothing merged or reordered.
 
-    A texture of one image is kept; vertices on its seams are duplicated, for the class holds one texture
-    coordinate a vertex. Several images do not fit the class: use `with_vertex_colors` first.
+    A texture of one image is kept, and no colours beside it; vertices on its seams are duplicated, for the
+    class holds one texture coordinate a vertex. Several images do not fit: use `with_vertex_colors` first.
     """
     import trimesh
 

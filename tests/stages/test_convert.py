@@ -166,3 +166,13 @@ def test_vertex_colors_keep_what_has_no_texture():
     np.testing.assert_array_equal(convert.with_vertex_colors(mesh.with_(texture=texture)).colors, mesh.colors)
     plain = random_mesh()
     assert convert.with_vertex_colors(plain) is plain
+
+
+def test_colors_of_faces_are_told():
+    import trimesh
+
+    mesh = trimesh.creation.box()
+    mesh.visual.face_colors = [255, 0, 0, 255]
+    converted = convert.as_mesh(mesh)
+    assert converted.colors is None
+    assert "faces" in converted.notes[0]
