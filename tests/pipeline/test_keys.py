@@ -156,3 +156,24 @@ def test_every_field_of_a_recipe_decides_the_key():
     ]
     assert len({base.key, *(other.key for other in others)}) == 1 + len(others)
     assert replace(base, params={"fuse": {"voxel_size": 0.01}}).key == base.key
+
+
+def test_result_deleted_from_the_cache_is_made_again_alone(toy, scan, out):
+    shutil.rmtree(out / "cache" / "cut")
+    outcomes = toy.run(scan, out)
+    assert ran(outcomes) == ["cut"]
+    assert outcomes[1].reason == "no longer in the cache"
+
+
+@pytest.mark.parametrize("stage", ALL)
+def test_damaged_result_is_made_again_alone_and_ends_with_the_same_bytes(toy, scan, out, stage):
+    def contents():
+        return {path.name: path.read_bytes() for path in out.rglob("*") if path.suffix in (".bin", ".txt")}
+
+    before = contents()
+    [damaged] = [path for path in (out / "cache" / stage).rglob("*") if path.suffix in (".bin", ".txt")][:1]
+    damaged.write_bytes(b"\0" * damaged.stat().st_size)
+    warnings = []
+    assert ran(toy.run(scan, out, warnings=warnings)) == [stage]
+    assert damaged.name in warnings[0]
+    assert contents() == before
