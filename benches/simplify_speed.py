@@ -1,8 +1,8 @@
 """How fast `simplify` is, and how much memory it takes, as the mesh grows.
 
-Run `python benches/simplify_speed.py`; it prints a Markdown table. Each row is a process of its own: the time is
-its processor time in the kernels' call, the memory the growth of its peak (VmHWM) during the call, so both the
-work and the result count and the input does not. Sizes can be given: `python benches/simplify_speed.py 10000`.
+Run `python benches/simplify_speed.py`; it prints a Markdown table. Each row is a process of its own: the time
+is its processor time in `simplify`, the memory the growth of its peak (VmHWM) during the call: the work and the
+result count, the input does not. Sizes can be given: `python benches/simplify_speed.py 10000`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SIZES = (10_000, 100_000, 1_000_000, 2_000_000)
 
 
 def hills(triangles: int) -> Mesh:
-    """A noisy, coloured height field, in the row order of a depth image."""
+    """Make a noisy, coloured height field, in the row order of a depth image."""
     n = int((triangles / 2) ** 0.5) + 1
     y, x = np.mgrid[0:n, 0:n].astype(float)
     noise = np.random.default_rng(0)
@@ -38,7 +38,7 @@ def hills(triangles: int) -> Mesh:
 
 
 def sphere(triangles: int) -> Mesh:
-    """A sphere without colours, its rings from pole to pole."""
+    """Make a sphere without colours, ring after ring from pole to pole."""
     rings = int((triangles / 4) ** 0.5)
     around = 2 * rings
     polar = np.pi * np.arange(1, rings + 1)[:, None] / (rings + 1)
@@ -59,7 +59,7 @@ MESHES = {"hills": hills, "sphere": sphere}
 
 
 def peak_bytes() -> int:
-    """Largest resident size of this process so far."""
+    """Return the largest resident size of this process so far."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 

@@ -74,8 +74,8 @@ class SimplifyParams:
     )
     paper_rule: bool = param(
         False,
-        "Check the bounds after each collapse, as the paper does, so that the last one may overshoot. "
-        "Default: check before, so that the sums never pass the bounds.",
+        "Follow the paper: check the bounds after each collapse, so that the last one may overshoot, and measure "
+        "the shape at vertices only. Default: check before, and between vertices too, so that bounds hold.",
     )
 
     def __post_init__(self) -> None:

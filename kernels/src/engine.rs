@@ -96,6 +96,9 @@ pub struct Engine<const D: usize, M: Measure<D>> {
     measure: M,
     queue: Queue,
     refusals: Vec<Option<Refusal<M::Bound>>>,
+    /// Vertices with an edge whose attempt was refused since they were last looked at. Most have none, and
+    /// their edges then need not be fetched from memory.
+    stuck: Vec<bool>,
     marks: Marks,
     star: Star<D>,
     ring: Vec<VertexId>,
@@ -115,13 +118,14 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             }
         });
         let queue = Queue::new(slots, entries);
-        let marks = Marks::new(mesh.connectivity.vertex_slots());
+        let vertices = mesh.connectivity.vertex_slots();
         Self {
             mesh,
             measure,
             queue,
             refusals,
-            marks,
+            stuck: vec![false; vertices],
+            marks: Marks::new(vertices),
             star: Star::default(),
             ring: vec![],
             collapses: 0,
@@ -163,6 +167,9 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             Ok(collapsed) => Step::Collapsed(collapsed),
             Err(refusal) => {
                 self.refusals[edge.index()] = Some(refusal);
+                for v in self.mesh.connectivity.ends(edge) {
+                    self.stuck[v.index()] = true;
+                }
                 Step::Refused(edge, refusal)
             }
         }
@@ -188,29 +195,18 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     /// Bring the queue up to date around a vertex that has moved.
     fn offer_around(&mut self, centre: VertexId) {
-        let Self { mesh, measure, queue, refusals, star, ring, .. } = self;
-        let connectivity = &mesh.connectivity;
-        for &edge in star.others.iter().filter(|&&edge| connectivity.is_edge(edge)) {
-            match measure.priority(mesh, edge) {
-                Ok(priority) => {
-                    refusals[edge.index()] = None;
-                    queue.set(edge, priority);
-                }
-                Err(bound) => {
-                    refusals[edge.index()] = Some(Refusal::Barred(bound));
-                    queue.discard(edge);
-                }
-            }
+        let connectivity = &self.mesh.connectivity;
+        self.ring.clear();
+        self.ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
+        for &edge in self.star.others.iter().filter(|&&edge| connectivity.is_edge(edge)) {
+            offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
         }
         // Other edges with one end on the ring: what was refused may be legal now that their stars have changed.
-        ring.clear();
-        ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
-        for &v in ring.iter() {
-            for (edge, _) in connectivity.spokes(v) {
-                if matches!(refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_))) {
-                    if let Ok(priority) = measure.priority(mesh, edge) {
-                        refusals[edge.index()] = None;
-                        queue.set(edge, priority);
+        for &v in &self.ring {
+            if std::mem::replace(&mut self.stuck[v.index()], false) {
+                for (edge, _) in connectivity.spokes(v) {
+                    if matches!(self.refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_))) {
+                        offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                     }
                 }
             }
@@ -242,5 +238,25 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     pub fn into_mesh(self) -> Mesh<D> {
         self.mesh
+    }
+}
+
+/// Put an edge where its priority belongs now: into the queue, or among the refused.
+fn offer<const D: usize, M: Measure<D>>(
+    edge: EdgeId,
+    mesh: &Mesh<D>,
+    measure: &M,
+    queue: &mut Queue,
+    refusals: &mut [Option<Refusal<M::Bound>>],
+) {
+    match measure.priority(mesh, edge) {
+        Ok(priority) => {
+            refusals[edge.index()] = None;
+            queue.set(edge, priority);
+        }
+        Err(bound) => {
+            refusals[edge.index()] = Some(Refusal::Barred(bound));
+            queue.discard(edge);
+        }
     }
 }

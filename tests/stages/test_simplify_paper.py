@@ -1,4 +1,4 @@
-"""The simplifier against its paper, Jia et al. 2001, written out slowly, each quantity from its definition."""
+"""The simplifier against its paper, Jia et al. 2001, written out slowly, each quantity as defined."""
 
 from __future__ import annotations
 
