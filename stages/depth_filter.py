@@ -18,13 +18,15 @@ from stages.scan import Camera, DepthImage
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-# Pixels more oblique than this (80 degrees) must come in areas of at least `_AREA` pixels each way, as a road
-# does. In a thin line they are a discontinuity that the sensor or the matcher has smeared.
-_STEEP = 6.0
-_AREA = 5
 # Differences are averaged over this many pixels each way: enough to even out the depth steps of a
 # structured-light sensor, few enough to keep a table's edge.
 _WINDOW = 5
+# A pixel more oblique than this (70 degrees) must lie on a plane, as a road's do: averaged over a wider
+# window, its slope must be about the same. Else it belongs to the outline of something round, where the
+# distance along the normal cannot be told, or to a discontinuity that the sensor or the matcher has smeared.
+_STEEP = 3.0
+_WIDE_WINDOW = 25
+_LIKE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,24 +60,20 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
     max_angle : degrees between the line of sight and the surface's normal.
     """
-    import cv2
-
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     depth = depth.copy()
     for axis in (1, 0):
         _bridge(depth, inverse, axis, max_jump)
     torn = np.zeros(depth.shape, bool)
-    columns, rows, ray_length = _rays(camera)
-    # d ln z = −z d(1/z)
-    x = np.float32(-camera.fx) * depth * _mean_difference(inverse, 1, max_jump, torn)
-    y = np.float32(-camera.fy) * depth * _mean_difference(inverse, 0, max_jump, torn)
-    z = -(1 + columns * x + rows * y)
-    obliqueness = np.sqrt(x * x + y * y + z * z)
-    steep = (obliqueness > _STEEP).astype(np.uint8)
-    smeared = steep > cv2.morphologyEx(steep, cv2.MORPH_OPEN, np.ones((_AREA, _AREA), np.uint8))
-    too_oblique = obliqueness * ray_length * np.float32(np.cos(np.radians(max_angle))) > 1
-    depth[torn | smeared | too_oblique] = 0
-    return Surface(depth, (x, y, z), obliqueness)
+    across, down = _differences(inverse, 1, max_jump, torn), _differences(inverse, 0, max_jump, torn)
+    normal = _normal(depth, camera, across.mean(_WINDOW), down.mean(_WINDOW))
+    wide = _length(_normal(depth, camera, across.mean(_WIDE_WINDOW), down.mean(_WIDE_WINDOW)))
+    obliqueness = _length(normal)
+    planar = (wide < _LIKE * obliqueness) & (wide * _LIKE > obliqueness)
+    # Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
+    too_oblique = obliqueness * _rays(camera).length * np.float32(np.cos(np.radians(max_angle))) > 1
+    depth[torn | too_oblique | ((obliqueness > _STEEP) & ~planar)] = 0
+    return Surface(depth, normal, obliqueness)
 
 
 def _bridge(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:
@@ -91,10 +89,26 @@ def _bridge(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> No
     depth[rows, columns] = 1 / middle
 
 
-def _mean_difference(inverse: Image, axis: int, max_jump: float, torn: Mask) -> Image:
-    """Mean difference of neighbours along `axis`, in a window; discontinuities are left out, and marked."""
-    import cv2
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """Differences between neighbouring pixels along an axis, and 1 where there is one, else 0."""
 
+    value: Image
+    known: Image
+
+    def mean(self, window: int) -> Image:
+        """Mean of the known differences in a window."""
+        import cv2
+
+        total, count = (
+            cv2.boxFilter(image, -1, (window, window), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            for image in (self.value, self.known)
+        )
+        return np.asarray(total / np.maximum(count, 1))
+
+
+def _differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> _Differences:
+    """Take differences along `axis`; discontinuities are left out, and marked in `torn`."""
     first, second = (np.s_[:, :-1], np.s_[:, 1:]) if axis else (np.s_[:-1, :], np.s_[1:, :])
     a, b = inverse[first], inverse[second]
     difference = b - a
@@ -103,19 +117,36 @@ def _mean_difference(inverse: Image, axis: int, max_jump: float, torn: Mask) -> 
     jump = both & (np.abs(difference) > np.float32(max_jump) * smaller)
     torn[first] |= jump
     torn[second] |= jump
-    good = np.zeros(inverse.shape, np.float32)
-    good[first] = both & ~jump
-    kept = np.zeros(inverse.shape, np.float32)
-    np.multiply(difference, good[first], out=kept[first])
-    window = (_WINDOW, _WINDOW)
-    total = cv2.boxFilter(kept, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    count = cv2.boxFilter(good, -1, window, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(total / np.maximum(count, 1), np.float32)
+    value, known = np.zeros(inverse.shape, np.float32), np.zeros(inverse.shape, np.float32)
+    known[first] = both & ~jump
+    np.multiply(difference, known[first], out=value[first])
+    return _Differences(value, known)
+
+
+def _normal(depth: DepthImage, camera: Camera, across: Image, down: Image) -> tuple[Image, Image, Image]:
+    """Return the normal, with d ln z = −z d(1/z); see Surface for its length."""
+    rays = _rays(camera)
+    x = np.float32(-camera.fx) * depth * across
+    y = np.float32(-camera.fy) * depth * down
+    return x, y, -(1 + rays.columns * x + rays.rows * y)
+
+
+def _length(vector: tuple[Image, Image, Image]) -> Image:
+    x, y, z = vector
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Lines of sight (x/z, y/z, 1): x/z of each column (w,), y/z of each row (h, 1), lengths (h, w)."""
+
+    columns: Image
+    rows: Image
+    length: Image
 
 
 @lru_cache(maxsize=8)
-def _rays(camera: Camera) -> tuple[Image, Image, Image]:
-    """x/z of each column (w,), y/z of each row (h, 1), and the ray's length (h, w)."""
+def _rays(camera: Camera) -> _Rays:
     columns = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
     rows = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)[:, None]
-    return columns, rows, np.sqrt(1 + columns**2 + rows**2)
+    return _Rays(columns, rows, np.sqrt(1 + columns**2 + rows**2))

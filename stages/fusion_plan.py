@@ -22,8 +22,10 @@ from stages.voxels import BLOCK, Layer, block_keys, layers
 if TYPE_CHECKING:
     from stages.fuse import FuseParams
 
-# How many places of the scan are looked at, two neighbouring frames at each.
+# How many places of the scan are looked at, two neighbouring frames at each; fewer when frames are large,
+# since all of them are held at once.
 _PLACES = 8
+_PIXELS = 8_000_000
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 
@@ -77,14 +79,15 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     )
     pairs = _look(frames, limits, where, threads)
     found = survey(pairs)
+    noise = found.noise
     voxel_size = params.voxel_size or _two_digits(
-        max(2 * found.spacing, 2 * found.noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
+        max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
     )
-    truncation = params.truncation or float(
-        np.clip(3 * found.noise.at(found.far), 3 * voxel_size, 5 * voxel_size)
+    truncation = params.truncation or max(
+        3 * voxel_size, 3 * noise.at(found.median), min(3 * noise.at(found.far), 5 * voxel_size)
     )
     # Another frame may see farther than those looked at, hence the half more.
-    max_depth = params.max_depth or min(found.noise.reach(truncation / 3), 1.5 * found.farthest)
+    max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
     # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
     max_depth = min(max_depth, 10 * found.farthest)
     centers = np.stack([view.pose[:3, 3] for view, _ in pairs])
@@ -93,7 +96,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         voxel_size=voxel_size,
         truncation=truncation,
         limits=replace(limits, max_depth=max_depth),
-        noise=found.noise,
+        noise=noise,
         origin=np.rint(np.median(centers, axis=0) / block) * block,
     )
     return replace(plan, blocks=_expected_blocks([view for view, _ in pairs], plan, len(frames)))
@@ -103,7 +106,9 @@ def _look(
     frames: Sequence[Frame], limits: DepthLimits, where: Path | None, threads: int
 ) -> list[tuple[PosedDepth, PosedDepth | None]]:
     """Read frames at even places, each with the one after it; those that cannot be read are left out."""
-    first = np.unique(np.linspace(0, max(len(frames) - 2, 0), _PLACES).astype(int))
+    camera = frames[0].camera
+    places = min(max(_PIXELS // (camera.width * camera.height), 2), _PLACES)
+    first = np.unique(np.linspace(0, max(len(frames) - 2, 0), places).astype(int))
     wanted = sorted({i for i in (*first, *(first + 1)) if i < len(frames)})
     attempts = read_ahead(
         partial(_attempt, limits=limits), [frames[i] for i in wanted], threads=threads, ahead=threads

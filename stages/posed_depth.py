@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,6 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     if depth is None:
         raise InputError("there is no depth map.", f"frame {frame.name}")
     valid = int(np.count_nonzero(depth))
-    depth = _undistorted(depth, frame.camera, nearest=True)
     depth[(depth < limits.min_depth) | (depth > limits.max_depth)] = 0
     camera = _pinhole(frame.camera)
     seen = surface(depth, camera, max_jump=limits.max_jump, max_angle=limits.max_angle)
@@ -98,7 +96,7 @@ def read_matching_color(frame: Frame) -> ColorImage:
     size = (frame.camera.width, frame.camera.height)
     if (color.shape[1], color.shape[0]) != size:
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return np.ascontiguousarray(_undistorted(color, frame.camera, nearest=False))
+    return np.ascontiguousarray(color)
 
 
 def _pose(frame: Frame) -> Pose:
@@ -115,24 +113,5 @@ def _pose(frame: Frame) -> Pose:
 
 
 def _pinhole(camera: Camera) -> Camera:
+    """Return the camera of the images as they were read: `stages.images` has taken the distortion out."""
     return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-
-
-def _undistorted(image: NDArray[Any], camera: Camera, *, nearest: bool) -> NDArray[Any]:
-    """Take lens distortion out; depth must not be interpolated across edges, hence `nearest`."""
-    if not any(camera.distortion):
-        return image
-    import cv2
-
-    interpolation = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    return np.asarray(cv2.remap(image, *_undistortion(camera), interpolation))
-
-
-@lru_cache(maxsize=8)
-def _undistortion(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    import cv2
-
-    size = (camera.width, camera.height)
-    distortion = np.array(camera.distortion, np.float64)
-    x, y = cv2.initUndistortRectifyMap(camera.matrix, distortion, None, camera.matrix, size, cv2.CV_32FC1)
-    return np.asarray(x, np.float32), np.asarray(y, np.float32)

@@ -212,9 +212,11 @@ class Volume:
     def typical_weight(self) -> float:
         """Return how many times the median voxel near the surface was seen."""
         used = self._used_blocks()
-        # Every 7th voxel is enough for a median, and 7 falls evenly on the planes of 8³.
-        weight = self._grid.attribute("weight")[:used].cpu().numpy().ravel()[::7]
-        distance = self._grid.attribute("tsdf")[:used].cpu().numpy().ravel()[::7]
+        # Every seventh voxel of each block: enough for a median, and the same whatever the blocks' order.
+        weight, distance = (
+            self._grid.attribute(name)[:used].cpu().numpy().reshape(used, BLOCK**3)[:, ::7]
+            for name in ("weight", "tsdf")
+        )
         near = weight[(weight > 0) & (np.abs(distance) < 0.5)]
         return float(np.median(near)) if len(near) else 0.0
 
