@@ -129,7 +129,7 @@ def _facts(about: Described, default: Any) -> str:
     if bounds:
         facts.append(bounds)
     if default is None:
-        facts.append("default: not set")
+        facts.append("no fixed default")  # the text says what then happens
     elif isinstance(default, bool):
         facts.append(f"default: {'on' if default else 'off'}")
     else:

@@ -56,7 +56,7 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands."""
     app.command("run", rich_help_panel="From scan to mesh")(with_options(run))
     app.command("config", rich_help_panel="From scan to mesh")(with_options(config))
-    cache = typer.Typer(no_args_is_help=True)
+    cache = typer.Typer(rich_markup_mode="rich")
     cache.command("ls")(with_options(cache_ls))
     cache.command("verify")(with_options(cache_verify))
     cache.command("prune")(with_options(cache_prune))
@@ -249,5 +249,5 @@ def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: s
         )
     lines = [table_of(rows)] if entries else []
     lines += [f"{e.stage}/{e.key[:12]} is damaged: {e.problem}" for e in entries if e.problem]
-    lines.append(f"{len(entries)} results {done} in {folder}, {size_of(total)}.")
+    lines.append(f"{len(entries)} result{'s' * (len(entries) != 1)} {done} in {folder}, {size_of(total)}.")
     out.result(figures, "\n".join(lines))

@@ -36,7 +36,7 @@ def knit() -> Any:
     def command(target: str, params: KnittingParams, out: Output) -> None:
         calls.append((target, params, out))
 
-    app = typer.Typer()
+    app = typer.Typer(rich_markup_mode="rich")
     app.command()(with_options(command))
 
     def run(*words: str) -> Any:
@@ -66,7 +66,7 @@ def test_help_shows_text_unit_range_and_default(knit: Any) -> None:
     result, _ = knit("--help")
     text = re.sub(r"\s+", " ", result.output.replace("│", " "))
     assert "Width of a stitch [flat]. (m; above 0; default: 0.25)" in text
-    assert "Rows; the wool decides. (1 to 99; default: not set)" in text
+    assert "Rows; the wool decides. (1 to 99; no fixed default)" in text
     assert "Purl every second row. (default: on)" in text
     assert "wool|silk" in text
     assert "Knitting parameters" in text

@@ -138,6 +138,7 @@ def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) ->
         (("run", "empty", "-o", "out", "--force", "lunch"), 2, "lunch"),
         (("config", "--check", "file"), 2, "file"),
         (("cache", "ls", "missing"), 3, "missing"),
+        (("cache", "ls"), 2, "SCANLOOM_CACHE"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(
@@ -149,6 +150,7 @@ def test_what_is_wrong_is_said_in_one_sentence(
     sentence: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("SCANLOOM_CACHE", raising=False)
     Path("empty").mkdir()
     Path("file").write_text("not TOML")
     ran = scanloom(*words, *(("--cache", "cache") if words[0] == "run" else ()))
@@ -167,6 +169,14 @@ def test_a_folder_of_no_known_layout_is_told_what_is_known(scanloom: Run, tmp_pa
     assert ran.exit_code == 3
     assert ran.stderr.startswith(f"scanloom: {tmp_path}: unknown layout.")
     assert "plain-rgbd" in ran.stderr
+
+
+def test_a_command_that_is_missing_is_asked_for(scanloom: Run) -> None:
+    ran = scanloom("cache")
+    assert (ran.exit_code, ran.stderr) == (2, "scanloom: Missing command. See `scanloom cache --help`.\n")
+    bare = scanloom()
+    assert bare.exit_code == 2
+    assert "inspect" in bare.stdout
 
 
 def test_depth_that_cannot_be_leaves_no_folder(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
@@ -234,7 +244,7 @@ def test_help_of_a_stage_names_unit_and_default_of_every_parameter(scanloom: Run
     text = re.sub(r"[\s│]+", " ", scanloom(command, "--help").stdout)
     helps = {option.split(" ", 1)[0]: option for option in re.split(r" --(?!no-)", text)}
     for name, about in described(Config.types()[command]).items():
-        facts = re.search(r"\(([^()]*)default: [^()]+\)", helps[name.replace("_", "-")])
+        facts = re.search(r"\(([^()]*)(default: [^()]+|no fixed default)\)", helps[name.replace("_", "-")])
         assert facts, name
         assert about.unit in facts[1]
 
