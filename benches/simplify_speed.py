@@ -1,8 +1,8 @@
 """How fast `simplify` is, and how much memory it takes, as the mesh grows.
 
 Run `python benches/simplify_speed.py`; it prints a Markdown table. Each row is a process of its own: the time
-is its processor time in `simplify`, the memory the growth of its peak (VmHWM) during the call: the work and the
-result count, the input does not. Sizes can be given: `python benches/simplify_speed.py 10000`.
+is its processor time in `simplify`, the memory the growth of its peak (VmHWM) during the call: the work and
+the result count, the input does not. Sizes can be given: `python benches/simplify_speed.py 10000`.
 """
 
 from __future__ import annotations
