@@ -14,7 +14,7 @@ from cli.errors import STAGE_FAILED
 from cli.options import Changes, with_options
 from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
-from cli.watch import watching
+from cli.watch import tell_skipped, watching
 from stages import InputError, ScanParams, UsageError
 from stages.params import check, param
 
@@ -130,6 +130,7 @@ def run(
         result = run_pipeline(
             scan, target, config, until=until, force=tuple(force or ()), cache_dir=cache, events=events
         )
+    tell_skipped(out, "the reader", result.report["scan"])
     out.result(result.figures(), _summary(result))
 
 

@@ -21,8 +21,8 @@ _HEADLINES = {
     "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
     "clean": "{triangles:,} triangles; {islands:,} islands removed",
-    "simplify": "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, "
-    "shape within {max_shape_m:.3g} m, texture within {max_texture_levels:.3g} levels",
+    "simplify": "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, largest "
+    "change of shape {largest_shape_change_m:.3g} m, of texture {largest_texture_change_levels:.3g} levels",
     "report": "{pictures} pictures",
 }
 
@@ -57,7 +57,7 @@ class _Watcher:
             case StageFinished():
                 self.close()
                 self._out.remark(line_of(event))
-                self._tell_skipped(event.stage, event.figures)
+                tell_skipped(self._out, event.stage, event.figures)
             case Warned():
                 self.close()
                 self._out.remark(f"warning: {event.text}")
@@ -72,11 +72,6 @@ class _Watcher:
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:
             self._out.remark(as_typed(f"warning: {warning}"))
-
-    def _tell_skipped(self, stage: str, figures: Mapping[str, Any]) -> None:
-        sentence = skipped_line(stage, figures)
-        if sentence:
-            self._out.remark(sentence)
 
     def _show_bar(self, stage: str) -> None:
         if stage != self._bar_stage:
@@ -97,15 +92,13 @@ def headline(stage: str, figures: Mapping[str, Any]) -> str:
     return _Figures(figures).format(_HEADLINES.get(stage, ""))
 
 
-def skipped_line(stage: str, figures: Mapping[str, Any]) -> str:
-    """Return a sentence on the frames a stage could not use, empty if there were none."""
-    skipped = figures.get("frames_skipped") or ()
-    if not skipped:
-        return ""
-    first = skipped[0]
-    return (
-        f"warning: {stage} left out {len(skipped)} frames; the first is {first['frame']}: {first['reason']}"
-    )
+def tell_skipped(out: Output, who: str, figures: Mapping[str, Any]) -> None:
+    """Say how many frames could not be used, and why the first of them."""
+    skipped = figures.get("frames_skipped")
+    if skipped:
+        first = skipped[0]
+        count = f"{len(skipped)} frame{'s' * (len(skipped) != 1)}"
+        out.remark(f"warning: {who} left out {count}; the first is {first['frame']}: {first['reason']}")
 
 
 class _Figures(string.Formatter):

@@ -68,6 +68,21 @@ def test_inspect_says_what_was_found(scanloom: Run, tiny_scan: Path) -> None:
     assert scanloom("inspect", tiny_scan, "--json").json["frames"] == 6
 
 
+def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "scan"
+    shutil.copytree(tiny_scan, folder)
+    depth = folder / "depth-3.png"
+    depth.write_bytes(depth.read_bytes()[:100])
+    words = ("run", folder, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--until", "fuse")
+    ran = scanloom(*words)
+    assert ran.exit_code == 0, ran.stderr
+    assert re.search(
+        r"^warning: fuse left out 1 frame; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
+    )
+    figures = scanloom(*words, "--json").json["stages"]["fuse"]["figures"]
+    assert [skipped["frame"] for skipped in figures["frames_skipped"]] == ["3"]
+
+
 def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     assert scanloom("inspect", tiny_scan, "--first", 2, "--every", 2, "--json").json["frames"] == 2
     words = (
