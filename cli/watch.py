@@ -22,7 +22,7 @@ _HEADLINES = {
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
     "clean": "{triangles:,} triangles; {islands:,} islands removed",
     "simplify": "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, largest "
-    "change of shape {largest_shape_change_m:.3g} m, of texture {largest_texture_change_levels:.3g} levels",
+    "change of shape {largest_shape_change_m:.3g} m, of texture {largest_texture_change_levels:,.0f} levels",
     "report": "{pictures} pictures",
 }
 
