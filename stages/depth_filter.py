@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +67,26 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
         _bridge(depth, inverse, axis, max_jump)
     torn = np.zeros(depth.shape, bool)
     across, down = _differences(inverse, 1, max_jump, torn), _differences(inverse, 0, max_jump, torn)
-    normal = _normal(depth, camera, across.mean(_WINDOW), down.mean(_WINDOW))
-    wide = _length(_normal(depth, camera, across.mean(_WIDE_WINDOW), down.mean(_WIDE_WINDOW)))
+    rays = _rays(camera)
+    normal = _normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
     obliqueness = _length(normal)
-    planar = (wide < _LIKE * obliqueness) & (wide * _LIKE > obliqueness)
+    steep = np.nonzero(obliqueness > _STEEP)
+    wide = _length(
+        _normal(
+            depth[steep],
+            camera,
+            rays.columns[steep[1]],
+            rays.rows[steep[0], 0],
+            across.mean(_WIDE_WINDOW, steep),
+            down.mean(_WIDE_WINDOW, steep),
+        )
+    )
+    narrow = obliqueness[steep]
+    round_or_smeared = (wide >= _LIKE * narrow) | (wide * _LIKE <= narrow)
+    torn[steep] |= round_or_smeared
     # Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
-    too_oblique = obliqueness * _rays(camera).length * np.float32(np.cos(np.radians(max_angle))) > 1
-    depth[torn | too_oblique | ((obliqueness > _STEEP) & ~planar)] = 0
+    too_oblique = obliqueness * rays.length * np.float32(np.cos(np.radians(max_angle))) > 1
+    depth[torn | too_oblique] = 0
     return Surface(depth, normal, obliqueness)
 
 
@@ -96,15 +110,15 @@ class _Differences:
     value: Image
     known: Image
 
-    def mean(self, window: int) -> Image:
-        """Mean of the known differences in a window."""
+    def mean(self, window: int, at: Any = ...) -> Image:
+        """Mean of the known differences in a window around each pixel, or around those that `at` indexes."""
         import cv2
 
         total, count = (
             cv2.boxFilter(image, -1, (window, window), normalize=False, borderType=cv2.BORDER_CONSTANT)
             for image in (self.value, self.known)
         )
-        return np.asarray(total / np.maximum(count, 1))
+        return np.asarray(total[at] / np.maximum(count[at], 1))
 
 
 def _differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> _Differences:
@@ -123,12 +137,13 @@ def _differences(inverse: Image, axis: int, max_jump: float, torn: Mask) -> _Dif
     return _Differences(value, known)
 
 
-def _normal(depth: DepthImage, camera: Camera, across: Image, down: Image) -> tuple[Image, Image, Image]:
+def _normal(
+    depth: Image, camera: Camera, columns: Image, rows: Image, across: Image, down: Image
+) -> tuple[Image, Image, Image]:
     """Return the normal, with d ln z = −z d(1/z); see Surface for its length."""
-    rays = _rays(camera)
     x = np.float32(-camera.fx) * depth * across
     y = np.float32(-camera.fy) * depth * down
-    return x, y, -(1 + rays.columns * x + rays.rows * y)
+    return x, y, -(1 + columns * x + rows * y)
 
 
 def _length(vector: tuple[Image, Image, Image]) -> Image:

@@ -35,7 +35,7 @@ _VOXEL_BYTES = {True: 20, False: 8}
 # factor of √3 of what was asked for, and nearly all pixels of an indoor scan fall into one layer.
 _LAYER_RATIO = 3.0
 # The blocks that a layer touches are found from pixels this share of a block apart on the surface.
-_TOUCH_SPACING = 0.4
+_TOUCH_SPACING = 0.5
 # No voxel is nearer to the surface than this many voxels: zero would put the vertices of several edges in
 # one place, which makes triangles without area and leaves the order of vertices open.
 _LEAST_DISTANCE = 1e-3
@@ -61,12 +61,14 @@ def layers(view: PosedDepth, *, voxel_size: float, truncation: float, max_depth:
     """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`."""
     surface = view.surface
     valid = (surface.depth > 0) & (surface.depth <= max_depth)
-    level = np.floor(np.log(surface.obliqueness) * np.float32(1 / np.log(_LAYER_RATIO)))
-    level = np.where(valid, np.maximum(level, 0), -1).astype(np.int8)
+    level = np.where(valid, np.int8(0), np.int8(-1))
+    steepest = float(surface.obliqueness[valid].max(initial=1))
+    for k in range(1, int(math.log(steepest, _LAYER_RATIO)) + 1):
+        level += valid & (surface.obliqueness >= _LAYER_RATIO**k)
     depth = np.where(valid, np.rint(surface.depth * np.float32(65535 / max_depth)), 0).astype(np.uint16)
     sample = _sample(view, _TOUCH_SPACING * BLOCK * voxel_size)
     result = []
-    for k in range(int(level.max(initial=-1)) + 1):
+    for k in range(int(level.max()) + 1):
         here = level == k
         points = _band(view, here & sample, truncation)
         if len(points):

@@ -1,0 +1,160 @@
+"""Fusion from files to volume and mesh, ours beside Open3D's own loop. Prints a Markdown table.
+
+python benches/fusion.py SCAN [--voxels 0.02 0.01 0.006] [--repeats 3]
+
+Every run is a process of its own, since a process never gives its peak memory back; the runs of all rivals
+take turns, and the median counts, because a machine's speed drifts. Open3D is imported before the clock
+starts. Open3D's loop is what its users write: decode, touch, integrate, with the constants of its
+documentation (16³ blocks, truncation of 8 voxels, weight over 3) but a block count small enough for memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages._open3d import open3d
+from stages.fuse import fuse
+from stages.images import read_color, read_depth
+from stages.layouts import read_scan
+from stages.mesh import Mesh
+from stages.scan import Scan
+from stages.topology import topology
+
+MAX_DEPTH = 4.0
+
+
+class Laps:
+    """Seconds of wall clock and processor from files to volume, and to the mesh."""
+
+    def __init__(self) -> None:
+        self.started = time.perf_counter(), time.process_time()
+        self.volume = self.started
+
+    def lap(self) -> None:
+        """Say that the volume is done."""
+        self.volume = time.perf_counter(), time.process_time()
+
+
+def ours(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
+    """Fuse as `scanloom run` does."""
+
+    def progress(done: int, total: int) -> None:
+        if done == total:
+            laps.lap()
+
+    return fuse(scan, voxel_size=voxel_size, max_depth=MAX_DEPTH, progress=progress).mesh
+
+
+def voxel_block_grid(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
+    """Fuse with Open3D's tensor volume, as its documentation shows."""
+    o3d = open3d()
+    f32 = o3d.core.float32
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (f32,) * 3, ((1), (1), (3)), voxel_size, 16, 4000
+    )
+    for frame in scan.frames:
+        depth = o3d.t.geometry.Image(o3d.core.Tensor(read_depth(frame)))
+        color = o3d.t.geometry.Image(o3d.core.Tensor(read_color(frame).astype(np.float32) / 255))
+        matrix, extrinsic = (
+            o3d.core.Tensor(m) for m in (frame.camera.matrix, np.linalg.inv(frame.world_from_camera))
+        )
+        blocks = grid.compute_unique_block_coordinates(depth, matrix, extrinsic, 1.0, MAX_DEPTH)
+        grid.integrate(blocks, depth, color, matrix, extrinsic, 1.0, MAX_DEPTH)
+    laps.lap()
+    mesh = grid.extract_triangle_mesh()
+    return Mesh(mesh.vertex.positions.numpy().astype(float), mesh.triangle.indices.numpy())
+
+
+def legacy(scan: Scan, voxel_size: float, laps: Laps) -> Mesh:
+    """Fuse with Open3D's old volume (whose mesh is empty in Open3D 0.20.0)."""
+    o3d = open3d()
+    volume = o3d.pipelines.integration.ScalableTSDFVolume(
+        voxel_size, 4 * voxel_size, o3d.pipelines.integration.TSDFVolumeColorType.RGB8
+    )
+    for frame in scan.frames:
+        image = o3d.geometry.RGBDImage.create_from_color_and_depth(
+            o3d.geometry.Image(read_color(frame)),
+            o3d.geometry.Image(read_depth(frame)),
+            depth_scale=1.0,
+            depth_trunc=MAX_DEPTH,
+            convert_rgb_to_intensity=False,
+        )
+        camera = o3d.camera.PinholeCameraIntrinsic(
+            frame.camera.width, frame.camera.height, frame.camera.matrix
+        )
+        volume.integrate(image, camera, np.linalg.inv(frame.world_from_camera))
+    laps.lap()
+    mesh = volume.extract_triangle_mesh()
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
+
+
+RIVALS: dict[str, Callable[[Scan, float, Laps], Mesh]] = {
+    "scanloom": ours,
+    "Open3D VoxelBlockGrid": voxel_block_grid,
+    "Open3D ScalableTSDFVolume": legacy,
+}
+
+
+def run_one(folder: Path, rival: str, voxel_size: float) -> dict[str, Any]:
+    """Run one rival on one voxel size, in this process."""
+    scan = read_scan(folder)
+    open3d()
+    laps = Laps()
+    mesh = RIVALS[rival](scan, voxel_size, laps)
+    end = time.perf_counter()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    found = topology(mesh) if len(mesh.triangles) else None
+    return {
+        "rate": len(scan.frames) / (laps.volume[0] - laps.started[0]),
+        "processor": laps.volume[1] - laps.started[1],
+        "extraction": end - laps.volume[0],
+        "peak": peak,
+        "triangles": len(mesh.triangles),
+        "nonmanifold": found.nonmanifold_edges if found else 0,
+        "components": found.components if found else 0,
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scan", type=Path)
+    parser.add_argument("--voxels", type=float, nargs="+", default=[0.02, 0.01, 0.006], help="metres")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--one", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(run_one(options.scan, options.one, options.voxels[0])))
+        return
+    print(f"Open3D {open3d().__version__}, {len(read_scan(options.scan).frames)} frames\n")
+    print("| voxel | | frames/s | processor s | mesh s | peak MB | triangles | pieces | non-manifold edges |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for voxel in options.voxels:
+        rounds: dict[str, list[dict[str, Any]]] = {name: [] for name in RIVALS}
+        for _ in range(options.repeats):
+            for name, runs in rounds.items():
+                command = [sys.executable, __file__, str(options.scan), "--voxels", str(voxel), "--one", name]
+                runs.append(json.loads(subprocess.run(command, check=True, capture_output=True).stdout))
+        for name, runs in rounds.items():
+            r = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
+            print(
+                f"| {voxel * 1000:g} mm | {name} | {r['rate']:.1f} | {r['processor']:.2f} "
+                f"| {r['extraction']:.2f} | {r['peak']:.0f} | {r['triangles']:.0f} | {r['components']:.0f} "
+                f"| {r['nonmanifold']:.0f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
