@@ -34,8 +34,9 @@ from stages.progress import Progress, silent
 from stages.rectify import RectifiedRig, rectified_rig
 from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
 from stages.smoothing import smoothed
+from stages.subpixel import refined
 
-VERSION = 1
+VERSION = 2
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25
@@ -136,6 +137,11 @@ class DepthParams:
         "was measured",
         unit="grey levels",
         low=0,
+    )
+    refine: bool = param(
+        True,
+        "Move each disparity by the fraction of a pixel at which the images agree best; takes away the "
+        "matcher's bias on slanted surfaces. Smoothed disparities stay as they are",
     )
     smooth: bool = param(
         False,
@@ -397,6 +403,8 @@ class _Stage:
         near = self.params.min_depth or 0.0
         none = first < SUBPIXELS * search.lowest
         disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
+        if self.params.refine and not self.params.smooth:
+            disparity = refined(*pair, disparity, trust >= max(self.params.min_confidence, 1))
         return DepthMap(
             self._depth(disparity, trust),
             trust,
