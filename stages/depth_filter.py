@@ -22,10 +22,12 @@ Mask = NDArray[np.bool_]
 # Differences are averaged over this many pixels each way: enough to even out the depth steps of a
 # structured-light sensor, few enough to keep a table's edge.
 _WINDOW = 5
-# A pixel more oblique than this (70 degrees) must lie on a plane, as a road's do: averaged over a wider
-# window, its slope must be about the same. Else it belongs to the outline of something round, where the
-# distance along the normal cannot be told, or to a discontinuity that the sensor or the matcher has smeared.
-_STEEP = 3.0
+# A pixel more oblique than this (70 degrees) is believed only on a plane, as a road's are: averaged over a
+# wider window, its slope must be about the same. Else it belongs to the outline of something round or ragged,
+# where the distance along the normal cannot be told, and counts as no more oblique than this; or, beyond
+# `_SMEARED`, to a discontinuity that the sensor or the matcher has smeared.
+_STEEP = 2.9
+_SMEARED = 5.0
 _WIDE_WINDOW = 25
 _LIKE = 1.5
 
@@ -82,8 +84,10 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
         )
     )
     narrow = obliqueness[steep]
-    round_or_smeared = (wide >= _LIKE * narrow) | (wide * _LIKE <= narrow)
-    torn[steep] |= round_or_smeared
+    curved = (wide >= _LIKE * narrow) | (wide * _LIKE <= narrow)
+    torn[steep] |= curved & (narrow > _SMEARED)
+    for image in (*normal, obliqueness):
+        image[steep] *= np.where(curved, np.float32(_STEEP) / narrow, np.float32(1))
     # Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
     too_oblique = obliqueness * rays.length * np.float32(np.cos(np.radians(max_angle))) > 1
     depth[torn | too_oblique] = 0

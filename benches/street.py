@@ -1,0 +1,151 @@
+"""From stereo pairs to a mesh of a street: ours beside a script that glues OpenCV to Open3D.
+
+python benches/street.py SCAN [--voxel 0.1] [--pictures FOLDER]
+
+Prints seconds, triangles, pieces, and how closed the road is: the share of downward rays that hit the mesh
+below the car's path, and how far the hits scatter about the lane's height. With --pictures, both meshes are
+drawn from the same two places. The scan's cameras must look along the road.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.depth import DepthMap, depth_scan
+from stages.fuse import fuse
+from stages.images import read_color, read_right
+from stages.layouts import read_scan
+from stages.mesh import Mesh
+from stages.render import render, write_png
+from stages.scan import Camera, Scan
+from stages.topology import topology
+from stages.viewpoints import View
+
+# The lane along the path, and what lies beside it, metres to the right of the left camera.
+STRIPS = {"lane": (-1.5, 1.5), "left side": (-6.0, -3.0), "right side": (3.0, 6.0)}
+# The mesh at the very start was seen by too few frames of anyone's.
+FIRST_FRAME = 8
+
+
+def ours(scan: Scan, voxel_size: float) -> Mesh:
+    """Match and fuse as `scanloom run` does."""
+    frames = [frame for frame, measured in depth_scan(scan) if isinstance(measured, DepthMap)]
+    return fuse(frames, voxel_size=voxel_size).mesh
+
+
+def script(scan: Scan, voxel_size: float) -> Mesh:
+    """Match with OpenCV and fuse with Open3D, with the constants their examples use."""
+    import cv2
+
+    o3d = open3d()
+    f32 = o3d.core.float32
+    assert scan.rig is not None
+    mode = cv2.STEREO_SGBM_MODE_SGBM_3WAY
+    matcher = cv2.StereoSGBM_create(0, 128, 5, 200, 800, 1, 0, 10, 100, 2, mode)
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (f32,) * 3, ((1), (1), (3)), voxel_size, 16, 3000
+    )
+    for frame in scan.frames:
+        left, right = read_color(frame), read_right(frame)
+        disparity = matcher.compute(*(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right)))
+        metres = frame.camera.fx * scan.rig.baseline / (np.maximum(disparity, 1) / 16)
+        depth = o3d.t.geometry.Image(o3d.core.Tensor(np.where(disparity > 16, metres, 0).astype(np.float32)))
+        color = o3d.t.geometry.Image(o3d.core.Tensor(left.astype(np.float32) / 255))
+        matrix, extrinsic = (
+            o3d.core.Tensor(m) for m in (frame.camera.matrix, np.linalg.inv(frame.world_from_camera))
+        )
+        blocks = grid.compute_unique_block_coordinates(depth, matrix, extrinsic, 1.0, 40.0)
+        grid.integrate(blocks, depth, color, matrix, extrinsic, 1.0, 40.0)
+    mesh = grid.extract_triangle_mesh()
+    colors = (mesh.vertex.colors.numpy() * 255).astype(np.uint8)
+    return Mesh(mesh.vertex.positions.numpy().astype(float), mesh.triangle.indices.numpy(), colors)
+
+
+def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, float]:
+    """Share of downward rays over a strip that hit within 2.5 m, and the scatter of their height in metres."""
+    poses = np.stack([frame.world_from_camera for frame in scan.frames[FIRST_FRAME:]])
+    beside = np.linspace(*across, 60)[None, :, None] * poses[:, None, :3, 0]
+    onward = np.linspace(0, 1, 12)[None, :, None, None] * np.diff(poses[:, :3, 3], axis=0)[:, None, None]
+    start = (poses[:-1, None, None, :3, 3] + onward + beside[:-1, None]).reshape(-1, 3)
+    down = np.repeat(poses[:-1, :3, 1], 12 * 60, axis=0)
+    start += 0.7 * down
+    o3d = open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
+    )
+    rays = o3d.core.Tensor(np.concatenate([start, down], axis=1).astype(np.float32))
+    distance = scene.cast_rays(rays)["t_hit"].numpy()
+    hit = distance < 2.5
+    return float(hit.mean()), float(np.std(distance[hit]))
+
+
+def views(scan: Scan) -> list[View]:
+    """As the driver of the ninth frame sees it, and from six metres above the first."""
+    driver, first = (np.array(scan.frames[k].world_from_camera) for k in (8, 3))
+    above = np.array(first)
+    above[:3, 3] += -6 * first[:3, 1]
+    tilt = np.radians(15)
+    turn = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
+    above[:3, :3] = first[:3, :3] @ turn
+    wide = Camera(1226, 600, 600.0, 600.0, 613.0, 300.0)
+    return [View("driver", scan.frames[0].camera, driver), View("above", wide, above)]
+
+
+def main() -> None:
+    """Print the table, and draw the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scan", type=Path)
+    parser.add_argument("--voxel", type=float, default=0.1, help="metres")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--pictures", type=Path, help="folder for the pictures")
+    options = parser.parse_args()
+    scan = read_scan(options.scan)
+    open3d()
+    rivals: dict[str, Callable[[Scan, float], Mesh]] = {"scanloom": ours, "script": script}
+    seconds: dict[str, list[NDArray[np.float64]]] = {name: [] for name in rivals}
+    meshes = {}
+    for _ in range(options.repeats):
+        for name, run in rivals.items():
+            start = np.array([time.perf_counter(), time.process_time()])
+            meshes[name] = run(scan, options.voxel)
+            seconds[name].append(np.array([time.perf_counter(), time.process_time()]) - start)
+    strips = " | ".join(f"{name} closed" for name in STRIPS)
+    print(f"| | s | processor s | triangles | pieces | largest | {strips} | lane scatter cm |")
+    print("|---" * (7 + len(STRIPS)) + "|")
+    for name, mesh in meshes.items():
+        wall, processor = np.median(seconds[name], axis=0)
+        measured = [road(mesh, scan, strip) for strip in STRIPS.values()]
+        closed = " | ".join(f"{share:.1%}" for share, _ in measured)
+        print(
+            f"| {name} | {wall:.1f} | {processor:.1f} | {len(mesh.triangles)} "
+            f"| {topology(mesh).components} | {largest_piece(mesh):.0%} | {closed} "
+            f"| {measured[0][1] * 100:.1f} |"
+        )
+        for view in views(scan) if options.pictures else []:
+            options.pictures.mkdir(parents=True, exist_ok=True)
+            write_png(options.pictures / f"{name}-{view.name}.png", render(mesh, view))
+
+
+def largest_piece(mesh: Mesh) -> float:
+    """Share of the triangles that are in the largest piece."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b, c = mesh.triangles.T
+    pairs = (np.concatenate([a, b]), np.concatenate([b, c]))
+    count = len(mesh.vertices)
+    graph = coo_array((np.ones(2 * len(a), bool), pairs), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
+    return float(np.bincount(label[a]).max() / len(a))
+
+
+if __name__ == "__main__":
+    main()
