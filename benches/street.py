@@ -54,7 +54,7 @@ def script(scan: Scan, voxel_size: float) -> Mesh:
     )
     for frame in scan.frames:
         left, right = read_color(frame), read_right(frame)
-        disparity = matcher.compute(*(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right)))
+        disparity = matcher.compute(*(cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in (left, right)))
         metres = frame.camera.fx * scan.rig.baseline / (np.maximum(disparity, 1) / 16)
         depth = o3d.t.geometry.Image(o3d.core.Tensor(np.where(disparity > 16, metres, 0).astype(np.float32)))
         color = o3d.t.geometry.Image(o3d.core.Tensor(left.astype(np.float32) / 255))
