@@ -419,9 +419,9 @@ def test_a_fused_room_by_default(shared_data: Path) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
     result = simplify(mesh)
     assert_same_topology(result, mesh)
-    assert len(result.mesh.triangles) < 0.32 * len(mesh.triangles)
+    assert len(result.mesh.triangles) < 0.25 * len(mesh.triangles)
     measured = compare(mesh, result.mesh, samples=200_000)
     assert measured.symmetric.maximum <= result.max_shape_m
-    assert measured.symmetric.rms < 0.0015
+    assert measured.symmetric.rms < 0.0016
     assert measured.color is not None
-    assert measured.color.psnr > 39
+    assert measured.color.psnr > 38.5
