@@ -69,7 +69,7 @@ def script(scan: Scan, voxel_size: float) -> Mesh:
 
 
 def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, float]:
-    """Share of downward rays over a strip that hit within 2.5 m, and the scatter of their height in metres."""
+    """Share of downward rays over a strip that hit within 2.5 m, and the scatter of their heights (m)."""
     poses = np.stack([frame.world_from_camera for frame in scan.frames[FIRST_FRAME:]])
     beside = np.linspace(*across, 60)[None, :, None] * poses[:, None, :3, 0]
     onward = np.linspace(0, 1, 12)[None, :, None, None] * np.diff(poses[:, :3, 3], axis=0)[:, None, None]
