@@ -12,6 +12,7 @@ from cli.options import as_typed, with_options
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, new_folder, require_new_file, require_scan
 from stages import DepthParams, FuseParams, InputError, ScanParams
+from stages.sanity import require_poses
 
 ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
 
@@ -28,7 +29,7 @@ def inspect(folder: ScanFolder, params: ScanParams, out: Output) -> None:
 
     Example: scanloom inspect my_scan
     """
-    inspection = stages.inspect(stages.read_scan(require_scan(folder), params))
+    inspection = stages.inspect(stages.read_scan(require_scan(folder), params, complete=False))
     out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))
 
 
@@ -81,6 +82,9 @@ def fuse(
             "or `scanloom run` for the whole way.",
             folder,
         )
+    if scan.check_poses:
+        for doubt in require_poses(source):
+            out.remark(doubt)
     with out.progress("fuse", "frames") as progress:
         fused = stages.fuse(source, params, progress=progress)
     target.parent.mkdir(parents=True, exist_ok=True)

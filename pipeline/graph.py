@@ -7,6 +7,7 @@ pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from stages.fuse import VERSION as FUSE_VERSION
 from stages.fuse import fuse
 from stages.layouts import read_scan
 from stages.ply import read_ply, write_ply
+from stages.sanity import require_poses
 from stages.scan import Scan
 from stages.simplify import VERSION as SIMPLIFY_VERSION
 from stages.simplify import simplify
@@ -35,9 +37,12 @@ def _depth(job: Job) -> Mapping[str, Any]:
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
-    fused = fuse(_frames(job), job.config.fuse, progress=job.progress)
+    scan = _frames(job)
+    doubts = require_poses(scan) if job.config.scan.check_poses else []
+    fused = fuse(scan, job.config.fuse, progress=job.progress)
     write_ply(job.folder / "fused.ply", fused.mesh)
-    return _with_skipped(fused.figures())
+    figures = fused.figures()
+    return _with_skipped({**figures, "warnings": [*doubts, *figures.get("warnings", ())]})
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
@@ -78,7 +83,8 @@ def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
 def _frames(job: Job) -> Scan:
     """Return the RGB-D scan, or the one the depth stage left in its folder."""
     frames = job.inputs["frames"]
-    return read_scan(frames) if isinstance(frames, Path) else frames
+    # No message should name the cache's folder, which is that of the depth stage's scan.
+    return replace(read_scan(frames), folder=None) if isinstance(frames, Path) else frames
 
 
 def _version(*distributions: str) -> str:

@@ -60,16 +60,17 @@ class Inspection:
     ----------
     scan : what was inspected.
     color_size : (width, height) of the colour (left) images, pixels; None without colour.
-    path : of the camera.
+    path : of the camera; None without poses.
     depth : of RGB-D scans, None when no sampled frame has any.
-    stereo_depth_m : for pairs: the depth at the largest stated disparity (or None) and at one pixel.
+    stereo_depth_m : for calibrated pairs: the depth at the largest stated disparity (or None) and at one
+        pixel.
     pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
     warnings : all that is odd, the reader's own first.
     """
 
     scan: Scan
     color_size: tuple[int, int] | None
-    path: Path3D
+    path: Path3D | None
     depth: DepthRange | None
     stereo_depth_m: tuple[float | None, float] | None
     pose_errors_m: dict[str, float]
@@ -85,48 +86,51 @@ class Inspection:
             "kind": "stereo" if scan.is_stereo else "rgbd",
             "frames": len(scan.frames),
             "skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
-            "camera": dataclasses.asdict(camera),
+            "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
             "depth_scale_per_m": None if scan.is_stereo else scan.frames[0].depth_scale,
-            "rig": rig
-            and {
+            "rig": {
                 "right_camera": dataclasses.asdict(rig.right),
                 "baseline_m": rig.baseline,
                 "rectified": rig.rectified,
                 "disparities_px": rig.disparities,
-            },
-            "path": dataclasses.asdict(self.path),
+            }
+            if rig is not None and rig.left.is_calibrated
+            else None,
+            "path": self.path and dataclasses.asdict(self.path),
             "depth": self.depth and dataclasses.asdict(self.depth),
             "stereo_depth_m": self.stereo_depth_m
             and {"largest_disparity": self.stereo_depth_m[0], "one_pixel": self.stereo_depth_m[1]},
             "pose_errors_m": self.pose_errors_m,
+            "missing": list(scan.missing),
             "warnings": list(self.warnings),
         }
 
     def lines(self) -> list[str]:
         """Return the same as lines of text for a person."""
-        scan, path = self.scan, self.path
+        scan, camera = self.scan, self.scan.frames[0].camera
         kind = "stereo pairs" if scan.is_stereo else "colour and depth"
         lines = [
             f"layout    {scan.layout}: {kind}",
             f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} left out" if scan.skipped else ""),
-            f"camera    {_camera_words(scan.frames[0].camera)}",
+            f"camera    {_camera_words(camera)}",
         ]
-        if self.color_size and self.color_size != (scan.frames[0].camera.width, scan.frames[0].camera.height):
+        if self.color_size and self.color_size != (camera.width, camera.height):
             lines.append(f"colour    {self.color_size[0]}×{self.color_size[1]} px")
-        if scan.rig is not None:
+        if scan.rig is not None and camera.is_calibrated:
             state = "rectified" if scan.rig.rectified else "not rectified"
             lines.append(f"rig       baseline {scan.rig.baseline:.4f} m, {state}")
-        box = " × ".join(f"{side:.2f}" for side in path.box_m)
-        lines.append(
-            f"path      {path.length_m:.2f} m in a box of {box} m; "
-            f"largest step {path.largest_step_m:.3f} m, {path.largest_turn_deg:.1f}°"
-        )
+        if self.path is not None and len(scan.frames) > 1:
+            box = " × ".join(f"{side:.2f}" for side in self.path.box_m)
+            lines.append(
+                f"path      {self.path.length_m:.2f} m in a box of {box} m; "
+                f"largest step {self.path.largest_step_m:.3f} m, {self.path.largest_turn_deg:.1f}°"
+            )
         if self.depth is not None:
             lines.append(
                 f"depth     {self.depth.near_m:.2f} to {self.depth.far_m:.2f} m (2nd to 98th percentile), "
                 f"median {self.depth.median_m:.2f} m; {self.depth.missing_share:.0%} missing "
-                f"({self.depth.sampled_frames} frames sampled)"
+                f"(in {self.depth.sampled_frames} of {len(scan.frames)} frames)"
             )
         if self.stereo_depth_m is not None:
             near, far = self.stereo_depth_m
@@ -138,6 +142,7 @@ class Inspection:
             lines.append(
                 f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
             )
+        lines += [f"missing   {text}" for text in scan.missing]
         lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
         if len(scan.skipped) > 5:
             lines.append(f"left out  and {len(scan.skipped) - 5} more")
@@ -150,7 +155,8 @@ def inspect(scan: Scan) -> Inspection:
 
     Parameters
     ----------
-    scan : with at least one frame; its images are read, never changed.
+    scan : with at least one frame, and perhaps without poses or calibration (see `Scan.missing`); its images
+        are read, never changed.
 
     Returns
     -------
@@ -166,12 +172,12 @@ def inspect(scan: Scan) -> Inspection:
     warnings += said + _odd_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
-    if scan.rig is not None:
+    if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
-    else:
+    elif scan.rig is None:
         depth, said = _depth_range([one.depth for one in samples], scan.frames[0].depth_scale)
-        errors, about_poses = sanity.check_poses(scan.frames)
+        errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
         pairs = [(one.color, one.depth) for one in samples]
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs)
     return Inspection(
@@ -211,8 +217,10 @@ def _sample(frame: Frame) -> _Sample | InputError:
         return error
 
 
-def _path(frames: Sequence[Frame]) -> tuple[Path3D, list[str]]:
+def _path(frames: Sequence[Frame]) -> tuple[Path3D | None, list[str]]:
     poses = np.array([frame.world_from_camera for frame in frames if frame.world_from_camera is not None])
+    if not len(poses):
+        return None, []
     centres, rotations = poses[:, :3, 3], poses[:, :3, :3]
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     cosines = (np.einsum("nij,nij->n", rotations[:-1], rotations[1:]) - 1) / 2
@@ -313,6 +321,8 @@ def _stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
 
 
 def _camera_words(camera: Camera) -> str:
+    if not camera.is_calibrated:
+        return f"{camera.width}×{camera.height} px"
     bent = f", distortion {' '.join(f'{k:g}' for k in camera.distortion)}" if camera.distortion else ""
     return (
         f"{camera.width}×{camera.height} px, focal length {camera.fx:.2f} {camera.fy:.2f} px, "

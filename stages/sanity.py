@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.images import read_depth
-from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose, StereoRig
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
 from stages.trajectories import inverted
 
+_DECLARED = "as given"
 _COUPLES = 8
 # Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
 _LEAST_OVERLAP = 0.1
@@ -23,7 +24,31 @@ _LARGEST_SHIFT = 8
 # Kinect edges wander by a pixel or two; below this no camera offset can be told from noise.
 _NOTED_SHIFT = 3
 _LEAST_CORRELATION = 0.08
+# Depth of one frame meets another's to half a per cent with sound poses; beyond 3 % nothing fits.
+_SOUND_SHARE = 0.005
+_FITTING_SHARE = 0.03
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+
+
+def require_poses(scan: Scan) -> list[str]:
+    """Stop when another reading of the poses clearly fits the depth better; return what is only suspected.
+
+    Raises
+    ------
+    InputError
+        With the comparison of `check_poses`. Where frames do not overlap with the poses as given, there is
+        nothing to compare, and a warning is returned.
+    """
+    errors, warnings = check_poses(scan.frames)
+    if warnings and _DECLARED in errors:
+        compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
+        raise InputError(
+            f"{warnings[0]} (compared: {compared}). Give camera-to-world poses with x right, y down, "
+            "z forward, or use these as they are with --no-check-poses (in a config file: check_poses = "
+            "false under [scan]).",
+            scan.folder,
+        )
+    return warnings
 
 
 def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
@@ -31,27 +56,31 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
 
     Parameters
     ----------
-    frames : of an RGB-D scan, with poses.
+    frames : with depth and poses.
 
     Returns
     -------
     The median depth error in metres of each way (those that overlap enough), and a warning when another way
-    has less than half the error of the declared one.
+    fits, with less than half the error of the declared one, and that one does not.
     """
     errors: dict[str, list[NDArray[np.float64]]] = {}
+    distances = []
     for first, second in _couples(frames):
         points = _points(first[1], first[0].camera)
+        distances.append(points[:, 2])
         ways = _ways(_pose(first[0]), _pose(second[0]))
         for name, second_from_first in ways.items():
             found = _depth_errors(points, second_from_first, second[1], second[0].camera)
             if found.size > _LEAST_OVERLAP * len(points):
                 errors.setdefault(name, []).append(found)
     medians = {name: float(np.median(np.concatenate(found))) for name, found in errors.items()}
-    declared = medians.get("as given")
     if not medians:
         return {}, []
+    distance = float(np.median(np.concatenate(distances)))
+    declared = medians.get(_DECLARED)
     best = min(medians, key=lambda name: medians[name])
-    if best == "as given" or (declared is not None and medians[best] >= declared / 2):
+    is_sound = declared is not None and declared < max(2 * medians[best], _SOUND_SHARE * distance)
+    if is_sound or medians[best] > _FITTING_SHARE * distance:
         return medians, []
     was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
     return medians, [
@@ -142,7 +171,7 @@ def _ways(first: Pose, second: Pose) -> dict[str, Pose]:
     given = inverted(second) @ first
     turned = second @ inverted(first)
     return {
-        "as given": given,
+        _DECLARED: given,
         "world-to-camera": turned,
         "of a camera with y up and z back": _FLIP @ given @ _FLIP,
         "world-to-camera, with y up and z back": _FLIP @ turned @ _FLIP,

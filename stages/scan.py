@@ -5,6 +5,7 @@ Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +25,7 @@ class Camera:
     Attributes
     ----------
     width, height : pixels.
-    fx, fy, cx, cy : pixels, for exactly this image size.
+    fx, fy, cx, cy : pixels, for exactly this image size; NaN where the scan has no calibration.
     distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
     """
 
@@ -35,6 +36,11 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Return whether anything is known of the camera beside its image size."""
+        return not math.isnan(self.fx)
 
     @property
     def matrix(self) -> NDArray[np.float64]:
@@ -113,6 +119,7 @@ class Scan:
     rig : set for stereo pairs, None for RGB-D.
     skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
     warnings : what is odd, in plain sentences.
+    missing : what the scan lacks to become a mesh, such as `poses: … is missing; name one with …`.
     """
 
     layout: str
@@ -121,6 +128,7 @@ class Scan:
     folder: Path | None = None
     skipped: tuple[SkippedFrame, ...] = ()
     warnings: tuple[str, ...] = field(default=())
+    missing: tuple[str, ...] = ()
 
     @property
     def is_stereo(self) -> bool:

@@ -33,14 +33,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     streams = [_stream(mav / name) for name in ("cam0", "cam1")]
     rig, body_from_left = _rig(mav, common_size(list(streams[0].values())), options)
     path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
-    if path is None:
-        raise InputError(
-            f"no poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE.",
-            mav,
-        )
-    trajectory = trajectories.in_order(trajectories.read_trajectory(path))
-    if trajectory.timestamps is None:
-        raise InputError("its poses have no timestamps, which are needed to find a frame's pose.", path)
+    trajectory = None if path is None else trajectories.read_timed(path)
 
     frames: list[Frame] = []
     skipped = [
@@ -49,8 +42,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
     ]
     for time in sorted(streams[0].keys() & streams[1].keys()):
-        world_from_body = trajectories.interpolate(trajectory, time, _TOLERANCE)
-        if world_from_body is None:
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
+        if pose is None and trajectory is not None:
             skipped.append(SkippedFrame(str(time), "no pose within 0.03 s"))
             continue
         frames.append(
@@ -59,11 +52,13 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                 camera=rig.left,
                 color=streams[0][time],
                 right=streams[1][time],
-                world_from_camera=world_from_body @ body_from_left,
+                world_from_camera=None if pose is None else pose @ body_from_left,
                 timestamp=time,
             )
         )
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped))
+    lacking = f"poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE"
+    missing = (lacking,) if trajectory is None else ()
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
 
 
 def _stream(camera: Path) -> dict[int, Path]:

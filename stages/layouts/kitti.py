@@ -14,7 +14,8 @@ from stages.calibration import matrix_camera, with_baseline
 from stages.errors import InputError
 from stages.layouts.files import common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
-from stages.scan import Frame, Scan, StereoRig
+from stages.layouts.rigs import uncalibrated
+from stages.scan import Frame, Pose, Scan, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -31,25 +32,35 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    calib = options.file("calibration", folder) or folder / "calib.txt"
-    if not calib.exists():
-        raise InputError("calib.txt (the projection matrices P0 to P3) is missing.", folder)
-    projections = _projections(calib)
+    calib = options.file("calibration", folder) or first_existing(folder, "calib.txt")
+    projections = {} if calib is None else _projections(calib)
     left, right, at = next(
-        (names for names in _CAMERAS if has(folder, *names[:2]) and names[2] + 1 in projections),
+        (
+            names
+            for names in _CAMERAS
+            if has(folder, *names[:2]) and (calib is None or {names[2], names[2] + 1} <= projections.keys())
+        ),
         (None, None, 0),
     )
     if left is None or right is None:
-        raise InputError("it states no two projection matrices for a pair of image folders.", calib)
+        raise InputError("it states no two projection matrices for a pair of image folders.", calib or folder)
     pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
-    rig, left_from_cam0 = _rig(
-        projections[at], projections[at + 1], common_size([one for one, _ in pairs]), options, calib
-    )
     names = [one.stem for one, _ in pairs]
-    path = _pose_file(folder, options)
-    world_from_cam0 = trajectories.match(
-        trajectories.read_trajectory(path), [one.stem for one, _ in pairs], path
-    )
+    size = common_size([one for one, _ in pairs])
+    missing: tuple[str, ...] = ()
+    rig, left_from_cam0 = uncalibrated(size), np.eye(4)
+    if calib is None:
+        lacking = "calib.txt (the projection matrices P0 to P3) is missing"
+        missing = (f"calibration: {lacking}; name one with scan.calibration=FILE",)
+    else:
+        rig, left_from_cam0 = _rig(projections[at], projections[at + 1], size, options, calib)
+    world_from_cam0: list[Pose | None] = [None] * len(names)
+    path = options.file("poses", folder) or _pose_file(folder)
+    if path is None:
+        lacking = f"poses.txt (or ../../poses/{folder.resolve().name}.txt) is missing"
+        missing = (*missing, f"poses: {lacking}; name one with scan.poses=FILE")
+    else:
+        world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
     times = trajectories.read_times(folder / "times.txt", names)
     cam0_from_left = np.linalg.inv(left_from_cam0)
     frames = [
@@ -63,7 +74,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped))
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
 
 
 def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
@@ -116,13 +127,10 @@ def _rig(
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]
 
 
-def _pose_file(folder: Path, options: ScanParams) -> Path:
+def _pose_file(folder: Path) -> Path | None:
     """Return the poses: poses.txt in the sequence, or poses/NN.txt as the data set packs them."""
-    given = options.file("poses", folder)
-    if given is not None:
-        return given
     number = folder.resolve().name
-    found = first_existing(
+    return first_existing(
         folder,
         "poses.txt",
         f"poses/{number}.txt",
@@ -130,12 +138,6 @@ def _pose_file(folder: Path, options: ScanParams) -> Path:
         f"../poses/{number}.txt",
         f"../../poses/{number}.txt",
     )
-    if found is None:
-        raise InputError(
-            f"no poses: poses.txt (or ../../poses/{number}.txt) is missing; name one with scan.poses=FILE.",
-            folder,
-        )
-    return found
 
 
 LAYOUT = Layout(

@@ -22,7 +22,8 @@ class Layout:
     name : what `--set scan.layout=` takes.
     text : one line: the files that make it up.
     matches : returns why a folder is of this layout, in a few words, or None.
-    read : returns every frame of the folder in order; what is odd goes into the scan's warnings.
+    read : returns every frame of the folder in order; what is odd goes into the scan's warnings,
+        and poses or a calibration that are not there into `missing`: who reads decides what to make of it.
     """
 
     name: str

@@ -47,6 +47,12 @@ class ScanParams:
         low=0,
         low_open=True,
     )
+    check_poses: bool = param(
+        True,
+        "Stop when the depth of the frames fits together clearly better under another reading of the poses: "
+        "world-to-camera, or of a camera with y up.",
+        invalidates=False,
+    )
     first: int = param(0, "Position of the first frame to use, counted from 0.", unit="frames", low=0)
     last: int | None = param(
         None, "Position of the last frame to use; by default the scan's last.", unit="frames", low=0

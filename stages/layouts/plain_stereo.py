@@ -63,25 +63,28 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         raise InputError("two folders left/ and right/ are needed.", folder)
     left, right = (images(folder / name) for name in sides)
     pairs, skipped = pair(left, right, f"{sides[0]}/", f"{sides[1]}/", folder)
-    rig, warnings = rig_of(folder, options, common_size([one for one, _ in pairs]), _CALIBRATIONS)
+    size = common_size([one for one, _ in pairs])
+    rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
     names = [one.stem for one, _ in pairs]
     times = trajectories.read_times(folder / "times.txt", names)
     path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
+    poses: list[Pose | None]
     if path is not None:
         poses = _poses(path, names, times)
     elif len(pairs) == 1:
         poses = [np.eye(4)]
         warnings = [*warnings, "a single pair without a pose: the left camera is the origin of the mesh"]
     else:
-        raise InputError(
-            f"no poses: none of {', '.join(_TRAJECTORIES)} is there; name a trajectory with scan.poses=FILE.",
-            folder,
+        poses = [None] * len(pairs)
+        lacking = (
+            f"poses: none of {', '.join(_TRAJECTORIES)} is there; name a trajectory with scan.poses=FILE"
         )
+        missing = (*missing, lacking)
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings))
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
 
 
 def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose | None]:

@@ -17,13 +17,14 @@ from stages.layouts.table import DISTINCT, GENERIC, LAYOUTS
 from stages.scan import Frame, Scan, SkippedFrame
 
 
-def read_scan(folder: Path | str, options: ScanParams | None = None) -> Scan:
+def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
     """Read a scan folder: frames in order, in metres and OpenCV axes, images left on disk until asked for.
 
     Parameters
     ----------
     folder : the folder that holds the scan.
     options : what to use in place of what the folder says.
+    complete : refuse a scan without poses or calibration; else its `missing` says what it lacks.
 
     Raises
     ------
@@ -34,21 +35,13 @@ def read_scan(folder: Path | str, options: ScanParams | None = None) -> Scan:
     options = options or ScanParams()
     _require_folder(folder)
     layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
-    scan = layout.read(folder, options)
-    frames = [frame for frame in scan.frames if frame.world_from_camera is not None]
-    lost = [
-        SkippedFrame(frame.name, "tracking was lost: it has no pose")
-        for frame in scan.frames
-        if frame.world_from_camera is None
-    ]
-    skipped = (*scan.skipped, *lost)
-    if not frames:
-        reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
-        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.", folder)
-    _require_motion(frames, folder)
-    _require_equal_sides(frames, folder)
-    warnings = (*scan.warnings, *_time_warnings(frames))
-    return replace(scan, frames=_selected(frames, options), skipped=skipped, warnings=warnings)
+    scan = _without_still_poses(layout.read(folder, options))
+    if complete and scan.missing:
+        raise InputError("; and ".join(f"no {what}" for what in scan.missing) + ".", folder)
+    scan = _without_lost(scan, folder)
+    _require_equal_sides(scan.frames, folder)
+    warnings = (*scan.warnings, *_time_warnings(scan.frames))
+    return replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
@@ -111,14 +104,36 @@ def _selected(frames: Sequence[Frame], options: ScanParams) -> Sequence[Frame]:
     return chosen
 
 
-def _require_motion(frames: Sequence[Frame], folder: Path) -> None:
-    """Refuse constant poses: recorders without tracking write the same one for every frame."""
-    poses = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
-    if len(poses) > 1 and all(np.array_equal(poses[0], pose) for pose in poses[1:]):
-        raise InputError(
-            f"no poses: all {len(poses)} frames have the same one. Give a trajectory with scan.poses=FILE.",
-            folder,
-        )
+def _without_still_poses(scan: Scan) -> Scan:
+    """Take constant poses for none: recorders without tracking write the same one for every frame."""
+    poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
+    if len(poses) < 2 or any(not np.array_equal(poses[0], pose) for pose in poses[1:]):
+        return scan
+    return replace(
+        scan,
+        frames=[replace(frame, world_from_camera=None) for frame in scan.frames],
+        missing=(
+            *scan.missing,
+            f"poses: all {len(poses)} frames have the same one; give a trajectory with scan.poses=FILE",
+        ),
+    )
+
+
+def _without_lost(scan: Scan, folder: Path) -> Scan:
+    """Leave out the frames whose pose is lost, unless the scan has no poses at all and says so."""
+    frames = [frame for frame in scan.frames if frame.world_from_camera is not None]
+    if not frames and scan.missing and scan.frames:
+        return scan
+    lost = [
+        SkippedFrame(frame.name, "tracking was lost: it has no pose")
+        for frame in scan.frames
+        if frame.world_from_camera is None
+    ]
+    skipped = (*scan.skipped, *lost)
+    if not frames:
+        reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
+        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.", folder)
+    return replace(scan, frames=frames, skipped=skipped)
 
 
 def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:

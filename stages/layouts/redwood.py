@@ -9,7 +9,7 @@ from stages import calibration, trajectories
 from stages.errors import InputError
 from stages.layouts.files import DEPTHS, common_size, first_existing, images, pair
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Scan
+from stages.scan import Camera, Frame, Pose, Scan
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -31,13 +31,14 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     if color is None or not (folder / "depth").is_dir():
         raise InputError("a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder)
     pairs, skipped = pair(images(folder / "depth", DEPTHS), images(color), "depth/", f"{color.name}/", folder)
-    path = options.file("poses", folder) or _trajectory(folder)
-    if path is None:
-        raise InputError(
-            "no poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE.", folder
-        )
     names = [depth.stem for depth, _ in pairs]
-    poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+    path = options.file("poses", folder) or _trajectory(folder)
+    poses: list[Pose | None] = [None] * len(pairs)
+    missing: tuple[str, ...] = ()
+    if path is not None:
+        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+    else:
+        missing = ("poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE",)
     camera, scale, warnings = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
     frames = [
         Frame(
@@ -50,7 +51,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
 
 
 def _trajectory(folder: Path) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stages import calibration, documents
-from stages.errors import InputError
 from stages.layouts.files import first_existing, has
-from stages.scan import StereoRig
+from stages.scan import Camera, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 def rig_of(
     folder: Path, options: ScanParams, size: tuple[int, int], names: Sequence[str]
-) -> tuple[StereoRig, list[str]]:
-    """Return the rig and what is odd about its calibration.
+) -> tuple[StereoRig, list[str], tuple[str, ...]]:
+    """Return the rig, what is odd about its calibration, and what is missing.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def rig_of(
     Raises
     ------
     InputError
-        If there is no calibration and `intrinsics` and `baseline` do not stand in for it.
+        If the calibration cannot be read.
     """
     stated = options.camera(*size)
     path = options.file("calibration", folder) or first_existing(folder, *names)
@@ -40,7 +40,7 @@ def rig_of(
         rig, warnings = calibration.read_rig(path, *size, baseline=options.baseline)
     elif stated is not None and options.baseline is not None:
         beside = calibration.with_baseline(np.eye(4), options.baseline)
-        return StereoRig(stated, stated, beside, rectified=True), []
+        return StereoRig(stated, stated, beside, rectified=True), [], ()
     elif has(folder, "intrinsics.yml", "extrinsics.yml"):
         # OpenCV's stereo sample writes the two halves as two files.
         halves = [documents.read_document(folder / name) for name in ("intrinsics.yml", "extrinsics.yml")]
@@ -48,9 +48,15 @@ def rig_of(
             folder / "extrinsics.yml", *size, document=halves[0] | halves[1], baseline=options.baseline
         )
     else:
-        raise InputError(
-            f"no calibration ({names[0]}): name one with scan.calibration=FILE, or set "
-            "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair.",
-            folder,
+        lacking = (
+            f"calibration: {names[0]} is missing; name one with scan.calibration=FILE, or set "
+            "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair"
         )
-    return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings
+        return uncalibrated(size), [], (lacking,)
+    return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
+
+
+def uncalibrated(size: tuple[int, int]) -> StereoRig:
+    """Return the rig of pairs of which only the size is known: every other number is NaN."""
+    camera = Camera(*size, math.nan, math.nan, math.nan, math.nan)
+    return StereoRig(camera, camera, np.full((4, 4), math.nan), rectified=False)

@@ -10,7 +10,7 @@ from stages import calibration, documents, trajectories
 from stages.errors import InputError
 from stages.layouts.files import common_size, first_existing
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Scan, SkippedFrame
+from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -32,12 +32,18 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     )
     if not depths:
         raise InputError("no depth images named like frame-000000.depth.png.", folder)
-    if not any(folder.glob("frame-*.pose.txt")) and options.poses is None:
-        raise InputError("no poses: files like frame-000000.pose.txt are missing.", folder)
     camera, scale, warnings = _camera(folder, options, *common_size([path for _, path in depths]))
     given = options.file("poses", folder)
     stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
-    poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
+    poses: list[Pose | None] | None = None
+    missing: tuple[str, ...] = ()
+    if given is not None:
+        poses = trajectories.match(trajectories.read_trajectory(given), stems, given)
+    elif not any(folder.glob("frame-*.pose.txt")):
+        poses = [None] * len(stems)
+        missing = (
+            "poses: files like frame-000000.pose.txt are missing; name a trajectory with scan.poses=FILE",
+        )
 
     colors = [first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg") for stem in stems]
     frames: list[Frame] = []
@@ -62,7 +68,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                 world_from_camera=pose,
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
 
 
 def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, float, list[str]]:

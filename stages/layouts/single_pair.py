@@ -38,12 +38,13 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     found = _pair(folder)
     if found is None:
         raise InputError("a pair im2.png and im6.png (or view1, view5) is needed.", folder)
-    rig, warnings = rig_of(folder, options, image_size(found[0]), ("calibration.json", "calibration.toml"))
+    size = image_size(found[0])
+    rig, warnings, missing = rig_of(folder, options, size, ("calibration.json", "calibration.toml"))
     frame = Frame(
         name=found[0].stem, camera=rig.left, color=found[0], right=found[1], world_from_camera=np.eye(4)
     )
     said = "a single pair without a pose: the left camera is the origin of the mesh"
-    return Scan(LAYOUT.name, [frame], rig, folder, (), (*warnings, said))
+    return Scan(LAYOUT.name, [frame], rig, folder, (), (*warnings, said), missing)
 
 
 LAYOUT = Layout(

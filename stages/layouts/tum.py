@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,14 +37,8 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    given = options.file("poses", folder) or folder / "groundtruth.txt"
-    if not given.exists():
-        raise InputError(
-            f"no poses: {given.name} is missing; name a trajectory with scan.poses=FILE.", folder
-        )
-    trajectory = trajectories.in_order(trajectories.read_trajectory(given))
-    if trajectory.timestamps is None:
-        raise InputError("its poses have no timestamps, which are needed to find a frame's pose.", given)
+    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
+    trajectory = None if path is None else trajectories.read_timed(path)
     color_times, colors = _stream(folder / "rgb.txt")
     depth_times, depths = _stream(folder / "depth.txt")
     camera, warnings = _camera(folder, options, *common_size(depths))
@@ -57,8 +52,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             continue
         # The surface is where the depth camera saw it from, so its moment decides.
         moment = int(depth_times[partner])
-        pose = trajectories.interpolate(trajectory, moment, _TOLERANCE)
-        if pose is None:
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, moment, _TOLERANCE)
+        if pose is None and trajectory is not None:
             skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
             continue
         frames.append(
@@ -72,7 +67,9 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                 timestamp=time,
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+    lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
+    missing = (lacking,) if trajectory is None else ()
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
 
 
 def _stream(path: Path) -> tuple[NDArray[np.int64], list[Path]]:
@@ -118,14 +115,16 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
     path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
     if path is not None:
         return calibration.read_camera(path, width, height), []
-    for name, (matrix, distortion) in _CAMERAS.items():
-        if name in folder.resolve().name:
-            return Camera(width, height, *matrix, distortion), [
-                f"the camera is {name}'s, by the folder's name"
-            ]
+    named = re.search(r"(?<![a-z])(?:freiburg|fr)_?([123])(?!\d)", folder.resolve().name, re.IGNORECASE)
+    if named is not None:
+        matrix, distortion = _CAMERAS[f"freiburg{named[1]}"]
+        return Camera(width, height, *matrix, distortion), [
+            f"the camera is freiburg{named[1]}'s, by the folder's name"
+        ]
     return Camera(width, height, *_FALLBACK), [
-        "the folder has no intrinsics and its name no freiburg1 to 3: 525,525,319.5,239.5 is used; "
-        "set scan.intrinsics=fx,fy,cx,cy"
+        "the folder has no intrinsics and its name no freiburg1 to 3: 525,525,319.5,239.5 is used, and TUM's "
+        "depth of 5000 units a metre; for another camera set scan.intrinsics=fx,fy,cx,cy and "
+        "scan.depth_scale=VALUE"
     ]
 
 

@@ -107,9 +107,47 @@ def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_pat
     for frame in scan["frames"]:
         frame["world_from_camera"] = np.eye(4).tolist()
     (folder / "scan.json").write_text(json.dumps(scan))
-    ran = scanloom("inspect", folder)
+    ran = scanloom("run", folder, "-o", tmp_path / "out")
     assert ran.exit_code == 3
     assert "--poses=FILE" in ran.stderr
+
+
+def test_inspect_says_what_there_is_beside_what_is_missing(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "lost"
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+        for image in tiny_scan.glob(f"{name}*.png"):
+            (folder / name / image.name).symlink_to(image)
+    ran = scanloom("inspect", folder)
+    assert ran.exit_code == 0
+    assert "frames    6" in ran.stdout
+    assert (
+        "missing   poses: trajectory.log (or .json) is missing; name a trajectory with --poses" in ran.stdout
+    )
+    (missing,) = scanloom("inspect", folder, "--json").json["missing"]
+    assert missing.startswith("poses: trajectory.log")
+    assert scanloom("fuse", folder, tmp_path / "fused.ply").exit_code == 3
+    assert scanloom("inspect", tiny_scan, "--json").json["missing"] == []
+
+
+def test_poses_taken_the_wrong_way_stop_fuse(scanloom: Run, shared_data: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "inverse.txt"
+    scan = shared_data / "rgbd" / "tabletop_box_realsense"
+    given = sorted(scan.glob("*.pose.txt"))
+    np.savetxt(poses, [np.linalg.inv(np.loadtxt(path)).ravel() for path in given])
+    words = (
+        "fuse",
+        shared_data / "rgbd" / "tabletop_box_realsense",
+        tmp_path / "fused.ply",
+        "--poses",
+        poses,
+    )
+    ran = scanloom(*words, "--voxel-size", 0.02)
+    assert ran.exit_code == 3
+    assert "the poses are probably world-to-camera" in ran.stderr
+    assert scanloom(*words, "--voxel-size", 0.02, "--no-check-poses").exit_code == 0
 
 
 def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:

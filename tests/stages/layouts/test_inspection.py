@@ -9,6 +9,7 @@ from stages.errors import InputError
 from stages.images import read_color
 from stages.inspection import inspect
 from stages.layouts import ScanParams, read_scan
+from stages.sanity import require_poses
 from stages.scan import Camera, Frame, Scan, StereoRig
 
 CAMERA = Camera(160, 120, 150, 150, 80, 60)
@@ -57,6 +58,33 @@ def test_poses_of_another_convention_are_named(change, name):
     found = inspect(room_scan(change))
     assert any(f"probably {name}:" in text for text in found.warnings)
     assert min(found.pose_errors_m, key=found.pose_errors_m.get) == name
+
+
+def test_poses_of_another_convention_stop_what_is_built_on_them():
+    assert require_poses(room_scan()) == []
+    with pytest.raises(InputError, match=r"probably world-to-camera.*mm as given; \d+ mm world-to-camera"):
+        require_poses(room_scan(np.linalg.inv))
+
+
+def test_poses_that_fit_no_way_are_not_called_another_convention():
+    numbers = np.random.default_rng(3)
+    drifting = room_scan(lambda _: pose_at(*numbers.uniform(-0.5, 0.5, 2), numbers.uniform(-40, 40)))
+    assert require_poses(drifting) == []
+
+
+def test_a_camera_that_hardly_moves_raises_no_doubt():
+    numbers = np.random.default_rng(4)
+    frames = [
+        Frame(
+            str(i),
+            CAMERA,
+            depth=room_depth(pose_at(0.0001 * i, 0, 0))
+            + numbers.normal(0, 0.01, (120, 160)).astype(np.float32),
+            world_from_camera=pose_at(-0.0001 * i, 0, 0),
+        )
+        for i in range(8)
+    ]
+    assert require_poses(Scan("x", frames)) == []
 
 
 def test_the_path_is_measured():
@@ -152,6 +180,7 @@ def test_a_sound_pair_raises_no_warning():
     found = stereo_warnings(*textured_pair(12))
     assert found.warnings == ()
     assert found.stereo_depth_m == pytest.approx((1.0, 30.0))
+    assert not any(line.startswith("path") for line in found.lines())
 
 
 def test_left_and_right_exchanged_is_noticed():
@@ -216,6 +245,36 @@ def test_shifted_colour_is_noticed_on_real_frames(shared_data):
     scan = read_scan(shared_data / "rgbd" / "open3d_testdata" / "RGBD")
     moved = [replace(frame, color=np.roll(read_color(frame), (0, 6), axis=(0, 1))) for frame in scan.frames]
     assert any("6 px right and 0 px" in text for text in inspect(replace(scan, frames=moved)).warnings)
+
+
+@pytest.mark.parametrize(
+    ("folder", "frames", "size", "missing"),
+    [
+        ("rgbd/realsense_desk_tum_layout", 25, (640, 480), ["poses: groundtruth.txt is missing"]),
+        ("stereo/middlebury2003_cones", 1, (450, 375), ["calibration: calibration.json is missing"]),
+    ],
+)
+def test_what_a_real_folder_lacks_is_said_with_what_it_has(shared_data, folder, frames, size, missing):
+    with pytest.raises(InputError, match=f"no {missing[0]}"):
+        read_scan(shared_data / folder)
+    found = inspect(read_scan(shared_data / folder, complete=False))
+    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
+    assert figures["frames"] == frames
+    assert tuple(figures["color_size_px"]) == size
+    assert [text.split(";")[0] for text in figures["missing"]] == missing
+    assert [line for line in found.lines() if line.startswith(f"missing   {missing[0]}")]
+
+
+def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
+    street = shared_data / "stereo" / "kitti_sequence_1"
+    for name, source in (("image_0", "image_l"), ("image_1", "image_r")):
+        (tmp_path / name).symlink_to(street / source)
+    found = inspect(read_scan(tmp_path, complete=False))
+    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
+    assert [text.split(":")[0] for text in figures["missing"]] == ["calibration", "poses"]
+    assert (figures["frames"], figures["rig"], figures["path"]) == (41, None, None)
+    with pytest.raises(InputError, match=r"no calibration: calib\.txt.*; and no poses: poses\.txt"):
+        read_scan(tmp_path)
 
 
 def test_the_kitchens_depth(shared_data):

@@ -70,7 +70,7 @@ def test_timed_poses_are_taken_at_the_frames_times(scan_folder, tiny):
 
 def test_a_missing_calibration_says_what_to_do(scan_folder, tiny):
     (scan_folder / "calibration.json").unlink()
-    with pytest.raises(InputError, match=r"no calibration \(calibration\.json\).*scan\.calibration"):
+    with pytest.raises(InputError, match=r"no calibration: calibration\.json is missing.*scan\.calibration"):
         read_scan(scan_folder)
     assert_known_pixels(read_scan(scan_folder, ScanParams(intrinsics=tiny.option, baseline=0.5)), tiny)
 
