@@ -44,7 +44,8 @@ def read_json(path: Path) -> object:
     try:
         document: object = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"the file is not valid JSON ({error}).", path) from error
+        line = f"; look at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
+        raise InputError(f"the file is not valid JSON{line}.", path) from error
     return document
 
 
@@ -104,6 +105,9 @@ def _parse_yaml(text: str) -> object:
     try:
         # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
         document: object = yaml.load(re.sub(r"\A%YAML:?\s*[\d.]+", "", text), Loader)
+    except yaml.MarkedYAMLError as error:
+        where = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
+        raise ValueError(f"{where}{error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error
     return document

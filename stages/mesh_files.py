@@ -120,8 +120,11 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     except MemoryError:
         raise InputError("promises more data than fits in memory; it is damaged.", path) from None
     except Exception as error:  # trimesh's readers raise whatever the first bad value leads to
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"cannot be read, it is damaged or cut short ({reason[:200]}).", path) from error
+        raise InputError(
+            f"cannot be read as {extension[1:].upper()}: it is empty, damaged or cut short; "
+            "get a whole copy of it.",
+            path,
+        ) from error
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
         return merge_vertices(_joined(meshes))
@@ -195,7 +198,7 @@ def _require_honest_gltf(path: Path, extension: str) -> None:
         held = sum(int(buffer["byteLength"]) for buffer in tree.get("buffers", []))
         counts = [int(accessor["count"]) for accessor in tree.get("accessors", [])]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"is not a sound glTF file ({error!r}).", path) from None
+        raise InputError("is not a sound glTF file: its description does not parse.", path) from error
     if extension == ".glb":
         held = min(held, path.stat().st_size)
     if counts and (min(counts) < 0 or max(counts) > held):

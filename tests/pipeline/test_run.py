@@ -351,3 +351,12 @@ def test_bad_scan_leaves_no_output_folder(tmp_path):
     with pytest.raises(InputError, match="empty"):
         run(tmp_path / "empty", tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_poses_of_another_convention_stop_the_run(shared_data, tmp_path):
+    scan = shared_data / "rgbd" / "tabletop_box_realsense"
+    inverse = tmp_path / "inverse.txt"
+    np.savetxt(inverse, [np.linalg.inv(np.loadtxt(one)).ravel() for one in sorted(scan.glob("*.pose.txt"))])
+    config = Config().set([f"scan.poses={inverse}"])
+    with pytest.raises(InputError, match="tabletop_box_realsense: the poses are probably world-to-camera"):
+        run(scan, tmp_path / "out", config, until="fuse")
