@@ -40,6 +40,12 @@ VERSION = 2
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25
+# From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
+_SEVERAL = 3
+# Least confidence and uniqueness (%) where a pair stands alone, and where others look at the same surface:
+# there, grass and foliage that match less surely are worth having.
+_ALONE = (128, 20)
+_AMONG_OTHERS = (32, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +77,12 @@ class DepthParams:
     disparity_sigma: float = param(
         0.25, "Standard deviation σ_d of a good match's disparity", unit="px", low=0, low_open=True, high=10
     )
-    min_confidence: int = param(
-        128, "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px", low=0, high=255
+    min_confidence: int | None = param(
+        None,
+        "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px. Default: 128 for one or "
+        "two pairs; 32 for more, since fusion drops what only one of them says",
+        low=0,
+        high=255,
     )
     matcher: str = param(
         "3way",
@@ -109,8 +119,13 @@ class DepthParams:
         low=15,
         high=63,
     )
-    uniqueness: int = param(
-        20, "By how much the best match must beat every other, else there is none", unit="%", low=0, high=100
+    uniqueness: int | None = param(
+        None,
+        "By how much the best match must beat every other, else there is none. Default: 20 for one or two "
+        "pairs, 10 for more",
+        unit="%",
+        low=0,
+        high=100,
     )
     left_right: str = param(
         "project",
@@ -255,7 +270,7 @@ def depth(
     Hirschmüller 2008 (semi-global matching); Min et al. 2014 (the optional smoothing).
     """
     params = resolve(DepthParams, params, changes)
-    stage = _Stage(rig, params)
+    stage = _Stage(rig, params, pairs=1)
     pair = stage.rectified(left, right)
     return stage.measure(*pair, stage.warnings(*pair))
 
@@ -277,7 +292,7 @@ def depth_scan(
     params = resolve(DepthParams, params, changes)
     if scan.rig is None:
         raise InputError("the scan has no stereo pairs; its depth maps need no matching.", scan.folder)
-    stage = _Stage(scan.rig, params)
+    stage = _Stage(scan.rig, params, pairs=len(scan.frames))
     warnings = _first_warnings(stage, scan)
     threads = params.threads or os.cpu_count() or 1
     total = len(scan.frames)
@@ -347,11 +362,16 @@ def _measure_frame(
 class _Stage:
     """What all pairs of a rig share: rectification, search range, matcher, the bound of depth."""
 
-    def __init__(self, rig: StereoRig, params: DepthParams) -> None:
+    def __init__(self, rig: StereoRig, params: DepthParams, pairs: int) -> None:
         self.params = params
+        derived = _AMONG_OTHERS if pairs >= _SEVERAL else _ALONE
+        given = params.min_confidence, params.uniqueness
+        least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
+        # Confidence 0 says that nothing was measured.
+        self.least_confidence = max(least, 1)
         self.rig: RectifiedRig = rectified_rig(rig)
         self.matcher = Matcher(
-            params.matcher, params.block_size, *params.penalties, params.prefilter_cap, params.uniqueness
+            params.matcher, params.block_size, *params.penalties, params.prefilter_cap, uniqueness
         )
         self.search = _search_range(self.rig, params, rig.disparities)
         self.narrow = params.min_depth is None and params.disparities is None and rig.disparities is None
@@ -404,7 +424,7 @@ class _Stage:
         none = first < SUBPIXELS * search.lowest
         disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
         if self.params.refine and not self.params.smooth:
-            disparity = refined(*pair, disparity, trust >= max(self.params.min_confidence, 1))
+            disparity = refined(*pair, disparity, trust >= self.least_confidence)
         return DepthMap(
             self._depth(disparity, trust),
             trust,
@@ -421,7 +441,7 @@ class _Stage:
     def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
         """Return z = f·b / (d + cx_right − cx_left), where it is to be trusted and within range."""
         parallel = disparity + np.float32(self.rig.principal_offset)
-        used = (trust >= max(self.params.min_confidence, 1)) & (parallel > 0)
+        used = (trust >= self.least_confidence) & (parallel > 0)
         z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
         z[(z < (self.params.min_depth or 0)) | (z > self.max_depth)] = 0
         return np.asarray(z, np.float32)

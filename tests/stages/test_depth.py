@@ -146,6 +146,22 @@ def test_only_confident_depth_is_given_and_more_with_a_lower_bound() -> None:
     assert 0 < np.count_nonzero(strict.depth) < np.count_nonzero(lax.depth)
 
 
+def test_a_pair_alone_is_held_to_more_than_one_among_others() -> None:
+    left, right, _ = slanted_pair(8, 0.05, 0.03)
+    frame = Frame("0", CAMERA, color=left, right=right)
+
+    def given(pairs: int, **changes: Any) -> np.ndarray:
+        (_, first), *_ = depth_scan(Scan("made", [frame] * pairs, RIG), disparities=64, **changes)
+        assert isinstance(first, DepthMap)
+        return first.depth
+
+    alone = depth(left, right, RIG, disparities=64).depth
+    assert np.array_equal(given(1), alone)
+    assert np.array_equal(given(2), alone)
+    assert np.count_nonzero(given(3)) > np.count_nonzero(alone)
+    assert np.array_equal(given(3, min_confidence=128, uniqueness=20), alone)
+
+
 def test_range_ends_where_the_expected_error_reaches_its_share() -> None:
     left, right, truth = slanted_pair(4, 0.1, 0)
 
