@@ -40,6 +40,9 @@ def open3d() -> Any:
     try:
         import open3d  # noqa: TID251
     except ImportError as error:
+        # Ctrl-C inside a compiled module's own imports comes out as a failed import.
+        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
         raise StageError(_explain(str(error))) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
