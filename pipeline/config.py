@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from stages.clean import CleanParams
-
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
+from stages.clean import CleanParams
 from stages.compare import CompareParams
 from stages.depth import DepthParams
 from stages.fuse import FuseParams
@@ -24,5 +23,6 @@ class Config(Sections):
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
-    compare: CompareParams = field(default_factory=CompareParams)
+    # Fewer samples than `compare` alone takes: a report waits for them in every run.
+    compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)

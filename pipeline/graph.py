@@ -63,11 +63,10 @@ def _report(job: Job) -> Mapping[str, Any]:
     meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
     pictures = job.folder / "pictures"
     pictures.mkdir()
-    measured = report.measure(meshes["simplified"], meshes["fused"], job.config.compare)
-    job.progress(1, 2)
-    drawn = report.draw(pictures, meshes, _frames(job).frames, job.config.report)
-    job.progress(2, 2)
-    return {"mesh": measured, "pictures": [f"pictures/{name}" for name in drawn]}
+    made = report.make(
+        pictures, meshes, _frames(job).frames, job.config.compare, job.config.report, job.progress
+    )
+    return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 
 
 def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,10 @@ cached, belong to one run; `compose` puts both together.
 from __future__ import annotations
 
 import json
+import math
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from importlib.metadata import version
@@ -17,12 +20,17 @@ from typing import Any
 import numpy as np
 
 from pipeline.engine import Outcome
-from stages.compare import CompareParams
+from stages.compare import CompareParams, compare_surfaces
 from stages.mesh import Mesh
 from stages.params import check, param
+from stages.prefetch import read_ahead
+from stages.progress import Progress, silent
+from stages.raycasting import Surface, bounding_box
+from stages.render import Model, Shading, View, viewpoints, write_png
 from stages.scan import Frame, Scan
+from stages.topology import topology
 
-VERSION = 1
+VERSION = 2
 # Of report.json: raised when a name changes its meaning or disappears.
 SCHEMA = 1
 
@@ -38,21 +46,51 @@ class ReportParams:
         check(self)
 
 
-def measure(mesh: Mesh, fused: Mesh, params: CompareParams) -> dict[str, Any]:
-    """Measure the final mesh: its counts, its edges, and how far it is from the fused one."""
-    from stages.compare import compare
-    from stages.topology import topology
+def make(
+    folder: Path,
+    meshes: Mapping[str, Mesh],
+    frames: Sequence[Frame],
+    compared: CompareParams,
+    params: ReportParams,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Measure the simplified mesh, write pictures of all into `folder`, and return the figures.
 
-    found = topology(mesh)
+    Parameters
+    ----------
+    meshes : "fused", "clean" and "simplified".
+    frames : of the scan, whose poses say where to look from.
+    """
+    # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
+    box = bounding_box(*meshes.values())
+    surfaces = {name: Surface(mesh, box) for name, mesh in meshes.items()}
+    with ThreadPoolExecutor(1) as beside:
+        measured = beside.submit(measure, surfaces, compared)
+        drawn = draw(folder, surfaces, frames, params)
+        progress(1, 2)
+        return {"mesh": measured.result(), "pictures": drawn}
+
+
+def measure(surfaces: Mapping[str, Surface], params: CompareParams) -> dict[str, Any]:
+    """Measure the simplified mesh: its counts, its edges, and how far it is from those it was made from.
+
+    From the simplified mesh to the fused one (`to_fused`, `b_to_a`) is the error of what is there. The
+    other way is mostly how far off the islands were that cleaning removed; `to_clean` is free of those, so
+    both its ways together are the error of simplification alone.
+    """
+    final = surfaces["simplified"]
+    fewer = replace(params, samples=math.ceil(params.samples / 4))
+    found = topology(final.mesh)
     return {
-        "vertices": len(mesh.vertices),
-        "triangles": len(mesh.triangles),
+        "vertices": len(final.mesh.vertices),
+        "triangles": len(final.mesh.triangles),
         "manifold": found.is_manifold,
         "oriented": found.is_oriented,
         "boundary_loops": found.boundary_loops,
         "components": found.components,
-        "edges": edge_figures(mesh),
-        "to_fused": compare(fused, mesh, params).figures(),
+        "edges": edge_figures(final.mesh),
+        "to_fused": compare_surfaces(surfaces["fused"], final, params).figures(),
+        "to_clean": compare_surfaces(surfaces["clean"], final, fewer).figures(),
     }
 
 
@@ -75,26 +113,33 @@ def edge_figures(mesh: Mesh) -> dict[str, Any]:
 
 
 def draw(
-    folder: Path, meshes: Mapping[str, Mesh], frames: Sequence[Frame], params: ReportParams
+    folder: Path, surfaces: Mapping[str, Surface], frames: Sequence[Frame], params: ReportParams
 ) -> list[str]:
-    """Write a PNG of each mesh from each viewpoint, `<mesh>-<view>.png`, and return the names.
+    """Write a PNG of each mesh from each viewpoint, and one of the last with its triangles beside it.
 
     Parameters
     ----------
-    meshes : by the name of their stage; the viewpoints are those of the first.
+    surfaces : by the name of their stage; the viewpoints are those of the first.
     frames : of the scan, whose poses say where to look from.
-    """
-    from stages.render import render_all, viewpoints, write_png
 
+    Returns
+    -------
+    The names of the files: `<mesh>-<view>.png` and `<mesh>-triangles.png`.
+    """
     # A view is named after its frame; numbers, because the names of files decide nothing here.
     numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
-    views = viewpoints(next(iter(meshes.values())), params.views, frames=numbered, width=params.width)
-    names = []
-    for stage, mesh in meshes.items():
-        for view, image in zip(views, render_all(mesh, views), strict=True):
-            names.append(f"{stage}-{view.name}.png")
-            write_png(folder / names[-1], image)
-    return names
+    views = viewpoints(next(iter(surfaces.values())).mesh, params.views, frames=numbered, width=params.width)
+    jobs: list[tuple[str, Model, View, Shading]] = []
+    for name, surface in surfaces.items():
+        model = Model(surface)
+        jobs += [(f"{name}-{view.name}.png", model, view, "color") for view in views]
+    jobs.append((f"{name}-triangles.png", model, views[-1], "edges"))
+    threads = os.cpu_count() or 1
+    images = list(read_ahead(lambda job: job[1].draw(*job[2:]), jobs, threads=threads, ahead=len(jobs)))
+    images[-1] = np.hstack(images[-2:])
+    for (file, *_), image in zip(jobs, images, strict=True):
+        write_png(folder / file, image)
+    return [file for file, *_ in jobs]
 
 
 def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], out: Path) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,10 @@ from stages.convert import MeshLike, as_mesh
 from stages.errors import InputError
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
-from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated
+from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
+from stages.topology import areas
 
-VERSION = 1
+VERSION = 2
 
 # A colour error below this (levels) is the rounding of interpolation, not a difference.
 _EQUAL = 1e-4
@@ -144,12 +145,18 @@ def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **cha
     """
     params = resolve(CompareParams, params, changes)
     mesh_a, mesh_b = as_mesh(a, "first mesh"), as_mesh(b, "second mesh")
-    areas_a, areas_b = _areas(mesh_a, "first mesh"), _areas(mesh_b, "second mesh")
+    for mesh, where in ((mesh_a, "first mesh"), (mesh_b, "second mesh")):
+        _require_area(mesh, where)
     box = bounding_box(mesh_a, mesh_b)
-    forward = _one_way(mesh_a, areas_a, Surface(mesh_b, box), params.samples, (params.seed, 0))
-    backward = _one_way(mesh_b, areas_b, Surface(mesh_a, box), params.samples, (params.seed, 1))
+    return compare_surfaces(Surface(mesh_a, box), Surface(mesh_b, box), params)
+
+
+def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Comparison:
+    """Do as `compare` does, with surfaces that serve other queries too; their boxes hold both meshes."""
+    forward = _one_way(a.mesh, b, params.samples, (params.seed, 0))
+    backward = _one_way(b.mesh, a, params.samples, (params.seed, 1))
     both = forward.merged(backward)
-    low, high = bounding_box(mesh_a)
+    low, high = bounding_box(a.mesh)
     return Comparison(
         a_to_b=forward.deviation(),
         b_to_a=backward.deviation(),
@@ -193,31 +200,36 @@ class _Sums:
         return ColorError(math.sqrt(self.color_squared / (3 * self.count)), self.color_maximum)
 
 
-def _one_way(mesh: Mesh, areas: Floats, other: Surface, count: int, seed: tuple[int, int]) -> _Sums:
+def _one_way(mesh: Mesh, other: Surface, count: int, seed: tuple[int, int]) -> _Sums:
     rng = np.random.default_rng(seed)
-    cumulative = np.cumsum(areas)
+    cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
     colored = mesh.colors is not None and other.mesh.colors is not None
     sums = _Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
     for rows in chunks(count):
-        sums = sums.merged(_measured(mesh, _sampled(cumulative, rows, count, rng), other))
-    at_vertices = [_measured(mesh, at, other) for at in _vertices(mesh)]
-    return _Sums(
-        sums.count,
-        sums.total,
-        sums.squared,
-        max([sums.maximum, *(s.maximum for s in at_vertices)]),
-        sums.color_squared,
-        max([sums.color_maximum, *(s.color_maximum for s in at_vertices)]),
+        at = _sampled(cumulative, rows, count, rng)
+        colors = None if mesh.colors is None else interpolated(mesh.colors, mesh, at)
+        sums = sums.merged(_measured(interpolated(mesh.vertices, mesh, at), colors, other))
+    at_vertices = list(_at_vertices(mesh, other))
+    return replace(
+        sums,
+        maximum=max([sums.maximum, *(one.maximum for one in at_vertices)]),
+        color_maximum=max([sums.color_maximum, *(one.color_maximum for one in at_vertices)]),
     )
 
 
-def _measured(mesh: Mesh, at: Located, other: Surface) -> _Sums:
-    nearest = other.closest(interpolated(mesh.vertices, mesh, at))
+def _at_vertices(mesh: Mesh, other: Surface) -> Iterator[_Sums]:
+    used = np.flatnonzero(is_used(mesh))
+    for rows in chunks(len(used)):
+        colors = None if mesh.colors is None else mesh.colors[used[rows]].astype(np.float64)
+        yield _measured(mesh.vertices[used[rows]], colors, other)
+
+
+def _measured(points: Floats, colors: Floats | None, other: Surface) -> _Sums:
+    nearest = other.closest(points)
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
-    if mesh.colors is not None and other.mesh.colors is not None:
-        here = interpolated(mesh.colors, mesh, at)
-        difference = np.abs(here - interpolated(other.mesh.colors, other.mesh, nearest))
+    if colors is not None and other.mesh.colors is not None:
+        difference = np.abs(colors - interpolated(other.mesh.colors, other.mesh, nearest))
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
     return _Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)
 
@@ -237,23 +249,12 @@ def _sampled(cumulative: Floats, rows: slice, count: int, rng: np.random.Generat
     return Located(triangles, weights, np.zeros(len(number)))
 
 
-def _vertices(mesh: Mesh) -> Iterator[Located]:
-    """Yield every vertex that a triangle uses, once, in chunks."""
-    _, corners = np.unique(mesh.triangles, return_index=True)
-    for rows in chunks(len(corners)):
-        triangle, place = np.divmod(corners[rows], 3)
-        yield Located(triangle, np.eye(3)[place], np.zeros(len(triangle)))
-
-
-def _areas(mesh: Mesh, where: str) -> Floats:
+def _require_area(mesh: Mesh, where: str) -> None:
     if len(mesh.triangles) == 0:
         raise InputError("it has no triangles; there is no surface to compare.", where)
-    a, b, c = np.moveaxis(mesh.vertices[mesh.triangles], 1, 0)
     with np.errstate(over="ignore", invalid="ignore"):
-        areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        total = areas.sum()
+        total = areas(mesh.vertices, mesh.triangles).sum()
     if total == 0:
         raise InputError("all its triangles have zero area; there is no surface to compare.", where)
     if not np.isfinite(total):
         raise InputError("its coordinates are too large to measure; is their unit really metres?", where)
-    return np.asarray(areas)

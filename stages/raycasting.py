@@ -25,18 +25,38 @@ CHUNK = 1 << 17
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Points on the surface: closest points, or where rays met it.
+    """Points on the surface.
 
     Attributes
     ----------
-    triangles : (k,) int64, the triangle each point lies on; -1 for a ray that met nothing.
+    triangles : (k,) int64, the triangle each point lies on.
     weights : (k, 3) float64 barycentric weights of its three corners, non-negative, of sum 1.
-    distances : (k,) float64, metres, from the query point or along the ray (inf for a miss).
+    distances : (k,) float64, metres, from the query point.
     """
 
     triangles: NDArray[np.int64]
     weights: Floats
     distances: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Where rays met the surface first; float32, which is as exact as the ray caster is.
+
+    Attributes
+    ----------
+    rays : (k,) int64, the rays that met it, in ascending order.
+    triangles : (k,) int64, the triangle each met.
+    weights : (k, 3) float32 barycentric weights of its three corners, non-negative, of sum 1.
+    distances : (k,) float32, along the ray, in lengths of its direction.
+    normals : (k, 3) float32, unit normals of the triangles.
+    """
+
+    rays: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    weights: NDArray[np.float32]
+    distances: NDArray[np.float32]
+    normals: NDArray[np.float32]
 
 
 class Surface:
@@ -51,7 +71,7 @@ class Surface:
 
     def __init__(self, mesh: Mesh, box: Floats | None = None) -> None:
         box = bounding_box(mesh) if box is None else box
-        self.mesh = mesh
+        self.mesh, self.box = mesh, box
         self._center = box.mean(axis=0)
         self._scale = 1 / max(float(np.linalg.norm(box[1] - box[0])), np.finfo(np.float64).tiny)
         o3d = open3d()
@@ -60,34 +80,36 @@ class Surface:
             o3d.core.Tensor(self._scaled(mesh.vertices)),
             o3d.core.Tensor(mesh.triangles.astype(np.uint32)),
         )
+        # Open3D builds its tree at the first query: have that now, before several threads ask.
+        self._scene.compute_closest_points(o3d.core.Tensor(np.zeros((1, 3), np.float32)))
 
     def closest(self, points: Floats) -> Located:
         """Return the surface point nearest to each of `points`, (k, 3) float64 in metres."""
         parts = [self._closest(points[rows]) for rows in chunks(len(points))]
         return _joined(parts)
 
-    def cast(self, origin: Floats, directions: Floats, starts: Floats | None = None) -> Located:
+    def cast(self, origin: Floats, directions: NDArray[np.floating]) -> Hits:
         """Return what rays from one point meet first.
 
         Parameters
         ----------
         origin : (3,) float64, metres.
-        directions : (k, 3) float64 unit vectors.
-        starts : (k,) float64, metres along each ray before which nothing counts; 0 if None.
+        directions : (k, 3), of any length, the unit of the distances.
         """
-        core = open3d().core
         rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3] = self._scaled(origin)
         rays[:, 3:] = directions
-        skipped = 0.0 if starts is None else starts[:, None]
-        rays[:, :3] = self._scaled(origin + skipped * directions)
-        hits = self._scene.cast_rays(core.Tensor(rays))
-        distances = hits["t_hit"].numpy().astype(np.float64) / self._scale
-        missed = ~np.isfinite(distances)
-        triangles = hits["primitive_ids"].numpy().astype(np.int64)
-        triangles[missed] = -1
-        u, v = hits["primitive_uvs"].numpy().astype(np.float64).T
-        weights = np.stack([1 - u - v, u, v], axis=1).clip(0, 1)
-        return Located(triangles, weights, distances if starts is None else distances + starts)
+        found = self._scene.cast_rays(open3d().core.Tensor(rays))
+        distances = found["t_hit"].numpy()
+        met = np.flatnonzero(np.isfinite(distances))
+        u, v = found["primitive_uvs"].numpy()[met].T
+        return Hits(
+            met,
+            found["primitive_ids"].numpy()[met].astype(np.int64),
+            np.stack([1 - u - v, u, v], axis=1).clip(0, 1),
+            distances[met] / np.float32(self._scale),
+            found["primitive_normals"].numpy()[met],
+        )
 
     def _closest(self, points: Floats) -> Located:
         found = self._scene.compute_closest_points(open3d().core.Tensor(self._scaled(points)))
@@ -103,10 +125,18 @@ class Surface:
 
 def bounding_box(*meshes: Mesh) -> Floats:
     """Return the lowest and the highest corner, (2, 3), of the box around the triangles of all meshes."""
-    corners = [mesh.vertices[mesh.triangles.ravel()] for mesh in meshes]
-    low = np.min([points.min(axis=0) for points in corners], axis=0)
-    high = np.max([points.max(axis=0) for points in corners], axis=0)
-    return np.stack([low, high])
+    corners = [mesh.vertices[is_used(mesh)] for mesh in meshes]
+    # A column at a time: reducing over rows of three is several times slower.
+    low = [min(points[:, axis].min() for points in corners) for axis in range(3)]
+    high = [max(points[:, axis].max() for points in corners) for axis in range(3)]
+    return np.array([low, high])
+
+
+def is_used(mesh: Mesh) -> NDArray[np.bool_]:
+    """Return which vertices (n,) a triangle uses."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.triangles] = True
+    return used
 
 
 def chunks(count: int) -> Iterator[slice]:

@@ -10,11 +10,13 @@ import numpy as np
 
 from stages.convert import MeshLike, as_mesh
 from stages.errors import InputError
-from stages.raycasting import Floats
+from stages.raycasting import Floats, is_used
 from stages.scan import Camera, Frame, Pose
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001
+# Framing thins more vertices than this out.
+_ENOUGH = 100_000
 _ELEVATION = math.radians(30)
 _FIELD_OF_VIEW = math.radians(40)
 
@@ -62,7 +64,8 @@ def viewpoints(
     mesh = as_mesh(mesh)
     if len(mesh.triangles) == 0:
         raise InputError("the mesh has no triangles; there is nothing to look at.")
-    points = mesh.vertices[np.unique(mesh.triangles)]
+    points = mesh.vertices[is_used(mesh)]
+    points = points[:: 1 + len(points) // _ENOUGH]
     posed = [frame for frame in frames if frame.world_from_camera is not None]
     if not posed:
         up = np.array((0.0, 1.0, 0.0))

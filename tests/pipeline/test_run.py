@@ -156,13 +156,14 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     assert found["boundary_loops"] >= 1
     assert 0 < found["to_fused"]["distance"]["symmetric"]["rms_m"] < 0.02
     assert found["to_fused"]["color"]["symmetric"]["rmse_levels"] < 40
-    for picture in report["pictures"]:
-        assert cv2.imread(str(out / picture)).shape == (48, 64, 3)
-    assert [Path(picture).name.split("-")[0] for picture in report["pictures"]] == [
-        "fused",
-        "clean",
-        "simplified",
-    ]
+    assert found["to_clean"]["distance"]["symmetric"]["rms_m"] < 0.02
+    sizes = {Path(name).name: cv2.imread(str(out / name)).shape for name in report["pictures"]}
+    assert sizes == {
+        "fused-overview.png": (48, 64, 3),
+        "clean-overview.png": (48, 64, 3),
+        "simplified-overview.png": (48, 64, 3),
+        "simplified-triangles.png": (48, 128, 3),
+    }
 
 
 def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):

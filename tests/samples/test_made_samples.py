@@ -113,6 +113,5 @@ def test_surfaces_of_the_truth_face_the_cameras():
     directions = directions @ frame.world_from_camera[:3, :3].T
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     hits = surface.cast(frame.world_from_camera[:3, 3], directions)
-    met = hits.triangles >= 0
-    assert met.mean() > 0.8
-    assert (np.einsum("kx,kx->k", normals[hits.triangles[met]], directions[met]) < 0).all()
+    assert len(hits.rays) > 0.8 * len(directions)
+    assert (np.einsum("kx,kx->k", normals[hits.triangles], directions[hits.rays]) < 0).all()
