@@ -77,7 +77,8 @@ def write_depth_maps(
     threads = os.cpu_count() or 1
     written = list(read_ahead(write, usable(), threads=threads, ahead=threads + 1))
     if not written:
-        raise InputError(f"none of the {count} pairs can be used; the first: {skipped[0].reason}")
+        first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""
+        raise InputError(f"none of the {count} pairs can be used.{first}")
     write_scan_json(folder, [one.frame for one in written])
     points = np.concatenate([one.points for one in written])
     write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))

@@ -58,6 +58,16 @@ class Hits:
     distances: NDArray[np.float32]
     normals: NDArray[np.float32]
 
+    def __getitem__(self, chosen: NDArray[np.bool_]) -> Hits:
+        """Return the hits a mask (k,) chooses."""
+        return Hits(
+            self.rays[chosen],
+            self.triangles[chosen],
+            self.weights[chosen],
+            self.distances[chosen],
+            self.normals[chosen],
+        )
+
 
 class Surface:
     """The surface of a mesh, ready for closest-point and ray queries.
@@ -71,7 +81,7 @@ class Surface:
 
     def __init__(self, mesh: Mesh, box: Floats | None = None) -> None:
         box = bounding_box(mesh) if box is None else box
-        self.mesh, self.box = mesh, box
+        self.mesh = mesh
         self._center = box.mean(axis=0)
         self._scale = 1 / max(float(np.linalg.norm(box[1] - box[0])), np.finfo(np.float64).tiny)
         o3d = open3d()
@@ -88,26 +98,34 @@ class Surface:
         parts = [self._closest(points[rows]) for rows in chunks(len(points))]
         return _joined(parts)
 
-    def cast(self, origin: Floats, directions: NDArray[np.floating]) -> Hits:
+    def cast(
+        self,
+        origin: Floats,
+        directions: NDArray[np.floating],
+        starts: NDArray[np.float32] | None = None,
+    ) -> Hits:
         """Return what rays from one point meet first.
 
         Parameters
         ----------
         origin : (3,) float64, metres.
         directions : (k, 3), of any length, the unit of the distances.
+        starts : (k,) distances before which nothing counts; 0 if None.
         """
         rays = np.empty((len(directions), 6), np.float32)
-        rays[:, :3] = self._scaled(origin)
+        rays[:, :3] = self._scaled(origin if starts is None else origin + starts[:, None] * directions)
         rays[:, 3:] = directions
         found = self._scene.cast_rays(open3d().core.Tensor(rays))
-        distances = found["t_hit"].numpy()
+        distances = found["t_hit"].numpy() / np.float32(self._scale)
         met = np.flatnonzero(np.isfinite(distances))
+        if starts is not None:
+            distances += starts
         u, v = found["primitive_uvs"].numpy()[met].T
         return Hits(
             met,
             found["primitive_ids"].numpy()[met].astype(np.int64),
             np.stack([1 - u - v, u, v], axis=1).clip(0, 1),
-            distances[met] / np.float32(self._scale),
+            distances[met],
             found["primitive_normals"].numpy()[met],
         )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from stages.convert import MeshLike, as_mesh
 from stages.errors import InputError
 from stages.mesh import Mesh
-from stages.raycasting import Floats, Hits, Surface, chunks
+from stages.raycasting import Hits, Surface, chunks
 from stages.replacing import replacing
 from stages.scan import ColorImage
 from stages.viewpoints import View, viewpoints
@@ -33,6 +35,9 @@ _EDGE = np.array((38, 52, 74), np.float32)
 _BACKGROUND_TOP, _BACKGROUND_BOTTOM = np.array(((242, 244, 247), (212, 217, 224)), np.float32)
 # Towards the light, in camera axes: from behind the viewer's left shoulder.
 _LIGHT = np.array((-0.35, -0.55, -0.75)) / np.linalg.norm((-0.35, -0.55, -0.75))
+# A ray that goes on behind a culled surface starts this share of its length later.
+_STEP = 1e-5
+_MAX_CULLED = 16
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -88,8 +93,7 @@ class Model:
     def __init__(self, surface: Surface) -> None:
         mesh = surface.mesh
         self._surface = surface
-        self._crosses = _crosses(mesh)
-        normals = _vertex_normals(mesh, self._crosses)
+        normals = _vertex_normals(mesh)
         # Side by side, because a ray that hits needs both.
         self._attributes = (
             normals if mesh.colors is None else np.hstack([normals, mesh.colors], dtype=np.float32)
@@ -99,41 +103,47 @@ class Model:
         """Cast one ray a pixel, and more where the picture is not smooth; see `render`."""
         import cv2
 
-        surface = self._facing(view) if view.cull else self._surface
         height, width = view.camera.height, view.camera.width
         v, u = np.indices((height, width), np.float32).reshape(2, -1)
-        levels = self._levels(surface, view, shading, u, v)
+        levels = self._levels(view, shading, u, v)
         image = levels.reshape(height, width, 3)
         contrast = cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)).max(axis=2)
         rough = np.flatnonzero(contrast > _CONTRAST)  # outlines and fine patterns
         finer = [levels[rough]]
         for du, dv in _OFFSETS:
-            finer.append(self._levels(surface, view, shading, u[rough] + du, v[rough] + dv))
+            finer.append(self._levels(view, shading, u[rough] + du, v[rough] + dv))
         levels[rough] = np.mean(finer, axis=0)
         return np.asarray(np.rint(image).clip(0, 255), np.uint8)
 
-    def _facing(self, view: View) -> Surface | None:
-        """Return the surface without the triangles seen from behind; one looks into a room like that."""
-        mesh = self._surface.mesh
-        first = mesh.vertices[mesh.triangles[:, 0]] - view.world_from_camera[:3, 3]
-        seen = np.einsum("kx,kx->k", self._crosses, first) < 0
-        return Surface(mesh.with_(triangles=mesh.triangles[seen]), self._surface.box) if seen.any() else None
-
-    def _levels(
-        self, surface: Surface | None, view: View, shading: Shading, u: _Floats, v: _Floats
-    ) -> _Floats:
+    def _levels(self, view: View, shading: Shading, u: _Floats, v: _Floats) -> _Floats:
         """Return what is seen at image positions, (k, 3) levels of 0 to 255."""
         down = ((v + np.float32(0.5)) / np.float32(view.camera.height))[:, None]
         levels: _Floats = _BACKGROUND_TOP + (_BACKGROUND_BOTTOM - _BACKGROUND_TOP) * down
-        if surface is None:
-            return levels
         for rows in chunks(len(u)):
             directions = _directions(view, u[rows], v[rows])
-            hits = surface.cast(view.world_from_camera[:3, 3], directions)
-            levels[rows.start + hits.rays] = self._shaded(surface.mesh, hits, directions, view, shading)
+            for hits in self._seen(view, directions):
+                levels[rows.start + hits.rays] = self._shaded(hits, directions, view, shading)
         return levels
 
-    def _shaded(self, mesh: Mesh, hits: Hits, directions: _Floats, view: View, shading: Shading) -> _Floats:
+    def _seen(self, view: View, directions: _Floats) -> Iterator[Hits]:
+        """Yield first hits; where the view culls, those on triangles that face it, as into a doll's house."""
+        origin = view.world_from_camera[:3, 3]
+        hits = self._surface.cast(origin, directions)
+        if not view.cull:
+            yield hits
+            return
+        # To go on behind what is culled takes less time than a second surface without it.
+        for _ in range(_MAX_CULLED):
+            behind = _dot(hits.normals, directions[hits.rays]) > 0
+            yield hits[~behind]
+            rays, starts = hits.rays[behind], hits.distances[behind] * np.float32(1 + _STEP)
+            if len(rays) == 0:
+                break
+            hits = self._surface.cast(origin, directions[rays], starts)
+            hits = replace(hits, rays=rays[hits.rays])
+
+    def _shaded(self, hits: Hits, directions: _Floats, view: View, shading: Shading) -> _Floats:
+        mesh = self._surface.mesh
         corners = mesh.triangles[hits.triangles]
         towards = _unit(directions[hits.rays])
         behind = _dot(hits.normals, towards) > 0
@@ -150,7 +160,8 @@ class Model:
         clay = np.asarray(tint * (0.44 + 0.48 * light + 0.26 * head)[:, None], np.float32)
         if shading == "edges":
             # From the viewer, so that float32 resolves them.
-            around = np.asarray(mesh.vertices[corners] - view.world_from_camera[:3, 3], np.float32)
+            origin = view.world_from_camera[:3, 3]
+            around = [np.asarray(mesh.vertices[i] - origin, np.float32) for i in corners.T]
             line = _line(around, hits, view)[:, None]
             clay += line * (_EDGE - clay)
         return clay
@@ -165,35 +176,30 @@ def _directions(view: View, u: _Floats, v: _Floats) -> _Floats:
     return np.asarray(x * x_axis + y * y_axis + z_axis)
 
 
-def _line(corners: _Floats, hits: Hits, view: View) -> _Floats:
-    """Return how much of an edge's colour is seen, 0 to 1, at points in triangles with (k, 3, 3) corners."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    sides = (c - b, a - c, b - a)
-    doubled_area = _dot(hits.normals, np.cross(sides[2], -sides[1]))
+def _line(corners: list[_Floats], hits: Hits, view: View) -> _Floats:
+    """Return how much of an edge's colour is seen, 0 to 1, at points in triangles of three (k, 3) corners."""
+    a, b, c = corners
+    ab, bc, ca = b - a, c - b, a - c
     pixel = hits.distances / np.float32(view.camera.fx)
+    doubled_area = _dot(hits.normals, np.cross(ca, ab)) / pixel
     # Height over the edge opposite each corner: a weight times it is the distance from that edge.
-    lengths = np.sqrt(np.stack([_dot(side, side) for side in sides], axis=1))
-    heights = (doubled_area / pixel)[:, None] / np.maximum(lengths, _TINY)
-    line = (np.float32(1.2) - hits.weights * heights).max(axis=1).clip(0, 1)
+    heights = [doubled_area / np.maximum(np.sqrt(_dot(side, side)), _TINY) for side in (bc, ca, ab)]
+    distances = [hits.weights[:, i] * heights[i] for i in range(3)]
+    line = (np.float32(1.2) - np.minimum.reduce(distances)).clip(0, 1)
     # Triangles of few pixels would drown in their own edges.
-    return np.asarray(line * 0.75 * ((heights.min(axis=1) - 1) / 6).clip(0.08, 1), np.float32)
+    return np.asarray(line * 0.75 * ((np.minimum.reduce(heights) - 1) / 6).clip(0.08, 1), np.float32)
 
 
-def _crosses(mesh: Mesh) -> Floats:
-    """Return the normal of each triangle, (m, 3), as long as twice its area."""
+def _vertex_normals(mesh: Mesh) -> _Floats:
+    """Return the unit mean of the normals around each vertex, (n, 3), weighted by the triangles' areas."""
     # One coordinate at a time: three times as fast as rows of three, and this runs over all triangles.
     a, b, c = mesh.triangles.T
     ab, ac = ([x[end] - x[a] for x in mesh.vertices.T] for end in (b, c))
-    return np.stack([ab[i] * ac[j] - ab[j] * ac[i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
-
-
-def _vertex_normals(mesh: Mesh, crosses: Floats) -> _Floats:
-    """Return the unit mean of the normals around each vertex, (n, 3), weighted by the triangles' areas."""
     normals = np.zeros((len(mesh.vertices), 3))
-    for axis in range(3):
-        weights = np.ascontiguousarray(crosses[:, axis])
-        for corner in mesh.triangles.T:  # bincount, not add.at: an order of magnitude faster
-            normals[:, axis] += np.bincount(corner, weights, minlength=len(normals))
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        weighted = ab[i] * ac[j] - ab[j] * ac[i]
+        for corner in (a, b, c):  # bincount, not add.at: an order of magnitude faster
+            normals[:, axis] += np.bincount(corner, weighted, minlength=len(normals))
     # Unit length before float32, which squares of a small mesh's areas would leave.
     lengths = np.sqrt(np.einsum("kx,kx->k", normals, normals))
     return np.asarray(normals / np.maximum(lengths, np.finfo(np.float64).tiny)[:, None], np.float32)
