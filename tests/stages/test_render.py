@@ -1,13 +1,15 @@
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
 
-from stages.errors import InputError
+from stages.errors import InputError, StageError
 from stages.mesh import Mesh
-from stages.render import render, write_png
+from stages.raycasting import Surface
+from stages.render import Model, render, write_png
 from stages.scan import Camera, Frame
 from stages.viewpoints import View, viewpoints
 
@@ -139,6 +141,28 @@ def test_a_png_holds_the_picture(tmp_path):
     image = render(quad(2, [[250, 0, 0], [0, 0, 250], [0, 0, 250], [250, 0, 0]]), AHEAD)
     write_png(tmp_path / "picture.png", image)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "picture.png"))[:, :, ::-1], image)
+    assert [path.name for path in tmp_path.iterdir()] == ["picture.png"]
+
+
+def test_a_png_that_cannot_be_written_names_its_place(tmp_path):
+    with pytest.raises(StageError, match="absent"):
+        write_png(tmp_path / "absent" / "picture.png", np.zeros((4, 4, 3), np.uint8))
+
+
+def test_an_outline_has_the_mean_colour_of_what_its_pixels_cover():
+    # The square's left side runs through the middle of a pixel: half of it is background.
+    image = render(quad(2, [[0, 0, 0]] * 4, half=2 * 20 / 70), AHEAD).astype(float)
+    inside, edge, outside = image[30, 21, 0], image[30, 19:21, 0].mean(), image[30, 18, 0]
+    assert inside < 5
+    assert edge == pytest.approx((inside + outside) / 2, rel=0.15)
+
+
+def test_threads_draw_the_same_picture():
+    model = Model(Surface(ball((0, 0, 4), 1.0)))
+    with ThreadPoolExecutor(4) as pool:
+        images = list(pool.map(lambda _: model.draw(AHEAD, "edges"), range(8)))
+    for image in images:
+        np.testing.assert_array_equal(image, images[0])
 
 
 def test_views_without_frames_hold_all_of_the_mesh_and_have_y_up():
