@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.engine import Outcome
-from stages.compare import CompareParams, compare_surfaces
+from stages.compare import CompareParams, compare_surfaces, require_area
 from stages.mesh import Mesh
 from stages.params import check, param
 from stages.prefetch import read_ahead
@@ -60,7 +60,14 @@ def make(
     ----------
     meshes : "fused", "clean" and "simplified".
     frames : of the scan, whose poses say where to look from.
+
+    Raises
+    ------
+    InputError
+        If a mesh has no surface to measure and draw.
     """
+    for name, mesh in meshes.items():
+        require_area(mesh, f"{name}.ply")
     # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
     box = bounding_box(*meshes.values())
     surfaces = {name: Surface(mesh, box) for name, mesh in meshes.items()}

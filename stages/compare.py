@@ -146,13 +146,16 @@ def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **cha
     params = resolve(CompareParams, params, changes)
     mesh_a, mesh_b = as_mesh(a, "first mesh"), as_mesh(b, "second mesh")
     for mesh, where in ((mesh_a, "first mesh"), (mesh_b, "second mesh")):
-        _require_area(mesh, where)
+        require_area(mesh, where)
     box = bounding_box(mesh_a, mesh_b)
     return compare_surfaces(Surface(mesh_a, box), Surface(mesh_b, box), params)
 
 
 def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Comparison:
-    """Do as `compare` does, with surfaces that serve other queries too; their boxes hold both meshes."""
+    """Do as `compare` does, with surfaces that serve other queries too.
+
+    Their boxes hold both meshes, and both have passed `require_area`.
+    """
     forward = _one_way(a.mesh, b, params.samples, (params.seed, 0))
     backward = _one_way(b.mesh, a, params.samples, (params.seed, 1))
     both = forward.merged(backward)
@@ -249,7 +252,14 @@ def _sampled(cumulative: Floats, rows: slice, count: int, rng: np.random.Generat
     return Located(triangles, weights, np.zeros(len(number)))
 
 
-def _require_area(mesh: Mesh, where: str) -> None:
+def require_area(mesh: Mesh, where: str) -> None:
+    """Refuse a mesh that has no surface to measure.
+
+    Raises
+    ------
+    InputError
+        If it has no triangles, no area, or an area beyond floating point; `where` starts the message.
+    """
     if len(mesh.triangles) == 0:
         raise InputError("it has no triangles; there is no surface to compare.", where)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from pipeline.report import ReportParams, make
+from stages.compare import CompareParams, compare
+from stages.errors import InputError
+from stages.mesh import Mesh
+
+SQUARE = Mesh(
+    np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+)
+# The square and an island a metre above it, which cleaning removes.
+WITH_ISLAND = Mesh(
+    np.vstack([SQUARE.vertices, SQUARE.vertices[:3] * 0.1 + (0, 0, 1)]),
+    np.vstack([SQUARE.triangles, [[4, 5, 6]]]).astype(np.int32),
+)
+MESHES = {
+    "fused": WITH_ISLAND,
+    "clean": SQUARE,
+    "simplified": SQUARE.with_(vertices=SQUARE.vertices + np.array((0, 0, 0.01))),
+}
+SMALL = ReportParams(views=1, width=64)
+
+
+def test_islands_that_were_removed_do_not_count_as_an_error_of_simplification(tmp_path):
+    mesh = make(tmp_path, MESHES, [], CompareParams(samples=1000), SMALL)["mesh"]
+    assert mesh["to_fused"]["distance"]["b_to_a"]["maximum_m"] == pytest.approx(0.01)
+    assert mesh["to_fused"]["distance"]["a_to_b"]["maximum_m"] == pytest.approx(0.99)
+    assert mesh["to_clean"]["distance"]["symmetric"]["maximum_m"] == pytest.approx(0.01)
+    alone = compare(WITH_ISLAND, MESHES["simplified"], samples=1000).figures()
+    assert mesh["to_fused"] == alone, "the report measures as compare does"
+
+
+def test_a_mesh_without_triangles_is_refused_by_name(tmp_path):
+    empty = SQUARE.with_(triangles=np.zeros((0, 3), np.int32))
+    with pytest.raises(InputError, match=r"clean\.ply: it has no triangles"):
+        make(tmp_path, MESHES | {"clean": empty}, [], CompareParams(), SMALL)
