@@ -51,7 +51,7 @@ def has(folder: Path, *names: str) -> bool:
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """Return the (width, height) in pixels that most of a few images of a stream have.
 
-    A damaged or odd image then costs its own frame and not the scan.
+    A damaged, odd or missing image then costs its own frame and not the scan.
 
     Raises
     ------
@@ -60,6 +60,7 @@ def common_size(paths: Sequence[Path]) -> tuple[int, int]:
     """
     sizes: Counter[tuple[int, int]] = Counter()
     fault: InputError | None = None
+    paths = [path for path in paths if path.exists()] or paths
     for path in paths[:: max(1, len(paths) // 8)]:
         with_size = _size_or_fault(path)
         if isinstance(with_size, InputError):

@@ -38,7 +38,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     scan = _without_still_poses(layout.read(folder, options))
     if complete and scan.missing:
         raise InputError("; and ".join(f"no {what}" for what in scan.missing) + ".", folder)
-    scan = _without_lost(scan, folder)
+    scan = _without_lost(_without_absent(scan), folder)
     _require_equal_sides(scan.frames, folder)
     warnings = (*scan.warnings, *_time_warnings(scan.frames))
     return replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
@@ -117,6 +117,19 @@ def _without_still_poses(scan: Scan) -> Scan:
             f"poses: all {len(poses)} frames have the same one; give a trajectory with scan.poses=FILE",
         ),
     )
+
+
+def _without_absent(scan: Scan) -> Scan:
+    """Leave out the frames an image of which is not there: excerpts often keep the lists of the whole."""
+    frames, absent = [], []
+    for frame in scan.frames:
+        files = [path for path in (frame.color, frame.right, frame.depth) if isinstance(path, Path)]
+        lacking = next((path for path in files if not path.exists()), None)
+        if lacking is None:
+            frames.append(frame)
+        else:
+            absent.append(SkippedFrame(frame.name, f"{lacking.name} is missing"))
+    return replace(scan, frames=frames, skipped=(*scan.skipped, *absent))
 
 
 def _without_lost(scan: Scan, folder: Path) -> Scan:

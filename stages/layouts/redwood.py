@@ -55,9 +55,16 @@ def _read(folder: Path, options: ScanParams) -> Scan:
 
 
 def _trajectory(folder: Path) -> Path | None:
-    """Return the trajectory: by its usual name, or the only file that looks like one."""
-    others = [*folder.glob("*traj*.log"), *folder.glob("*traj*.txt")]
-    return first_existing(folder, *_TRAJECTORIES) or (others[0] if len(others) == 1 else None)
+    """Return the trajectory: by its usual name or as the only file that looks like one.
+
+    It is looked for beside the images, where Open3D's reconstruction leaves it, and in the folder above.
+    """
+    for place in (folder, folder / "scene", folder.resolve().parent):
+        others = [*place.glob("*traj*.log"), *place.glob("*traj*.txt")]
+        found = first_existing(place, *_TRAJECTORIES) or (others[0] if len(others) == 1 else None)
+        if found is not None:
+            return found
+    return None
 
 
 def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, float, list[str]]:

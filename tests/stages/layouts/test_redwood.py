@@ -95,6 +95,14 @@ def test_the_only_trajectory_is_found_by_any_name(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
+def test_the_trajectory_may_stand_above_the_images(scan_folder, tiny):
+    inside = scan_folder / "rgbd"
+    inside.mkdir()
+    (scan_folder / "color").rename(inside / "image")
+    (scan_folder / "depth").rename(inside / "depth")
+    np.testing.assert_allclose(points(inside, tiny), tiny.points, atol=1e-6)
+
+
 def test_no_trajectory_is_an_error(scan_folder):
     (scan_folder / "trajectory.log").unlink()
     with pytest.raises(InputError, match=r"no poses: trajectory\.log"):

@@ -64,6 +64,10 @@ def test_what_is_written_is_read_back(tmp_path, tiny):
               tiny.second, 123456789012345678),
         Frame("two", own, None, None, tmp_path / "depth" / "2.npy", 1.0, (7,), tiny.identity),
     ]  # fmt: skip
+    (tmp_path / "color").mkdir()
+    (tmp_path / "depth").mkdir()
+    for file in (frames[0].color, frames[0].depth, frames[1].depth):
+        file.touch()
     assert write_scan_json(tmp_path, frames) == tmp_path / "scan.json"
     scan = read_scan(tmp_path)
     for written, read in zip(frames, scan.frames, strict=True):
@@ -84,6 +88,8 @@ def test_a_frame_without_pose_is_kept_as_lost(tmp_path, tiny):
         )
         for i, pose in enumerate((tiny.identity, None, tiny.second))
     ]
+    for frame in frames:
+        frame.depth.touch()
     write_scan_json(tmp_path, frames)
     scan = read_scan(tmp_path)
     assert [frame.name for frame in scan.frames] == ["0", "2"]

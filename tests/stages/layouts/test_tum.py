@@ -49,6 +49,13 @@ def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
     assert any(one.reason.startswith("no pose within") for one in scan.skipped)
 
 
+def test_an_excerpt_may_keep_the_lists_of_the_whole(scan_folder):
+    (scan_folder / "depth" / "10.010000.png").unlink()
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10.500000"]
+    assert ("10.000000", "10.010000.png is missing") in [(one.name, one.reason) for one in scan.skipped]
+
+
 def test_each_depth_frame_is_used_once(scan_folder, tiny):
     tiny.color(scan_folder / "rgb" / "10.015000.png")
     with (scan_folder / "rgb.txt").open("a") as file:
@@ -67,8 +74,9 @@ def test_the_camera_follows_the_folder_name(scan_folder):
     assert any("freiburg3" in text for text in scan.warnings)
 
 
-def test_freiburg1_keeps_its_distortion(scan_folder):
-    moved = scan_folder.rename(scan_folder.with_name("freiburg1_xyz"))
+@pytest.mark.parametrize("name", ["freiburg1_xyz", "fr1_desk", "rgbd_dataset_freiburg1_room"])
+def test_freiburg1_keeps_its_distortion(scan_folder, name):
+    moved = scan_folder.rename(scan_folder.with_name(name))
     assert read_scan(moved).frames[0].camera.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
 
 
