@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from stages.depth import DepthMap
 from stages.errors import InputError
+from stages.formats.ply import write_ply_cloud
 from stages.layouts import write_scan_json
-from stages.ply import write_ply_cloud
 from stages.prefetch import read_ahead
 from stages.scan import ColorImage, DepthImage, Frame, SkippedFrame
 

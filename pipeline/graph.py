@@ -20,10 +20,10 @@ from stages.clean import clean
 from stages.compare import VERSION as COMPARE_VERSION
 from stages.depth import VERSION as DEPTH_VERSION
 from stages.depth import depth_scan
+from stages.formats.ply import read_ply, write_ply
 from stages.fuse import VERSION as FUSE_VERSION
 from stages.fuse import fuse
 from stages.layouts import read_scan
-from stages.ply import read_ply, write_ply
 from stages.sanity import require_poses
 from stages.scan import Scan
 from stages.simplify import VERSION as SIMPLIFY_VERSION

@@ -21,8 +21,8 @@ import numpy as np
 from scene import Scene
 from sensors import measure_depth, photograph
 
+from stages.formats.ply import write_ply
 from stages.layouts.scan_json import write_scan_json
-from stages.ply import write_ply
 from stages.scan import Camera, Frame, Pose, StereoRig
 
 SEED = 7

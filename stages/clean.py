@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from stages.cleaning.degenerate import without_degenerate
+from stages.cleaning.holes import fill_holes
+from stages.cleaning.manifold import make_manifold
+from stages.cleaning.stitch import stitch, weld
+from stages.cleaning.traced import Traced
 from stages.convert import MeshLike, as_mesh
-from stages.degenerate import without_degenerate
 from stages.edges import Ids, components, edges_of
 from stages.errors import MeshError, StageError
-from stages.holes import fill_holes
-from stages.manifold import make_manifold
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
-from stages.stitch import stitch, weld
 from stages.topology import areas, is_duplicate, require_manifold
-from stages.traced import Traced
 
 VERSION = 1
 

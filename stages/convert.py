@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.colors import to_uint8
 from stages.errors import MeshError
+from stages.formats.colors import to_uint8
 from stages.mesh import Mesh, Texture, validated
 
 # Open3D's and trimesh's classes cannot be named here without importing the libraries.

@@ -14,9 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import images
-from stages.confidence import confidence
 from stages.errors import InputError, UsageError
-from stages.matching import (
+from stages.params import check, param, resolve
+from stages.prefetch import read_ahead
+from stages.progress import Progress, silent
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.stereo.confidence import confidence
+from stages.stereo.matching import (
     LARGEST_DISPARITY,
     SUBPIXELS,
     Matcher,
@@ -27,14 +31,10 @@ from stages.matching import (
     projected,
     textured,
 )
-from stages.pairs import pair_warnings, require_pair
-from stages.params import check, param, resolve
-from stages.prefetch import read_ahead
-from stages.progress import Progress, silent
-from stages.rectify import RectifiedRig, rectified_rig
-from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
-from stages.smoothing import smoothed
-from stages.subpixel import refined
+from stages.stereo.pairs import pair_warnings, require_pair
+from stages.stereo.rectify import RectifiedRig, rectified_rig
+from stages.stereo.smoothing import smoothed
+from stages.stereo.subpixel import refined
 
 VERSION = 2
 

@@ -12,15 +12,15 @@ import numpy as np
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
-from stages.fusion_plan import make_plan
+from stages.fusion.plan import make_plan
+from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
+from stages.fusion.survey import Noise
+from stages.fusion.voxels import Layer, Volume
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
-from stages.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.prefetch import read_ahead
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, Frame, Scan, SkippedFrame
-from stages.survey import Noise
-from stages.voxels import Layer, Volume
 
 VERSION = 1
 
@@ -184,7 +184,7 @@ def fuse(
 
     References
     ----------
-    Curless and Levoy 1996; the volume is Open3D's VoxelBlockGrid (see stages.voxels).
+    Curless and Levoy 1996; the volume is Open3D's VoxelBlockGrid (see stages.fusion.voxels).
     """
     params = resolve(FuseParams, params, changes)
     device = _device(params.device)

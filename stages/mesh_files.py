@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.cleaning.merge import merge_vertices
 from stages.convert import as_mesh, to_trimesh, with_vertex_colors
 from stages.errors import InputError, UsageError
-from stages.merge import merge_vertices
+from stages.formats.obj import read_obj, write_obj
+from stages.formats.ply import read_ply, write_ply
 from stages.mesh import Mesh, Texture
-from stages.obj import read_obj, write_obj
-from stages.ply import read_ply, write_ply
 from stages.replacing import replacing
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.formats.trajectories import inverted
 from stages.images import read_depth
 from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
-from stages.trajectories import inverted
 
 _DECLARED = "as given"
 _COUPLES = 8

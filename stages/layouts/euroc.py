@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stages import calibration, documents, trajectories
 from stages.errors import InputError
+from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import common_size, first_existing
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame, StereoRig

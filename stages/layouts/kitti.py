@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import documents, trajectories
-from stages.calibration import matrix_camera, with_baseline
 from stages.errors import InputError
+from stages.formats import documents, trajectories
+from stages.formats.calibration import matrix_camera, with_baseline
 from stages.layouts.files import common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
 from stages.layouts.rigs import uncalibrated

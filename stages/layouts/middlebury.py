@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages import documents, trajectories
-from stages.calibration import checked
 from stages.errors import InputError
+from stages.formats import documents, trajectories
+from stages.formats.calibration import checked
 from stages.images import image_size
 from stages.layouts.files import has
 from stages.layouts.layout import Layout

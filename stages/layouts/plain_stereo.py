@@ -1,7 +1,7 @@
 """Our own plain layout for stereo rigs: left/, right/, a calibration file and poses of the left camera.
 
     left/000000.png  right/000000.png  …
-    calibration.json | .toml | .yaml | .yml       see stages.calibration.read_rig
+    calibration.json | .toml | .yaml | .yml       see stages.formats.calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
 Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages import trajectories
 from stages.errors import InputError
+from stages.formats import trajectories
 from stages.layouts.files import common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
 from stages.layouts.rigs import rig_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stages import calibration, trajectories
 from stages.errors import InputError
+from stages.formats import calibration, trajectories
 from stages.layouts.files import DEPTHS, common_size, first_existing, images, pair
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Pose, Scan

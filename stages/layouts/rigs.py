@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stages import calibration, documents
+from stages.formats import calibration, documents
 from stages.layouts.files import first_existing, has
 from stages.scan import Camera, StereoRig
 

@@ -28,8 +28,8 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from stages import calibration, documents, trajectories
 from stages.errors import InputError
+from stages.formats import calibration, documents, trajectories
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Scan
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import calibration, documents, trajectories
 from stages.errors import InputError
+from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import common_size, first_existing, has
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Scan, SkippedFrame

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from cli.app import run_command
+from stages.formats.ply import write_ply
 from stages.layouts import write_scan_json
 from stages.mesh import Mesh
-from stages.ply import write_ply
 from stages.scan import Camera, Frame
 
 CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=47.5, cy=35.5)

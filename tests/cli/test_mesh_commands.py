@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.formats.ply import write_ply
 from stages.mesh import Mesh
 from stages.mesh_files import read_mesh
-from stages.ply import write_ply
 
 Run = Callable[..., Any]
 

@@ -16,8 +16,8 @@ from pipeline.config import Config
 from pipeline.report import ReportParams
 from pipeline.run import run
 from stages.compare import CompareParams, compare
+from stages.formats.ply import read_ply, write_ply_cloud
 from stages.mesh import Mesh
-from stages.ply import read_ply, write_ply_cloud
 from stages.raycasting import Surface, bounding_box, interpolated
 from stages.topology import topology
 

@@ -21,11 +21,11 @@ from pipeline.graph import STAGES
 from pipeline.report import edge_figures
 from pipeline.run import CACHE_VARIABLE, run
 from stages.errors import InputError, UsageError
+from stages.formats.ply import read_ply
 from stages.images import read_color, read_depth
 from stages.layouts import read_scan, write_scan_json
 from stages.mesh import Mesh
 from stages.params import described
-from stages.ply import read_ply
 from stages.scan import Camera, Frame
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0

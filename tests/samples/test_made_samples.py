@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stages.formats.ply import read_ply
 from stages.images import read_color, read_depth, read_right
 from stages.layouts import read_scan
-from stages.ply import read_ply
 from stages.raycasting import Surface
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"

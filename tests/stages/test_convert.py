@@ -87,7 +87,7 @@ def test_trimesh_keeps_each_corner_of_a_texture():
 
 def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
     from stages._open3d import open3d
-    from stages.textures import read_texture
+    from stages.formats.textures import read_texture
 
     folder = shared_data / "meshes" / "fuze"
     image = read_texture(folder / "fuze uv.jpg")

@@ -186,7 +186,7 @@ def test_equal_input_gives_equal_bits_whatever_the_threads(
 def test_the_volume_grows_when_the_estimate_was_too_small(
     sphere: Fused, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stages.fusion_plan._expected_blocks", lambda *_: 1)
+    monkeypatch.setattr("stages.fusion.plan._expected_blocks", lambda *_: 1)
     assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
 
 

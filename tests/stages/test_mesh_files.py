@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError, MeshError, UsageError
+from stages.formats.obj import read_obj
 from stages.mesh import Mesh, Texture
 from stages.mesh_files import EXTENSIONS, read_mesh, write_mesh
-from stages.obj import read_obj
 from stages.topology import topology
 
 WRITABLE = (".ply", ".obj", ".off", ".stl", ".glb")

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError, MeshError, StageError
+from stages.formats.ply import read_ply, write_ply, write_ply_cloud
 from stages.mesh import Mesh, Texture
-from stages.ply import read_ply, write_ply, write_ply_cloud
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"
 FACE = "property list uchar int vertex_indices\n"

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages.calibration import read_camera, read_rig
 from stages.errors import InputError
+from stages.formats.calibration import read_camera, read_rig
 
 K = [[100, 0, 16], [0, 110, 12], [0, 0, 1]]
 BENT = [0.1, -0.2, 0.003, 0.004, 0.05]

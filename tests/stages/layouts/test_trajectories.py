@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError
-from stages.trajectories import (
+from stages.formats.trajectories import (
     Trajectory,
     by_number,
     in_order,

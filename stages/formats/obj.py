@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.colors import to_uint8
 from stages.errors import InputError
+from stages.formats.colors import to_uint8
+from stages.formats.polygons import split_polygons
+from stages.formats.text_numbers import parse_numbers
+from stages.formats.textures import beside, read_texture, write_texture
 from stages.mesh import Mesh, Texture, validated
-from stages.polygons import split_polygons
 from stages.replacing import replacing
-from stages.text_numbers import parse_numbers
-from stages.textures import beside, read_texture, write_texture
 
 
 @dataclass

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from stages.cleaning.merge import same_rows
+from stages.cleaning.traced import Traced
 from stages.edges import Ids, components, edges_of, next_corner
-from stages.merge import same_rows
 from stages.mesh import Vertices
 from stages.topology import repeats_vertex
-from stages.traced import Traced
 
 
 def stitch(traced: Traced) -> tuple[Traced, int]:

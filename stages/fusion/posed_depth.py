@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.depth_filter import Surface, surface
 from stages.errors import InputError
+from stages.fusion.depth_filter import Surface, surface
 from stages.images import read_color, read_depth
 from stages.scan import Camera, ColorImage, Frame, Pose
 

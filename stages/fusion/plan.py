@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
+from stages.fusion.survey import Noise, survey
+from stages.fusion.voxels import BLOCK, Layer, block_keys, layers
 from stages.prefetch import read_ahead
 from stages.scan import Frame, Pose
-from stages.survey import Noise, survey
-from stages.voxels import BLOCK, Layer, block_keys, layers
 
 if TYPE_CHECKING:
     from stages.fuse import FuseParams

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stages.colors import to_uint8
 from stages.errors import InputError
+from stages.formats.colors import to_uint8
+from stages.formats.ply_format import Lists, Table, read_tables
+from stages.formats.polygons import split_polygons
+from stages.formats.textures import beside, read_texture, write_texture
 from stages.mesh import Mesh, Texture, validated
-from stages.ply_format import Lists, Table, read_tables
-from stages.polygons import split_polygons
 from stages.replacing import replacing
-from stages.textures import beside, read_texture, write_texture
 
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.matching import Disparity16
 from stages.scan import ColorImage
+from stages.stereo.matching import Disparity16
 
 
 def smoothed(

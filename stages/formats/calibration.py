@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import documents, trajectories
 from stages.errors import InputError
+from stages.formats import documents, trajectories
 from stages.scan import Camera, Pose, StereoRig
 
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.errors import StageError
+from stages.fusion.posed_depth import PosedDepth
 from stages.mesh import Mesh
-from stages.posed_depth import PosedDepth
 from stages.scan import Camera, ColorImage, Pose
 
 # 8³ voxels a block: half as many voxels that no surface needs as with Open3D's own 16³.

@@ -16,8 +16,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import documents
 from stages.errors import InputError
+from stages.formats import documents
 from stages.scan import Pose
 
 # How far a rotation may be from orthonormal: files round to about six digits.
