@@ -45,7 +45,7 @@ _SEVERAL = 3
 # Least confidence and uniqueness (%) where a pair stands alone, and where others look at the same surface:
 # there, grass and foliage that match less surely are worth having.
 _ALONE = (128, 20)
-_AMONG_OTHERS = (32, 10)
+_AMONG_OTHERS = (16, 5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,7 @@ class DepthParams:
     min_confidence: int | None = param(
         None,
         "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px. Default: 128 for one or "
-        "two pairs; 32 for more, since fusion drops what only one of them says",
+        "two pairs; 16 for more, since fusion drops what only one of them says",
         low=0,
         high=255,
     )
@@ -122,7 +122,7 @@ class DepthParams:
     uniqueness: int | None = param(
         None,
         "By how much the best match must beat every other, else there is none. Default: 20 for one or two "
-        "pairs, 10 for more",
+        "pairs, 5 for more",
         unit="%",
         low=0,
         high=100,
