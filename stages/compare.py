@@ -22,7 +22,7 @@ from stages.params import check, param, resolve
 from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
 from stages.topology import areas
 
-VERSION = 2
+VERSION = 3
 
 # A colour error below this (levels) is the rounding of interpolation, not a difference.
 _EQUAL = 1e-4

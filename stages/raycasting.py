@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.mesh import Mesh
+from stages.mesh import Mesh, Triangles
 
 Floats = NDArray[np.float64]
 
 # Queries at a time: bounds the memory of any number of points, and keeps the arrays near the cache.
 CHUNK = 1 << 17
+# A triangle whose height is below this share of its longest side is as good as that side.
+_SLIVER = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,7 @@ class Surface:
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
             o3d.core.Tensor(self._scaled(mesh.vertices)),
-            o3d.core.Tensor(mesh.triangles.astype(np.uint32)),
+            o3d.core.Tensor(_without_slivers(mesh).astype(np.uint32)),
         )
         # Open3D builds its tree at the first query: have that now, before several threads ask.
         self._scene.compute_closest_points(o3d.core.Tensor(np.zeros((1, 3), np.float32)))
@@ -139,6 +141,26 @@ class Surface:
 
     def _scaled(self, points: Floats) -> NDArray[np.float32]:
         return np.asarray((points - self._center) * self._scale, np.float32)
+
+
+def _without_slivers(mesh: Mesh) -> Triangles:
+    """Return the triangles with every sliver replaced by its longest side, as (first, second, second).
+
+    In single precision the closest point of a sliver can come out anywhere along its line, and another
+    triangle then be taken for the nearest; that of a side comes out right.
+    """
+    corners = mesh.vertices[mesh.triangles]
+    sides = np.roll(corners, -1, axis=1) - corners
+    lengths2 = np.einsum("ksx,ksx->ks", sides, sides)
+    longest = lengths2.argmax(axis=1)
+    area2 = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    (slivers,) = np.nonzero(area2 <= _SLIVER * lengths2.max(axis=1))
+    if not len(slivers):
+        return mesh.triangles
+    triangles: Triangles = mesh.triangles.copy()
+    first, second = longest[slivers], (longest[slivers] + 1) % 3
+    triangles[slivers] = mesh.triangles[slivers[:, None], np.stack([first, second, second], axis=1)]
+    return triangles
 
 
 def bounding_box(*meshes: Mesh) -> Floats:
