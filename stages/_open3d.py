@@ -10,6 +10,7 @@ import ctypes
 import functools
 import re
 import sys
+import warnings
 from typing import Any
 
 from stages.errors import StageError
@@ -38,7 +39,10 @@ def open3d() -> Any:
     if sys.platform == "linux":
         _provide_libusb()
     try:
-        import open3d  # noqa: TID251
+        with warnings.catch_warnings():
+            # Some builds complain of a missing GPU where none was asked for.
+            warnings.simplefilter("ignore", ImportWarning)
+            import open3d  # noqa: TID251
     except ImportError as error:
         # Ctrl-C inside a compiled module's own imports comes out as a failed import.
         if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):

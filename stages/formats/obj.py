@@ -238,7 +238,7 @@ def _maps(library: Path) -> dict[str, str]:
     """Return the diffuse image of each material; nothing if the library is missing, which is common."""
     try:
         lines = library.read_text("utf-8", "replace").splitlines()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: a name with a zero byte.
         return {}
     maps: dict[str, str] = {}
     material = ""

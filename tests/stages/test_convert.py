@@ -93,6 +93,9 @@ def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
     image = read_texture(folder / "fuze uv.jpg")
     read = open3d().io.read_triangle_mesh(str(folder / "fuze.obj"), True)
     np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0], image)
+    # Before 0.20 its tensor reader leaves textures of OBJ files out.
+    if tuple(map(int, open3d().__version__.split(".")[:2])) < (0, 20):
+        return
     read = open3d().t.io.read_triangle_mesh(str(folder / "fuze.obj"))
     np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0], image)
 
