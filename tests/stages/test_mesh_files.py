@@ -249,7 +249,7 @@ def test_libraries_are_quiet(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_a_material_file_whose_name_has_a_zero_byte_counts_as_missing(tmp_path: Path) -> None:
+def test_a_material_file_whose_name_has_a_zero_byte_counts_as_missing(tmp_path):
     path = tmp_path / "mesh.obj"
     path.write_bytes(b"mtllib \0.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n")
     assert len(read_mesh(path).triangles) == 1
