@@ -48,7 +48,7 @@ def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 def _shown(values: Mapping[str, Any], name: str) -> str:
     # An earlier version of the program may not have had the parameter.
     value = values.get(name, "unknown")
-    return "derived" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    return "not set" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _changed_inputs(

@@ -204,7 +204,7 @@ def _facts(about: Described, default: Any, hint: Any) -> str:
         facts.append(f"{'more than' if about.low_open else 'at least'} {about.low:g}")
     if about.high is not None:
         facts.append(f"at most {about.high:g}")
-    facts.append("default: derived from the data" if default is None else f"default: {_toml(default)}")
+    facts.append("not set by default" if default is None else f"default: {_toml(default)}")
     return "; ".join(facts)
 
 

@@ -54,7 +54,7 @@ def test_moved_output_folder_keeps_its_cache_and_its_record(toy, scan, out, tmp_
     shutil.move(out, moved)
     outcomes = toy.run(scan, moved, "cut.far=3")
     assert ran(outcomes) == ["cut", "count"]
-    assert outcomes[1].reason == "params changed: far derived → 3"
+    assert outcomes[1].reason == "params changed: far not set → 3"
 
 
 def test_renamed_frames_in_the_same_order_keep_the_cache(toy, scan, out):
@@ -76,7 +76,7 @@ def test_thread_count_keeps_the_cache(toy, scan, out):
     ("assignment", "expected", "reason"),
     [
         ("mix.gain=0.25", ALL, "params changed: gain 0.5 → 0.25"),
-        ("cut.far=3", ["cut", "count"], "params changed: far derived → 3"),
+        ("cut.far=3", ["cut", "count"], "params changed: far not set → 3"),
         ("cut.mode=soft", ["cut"], "params changed: mode hard → soft"),
         ("count.bins=5", ["count"], "params changed: bins 4 → 5"),
         ("count.exact=no", ["count"], "params changed: exact True → False"),

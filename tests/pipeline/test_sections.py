@@ -65,7 +65,7 @@ def test_printed_configuration_reads_back_the_same(config):
 def test_defaults_are_printed_with_text_unit_range_and_default():
     text = Config().dumps()
     assert "[fuse]\n# Fuse depth maps.\n" in text
-    assert "# a number in m; at least 0; default: derived from the data\n# voxel_size =\n" in text
+    assert "# a number in m; at least 0; not set by default\n# voxel_size =\n" in text
     assert "# Smallest weight.\n# a number; at least 0; at most 100; default: 3.0\nweight = 3.0\n" in text
     assert '# one of cpu, cuda; default: "cpu"\ndevice = "cpu"\n' in text
     assert "color = true" in text
