@@ -132,6 +132,9 @@ pub enum Bound {
 pub struct Change {
     pub shape: f64,
     pub texture: f64,
+    /// The least S_A of the new star's spokes afterwards: a point of any old triangle may have come to lie in
+    /// any new one, with the changes of the old one behind it. 0 under the paper's rule.
+    pub least_sum: f64,
 }
 
 /// What has been summed up on an edge.
@@ -297,7 +300,7 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         };
         let [first, second] = star.end_points.map(|end| distance2(&end, &point));
         let survivor = usize::from(second < first);
-        Ok(Proposal { survivor, point, change: Change { shape: 0.0, texture } })
+        Ok(Proposal { survivor, point, change: Change { shape: 0.0, texture, least_sum: 0.0 } })
     }
 
     fn judge(
@@ -320,12 +323,13 @@ impl<const D: usize> Measure<D> for Jia01<D> {
             if largest + shape > self.bounds.shape {
                 return Err(Bound::Shape);
             }
+            proposal.change.least_sum = largest + shape;
         }
         proposal.change.shape = shape;
         Ok(())
     }
 
-    fn commit(&mut self, _mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Change) {
+    fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Change) {
         for edge in &star.others {
             let sums = &mut self.accumulated[edge.index()];
             sums.shape += change.shape;
@@ -336,6 +340,11 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         for (kept, gone) in collapsed.merged.into_iter().flatten() {
             self.accumulated[kept.index()] =
                 self.accumulated[kept.index()].larger(&self.accumulated[gone.index()]);
+        }
+        for (spoke, _) in mesh.connectivity.spokes(collapsed.survivor) {
+            let sums = &mut self.accumulated[spoke.index()];
+            sums.shape = sums.shape.max(change.least_sum);
+            self.largest.shape = self.largest.shape.max(sums.shape);
         }
     }
 }

@@ -70,10 +70,11 @@ impl Overlay {
     /// crossing, which it does not: a long triangle can swing away from a crease while every vertex stays
     /// close. On a machined part that took the surface twenty times as far as S_max.
     pub fn crossing_gap<const D: usize>(&mut self, star: &Star<D>, point: &[f64; D]) -> f64 {
-        let Some(sheet) = Frame::across(star.mean_normal()) else {
-            return 0.0;
-        };
         let to = position(point);
+        let up = star.mean_normal();
+        let Some(sheet) = Frame::across(up).filter(|_| is_height_field(star, &to, &up)) else {
+            return farthest_end(star, &to);
+        };
         let flat = |p: &[f64; D]| sheet.coordinates(&sub(&position(p), &to));
         self.spokes.clear();
         self.spokes.extend(star.spokes.iter().map(|(_, p)| flat(p)));
@@ -85,6 +86,28 @@ impl Overlay {
         }
         largest
     }
+}
+
+/// Whether no triangle of the old or the new star turns its back when seen along `up`.
+fn is_height_field<const D: usize>(star: &Star<D>, to: &Vec3, up: &Vec3) -> bool {
+    let ends = star.end_points.map(|p| position(&p));
+    let faces = |p: &Vec3, a: &Vec3, b: &Vec3| dot(&cross(&sub(a, p), &sub(b, p)), up) >= 0.0;
+    let wings = star.wings.iter().all(|w| {
+        let (a, b) = (position(&w.from_point), position(&w.to_point));
+        faces(&ends[w.end], &a, &b) && faces(to, &a, &b)
+    });
+    wings
+        && star
+            .vanishing
+            .iter()
+            .enumerate()
+            .all(|(side, (_, _, apex))| faces(&ends[side], &ends[1 - side], &position(apex)))
+}
+
+/// A bound that always holds: no point moves farther when both ends are dragged to the new vertex, and the
+/// triangles with them.
+fn farthest_end<const D: usize>(star: &Star<D>, to: &Vec3) -> f64 {
+    star.end_points.iter().map(|end| norm2(&sub(to, &position(end)))).fold(0.0, f64::max).sqrt()
 }
 
 /// Largest difference of height where the old edge `from`–`to` crosses new edges, which go from the origin to `spokes`.

@@ -173,7 +173,7 @@ fn the_unit_of_length_does_not_matter() {
         let points = points.iter().map(|p| [p[0] * s, p[1] * s, p[2] * s, p[3], p[4], p[5]]).collect();
         let limits = |l: Limits| Limits { length: l.length * s, shape: l.shape * s, ..l };
         let options = Options {
-            bounds: limits(Limits { length: 2.0, shape: 0.4, texture: 9000.0 }),
+            bounds: limits(Limits { length: 2.0, shape: 0.8, texture: 9000.0 }),
             scales: limits(OPTIONS.scales),
             attribute_scale: OPTIONS.attribute_scale * s,
             ..OPTIONS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import threading
 from collections.abc import Callable
@@ -403,8 +404,17 @@ def test_figures_are_plain_numbers_with_units() -> None:
 # -- real meshes -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("relative", [0.0003, 0.002])
-@pytest.mark.parametrize("name", ["fandisk.obj", "horse.ply", "stanford-bunny.obj", "camelhead.off"])
+@pytest.mark.parametrize(
+    ("name", "relative"),
+    [
+        *itertools.product(["horse.ply", "stanford-bunny.obj", "camelhead.off"], [0.0003, 0.002]),
+        # Creases, noise and folds: each once went half as far again as it was allowed to.
+        ("fandisk.obj", 0.0002),
+        ("fandisk.obj", 0.002),
+        ("sceaux_mvs_scene_mesh.ply", 0.001),
+        ("redkitchen_fused_vertexcolor.ply", 0.001),
+    ],
+)
 def test_real_meshes_keep_their_bound_and_topology(shared_data: Path, name: str, relative: float) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / name)).mesh
     max_shape = relative * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
@@ -419,9 +429,9 @@ def test_a_fused_room_by_default(shared_data: Path) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
     result = simplify(mesh)
     assert_same_topology(result, mesh)
-    assert len(result.mesh.triangles) < 0.25 * len(mesh.triangles)
+    assert len(result.mesh.triangles) < 0.32 * len(mesh.triangles)
     measured = compare(mesh, result.mesh, samples=200_000)
     assert measured.symmetric.maximum <= result.max_shape_m
-    assert measured.symmetric.rms < 0.0016
+    assert measured.symmetric.rms < 0.0015
     assert measured.color is not None
-    assert measured.color.psnr > 38.5
+    assert measured.color.psnr > 39

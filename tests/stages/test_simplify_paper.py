@@ -131,7 +131,13 @@ class Reference:
             ]
             there = [min(to_segment(self.xyz(v), *s) for s in new_line) for v in (a, b)]
             change = max(change, *there, min(to_segment(new[:3], *s) for s in old_line))
-        return change if self.limits.paper_rule else max(change, self.crossing_gap(edge, new))
+        if self.limits.paper_rule:
+            return change
+        normal = sum(np.cross(t[1] - t[0], t[2] - t[0]) for t in old_star)
+        if any(np.cross(t[1] - t[0], t[2] - t[0]) @ normal < 0 for t in [*old_star, *new_star]):
+            # Folded: dragging both ends, and their triangles, to the new vertex moves no point farther.
+            return max(change, *(float(np.linalg.norm(new[:3] - self.xyz(v))) for v in (a, b)))
+        return max(change, self.crossing_gap(edge, new))
 
     def crossing_gap(self, edge: frozenset[int], new: np.ndarray) -> float:
         normal = sum(
@@ -185,11 +191,14 @@ class Reference:
         if not self.is_legal(edge, new):
             return False
         shape, texture = self.shape_change(edge, new), self.texture_change(edge)
+        least = 0.0
         around = [e for e in self.edges() if any(e <= set(t) for t in self.star(edge)) and e != edge]
         limits, own = self.limits, self.sums[edge]
         if not limits.paper_rule:
             receiving = [self.sums[e] for e in around]
-            if max(s.shape for s in [own, *receiving]) + shape > limits.shape:
+            # Any point of the old star may come to lie in any triangle of the new one.
+            least = max(s.shape for s in [own, *receiving]) + shape
+            if least > limits.shape:
                 return False
             if max(own.contrast + own.texture, *(s.texture for s in receiving)) + texture > limits.texture:
                 return False
@@ -217,6 +226,10 @@ class Reference:
                 max(sums.texture, twin.texture),
                 max(sums.contrast, twin.contrast),
             )
+        for e, sums in self.sums.items():
+            if survivor in e:
+                sums.shape = max(sums.shape, least)
+                self.largest.shape = max(self.largest.shape, sums.shape)
         return True
 
 
@@ -315,7 +328,9 @@ def compare_with_reference(mesh: Mesh, limits: Limits, target: int) -> None:
     np.testing.assert_allclose(result.mesh.colors, expected[:, 3:].clip(0, 255), atol=0.5 + 1e-6)
     assert rotated(result.vertex_source[result.mesh.triangles]) == rotated(reference.triangles)
     assert result.largest_shape_change_m == pytest.approx(reference.largest.shape, abs=1e-12)
-    assert result.largest_texture_change_levels == pytest.approx(reference.largest.texture, abs=1e-9)
+    # The reference shrinks colours to lengths and back: its rounding grows as the scale gets smaller.
+    rounding = 1e-9 + 1e-13 / limits.scale
+    assert result.largest_texture_change_levels == pytest.approx(reference.largest.texture, abs=rounding)
 
 
 def rotated(triangles) -> list[tuple[int, ...]]:
