@@ -21,10 +21,9 @@ IMPORTED_AS = {
     "opencv-contrib-python-headless": "cv2",
     "pillow": "PIL",
     "pyyaml": "yaml",
-    "scikit-image": "skimage",
     "libusb-package": "libusb_package",
 }
-HEAVY = ("open3d", "cv2", "scipy", "skimage", "trimesh")
+HEAVY = ("open3d", "cv2", "scipy", "trimesh")
 
 
 def imported(path: Path) -> set[str]:
