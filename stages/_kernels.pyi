@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["InvalidMeshError", "LimitError", "Simplified", "simplify"]
+__all__ = ["InvalidMeshError", "LimitError", "Running", "Simplified", "fit", "simplify", "simplify_by_quadrics"]
 
 class InvalidMeshError(ValueError):
     """The mesh breaks a rule the kernels need; the message names the elements."""
@@ -15,8 +15,36 @@ class LimitError(OverflowError):
     """The result would be larger than the stated limit."""
 
 @final
+class Running:
+    """How a simplifier runs.
+
+    Up to how many triangles, on how many threads (0: one for each core; the result is the same), in patches of how
+    many triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
+    """
+
+    def __new__(
+        cls,
+        *,
+        target_triangles: int = 0,
+        threads: int = 0,
+        patch_triangles: int = ...,
+        record: bool = False,
+        partial: bool = False,
+    ) -> Running: ...
+    @property
+    def target_triangles(self) -> int: ...
+    @property
+    def threads(self) -> int: ...
+    @property
+    def patch_triangles(self) -> int: ...
+    @property
+    def record(self) -> bool: ...
+    @property
+    def partial(self) -> bool: ...
+
+@final
 class Simplified:
-    """A simplified mesh and how it came about. `standing_*` count the edges each rule holds at the end."""
+    """A simplified mesh and how it came about. `standing` counts the edges each rule holds at the end."""
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -31,17 +59,7 @@ class Simplified:
     @property
     def stopped_by(self) -> str: ...
     @property
-    def standing_length(self) -> int: ...
-    @property
-    def standing_shape(self) -> int: ...
-    @property
-    def standing_texture(self) -> int: ...
-    @property
-    def standing_topology(self) -> int: ...
-    @property
-    def standing_bridge(self) -> int: ...
-    @property
-    def standing_fold(self) -> int: ...
+    def standing(self) -> dict[str, int]: ...
     @property
     def splits(self) -> int: ...
     @property
@@ -54,22 +72,67 @@ class Simplified:
     def largest_shape_change(self) -> float: ...
     @property
     def largest_texture_change(self) -> float: ...
+    @property
+    def became(self) -> NDArray[np.int32]: ...
+    @property
+    def removed(self) -> NDArray[np.int32]: ...
+    @property
+    def survivor(self) -> NDArray[np.int32]: ...
+    @property
+    def path(self) -> NDArray[np.float64]: ...
 
 def simplify(
     vertices: NDArray[np.float64],
     attributes: NDArray[np.float64],
     triangles: NDArray[np.int32],
+    fixed: NDArray[np.bool_],
     *,
     bounds: tuple[float, float, float],
     scales: tuple[float, float, float],
     attribute_scale: float,
     paper_rule: bool,
-    target_triangles: int,
     triangle_limit: int,
+    running: Running,
     progress: Callable[[int, int], object],
 ) -> Simplified:
     """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound.
 
     Raises InvalidMeshError for a mesh it cannot work on, LimitError when splitting would pass
     `triangle_limit`.
+    """
+
+def simplify_by_quadrics(
+    vertices: NDArray[np.float64],
+    attributes: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    fixed: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    *,
+    weight: float,
+    running: Running,
+    progress: Callable[[int, int], object],
+) -> Simplified:
+    """Simplify by attribute quadrics; `weight` is the length that counts as one level of an attribute.
+
+    `fixed` and `importance` have one value a vertex, or none at all. Raises InvalidMeshError for a mesh it
+    cannot work on.
+    """
+
+def fit(
+    vertices: NDArray[np.float64],
+    attributes: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    fixed: NDArray[np.bool_],
+    original_vertices: NDArray[np.float64],
+    original_attributes: NDArray[np.float64],
+    original_triangles: NDArray[np.int32],
+    became: NDArray[np.int32],
+    *,
+    threads: int,
+    progress: Callable[[int, int], object],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit a simplified mesh to its input by least squares: vertices along their normals, and attributes.
+
+    `became` holds, for each original vertex, the vertex of the result it became part of, -1 for none. Raises
+    InvalidMeshError for a mesh it cannot work on.
     """

@@ -4,6 +4,26 @@ use crate::connectivity::{Connectivity, Halfedge};
 use crate::error::KernelError;
 use crate::ids::{EdgeId, HalfedgeId, VertexId};
 
+/// # Errors
+/// More triangles than have numbers, or an index out of range.
+pub fn check_indices(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<(), KernelError> {
+    let limit = Connectivity::MOST_TRIANGLES;
+    if triangles.len() > limit || vertex_count >= (u32::MAX / 2) as usize {
+        return Err(KernelError::TooManyTriangles { wanted: triangles.len() as f64, limit });
+    }
+    let out_of_range = |corners: &[u32; 3]| corners.iter().copied().find(|&v| v as usize >= vertex_count);
+    for (triangle, corners) in triangles.iter().enumerate() {
+        if let Some(vertex) = out_of_range(corners) {
+            return Err(KernelError::IndexOutOfRange {
+                triangle,
+                vertex: vertex.into(),
+                vertices: vertex_count,
+            });
+        }
+    }
+    Ok(())
+}
+
 impl Connectivity {
     /// Connect triangles that share edges.
     ///
@@ -11,19 +31,20 @@ impl Connectivity {
     /// An index out of range, an edge of three triangles or of two with opposite orientation, two triangles with
     /// the same vertices, a vertex where two fans touch. Triangles that name a vertex twice must be left out.
     pub fn from_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
-        let limit = Self::MOST_TRIANGLES;
-        if triangles.len() > limit || vertex_count >= u32::MAX as usize {
-            return Err(KernelError::TooManyTriangles { wanted: triangles.len() as f64, limit });
-        }
-        for (triangle, corners) in triangles.iter().enumerate() {
-            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertex_count) {
-                return Err(KernelError::IndexOutOfRange {
-                    triangle,
-                    vertex: vertex.into(),
-                    vertices: vertex_count,
-                });
-            }
-        }
+        Self::from_patch(vertex_count, triangles, |_| false)
+    }
+
+    /// The same for a part of a mesh. Vertices on its rim have triangles elsewhere, too, and are not held against
+    /// the rule of one fan.
+    ///
+    /// # Errors
+    /// As [`Connectivity::from_triangles`].
+    pub fn from_patch(
+        vertex_count: usize,
+        triangles: &[[u32; 3]],
+        on_rim: impl Fn(VertexId) -> bool,
+    ) -> Result<Self, KernelError> {
+        check_indices(vertex_count, triangles)?;
         let mut halfedges: Vec<Halfedge> = Vec::with_capacity(3 * triangles.len());
         for &corner in triangles.iter().flatten() {
             halfedges.push(Halfedge { origin: VertexId(corner), twin: HalfedgeId::NONE, edge: EdgeId::NONE });
@@ -36,7 +57,7 @@ impl Connectivity {
             triangle_count: triangles.len(),
         };
         connectivity.find_back_to_back()?;
-        connectivity.find_outgoing()?;
+        connectivity.find_outgoing(on_rim)?;
         Ok(connectivity)
     }
 
@@ -57,7 +78,7 @@ impl Connectivity {
         if pairs.is_empty() { Ok(()) } else { Err(KernelError::SameVertices(pairs)) }
     }
 
-    fn find_outgoing(&mut self) -> Result<(), KernelError> {
+    fn find_outgoing(&mut self, on_rim: impl Fn(VertexId) -> bool) -> Result<(), KernelError> {
         let mut degree = vec![0u32; self.outgoing.len()];
         for (index, halfedge) in self.halfedges.iter().enumerate() {
             let slot = &mut self.outgoing[halfedge.origin.index()];
@@ -68,7 +89,7 @@ impl Connectivity {
         }
         let pinched: Vec<u32> = self
             .vertices()
-            .filter(|&v| self.fan(v).count() != degree[v.index()] as usize)
+            .filter(|&v| !on_rim(v) && self.fan(v).count() != degree[v.index()] as usize)
             .map(|v| v.0)
             .collect();
         if pinched.is_empty() { Ok(()) } else { Err(KernelError::PinchedVertices(pinched)) }

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! queue ← every edge, by measure.priority
-//! until the queue is empty or the mesh has few enough triangles:
+//! until the queue is empty, or far enough:
 //!     e ← first of the queue
 //!     topology legal?             legality::can_collapse
 //!     where to?                   measure.propose
@@ -15,7 +15,7 @@
 use crate::error::KernelError;
 use crate::ids::{EdgeId, VertexId};
 use crate::legality::{Illegal, Marks, can_collapse, keeps_triangles};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, Pin};
 use crate::progress::Progress;
 use crate::queue::Queue;
 use crate::star::Star;
@@ -39,9 +39,13 @@ pub struct Proposal<const D: usize, C> {
 /// for one edge, stopping at the first refusal.
 pub trait Measure<const D: usize> {
     /// A refusal of the measure's own.
-    type Bound: Copy + Eq + std::fmt::Debug;
+    type Bound: Copy + Eq + Send + Sync + std::fmt::Debug;
     /// What one collapse adds to the records.
     type Change;
+
+    /// Whether a collapse can only raise the priorities around it, and only those of edges at the vertex it leaves.
+    /// An edge is then asked again when it reaches the front, instead of after every collapse beside it.
+    const RISING: bool = false;
 
     /// Edges are tried from the smallest value up. May depend on the edge, its ends and what is recorded of
     /// them, and nothing else: only edges of the new star are asked again after a collapse.
@@ -71,6 +75,8 @@ pub enum Refusal<B> {
     Barred(B),
     /// Its proposal was refused: any change of its star can help.
     Bound(B),
+    /// Its star reaches the rim of the patch, where others know more.
+    Rim,
 }
 
 /// What one turn of the engine did.
@@ -87,8 +93,37 @@ pub enum Step<B> {
 pub enum Stop {
     /// No edge is left that may collapse.
     Exhausted,
-    /// The wanted number of triangles is reached.
+    /// As far as was asked: few enough triangles, enough collapses, or the priority reached.
     Target,
+    /// The caller was content with what there is.
+    Enough,
+}
+
+/// How far a run goes: whatever comes first.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Until {
+    /// At most this many triangles are left.
+    pub triangles: usize,
+    /// This many collapses have taken place.
+    pub collapses: usize,
+    /// Every edge has a larger priority.
+    pub priority: f64,
+}
+
+impl Until {
+    /// Until no edge may collapse.
+    pub const EXHAUSTED: Self = Self { triangles: 0, collapses: usize::MAX, priority: f64::INFINITY };
+}
+
+/// A collapse as the engine remembers it.
+#[derive(Clone, Copy, PartialEq, Debug)]
+pub struct Merge {
+    pub removed: VertexId,
+    pub survivor: VertexId,
+    /// The largest priority of any collapse so far: it never falls from one merge to the next.
+    pub priority: f64,
+    /// How many triangles vanished, 1 or 2.
+    pub triangles: u8,
 }
 
 pub struct Engine<const D: usize, M: Measure<D>> {
@@ -100,17 +135,43 @@ pub struct Engine<const D: usize, M: Measure<D>> {
     /// their edges then need not be fetched from memory.
     stuck: Vec<bool>,
     marks: Marks,
+    /// Edges of a rising measure whose priority may have risen.
+    stale: Vec<bool>,
     star: Star<D>,
     ring: Vec<VertexId>,
-    collapses: u64,
+    merges: Vec<Merge>,
+    /// Where the survivors of the merges went, if that is recorded.
+    path: Option<Vec<[f64; D]>>,
     attempts: u64,
 }
 
+/// What the engine knows of the edges of a mesh: why each one stands, if it does.
+pub type Refusals<B> = Vec<Option<Refusal<B>>>;
+
+/// The mesh, the measure, why its edges stand, the merges, and where they went if that was recorded.
+pub type Parts<const D: usize, M> =
+    (Mesh<D>, M, Refusals<<M as Measure<D>>::Bound>, Vec<Merge>, Option<Vec<[f64; D]>>);
+
 impl<const D: usize, M: Measure<D>> Engine<D, M> {
     pub fn new(mesh: Mesh<D>, measure: M) -> Self {
+        let refusals = vec![None; mesh.connectivity.edge_slots()];
+        Self::resume(mesh, measure, refusals)
+    }
+
+    /// Go on with a mesh whose refused edges are known: they wait until something changes beside them.
+    pub fn resume(mesh: Mesh<D>, measure: M, mut refusals: Refusals<M::Bound>) -> Self {
         let slots = mesh.connectivity.edge_slots();
-        let mut refusals = vec![None; slots];
-        let entries = mesh.connectivity.edges().filter_map(|edge| match measure.priority(&mesh, edge) {
+        let vertices = mesh.connectivity.vertex_slots();
+        let mut stuck = vec![false; vertices];
+        for edge in mesh.connectivity.edges().filter(|e| refusals[e.index()].is_some()) {
+            mesh.connectivity.ends(edge).iter().for_each(|v| stuck[v.index()] = true);
+        }
+        let open: Vec<EdgeId> = mesh
+            .connectivity
+            .edges()
+            .filter(|&edge| refusals[edge.index()].is_none() && !on_rim(&mesh, edge))
+            .collect();
+        let entries = open.into_iter().filter_map(|edge| match measure.priority(&mesh, edge) {
             Ok(priority) => Some((edge, priority)),
             Err(bound) => {
                 refusals[edge.index()] = Some(Refusal::Barred(bound));
@@ -118,73 +179,111 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             }
         });
         let queue = Queue::new(slots, entries);
-        let vertices = mesh.connectivity.vertex_slots();
         Self {
             mesh,
             measure,
             queue,
             refusals,
-            stuck: vec![false; vertices],
+            stuck,
             marks: Marks::new(vertices),
+            stale: if M::RISING { vec![false; slots] } else { vec![] },
             star: Star::default(),
             ring: vec![],
-            collapses: 0,
+            merges: vec![],
+            path: None,
             attempts: 0,
         }
     }
 
-    /// Collapse until no edge may or at most `target_triangles` are left.
+    /// Record where the survivors go from now on.
+    pub fn record_path(&mut self) {
+        self.path = Some(vec![]);
+    }
+
+    /// Collapse as far as asked.
     ///
     /// # Errors
     /// [`KernelError::Interrupted`] when `progress` says so.
-    pub fn run(&mut self, target_triangles: usize, progress: &mut Progress) -> Result<Stop, KernelError> {
-        let (edges, triangles) = (self.queue.len(), self.mesh.connectivity.triangle_count());
-        let to_remove = triangles.saturating_sub(target_triangles).max(1);
+    pub fn run(&mut self, until: Until, progress: &mut Progress) -> Result<Stop, KernelError> {
         loop {
-            let left = self.mesh.connectivity.triangle_count();
-            if left <= target_triangles {
+            let few = self.mesh.connectivity.triangle_count() <= until.triangles;
+            if few || self.merges.len() >= until.collapses {
                 return Ok(Stop::Target);
             }
-            if self.step() == Step::Finished {
-                return Ok(Stop::Exhausted);
+            self.refresh_first();
+            match self.queue.first() {
+                None => return Ok(Stop::Exhausted),
+                Some((_, priority)) if priority > until.priority => return Ok(Stop::Target),
+                Some(_) => self.step(),
+            };
+            progress.check_now_and_then()?;
+            if progress.is_enough() {
+                return Ok(Stop::Enough);
             }
-            progress.tick(|| {
-                // Whichever end is nearer: an empty queue or the target.
-                let settled = edges.saturating_sub(self.queue.len());
-                let removed = (triangles - left) as u128 * edges as u128 / to_remove as u128;
-                (settled.max(removed as usize) as u64, edges as u64)
-            })?;
+        }
+    }
+
+    /// Bring a rising edge to where it belongs until one is first that has risen already.
+    fn refresh_first(&mut self) {
+        while M::RISING {
+            match self.queue.first() {
+                Some((edge, _)) if std::mem::replace(&mut self.stale[edge.index()], false) => {
+                    offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                }
+                _ => break,
+            }
         }
     }
 
     /// Try the first edge of the queue.
     pub fn step(&mut self) -> Step<M::Bound> {
-        let Some(edge) = self.queue.pop() else {
+        self.refresh_first();
+        let Some((edge, priority)) = self.queue.first() else {
             return Step::Finished;
         };
+        self.queue.discard(edge);
         self.attempts += 1;
-        match self.attempt(edge) {
+        match self.attempt(edge, priority) {
             Ok(collapsed) => Step::Collapsed(collapsed),
             Err(refusal) => {
-                self.refusals[edge.index()] = Some(refusal);
-                for v in self.mesh.connectivity.ends(edge) {
-                    self.stuck[v.index()] = true;
+                // What the rim forbids here may be allowed in another patch: the edge stays open.
+                if refusal != Refusal::Rim {
+                    self.refusals[edge.index()] = Some(refusal);
+                    for v in self.mesh.connectivity.ends(edge) {
+                        self.stuck[v.index()] = true;
+                    }
                 }
                 Step::Refused(edge, refusal)
             }
         }
     }
 
-    fn attempt(&mut self, edge: EdgeId) -> Result<Collapsed, Refusal<M::Bound>> {
+    fn attempt(&mut self, edge: EdgeId, priority: f64) -> Result<Collapsed, Refusal<M::Bound>> {
         can_collapse(&self.mesh.connectivity, edge, &mut self.marks).map_err(Refusal::Illegal)?;
         self.star.gather(&self.mesh, edge);
+        if self.star.end_stays == [true, true] {
+            return Err(Refusal::Illegal(Illegal::Pinned));
+        }
+        let on_rim = |v: VertexId| self.mesh.pin(v) == Pin::Rim;
+        if self.star.wings.iter().any(|w| on_rim(w.from) && on_rim(w.to)) {
+            return Err(Refusal::Rim);
+        }
         let mut proposal = self.measure.propose(&self.mesh, &self.star).map_err(Refusal::Bound)?;
         keeps_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;
         self.measure.judge(&self.mesh, &self.star, &mut proposal).map_err(Refusal::Bound)?;
 
         let survivor = self.star.ends[proposal.survivor];
         let collapsed = self.mesh.collapse(edge, survivor, proposal.point);
-        self.collapses += 1;
+        let highest = self.merges.last().map_or(priority, |last| last.priority.max(priority));
+        self.merges.push(Merge {
+            removed: collapsed.removed,
+            survivor,
+            priority: highest,
+            triangles: collapsed.merged.iter().flatten().count() as u8,
+        });
+        if let Some(path) = &mut self.path {
+            path.push(proposal.point);
+        }
         self.measure.commit(&self.mesh, &self.star, &collapsed, proposal.change);
         for (_, gone) in collapsed.merged.into_iter().flatten() {
             self.queue.discard(gone);
@@ -198,14 +297,27 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         let connectivity = &self.mesh.connectivity;
         self.ring.clear();
         self.ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
-        for &edge in self.star.others.iter().filter(|&&edge| connectivity.is_edge(edge)) {
-            offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+        if M::RISING {
+            for (edge, _) in connectivity.spokes(centre) {
+                if self.queue.holds(edge) {
+                    self.stale[edge.index()] = true;
+                } else if !on_rim(&self.mesh, edge) {
+                    offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                }
+            }
+        } else {
+            let live = |edge: &&EdgeId| connectivity.is_edge(**edge) && !on_rim(&self.mesh, **edge);
+            for &edge in self.star.others.iter().filter(live) {
+                offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+            }
         }
         // Other edges with one end on the ring: what was refused may be legal now that their stars have changed.
         for &v in &self.ring {
             if std::mem::replace(&mut self.stuck[v.index()], false) {
                 for (edge, _) in connectivity.spokes(v) {
-                    if matches!(self.refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_))) {
+                    let refused =
+                        matches!(self.refusals[edge.index()], Some(Refusal::Illegal(_) | Refusal::Bound(_)));
+                    if refused && !on_rim(&self.mesh, edge) {
                         offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                     }
                 }
@@ -221,8 +333,19 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         &self.measure
     }
 
-    pub fn collapses(&self) -> u64 {
-        self.collapses
+    /// All collapses, in their order.
+    pub fn merges(&self) -> &[Merge] {
+        &self.merges
+    }
+
+    /// Priorities of the edges still to be tried, in no order.
+    pub fn waiting(&self) -> impl Iterator<Item = f64> + '_ {
+        self.queue.keys()
+    }
+
+    /// Why an edge stands; none while it has yet to be tried.
+    pub fn refusal(&self, edge: EdgeId) -> Option<Refusal<M::Bound>> {
+        self.refusals[edge.index()]
     }
 
     /// Edges that reached the front of the queue, some of them more than once.
@@ -230,15 +353,16 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         self.attempts
     }
 
-    /// Edges of the mesh as it is now that stand because of a refusal `is` accepts: each counts once, under
-    /// the rule that refused it last.
-    pub fn standing(&self, is: impl Fn(Refusal<M::Bound>) -> bool) -> usize {
-        self.mesh.connectivity.edges().filter(|e| self.refusals[e.index()].is_some_and(&is)).count()
+    /// All that the engine leaves.
+    pub fn into_parts(self) -> Parts<D, M> {
+        (self.mesh, self.measure, self.refusals, self.merges, self.path)
     }
+}
 
-    pub fn into_mesh(self) -> Mesh<D> {
-        self.mesh
-    }
+/// Whether an edge has an end on the rim of a patch.
+#[inline]
+fn on_rim<const D: usize>(mesh: &Mesh<D>, edge: EdgeId) -> bool {
+    mesh.connectivity.ends(edge).iter().any(|&v| mesh.pin(v) == Pin::Rim)
 }
 
 /// Put an edge where its priority belongs now: into the queue, or among the refused.

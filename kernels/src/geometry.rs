@@ -73,6 +73,52 @@ pub fn triangle_distance2(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> f64 {
     segment_distance2(p, a, b).min(segment_distance2(p, b, c)).min(segment_distance2(p, c, a))
 }
 
+/// Barycentric coordinates of the point of triangle `a b c` nearest to `p`, and its squared distance
+/// (Ericson, "Real-time collision detection", 2005, section 5.1.5).
+#[inline]
+pub fn nearest_on_triangle(p: &Vec3, [a, b, c]: [&Vec3; 3]) -> ([f64; 3], f64) {
+    let (ab, ac, ap) = (sub(b, a), sub(c, a), sub(p, a));
+    let (d1, d2) = (dot(&ab, &ap), dot(&ac, &ap));
+    let finish = |at: [f64; 3]| {
+        let off: Vec3 = std::array::from_fn(|i| ap[i] - at[1] * ab[i] - at[2] * ac[i]);
+        (at, norm2(&off))
+    };
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return finish([1.0, 0.0, 0.0]);
+    }
+    let bp = sub(p, b);
+    let (d3, d4) = (dot(&ab, &bp), dot(&ac, &bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return finish([0.0, 1.0, 0.0]);
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        let t = d1 / (d1 - d3);
+        return finish([1.0 - t, t, 0.0]);
+    }
+    let cp = sub(p, c);
+    let (d5, d6) = (dot(&ab, &cp), dot(&ac, &cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return finish([0.0, 0.0, 1.0]);
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        let t = d2 / (d2 - d6);
+        return finish([1.0 - t, 0.0, t]);
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        let t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
+        return finish([0.0, 1.0 - t, t]);
+    }
+    let sum = va + vb + vc;
+    if sum <= 0.0 {
+        return finish([1.0, 0.0, 0.0]);
+    }
+    let (v, w) = (vb / sum, vc / sum);
+    finish([1.0 - v - w, v, w])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

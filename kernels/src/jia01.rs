@@ -8,13 +8,15 @@
 //! lies in the triangle's plane. The foot of the perpendicular on the plane of e1, e2 is the same point and
 //! always exists.
 
-use crate::engine::{Collapsed, Engine, Measure, Proposal, Refusal, Stop};
+use crate::engine::{Collapsed, Measure, Proposal, Refusal, Stop};
 use crate::error::KernelError;
 use crate::geometry::{add_scaled, distance2, sub};
-use crate::ids::EdgeId;
+use crate::ids::{EdgeId, HalfedgeId};
 use crate::legality::Illegal;
-use crate::mesh::{Compact, Mesh};
+use crate::mesh::{Compact, Mesh, Sources};
+use crate::patch::{Records, Whole};
 use crate::progress::Progress;
+use crate::rounds::{Goal, collapse};
 use crate::shape::{Overlay, boundary_change, shape_change};
 use crate::split::split_long_edges;
 use crate::star::Star;
@@ -44,8 +46,6 @@ pub struct Options {
     pub attribute_scale: f64,
     /// As in the paper: check the sums after a collapse instead of before, and look at vertices only.
     pub paper_rule: bool,
-    /// Stop as soon as no more triangles are left.
-    pub target_triangles: usize,
     /// Refuse to split beyond this.
     pub triangle_limit: usize,
 }
@@ -58,6 +58,7 @@ pub struct Standing {
     pub texture: usize,
     pub topology: usize,
     pub bridge: usize,
+    pub pinned: usize,
     pub fold: usize,
 }
 
@@ -82,41 +83,58 @@ pub struct Simplified<const D: usize> {
 /// # Errors
 /// [`KernelError::TooManyTriangles`] from the splits and [`KernelError::Interrupted`].
 pub fn simplify<const D: usize>(
-    mut mesh: Mesh<D>,
+    mesh: Whole<D, Bound>,
     options: &Options,
+    goal: &Goal,
     progress: &mut Progress,
 ) -> Result<Simplified<D>, KernelError> {
-    let mut splits = 0;
-    if options.bounds.length.is_finite() {
-        splits = split_long_edges(&mut mesh, options.bounds.length, options.triangle_limit, progress)?;
-    }
-    let split_triangles = mesh.connectivity.triangle_count();
-    let measure = Jia01::new(&mesh, options);
-    let mut engine = Engine::new(mesh, measure);
-    let stop = engine.run(options.target_triangles, progress)?;
-
+    let (mesh, splits, origin) = split_whole(mesh, options, progress)?;
+    let split_triangles = mesh.triangles.len();
+    let records = JiaRecords::new(&mesh, options);
+    let outcome = collapse(mesh, records, goal, progress)?;
+    let held = outcome.mesh.held_edges();
     let bound = |wanted: Bound| {
-        engine.standing(|r| matches!(r, Refusal::Barred(b) | Refusal::Bound(b) if b == wanted))
+        held.iter().filter(|r| matches!(r, Refusal::Barred(b) | Refusal::Bound(b) if *b == wanted)).count()
     };
-    let illegal = |wanted: Illegal| engine.standing(|r| r == Refusal::Illegal(wanted));
+    let illegal = |wanted: Illegal| held.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
     Ok(Simplified {
-        stop,
+        stop: outcome.stop,
         standing: Standing {
             length: bound(Bound::Length),
             shape: bound(Bound::Shape),
             texture: bound(Bound::Texture),
             topology: illegal(Illegal::Topology),
             bridge: illegal(Illegal::Bridge),
+            pinned: illegal(Illegal::Pinned),
             fold: illegal(Illegal::Fold),
         },
         split_triangles,
         splits,
-        collapses: engine.collapses(),
-        attempts: engine.attempts(),
-        largest_shape_change: engine.measure().largest.shape,
-        largest_texture_change: engine.measure().largest.texture,
-        mesh: engine.into_mesh().compact(),
+        collapses: outcome.merges.len() as u64,
+        attempts: outcome.attempts,
+        largest_shape_change: outcome.records.largest.shape,
+        largest_texture_change: outcome.records.largest.texture,
+        mesh: outcome.mesh.into_compact().traced_to(&origin),
     })
+}
+
+/// Split what is longer than the bound of length; most meshes have no such edge. What comes out is a mesh of its own,
+/// whose parts the last value takes back to the input.
+fn split_whole<const D: usize>(
+    mesh: Whole<D, Bound>,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<(Whole<D, Bound>, u64, Option<Sources>), KernelError> {
+    let longest2 = options.bounds.length * options.bounds.length;
+    let side2 = |a: u32, b: u32| distance2(&mesh.points[a as usize], &mesh.points[b as usize]);
+    let is_long = |&[a, b, c]: &[u32; 3]| side2(a, b).max(side2(b, c)).max(side2(c, a)) > longest2;
+    if !mesh.triangles.iter().any(is_long) {
+        return Ok((mesh, 0, None));
+    }
+    let mut connected = mesh.connected()?;
+    let splits = split_long_edges(&mut connected, options.bounds.length, options.triangle_limit, progress)?;
+    let (whole, sources) = Whole::from_mesh(connected);
+    Ok((whole, splits, Some(sources)))
 }
 
 /// The three stop rules.
@@ -179,12 +197,26 @@ pub struct Jia01<const D: usize> {
 
 impl<const D: usize> Jia01<D> {
     pub fn new(mesh: &Mesh<D>, options: &Options) -> Self {
+        let triangles = mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0));
+        let around = contrast_around(&mesh.points, triangles);
+        let contrast = |edge| {
+            let [a, b] = mesh.connectivity.ends(edge);
+            around[a.index()].max(around[b.index()])
+        };
+        let mut accumulated = vec![Accumulated::default(); mesh.connectivity.edge_slots()];
+        for edge in mesh.connectivity.edges() {
+            accumulated[edge.index()].contrast = contrast(edge);
+        }
+        Self::with(options, accumulated)
+    }
+
+    fn with(options: &Options, accumulated: Vec<Accumulated>) -> Self {
         Self {
             bounds: options.bounds,
             scales: options.scales,
             attribute_weight: options.attribute_scale * options.attribute_scale,
             paper_rule: options.paper_rule,
-            accumulated: initial_contrast(mesh),
+            accumulated,
             overlay: Overlay::default(),
             largest: Change::default(),
         }
@@ -289,8 +321,7 @@ impl<const D: usize> Measure<D> for Jia01<D> {
                 return Err(Bound::Texture);
             }
         }
-        let point = match (star.end_on_boundary, star.boundary_neighbours) {
-            // The boundary must not move, so its vertex stays.
+        let point = match (star.end_stays, star.boundary_neighbours) {
             ([true, false], _) => star.end_points[0],
             ([false, true], _) => star.end_points[1],
             (_, Some([before, after])) => {
@@ -374,21 +405,78 @@ pub fn texture_change<const D: usize>(star: &Star<D>) -> f64 {
     largest2.sqrt()
 }
 
-/// T(e) of every edge at once: the star of an edge is that of its two ends together.
-fn initial_contrast<const D: usize>(mesh: &Mesh<D>) -> Vec<Accumulated> {
-    let connectivity = &mesh.connectivity;
-    let mut around = vec![0f64; mesh.points.len()];
-    for triangle in connectivity.triangles() {
-        let [a, b, c] = mesh.triangle_points(triangle);
-        let largest2 = contrast2(&a, &b).max(contrast2(&b, &c)).max(contrast2(&c, &a));
-        for v in connectivity.corners(triangle) {
-            around[v.index()] = around[v.index()].max(largest2);
+/// The largest attribute difference along any edge of each vertex's star. T(e) of an edge on the mesh as it is
+/// given is the larger one of its ends, whose stars together are that of the edge.
+fn contrast_around<const D: usize>(
+    points: &[[f64; D]],
+    triangles: impl Iterator<Item = [u32; 3]>,
+) -> Vec<f64> {
+    let mut around = vec![0f64; points.len()];
+    for corners in triangles {
+        let [a, b, c] = corners.map(|v| &points[v as usize]);
+        let largest2 = contrast2(a, b).max(contrast2(b, c)).max(contrast2(c, a));
+        for v in corners {
+            around[v as usize] = around[v as usize].max(largest2);
         }
     }
-    let mut accumulated = vec![Accumulated::default(); connectivity.edge_slots()];
-    for edge in connectivity.edges() {
-        let [a, b] = connectivity.ends(edge);
-        accumulated[edge.index()].contrast = around[a.index()].max(around[b.index()]).sqrt();
+    around.iter_mut().for_each(|contrast| *contrast = contrast.sqrt());
+    around
+}
+
+/// What JIA01 has summed up on the whole mesh.
+struct JiaRecords {
+    options: Options,
+    /// Contrast around each vertex, before the first round.
+    around: Vec<f64>,
+    /// Sums of the edge at each corner of a triangle, from then on.
+    accumulated: Vec<[Accumulated; 3]>,
+    largest: Change,
+}
+
+impl JiaRecords {
+    fn new<const D: usize>(mesh: &Whole<D, Bound>, options: &Options) -> Self {
+        let around = contrast_around(&mesh.points, mesh.triangles.iter().copied());
+        Self { options: *options, around, accumulated: vec![], largest: Change::default() }
     }
-    accumulated
+}
+
+impl<const D: usize> Records<D> for JiaRecords {
+    type Measure = Jia01<D>;
+    type Piece = (Vec<[Accumulated; 3]>, Change);
+
+    fn load(&self, patch: &Mesh<D>) -> Jia01<D> {
+        let connectivity = &patch.connectivity;
+        let mut accumulated = vec![Accumulated::default(); connectivity.edge_slots()];
+        if self.accumulated.is_empty() {
+            for edge in connectivity.edges() {
+                let [a, b] = connectivity.ends(edge).map(|v| patch.vertex_source[v.index()] as usize);
+                accumulated[edge.index()].contrast = self.around[a].max(self.around[b]);
+            }
+        } else {
+            for (local, &t) in patch.triangle_source.iter().enumerate() {
+                for corner in 0..3 {
+                    let edge = connectivity.edge(HalfedgeId((3 * local + corner) as u32));
+                    accumulated[edge.index()] = self.accumulated[t as usize][corner];
+                }
+            }
+        }
+        Jia01::with(&self.options, accumulated)
+    }
+
+    fn unload(measure: Jia01<D>, patch: &Mesh<D>) -> Self::Piece {
+        let at = |h: u32| measure.accumulated[patch.connectivity.edge(HalfedgeId(h)).index()];
+        let sums = patch.connectivity.triangles().map(|t| std::array::from_fn(|i| at(3 * t.0 + i as u32)));
+        (sums.collect(), measure.largest)
+    }
+
+    fn join(mut self, _: &[u32], _: &[[u32; 3]], _: &[[f64; D]], pieces: Vec<Self::Piece>) -> Self {
+        self.around = vec![];
+        self.accumulated = Vec::with_capacity(pieces.iter().map(|piece| piece.0.len()).sum());
+        for (sums, largest) in pieces {
+            self.accumulated.extend(sums);
+            self.largest.shape = self.largest.shape.max(largest.shape);
+            self.largest.texture = self.largest.texture.max(largest.texture);
+        }
+        self
+    }
 }

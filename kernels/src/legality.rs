@@ -12,6 +12,8 @@ pub enum Illegal {
     Topology,
     /// An edge across the interior between two boundary vertices: the surface would be pinched there.
     Bridge,
+    /// Both ends must stay where they are.
+    Pinned,
     /// A triangle would turn over or lose its area.
     Fold,
 }

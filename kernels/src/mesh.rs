@@ -7,6 +7,17 @@ use crate::ids::{EdgeId, TriangleId, VertexId};
 /// Beyond this the products of four lengths in the area and fold tests come near the end of double precision.
 const LARGEST: f64 = 1e60;
 
+/// Whether a vertex may move.
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
+pub enum Pin {
+    #[default]
+    Free,
+    /// It stays where it is; others may collapse into it.
+    Fixed,
+    /// It lies on the rim of a patch, and more triangles touch it than this mesh knows: no edge of it collapses.
+    Rim,
+}
+
 /// A triangle mesh whose elements know which element of the input they came from.
 #[derive(Clone, Debug)]
 pub struct Mesh<const D: usize> {
@@ -16,6 +27,7 @@ pub struct Mesh<const D: usize> {
     pub vertex_source: Vec<u32>,
     /// Input triangle of each triangle.
     pub triangle_source: Vec<u32>,
+    pub pins: Vec<Pin>,
 }
 
 /// What is left of a mesh, numbered without gaps, in the order of the input.
@@ -27,6 +39,34 @@ pub struct Compact<const D: usize> {
     pub triangle_source: Vec<u32>,
 }
 
+/// Where the vertices and triangles of a mesh came from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sources {
+    pub vertices: Vec<u32>,
+    pub triangles: Vec<u32>,
+}
+
+impl<const D: usize> Compact<D> {
+    /// The same with the sources of its sources, if they have any.
+    pub fn traced_to(mut self, origin: &Option<Sources>) -> Self {
+        if let Some(origin) = origin {
+            self.vertex_source.iter_mut().for_each(|v| *v = origin.vertices[*v as usize]);
+            self.triangle_source.iter_mut().for_each(|t| *t = origin.triangles[*t as usize]);
+        }
+        self
+    }
+}
+
+/// # Errors
+/// [`KernelError::NotFinite`] for a value that is not finite or is beyond ±1e60.
+pub fn check_points<const D: usize>(points: &[[f64; D]]) -> Result<(), KernelError> {
+    // NaN fails the comparison too.
+    match points.iter().position(|p| !p.iter().all(|x| x.abs() <= LARGEST)) {
+        Some(vertex) => Err(KernelError::NotFinite { vertex }),
+        None => Ok(()),
+    }
+}
+
 impl<const D: usize> Mesh<D> {
     /// Connect triangles. One that names a vertex twice has no area and no side: it is left out.
     ///
@@ -34,10 +74,7 @@ impl<const D: usize> Mesh<D> {
     /// As [`Connectivity::from_triangles`], and for a value that is not finite or is beyond ±1e60.
     pub fn new(points: Vec<[f64; D]>, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
         const { assert!(D >= 3, "a point has three coordinates") };
-        // NaN fails the comparison too.
-        if let Some(vertex) = points.iter().position(|p| !p.iter().all(|x| x.abs() <= LARGEST)) {
-            return Err(KernelError::NotFinite { vertex });
-        }
+        check_points(&points)?;
         let proper = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
         let kept: Vec<u32> =
             (0..triangles.len() as u32).filter(|&t| proper(&triangles[t as usize])).collect();
@@ -48,7 +85,23 @@ impl<const D: usize> Mesh<D> {
             Connectivity::from_triangles(points.len(), &proper)?
         };
         let vertex_source = (0..points.len() as u32).collect();
-        Ok(Self { connectivity, points, vertex_source, triangle_source: kept })
+        let pins = vec![Pin::Free; points.len()];
+        Ok(Self { connectivity, points, vertex_source, triangle_source: kept, pins })
+    }
+
+    #[inline]
+    pub fn pin(&self, v: VertexId) -> Pin {
+        self.pins[v.index()]
+    }
+
+    /// Which ends of an edge a collapse must leave where they are: fixed ones, and on the boundary those of an
+    /// edge that is not.
+    #[inline]
+    pub fn staying_ends(&self, edge: EdgeId) -> [bool; 2] {
+        let inside = !self.connectivity.is_boundary_edge(edge);
+        self.connectivity
+            .ends(edge)
+            .map(|v| self.pin(v) == Pin::Fixed || (inside && self.connectivity.is_boundary_vertex(v)))
     }
 
     #[inline]
@@ -75,6 +128,7 @@ impl<const D: usize> Mesh<D> {
         let (pa, pb) = (*self.point(a), *self.point(b));
         self.points.push(std::array::from_fn(|i| 0.5 * (pa[i] + pb[i])));
         self.vertex_source.push(self.vertex_source[a.index()]);
+        self.pins.push(Pin::Free);
         for h in beside.into_iter().filter(|h| h.is_some()) {
             self.triangle_source.push(self.triangle_source[Connectivity::triangle(h).index()]);
         }

@@ -1,20 +1,32 @@
 //! The thin layer that Python sees as `stages._kernels`.
 //!
-//! Arrays are checked and copied while the GIL is held; the work runs without it and takes it back about
-//! ten times a second, to see Ctrl-C and to call the progress function.
+//! Arrays are checked and copied while the GIL is held; the work runs without it, on another thread, while this
+//! one looks for Ctrl-C and calls the progress function about ten times a second.
 
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::Duration;
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, ToPyArray};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::create_exception;
 use pyo3::exceptions::{PyOverflowError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyBool;
 
-use crate::engine::Stop;
+use crate::connect::check_indices;
+use crate::engine::{Merge, Refusal, Stop};
 use crate::error::KernelError;
+use crate::fit::Input;
+use crate::ids::VertexId;
 use crate::jia01::{self, Limits, Options, Standing};
-use crate::mesh::Mesh;
-use crate::progress::Progress;
+use crate::legality::Illegal;
+use crate::mesh::check_points;
+use crate::parallel::threads;
+use crate::patch::Whole;
+use crate::progress::{Control, Progress};
+use crate::qem::QemRecords;
+use crate::rounds::{Goal, PATCH, collapse};
 
 create_exception!(
     stages._kernels,
@@ -38,7 +50,7 @@ impl From<KernelError> for PyErr {
     }
 }
 
-/// What `simplify` returns.
+/// A simplified mesh and how it came about.
 #[pyclass(frozen, get_all)]
 struct Simplified {
     vertices: Py<PyArray2<f64>>,
@@ -47,36 +59,76 @@ struct Simplified {
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
     stopped_by: &'static str,
-    standing_length: usize,
-    standing_shape: usize,
-    standing_texture: usize,
-    standing_topology: usize,
-    standing_bridge: usize,
-    standing_fold: usize,
-    splits: u64,
-    split_triangles: usize,
+    standing: BTreeMap<&'static str, usize>,
     collapses: u64,
     attempts: u64,
+    splits: u64,
+    split_triangles: usize,
     largest_shape_change: f64,
     largest_texture_change: f64,
+    /// For each vertex of the input the vertex of the result it became part of, −1 for none; empty after splits.
+    became: Py<PyArray1<i32>>,
+    /// For each collapse, if that was asked for: the vertex that vanished, the one it became part of, and where
+    /// that went.
+    removed: Py<PyArray1<i32>>,
+    survivor: Py<PyArray1<i32>>,
+    path: Py<PyArray2<f64>>,
+}
+
+/// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in patches of how many
+/// triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
+#[pyclass(frozen, get_all)]
+struct Running {
+    target_triangles: usize,
+    threads: usize,
+    patch_triangles: usize,
+    record: bool,
+    partial: bool,
+}
+
+#[pymethods]
+impl Running {
+    #[new]
+    #[pyo3(signature = (*, target_triangles = 0, threads = 0, patch_triangles = PATCH, record = false, partial = false))]
+    fn new(
+        target_triangles: usize,
+        threads: usize,
+        patch_triangles: usize,
+        record: bool,
+        partial: bool,
+    ) -> Self {
+        Self { target_triangles, threads, patch_triangles, record, partial }
+    }
+}
+
+impl Running {
+    fn goal(&self) -> Goal {
+        Goal {
+            triangles: self.target_triangles,
+            threads: threads(self.threads),
+            patch: self.patch_triangles.max(1),
+            record: self.record,
+        }
+    }
 }
 
 /// Simplify a mesh with JIA01. Bounds are infinite where there is none.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, bounds, scales, attribute_scale, paper_rule,
-                    target_triangles, triangle_limit, progress))]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, *, bounds, scales, attribute_scale, paper_rule,
+                    triangle_limit, running, progress))]
 #[allow(clippy::too_many_arguments)]
 fn simplify(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
     bounds: (f64, f64, f64),
     scales: (f64, f64, f64),
     attribute_scale: f64,
     paper_rule: bool,
-    target_triangles: usize,
     triangle_limit: usize,
+    running: PyRef<'_, Running>,
     progress: Py<PyAny>,
 ) -> PyResult<Simplified> {
     let limits = |(length, shape, texture)| Limits { length, shape, texture };
@@ -85,7 +137,6 @@ fn simplify(
         scales: limits(scales),
         attribute_scale,
         paper_rule,
-        target_triangles,
         triangle_limit,
     };
     let positive = |x: &f64| *x > 0.0 && x.is_finite();
@@ -97,58 +148,253 @@ fn simplify(
             "bounds and attribute_scale must not be negative, nor the length 0",
         ));
     }
-    let inputs = (&vertices, &attributes, &triangles);
-    match attributes.as_array().ncols() {
-        0 => simplify_points::<3>(py, inputs, &options, &progress),
-        1 => simplify_points::<4>(py, inputs, &options, &progress),
-        3 => simplify_points::<6>(py, inputs, &options, &progress),
-        k => Err(PyValueError::new_err(format!(
-            "{k} attributes a vertex; 0, 1 (intensity) or 3 (RGB) are known"
-        ))),
+    let inputs = Inputs { vertices, attributes, triangles, fixed };
+    match inputs.attributes.as_array().ncols() {
+        0 => simplify_points::<3>(py, &inputs, &options, &running, &progress),
+        1 => simplify_points::<4>(py, &inputs, &options, &running, &progress),
+        3 => simplify_points::<6>(py, &inputs, &options, &running, &progress),
+        k => Err(unknown_attributes(k)),
     }
 }
 
-type Inputs<'a, 'py> =
-    (&'a PyReadonlyArray2<'py, f64>, &'a PyReadonlyArray2<'py, f64>, &'a PyReadonlyArray2<'py, i32>);
-
 fn simplify_points<const D: usize>(
     py: Python<'_>,
-    (vertices, attributes, triangles): Inputs<'_, '_>,
+    inputs: &Inputs<'_>,
     options: &Options,
+    running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Simplified> {
-    let points = points_from::<D>(vertices, attributes)?;
-    let triangles = triangles_from(triangles, points.len())?;
-    let result = detached(py, progress, |progress| {
-        let mesh = Mesh::new(points, &triangles)?;
-        drop(triangles);
-        jia01::simplify(mesh, options, progress)
+    let (points, triangles, fixed) = inputs.copied::<D>()?;
+    let result = detached(py, progress, running.partial, |progress| {
+        jia01::simplify(Whole::new(points, triangles, fixed)?, options, &running.goal(), progress)
     })?;
-    let Standing { length, shape, texture, topology, bridge, fold } = result.standing;
+    let Standing { length, shape, texture, topology, bridge, pinned, fold } = result.standing;
+    let standing = [
+        ("length", length),
+        ("shape", shape),
+        ("texture", texture),
+        ("topology", topology),
+        ("bridge", bridge),
+        ("pinned", pinned),
+        ("fold", fold),
+    ];
     let mesh = &result.mesh;
     Ok(Simplified {
         vertices: array(py, mesh.points.iter().flat_map(|p| &p[..3]).copied(), [mesh.points.len(), 3])?,
         attributes: array(py, mesh.points.iter().flat_map(|p| &p[3..]).copied(), [mesh.points.len(), D - 3])?,
         triangles: array(py, mesh.triangles.iter().flatten().map(|&v| v as i32), [mesh.triangles.len(), 3])?,
-        vertex_source: sources(py, &mesh.vertex_source),
-        triangle_source: sources(py, &mesh.triangle_source),
-        stopped_by: match result.stop {
-            Stop::Exhausted => "bounds",
-            Stop::Target => "triangles",
-        },
-        standing_length: length,
-        standing_shape: shape,
-        standing_texture: texture,
-        standing_topology: topology,
-        standing_bridge: bridge,
-        standing_fold: fold,
-        splits: result.splits,
-        split_triangles: result.split_triangles,
+        vertex_source: sources(py, mesh.vertex_source.iter().copied()),
+        triangle_source: sources(py, mesh.triangle_source.iter().copied()),
+        stopped_by: name(result.stop),
+        standing: standing.into(),
         collapses: result.collapses,
         attempts: result.attempts,
+        splits: result.splits,
+        split_triangles: result.split_triangles,
         largest_shape_change: result.largest_shape_change,
         largest_texture_change: result.largest_texture_change,
+        became: sources(py, [].into_iter()),
+        removed: sources(py, [].into_iter()),
+        survivor: sources(py, [].into_iter()),
+        path: array(py, [].into_iter(), [0, D])?,
     })
+}
+
+fn name(stop: Stop) -> &'static str {
+    match stop {
+        Stop::Exhausted => "bounds",
+        Stop::Target => "triangles",
+        Stop::Enough => "request",
+    }
+}
+
+fn unknown_attributes(k: usize) -> PyErr {
+    PyValueError::new_err(format!("{k} attributes a vertex; 0, 1 (intensity) or 3 (RGB) are known"))
+}
+
+/// Simplify a mesh by attribute quadrics to a number of triangles. `weight` is the length that counts as much as one
+/// level of an attribute; `importance` multiplies the error around a vertex (empty for 1 everywhere).
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, weight, running, progress))]
+#[allow(clippy::too_many_arguments)]
+fn simplify_by_quadrics(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    importance: PyReadonlyArray1<'_, f64>,
+    weight: f64,
+    running: PyRef<'_, Running>,
+    progress: Py<PyAny>,
+) -> PyResult<Simplified> {
+    if !(weight >= 0.0 && weight.is_finite()) {
+        return Err(PyValueError::new_err("the weight must not be negative"));
+    }
+    let importance = importance.as_array().to_vec();
+    if !(importance.is_empty() || importance.len() == vertices.as_array().nrows()) {
+        return Err(PyValueError::new_err("importance needs one value a vertex"));
+    }
+    let inputs = Inputs { vertices, attributes, triangles, fixed };
+    match inputs.attributes.as_array().ncols() {
+        0 => quadric_points::<3, 0>(py, &inputs, weight, importance, &running, &progress),
+        1 => quadric_points::<4, 1>(py, &inputs, weight, importance, &running, &progress),
+        3 => quadric_points::<6, 3>(py, &inputs, weight, importance, &running, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn quadric_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    weight: f64,
+    importance: Vec<f64>,
+    running: &Running,
+    progress: &Py<PyAny>,
+) -> PyResult<Simplified> {
+    let (points, triangles, fixed) = inputs.copied::<D>()?;
+    let vertices = points.len();
+    let split_triangles = triangles.len();
+    let (mesh, standing, stop, merges, path, attempts) =
+        detached(py, progress, running.partial, |progress| {
+            let whole = Whole::new(points, triangles, fixed)?;
+            let records = QemRecords::<K>::new(weight, importance);
+            let outcome = collapse(whole, records, &running.goal(), progress)?;
+            let held = outcome.mesh.held_edges();
+            let count = |wanted| held.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
+            let standing = [
+                ("topology", count(Illegal::Topology)),
+                ("bridge", count(Illegal::Bridge)),
+                ("pinned", count(Illegal::Pinned)),
+                ("fold", count(Illegal::Fold)),
+            ];
+            let mesh = outcome.mesh.into_compact();
+            Ok((mesh, standing, outcome.stop, outcome.merges, outcome.path, outcome.attempts))
+        })?;
+    let became = follow(vertices, &mesh.vertex_source, &merges);
+    Ok(Simplified {
+        vertices: array(py, mesh.points.iter().flat_map(|p| &p[..3]).copied(), [mesh.points.len(), 3])?,
+        attributes: array(py, mesh.points.iter().flat_map(|p| &p[3..]).copied(), [mesh.points.len(), D - 3])?,
+        triangles: array(py, mesh.triangles.iter().flatten().map(|&v| v as i32), [mesh.triangles.len(), 3])?,
+        vertex_source: sources(py, mesh.vertex_source.iter().copied()),
+        triangle_source: sources(py, mesh.triangle_source.iter().copied()),
+        stopped_by: name(stop),
+        standing: standing.into(),
+        collapses: merges.len() as u64,
+        attempts,
+        splits: 0,
+        split_triangles,
+        largest_shape_change: 0.0,
+        largest_texture_change: 0.0,
+        became: PyArray1::from_vec(py, became).unbind(),
+        removed: sources(py, merges.iter().take(path.len()).map(|m| m.removed.0)),
+        survivor: sources(py, merges.iter().take(path.len()).map(|m| m.survivor.0)),
+        path: array(py, path.iter().flatten().copied(), [path.len(), D])?,
+    })
+}
+
+/// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
+fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
+    let mut became = vec![-1; vertices];
+    for (new, &v) in left.iter().enumerate() {
+        became[v as usize] = new as i32;
+    }
+    for merge in merges.iter().rev() {
+        became[merge.removed.index()] = became[merge.survivor.index()];
+    }
+    became
+}
+
+/// Fit a simplified mesh to its input: `became` holds the vertex of the result that each vertex of the input
+/// became part of, −1 for none. Returns vertices and attributes of the result.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, original_vertices, original_attributes,
+                    original_triangles, became, *, threads, progress))]
+#[allow(clippy::too_many_arguments)]
+fn fit(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    original_vertices: PyReadonlyArray2<'_, f64>,
+    original_attributes: PyReadonlyArray2<'_, f64>,
+    original_triangles: PyReadonlyArray2<'_, i32>,
+    became: PyReadonlyArray1<'_, i32>,
+    threads: usize,
+    progress: Py<PyAny>,
+) -> PyResult<(Py<PyArray2<f64>>, Py<PyArray2<f64>>)> {
+    let k = attributes.as_array().ncols();
+    let result = Inputs { vertices, attributes, triangles, fixed };
+    let none = PyArray1::from_vec(py, vec![]).readonly();
+    let original = Inputs {
+        vertices: original_vertices,
+        attributes: original_attributes,
+        triangles: original_triangles,
+        fixed: none,
+    };
+    match k {
+        0 => fit_points::<3>(py, &result, &original, &became, threads, &progress),
+        1 => fit_points::<4>(py, &result, &original, &became, threads, &progress),
+        3 => fit_points::<6>(py, &result, &original, &became, threads, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn fit_points<const D: usize>(
+    py: Python<'_>,
+    result: &Inputs<'_>,
+    original: &Inputs<'_>,
+    became: &PyReadonlyArray1<'_, i32>,
+    wanted_threads: usize,
+    progress: &Py<PyAny>,
+) -> PyResult<(Py<PyArray2<f64>>, Py<PyArray2<f64>>)> {
+    let (points, triangles, fixed) = result.copied::<D>()?;
+    let (original_points, original_triangles, _) = original.copied::<D>()?;
+    let vertices = points.len();
+    let became: Vec<VertexId> = became
+        .as_array()
+        .iter()
+        .map(|&v| if (0..vertices as i64).contains(&v.into()) { VertexId(v as u32) } else { VertexId::NONE })
+        .collect();
+    if became.len() != original_points.len() {
+        return Err(PyValueError::new_err("became needs one value for each original vertex"));
+    }
+    let points = detached(py, progress, false, |progress| {
+        let whole = Whole::<D, ()>::new(points, triangles, fixed)?;
+        check_points(&original_points)?;
+        check_indices(original_points.len(), &original_triangles)?;
+        let mut mesh = whole.connected()?;
+        let input = Input { points: &original_points, triangles: &original_triangles, became: &became };
+        crate::fit::fit(&mut mesh, &input, threads(wanted_threads), progress)?;
+        Ok(mesh.points)
+    })?;
+    Ok((
+        array(py, points.iter().flat_map(|p| &p[..3]).copied(), [vertices, 3])?,
+        array(py, points.iter().flat_map(|p| &p[3..]).copied(), [vertices, D - 3])?,
+    ))
+}
+
+/// The arrays of a mesh as Python gives them.
+struct Inputs<'py> {
+    vertices: PyReadonlyArray2<'py, f64>,
+    attributes: PyReadonlyArray2<'py, f64>,
+    triangles: PyReadonlyArray2<'py, i32>,
+    fixed: PyReadonlyArray1<'py, bool>,
+}
+
+type Copied<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>, Vec<bool>);
+
+impl Inputs<'_> {
+    fn copied<const D: usize>(&self) -> PyResult<Copied<D>> {
+        let points = points_from::<D>(&self.vertices, &self.attributes)?;
+        let triangles = triangles_from(&self.triangles, points.len())?;
+        let fixed = self.fixed.as_array().to_vec();
+        if !(fixed.is_empty() || fixed.len() == points.len()) {
+            return Err(PyValueError::new_err("fixed needs one value a vertex"));
+        }
+        Ok((points, triangles, fixed))
+    }
 }
 
 fn points_from<const D: usize>(
@@ -185,34 +431,64 @@ fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyR
     triangles.outer_iter().enumerate().map(corners).collect()
 }
 
-/// Run `work` without the GIL. Its progress reaches the Python function `progress(done, total)`; an exception
-/// there, or Ctrl-C, stops the work and comes back from here. A panic becomes a RuntimeError.
+/// How often the waiting thread looks for Ctrl-C, and every how many looks it reports progress.
+const LOOK: Duration = Duration::from_millis(40);
+const LOOKS_A_REPORT: u32 = 3;
+
+/// Run `work` without the GIL on a thread of its own, while this one waits. Progress reaches the Python function
+/// `progress(done, total)`. An exception there, or Ctrl-C, stops the work and comes back from here; so does False,
+/// with what there is. With `partial`, Ctrl-C does the same as False. A panic becomes a RuntimeError.
 fn detached<R: Send>(
     py: Python<'_>,
     progress: &Py<PyAny>,
+    partial: bool,
     work: impl FnOnce(&mut Progress) -> Result<R, KernelError> + Send,
 ) -> PyResult<R> {
+    let control = Control::default();
     let mut raised: Option<PyErr> = None;
     let outcome = py.detach(|| {
-        let mut go_on = |done: u64, total: u64| {
-            let called = Python::attach(|py| {
-                py.check_signals()?;
-                progress.call1(py, (done, total)).map(drop)
+        std::thread::scope(|scope| {
+            let (ended, end) = std::sync::mpsc::channel();
+            let control = &control;
+            let worker = scope.spawn(move || {
+                let outcome = catch_unwind(AssertUnwindSafe(|| work(&mut Progress::new(control))));
+                // Nobody waits any more once an exception was raised.
+                let _ = ended.send(());
+                outcome
             });
-            raised = called.err();
-            raised.is_none()
-        };
-        let mut progress = Progress::new(&mut go_on);
-        catch_unwind(AssertUnwindSafe(|| work(&mut progress)))
+            let mut looks = 0;
+            while end.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+                looks += 1;
+                let looked = Python::attach(|py| {
+                    if let Err(interrupt) = py.check_signals() {
+                        if !partial {
+                            return Err(interrupt);
+                        }
+                        control.enough();
+                    }
+                    if looks % LOOKS_A_REPORT == 0 {
+                        let (done, total) = control.done();
+                        if progress.call1(py, (done, total))?.bind(py).is(PyBool::new(py, false)) {
+                            control.enough();
+                        }
+                    }
+                    Ok(())
+                });
+                if let Err(error) = looked {
+                    raised = Some(error);
+                    control.abort();
+                    break;
+                }
+            }
+            worker.join()
+        })
     });
     if let Some(error) = raised {
         return Err(error);
     }
     match outcome {
-        Ok(result) => result.map_err(PyErr::from),
-        Err(_) => {
-            Err(PyRuntimeError::new_err("the mesh kernels failed; please report the mesh that shows it"))
-        }
+        Ok(Ok(result)) => result.map_err(PyErr::from),
+        _ => Err(PyRuntimeError::new_err("the mesh kernels failed; please report the mesh that shows it")),
     }
 }
 
@@ -225,15 +501,17 @@ fn array<T: numpy::Element>(
     Ok(PyArray1::from_vec(py, values).reshape(shape)?.unbind())
 }
 
-fn sources(py: Python<'_>, sources: &[u32]) -> Py<PyArray1<i32>> {
-    let sources: Vec<i32> = sources.iter().map(|&s| s as i32).collect();
-    sources.to_pyarray(py).unbind()
+fn sources(py: Python<'_>, sources: impl Iterator<Item = u32>) -> Py<PyArray1<i32>> {
+    PyArray1::from_vec(py, sources.map(|s| s as i32).collect()).unbind()
 }
 
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Running>()?;
     module.add_class::<Simplified>()?;
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
+    module.add_function(wrap_pyfunction!(simplify_by_quadrics, module)?)?;
+    module.add_function(wrap_pyfunction!(fit, module)?)?;
     module.add_function(wrap_pyfunction!(simplify, module)?)
 }

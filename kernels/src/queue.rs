@@ -50,6 +50,22 @@ impl Queue {
         self.heap.is_empty()
     }
 
+    /// The edge with the smallest key, and that key.
+    #[inline]
+    pub fn first(&self) -> Option<(EdgeId, f64)> {
+        self.heap.first().map(|entry| (entry.edge, entry.key))
+    }
+
+    #[inline]
+    pub fn holds(&self, edge: EdgeId) -> bool {
+        self.place.get(edge.index()).is_some_and(|&place| place != ABSENT)
+    }
+
+    /// All keys, in no order.
+    pub fn keys(&self) -> impl Iterator<Item = f64> + '_ {
+        self.heap.iter().map(|entry| entry.key)
+    }
+
     /// Take out the edge with the smallest key.
     pub fn pop(&mut self) -> Option<EdgeId> {
         let edge = self.heap.first()?.edge;

@@ -25,7 +25,8 @@ pub struct Star<const D: usize> {
     pub ends: [VertexId; 2],
     pub end_points: [[f64; D]; 2],
     pub middle: [f64; D],
-    pub end_on_boundary: [bool; 2],
+    /// Ends that a collapse must leave where they are; see [`Mesh::staying_ends`].
+    pub end_stays: [bool; 2],
     /// Triangles that a collapse removes, and their corners across from the edge.
     pub vanishing: Vec<(TriangleId, VertexId, [f64; D])>,
     pub wings: Vec<Wing<D>>,
@@ -44,7 +45,7 @@ impl<const D: usize> Default for Star<D> {
             ends: [VertexId::NONE; 2],
             end_points: [[0.0; D]; 2],
             middle: [0.0; D],
-            end_on_boundary: [false; 2],
+            end_stays: [false; 2],
             vanishing: vec![],
             wings: vec![],
             spokes: vec![],
@@ -61,6 +62,7 @@ impl<const D: usize> Star<D> {
         self.edge = edge;
         self.ends = connectivity.ends(edge);
         self.end_points = self.ends.map(|v| *mesh.point(v));
+        self.end_stays = mesh.staying_ends(edge);
         self.middle = midpoint(&self.end_points[0], &self.end_points[1]);
         self.vanishing.clear();
         self.wings.clear();
@@ -86,7 +88,6 @@ impl<const D: usize> Star<D> {
     fn gather_end(&mut self, mesh: &Mesh<D>, end: usize) -> VertexId {
         let connectivity = &mesh.connectivity;
         let (v, opposite) = (self.ends[end], self.ends[1 - end]);
-        self.end_on_boundary[end] = connectivity.is_boundary_vertex(v);
         for h in connectivity.fan(v) {
             let side = Connectivity::next(h);
             let (from, to) = (connectivity.origin(side), connectivity.target(side));

@@ -8,24 +8,37 @@ use scanloom_kernels::error::KernelError;
 use scanloom_kernels::geometry::{distance2, norm2, position, sub};
 use scanloom_kernels::jia01::{Jia01, Limits, Options, Simplified, simplify};
 use scanloom_kernels::mesh::Mesh;
-use scanloom_kernels::progress::Progress;
+use scanloom_kernels::patch::Whole;
+use scanloom_kernels::progress::{Control, Progress};
+use scanloom_kernels::rounds::{Goal, PATCH};
 
 const OPTIONS: Options = Options {
     bounds: Limits::NONE,
     scales: Limits { length: 1.0, shape: 0.1, texture: 100.0 },
     attribute_scale: 1e-3,
     paper_rule: false,
-    target_triangles: 0,
     triangle_limit: 1_000_000,
 };
+
+const GOAL: Goal = Goal { triangles: 0, threads: 1, patch: PATCH, record: false };
 
 fn run<const D: usize>(
     points: Vec<[f64; D]>,
     triangles: &[[u32; 3]],
     options: &Options,
 ) -> Result<Simplified<D>, KernelError> {
-    let mut go_on = |_, _| true;
-    simplify(Mesh::new(points, triangles)?, options, &mut Progress::new(&mut go_on))
+    run_to(0, points, triangles, options)
+}
+
+fn run_to<const D: usize>(
+    target: usize,
+    points: Vec<[f64; D]>,
+    triangles: &[[u32; 3]],
+    options: &Options,
+) -> Result<Simplified<D>, KernelError> {
+    let control = Control::default();
+    let whole = Whole::new(points, triangles.to_vec(), vec![])?;
+    simplify(whole, options, &Goal { triangles: target, ..GOAL }, &mut Progress::new(&control))
 }
 
 #[test]
@@ -62,7 +75,7 @@ fn every_edge_is_in_the_order_or_held_by_a_rule() {
     assert_eq!(result.stop, Stop::Exhausted);
     let s = result.standing;
     let edges = result.mesh.triangles.len() * 3 / 2;
-    assert_eq!(s.length + s.shape + s.texture + s.topology + s.bridge + s.fold, edges);
+    assert_eq!(s.length + s.shape + s.texture + s.topology + s.bridge + s.pinned + s.fold, edges);
 }
 
 #[test]
@@ -106,8 +119,7 @@ fn splitting_stops_at_the_limit() {
 #[test]
 fn the_target_is_reached_and_not_passed() {
     let (points, triangles) = torus(20, 12);
-    let options = Options { target_triangles: 101, ..OPTIONS };
-    let result = run(points, &triangles, &options).unwrap();
+    let result = run_to(101, points, &triangles, &OPTIONS).unwrap();
     assert_eq!((result.stop, result.mesh.triangles.len()), (Stop::Target, 100));
 }
 
@@ -138,8 +150,7 @@ fn the_paper_rule_overshoots_and_the_default_does_not() {
 #[test]
 fn equal_input_gives_equal_bits() {
     let (points, triangles) = torus(40, 25);
-    let once =
-        || run(coloured::<6>(&points, 0.1, 9), &triangles, &Options { target_triangles: 200, ..OPTIONS });
+    let once = || run_to(200, coloured::<6>(&points, 0.1, 9), &triangles, &OPTIONS);
     assert_eq!(once().unwrap().mesh, once().unwrap().mesh);
 }
 
@@ -190,15 +201,20 @@ fn the_unit_of_length_does_not_matter() {
 #[test]
 fn the_caller_can_stop_the_work() {
     let (points, triangles) = torus(300, 200);
-    let mut calls = 0;
-    let mut go_on = |done, total| {
-        calls += 1;
-        assert!(done <= total);
-        false
+    let run = |control: &Control| {
+        let whole = Whole::new(points.clone(), triangles.clone(), vec![]).unwrap();
+        simplify(whole, &OPTIONS, &GOAL, &mut Progress::new(control))
     };
-    let mesh = Mesh::new(points, &triangles).unwrap();
-    let result = simplify(mesh, &OPTIONS, &mut Progress::new(&mut go_on));
-    assert_eq!((result.err(), calls), (Some(KernelError::Interrupted), 1));
+    let control = Control::default();
+    control.abort();
+    assert_eq!(run(&control).err(), Some(KernelError::Interrupted));
+
+    let control = Control::default();
+    control.enough();
+    let result = run(&control).unwrap();
+    assert_eq!(result.stop, Stop::Enough);
+    assert!(result.mesh.triangles.len() > triangles.len() / 2);
+    assert!(Mesh::new(result.mesh.points, &result.mesh.triangles).is_ok());
 }
 
 #[test]

@@ -1,0 +1,63 @@
+//! The same work on many parts, on several threads, with results that do not depend on how many.
+
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::thread;
+
+/// `work` on every number below `count`; the results in this order. Each thread makes its `scratch` once.
+///
+/// Which thread takes which part is left to chance, so `work` must depend on nothing but its number.
+pub fn map<T: Send, S>(
+    count: usize,
+    threads: usize,
+    scratch: impl Fn() -> S + Sync,
+    work: impl Fn(&mut S, usize) -> T + Sync,
+) -> Vec<T> {
+    let threads = threads.min(count);
+    if threads <= 1 {
+        let mut scratch = scratch();
+        return (0..count).map(|part| work(&mut scratch, part)).collect();
+    }
+    let next = AtomicUsize::new(0);
+    let run = || {
+        let mut scratch = scratch();
+        let mut done = vec![];
+        loop {
+            let part = next.fetch_add(1, Relaxed);
+            if part >= count {
+                return done;
+            }
+            done.push((part, work(&mut scratch, part)));
+        }
+    };
+    let mut results: Vec<(usize, T)> = thread::scope(|scope| {
+        let others: Vec<_> = (1..threads).map(|_| scope.spawn(run)).collect();
+        let mut all = run();
+        for other in others {
+            match other.join() {
+                Ok(done) => all.extend(done),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+        all
+    });
+    results.sort_unstable_by_key(|r| r.0);
+    results.into_iter().map(|r| r.1).collect()
+}
+
+/// Two pieces of work side by side, if there is a thread to spare.
+pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
+    if threads <= 1 {
+        one();
+        other();
+        return;
+    }
+    thread::scope(|scope| {
+        scope.spawn(one);
+        other();
+    });
+}
+
+/// The number of threads to use when `wanted` is 0: one for each core.
+pub fn threads(wanted: usize) -> usize {
+    if wanted > 0 { wanted } else { thread::available_parallelism().map_or(1, |n| n.get()) }
+}

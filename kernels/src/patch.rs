@@ -1,0 +1,347 @@
+//! A mesh as a whole, and the patches it is worked on in.
+//!
+//! A patch is small enough for the cache and is nobody else's while it is worked on. Vertices it shares with
+//! other patches are its rim and stay; what it leaves is put together again with the other patches' remains, and
+//! the next partition runs elsewhere.
+
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use crate::connect::check_indices;
+use crate::connectivity::Connectivity;
+use crate::engine::{Measure, Merge, Refusal, Refusals};
+use crate::error::KernelError;
+use crate::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::mesh::{Compact, Mesh, Pin, Sources, check_points};
+use crate::parallel::map;
+use crate::partition::Partition;
+
+/// Why the edge at each corner of a triangle stands.
+pub type Held<B> = [Option<Refusal<B>>; 3];
+
+/// The whole mesh between two rounds.
+pub struct Whole<const D: usize, B> {
+    pub points: Vec<[f64; D]>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Which vertices and triangles of the mesh of the first round these are.
+    pub vertex_source: Vec<u32>,
+    pub triangle_source: Vec<u32>,
+    /// Vertices that must stay; empty for none.
+    pub fixed: Vec<bool>,
+    /// Empty before the first round.
+    pub held: Vec<Held<B>>,
+}
+
+/// What a measure remembers of the whole mesh.
+pub trait Records<const D: usize>: Sized + Send + Sync {
+    type Measure: Measure<D>;
+    /// What is left of a patch's records.
+    type Piece: Send;
+
+    /// A measure for a patch, whose sources are numbers of the whole mesh.
+    fn load(&self, patch: &Mesh<D>) -> Self::Measure;
+
+    /// Records of the vertices that are not on the rim, and of the triangles, in their order.
+    fn unload(measure: Self::Measure, patch: &Mesh<D>) -> Self::Piece;
+
+    /// Records of the next whole mesh: its vertices are those of `rim` (numbers of this one), then those of
+    /// each piece. `seam` holds the boundary edges between two vertices of the rim, each with the corner across.
+    fn join(self, rim: &[u32], seam: &[[u32; 3]], points: &[[f64; D]], pieces: Vec<Self::Piece>) -> Self;
+}
+
+const NOBODY: u32 = u32::MAX;
+const SHARED: u32 = u32::MAX - 1;
+
+/// Which vertices more than one patch uses.
+pub fn find_rim(vertices: usize, triangles: &[[u32; 3]], partition: &Partition, threads: usize) -> Vec<bool> {
+    if partition.len() == 1 {
+        return vec![false; vertices];
+    }
+    // Whoever comes first, a vertex of two patches ends up shared.
+    let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NOBODY)).collect();
+    let claim = |(): &mut (), p: usize| {
+        for &v in partition.patch(p).iter().flat_map(|&t| &triangles[t as usize]) {
+            let slot = &owner[v as usize];
+            let seen = slot.load(Relaxed);
+            if seen == p as u32 || seen == SHARED {
+                continue;
+            }
+            if seen != NOBODY || slot.compare_exchange(NOBODY, p as u32, Relaxed, Relaxed).is_err() {
+                slot.store(SHARED, Relaxed);
+            }
+        }
+    };
+    map(partition.len(), threads, || (), claim);
+    owner.iter().map(|slot| slot.load(Relaxed) == SHARED).collect()
+}
+
+/// One number for each vertex of the whole mesh, used again from patch to patch.
+pub struct Scratch {
+    local: Vec<u32>,
+}
+
+impl Scratch {
+    pub fn new(vertices: usize) -> Self {
+        Self { local: vec![NOBODY; vertices] }
+    }
+}
+
+impl<const D: usize, B: Copy> Whole<D, B> {
+    /// Points and triangles as they come. A triangle that names a vertex twice has no area and no side: it is left
+    /// out. That the rest is an oriented manifold is checked when it is cut.
+    ///
+    /// # Errors
+    /// An index out of range, or a value that is not finite or beyond ±1e60.
+    pub fn new(
+        points: Vec<[f64; D]>,
+        mut triangles: Vec<[u32; 3]>,
+        fixed: Vec<bool>,
+    ) -> Result<Self, KernelError> {
+        check_points(&points)?;
+        check_indices(points.len(), &triangles)?;
+        let proper = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
+        let triangle_source: Vec<u32> =
+            (0..triangles.len() as u32).filter(|&t| proper(&triangles[t as usize])).collect();
+        if triangle_source.len() < triangles.len() {
+            triangles.retain(proper);
+        }
+        let vertex_source = (0..points.len() as u32).collect();
+        Ok(Self { points, triangles, vertex_source, triangle_source, fixed, held: vec![] })
+    }
+
+    /// The mesh in one piece, with halfedges.
+    ///
+    /// # Errors
+    /// As [`Connectivity::from_triangles`].
+    pub fn connected(self) -> Result<Mesh<D>, KernelError> {
+        let pins = (0..self.points.len())
+            .map(|v| if self.fixed.get(v) == Some(&true) { Pin::Fixed } else { Pin::Free })
+            .collect();
+        Ok(Mesh {
+            connectivity: Connectivity::from_triangles(self.points.len(), &self.triangles)?,
+            points: self.points,
+            vertex_source: self.vertex_source,
+            triangle_source: self.triangle_source,
+            pins,
+        })
+    }
+
+    /// A mesh to start from, and where its parts came from before.
+    pub fn from_mesh(mesh: Mesh<D>) -> (Self, Sources) {
+        let corners = |t| mesh.connectivity.corners(t).map(|v| v.0);
+        let triangles: Vec<[u32; 3]> = mesh.connectivity.triangles().map(corners).collect();
+        let whole = Self {
+            vertex_source: (0..mesh.points.len() as u32).collect(),
+            triangle_source: (0..triangles.len() as u32).collect(),
+            points: mesh.points,
+            triangles,
+            fixed: mesh.pins.iter().map(|&pin| pin == Pin::Fixed).collect(),
+            held: vec![],
+        };
+        (whole, Sources { vertices: mesh.vertex_source, triangles: mesh.triangle_source })
+    }
+
+    /// Why edges stand: one entry for each edge that does.
+    pub fn held_edges(&self) -> Vec<Refusal<B>> {
+        let mut held: Vec<(u32, u32, Refusal<B>)> = vec![];
+        for (corners, refusals) in self.triangles.iter().zip(&self.held) {
+            for (corner, refusal) in refusals.iter().enumerate() {
+                let (a, b) = (corners[corner], corners[(corner + 1) % 3]);
+                held.extend(refusal.map(|refusal| (a.min(b), a.max(b), refusal)));
+            }
+        }
+        held.sort_unstable_by_key(|edge| (edge.0, edge.1));
+        held.dedup_by_key(|edge| (edge.0, edge.1));
+        held.into_iter().map(|edge| edge.2).collect()
+    }
+
+    /// The mesh with vertices and triangles in the order of their sources, without vertices no triangle uses.
+    pub fn into_compact(self) -> Compact<D> {
+        let used = {
+            let mut used = vec![false; self.points.len()];
+            self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+            used
+        };
+        let mut vertices: Vec<(u32, u32)> = (0..self.points.len() as u32)
+            .filter(|&v| used[v as usize])
+            .map(|v| (self.vertex_source[v as usize], v))
+            .collect();
+        vertices.sort_unstable();
+        let mut number = vec![0u32; self.points.len()];
+        for (new, &(_, v)) in vertices.iter().enumerate() {
+            number[v as usize] = new as u32;
+        }
+        let mut triangles: Vec<(u32, u32)> =
+            self.triangle_source.iter().zip(0..).map(|(&source, t)| (source, t)).collect();
+        triangles.sort_unstable();
+        Compact {
+            points: vertices.iter().map(|&(_, v)| self.points[v as usize]).collect(),
+            triangles: triangles
+                .iter()
+                .map(|&(_, t)| self.triangles[t as usize].map(|v| number[v as usize]))
+                .collect(),
+            vertex_source: vertices.iter().map(|&(source, _)| source).collect(),
+            triangle_source: triangles.iter().map(|&(source, _)| source).collect(),
+        }
+    }
+
+    /// The mesh of a patch, and what is known of its edges.
+    ///
+    /// # Errors
+    /// As [`Connectivity::from_patch`], with the patch's own numbers.
+    pub fn cut(
+        &self,
+        patch: &[u32],
+        rim: &[bool],
+        scratch: &mut Scratch,
+    ) -> Result<(Mesh<D>, Refusals<B>), KernelError> {
+        let mut vertex_source: Vec<u32> = Vec::with_capacity(patch.len() / 2 + 64);
+        let mut triangles: Vec<[u32; 3]> = Vec::with_capacity(patch.len());
+        for &t in patch {
+            triangles.push(self.triangles[t as usize].map(|v| {
+                let local = &mut scratch.local[v as usize];
+                if *local == NOBODY {
+                    *local = vertex_source.len() as u32;
+                    vertex_source.push(v);
+                }
+                *local
+            }));
+        }
+        for &v in &vertex_source {
+            scratch.local[v as usize] = NOBODY;
+        }
+        let is_rim = |v: VertexId| rim[vertex_source[v.index()] as usize];
+        let connectivity = Connectivity::from_patch(vertex_source.len(), &triangles, is_rim)?;
+        let pin = |&v: &u32| match (rim[v as usize], self.fixed.get(v as usize)) {
+            (true, _) => Pin::Rim,
+            (false, Some(true)) => Pin::Fixed,
+            _ => Pin::Free,
+        };
+        let mut refusals = vec![None; connectivity.edge_slots()];
+        if !self.held.is_empty() {
+            for (local, &t) in patch.iter().enumerate() {
+                for corner in 0..3 {
+                    let edge = connectivity.edge(HalfedgeId((3 * local + corner) as u32));
+                    refusals[edge.index()] = self.held[t as usize][corner];
+                }
+            }
+        }
+        let mesh = Mesh {
+            points: vertex_source.iter().map(|&v| self.points[v as usize]).collect(),
+            pins: vertex_source.iter().map(pin).collect(),
+            triangle_source: patch.to_vec(),
+            vertex_source,
+            connectivity,
+        };
+        Ok((mesh, refusals))
+    }
+}
+
+/// What is left of a patch.
+pub struct Piece<const D: usize, B, R> {
+    /// Vertices that are not on the rim.
+    points: Vec<[f64; D]>,
+    vertex_source: Vec<u32>,
+    /// A vertex of the rim by its number in the whole mesh, `ON_RIM` added; another by its place in `points`.
+    triangles: Vec<[u32; 3]>,
+    triangle_source: Vec<u32>,
+    held: Vec<Held<B>>,
+    records: R,
+    /// In numbers of the whole mesh.
+    pub merges: Vec<Merge>,
+    pub path: Option<Vec<[f64; D]>>,
+}
+
+const ON_RIM: u32 = 1 << 31;
+
+impl<const D: usize, B: Copy, R> Piece<D, B, R> {
+    /// Triangles that are left.
+    pub fn triangles(&self) -> usize {
+        self.triangles.len()
+    }
+
+    pub fn new(
+        mesh: &Mesh<D>,
+        refusal: impl Fn(EdgeId) -> Option<Refusal<B>>,
+        merges: &[Merge],
+        path: Option<Vec<[f64; D]>>,
+        records: R,
+    ) -> Self {
+        let connectivity = &mesh.connectivity;
+        let mut number = vec![0; connectivity.vertex_slots()];
+        let (mut points, mut vertex_source) = (vec![], vec![]);
+        for v in connectivity.vertices() {
+            let source = mesh.vertex_source[v.index()];
+            if mesh.pin(v) == Pin::Rim {
+                number[v.index()] = source | ON_RIM;
+            } else {
+                number[v.index()] = points.len() as u32;
+                points.push(*mesh.point(v));
+                vertex_source.push(source);
+            }
+        }
+        let (mut triangles, mut triangle_source, mut held) = (vec![], vec![], vec![]);
+        for t in connectivity.triangles() {
+            triangles.push(connectivity.corners(t).map(|v| number[v.index()]));
+            triangle_source.push(mesh.triangle_source[t.index()]);
+            held.push(std::array::from_fn(|corner| {
+                refusal(connectivity.edge(HalfedgeId(3 * t.0 + corner as u32)))
+            }));
+        }
+        let whole = |v: VertexId| VertexId(mesh.vertex_source[v.index()]);
+        let merges = merges
+            .iter()
+            .map(|m| Merge { removed: whole(m.removed), survivor: whole(m.survivor), ..*m })
+            .collect();
+        Self { points, vertex_source, triangles, triangle_source, held, records, merges, path }
+    }
+}
+
+impl<const D: usize, B: Copy> Whole<D, B> {
+    /// Put the pieces of all patches together. Vertices of the rim come first.
+    pub fn join<R: Records<D>>(
+        self,
+        rim: &[bool],
+        seam: &[[u32; 3]],
+        records: R,
+        pieces: Vec<Piece<D, B, R::Piece>>,
+    ) -> (Self, R) {
+        let rim_vertices: Vec<u32> = (0..rim.len() as u32).filter(|&v| rim[v as usize]).collect();
+        let mut rim_number = vec![NOBODY; rim.len()];
+        for (number, &v) in rim_vertices.iter().enumerate() {
+            rim_number[v as usize] = number as u32;
+        }
+        let vertices = rim_vertices.len() + pieces.iter().map(|p| p.points.len()).sum::<usize>();
+        let triangles = pieces.iter().map(|p| p.triangles.len()).sum();
+        let mut next = Self {
+            points: Vec::with_capacity(vertices),
+            triangles: Vec::with_capacity(triangles),
+            vertex_source: Vec::with_capacity(vertices),
+            triangle_source: Vec::with_capacity(triangles),
+            fixed: vec![],
+            held: Vec::with_capacity(triangles),
+        };
+        next.points.extend(rim_vertices.iter().map(|&v| self.points[v as usize]));
+        let mut from: Vec<u32> = rim_vertices.clone();
+        from.reserve(vertices - from.len());
+        let mut kept = Vec::with_capacity(pieces.len());
+        for piece in pieces {
+            let first = next.points.len() as u32;
+            next.points.extend_from_slice(&piece.points);
+            from.extend_from_slice(&piece.vertex_source);
+            let place = |v: u32| {
+                if v & ON_RIM != 0 { rim_number[(v & !ON_RIM) as usize] } else { first + v }
+            };
+            next.triangles.extend(piece.triangles.iter().map(|t| t.map(place)));
+            next.triangle_source
+                .extend(piece.triangle_source.iter().map(|&t| self.triangle_source[t as usize]));
+            next.held.extend_from_slice(&piece.held);
+            kept.push(piece.records);
+        }
+        next.vertex_source.extend(from.iter().map(|&v| self.vertex_source[v as usize]));
+        if !self.fixed.is_empty() {
+            next.fixed = from.iter().map(|&v| self.fixed[v as usize]).collect();
+        }
+        let records = records.join(&rim_vertices, seam, &self.points, kept);
+        (next, records)
+    }
+}

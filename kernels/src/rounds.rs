@@ -1,0 +1,334 @@
+//! The collapse loop over a mesh of any size: round after round, patch by patch.
+//!
+//! ```text
+//! until few enough triangles are left, or no edge may collapse:
+//!     cut the mesh into patches, elsewhere than before
+//!     choose a priority that about half of the edges stay below
+//!     each patch, on any thread: collapse up to this priority, the rim held still
+//!     put the pieces together
+//! ```
+//!
+//! Within a round, all patches go up to the same priority, as one queue for the whole mesh would: the order differs
+//! from that of one queue only along the rims, and there by one round. Patches, priorities and numbering follow
+//! from the mesh alone, so the result has the same bits for any number of threads. Patches fit into the
+//! cache, which makes this faster than one queue also on a single core.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+use crate::connectivity::Connectivity;
+use crate::engine::{Engine, Measure, Merge, Stop, Until};
+use crate::error::KernelError;
+use crate::ids::VertexId;
+use crate::parallel::map;
+use crate::partition::Partition;
+use crate::patch::{Piece, Records, Scratch, Whole, find_rim};
+use crate::progress::Progress;
+
+/// How far to go, and on how many threads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Goal {
+    /// Stop as soon as no more triangles are left.
+    pub triangles: usize,
+    /// At least 1.
+    pub threads: usize,
+    /// Triangles of a patch. The result depends on it.
+    pub patch: usize,
+    /// Record where the survivor of each collapse went.
+    pub record: bool,
+}
+
+/// Triangles of a patch by default: it then fits into a core's own cache.
+pub const PATCH: usize = 8192;
+
+/// Share of the triangles that one round may remove: more saves rounds, less follows one queue's order closer.
+const SHARE: f64 = 0.45;
+
+type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
+
+pub struct Outcome<const D: usize, R: Records<D>> {
+    pub mesh: Whole<D, Bound<D, R>>,
+    pub records: R,
+    pub stop: Stop,
+    /// All collapses in an order in which they can be repeated, in numbers of the vertices at the start.
+    pub merges: Vec<Merge>,
+    /// Where their survivors went; empty unless asked for.
+    pub path: Vec<[f64; D]>,
+    pub attempts: u64,
+}
+
+/// Collapse edges until the goal is reached or none may go.
+///
+/// # Errors
+/// As [`Connectivity::from_triangles`], and [`KernelError::Interrupted`].
+pub fn collapse<const D: usize, R: Records<D>>(
+    mut mesh: Whole<D, Bound<D, R>>,
+    mut records: R,
+    goal: &Goal,
+    progress: &mut Progress,
+) -> Result<Outcome<D, R>, KernelError> {
+    let at_start = mesh.triangles.len();
+    let (mut merges, mut path) = (vec![], vec![]);
+    let attempts = AtomicU64::new(0);
+    let mut histogram: Option<Histogram> = None;
+    let mut idle = 0;
+    let mut round = 0;
+    let stop = loop {
+        let count = mesh.triangles.len();
+        if count <= goal.triangles && round > 0 {
+            break Stop::Target;
+        }
+        let patches = (count / goal.patch).max(1);
+        let partition = Partition::new(&mesh.points, &mesh.triangles, patches, round, goal.threads);
+        let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
+        let seam = if round == 0 { check_seam(&mesh, &rim, patches)? } else { vec![] };
+        progress.tell((at_start - count) as u64, (at_start - goal.triangles.min(at_start)) as u64)?;
+
+        let run = Run { mesh: &mesh, records: &records, partition: &partition, rim: &rim, goal };
+        let needed = count.saturating_sub(goal.triangles).div_ceil(2);
+        let priority = if patches == 1 {
+            f64::INFINITY
+        } else {
+            let seen = match histogram.take() {
+                Some(seen) => seen,
+                None => run.sample(progress).map_err(|error| explained(&mesh, error))?,
+            };
+            seen.priority_for(wanted(needed, count), count / 2)
+        };
+        let seen = Histogram::default();
+        let until =
+            Until { triangles: if patches == 1 { goal.triangles } else { 0 }, priority, ..Until::EXHAUSTED };
+        let work = |limit: &(dyn Fn(usize) -> usize + Sync), seen: &Histogram| {
+            let one = |scratch: &mut Scratch, p: usize| {
+                run.patch(
+                    scratch,
+                    p,
+                    &Until { collapses: limit(p), ..until },
+                    seen,
+                    &attempts,
+                    &mut progress.clone(),
+                )
+            };
+            let scratch = || Scratch::new(mesh.points.len());
+            map(patches, goal.threads, scratch, one).into_iter().collect::<Result<Vec<_>, _>>()
+        };
+        let mut pieces = work(&|_| usize::MAX, &seen).map_err(|error| explained(&mesh, error))?;
+        let collapsed: usize = pieces.iter().map(|piece| piece.merges.len()).sum();
+        let mut histogram_of_round = seen;
+        // Removing two triangles each, or one at a boundary, the collapses may have gone too far.
+        let removed = count - pieces.iter().map(Piece::triangles).sum::<usize>();
+        if patches > 1 && count - removed < goal.triangles {
+            let limits = first_merges(&pieces, goal.triangles, count);
+            drop(pieces);
+            histogram_of_round = Histogram::default();
+            pieces = work(&|p| limits[p], &histogram_of_round)?;
+        }
+        let enough = progress.is_enough();
+        gather_merges(&mesh.vertex_source, &mut pieces, &mut merges, &mut path);
+        (mesh, records) = mesh.join(&rim, &seam, records, pieces);
+        histogram = Some(histogram_of_round);
+        round += 1;
+        if enough {
+            break Stop::Enough;
+        }
+        if mesh.triangles.len() <= goal.triangles {
+            break Stop::Target;
+        }
+        // Every edge waits on a refusal, or the last partitions let nothing happen any more.
+        idle = if collapsed == 0 && priority == f64::INFINITY { idle + 1 } else { 0 };
+        let open = |held: &crate::patch::Held<_>| held.iter().any(Option::is_none);
+        if priority == f64::INFINITY && (patches == 1 || idle == 3 || !mesh.held.iter().any(open)) {
+            break Stop::Exhausted;
+        }
+    };
+    Ok(Outcome { mesh, records, stop, merges, path, attempts: attempts.into_inner() })
+}
+
+/// Collapses to ask of a round. The last rounds aim a little short, then too far, and are cut to the goal.
+fn wanted(needed: usize, triangles: usize) -> usize {
+    let most = (SHARE * triangles as f64 / 2.0) as usize;
+    if needed > most {
+        most
+    } else if needed > triangles / 64 {
+        needed - needed / 8
+    } else {
+        2 * needed
+    }
+}
+
+struct Run<'a, const D: usize, R: Records<D>> {
+    mesh: &'a Whole<D, Bound<D, R>>,
+    records: &'a R,
+    partition: &'a Partition,
+    rim: &'a [bool],
+    goal: &'a Goal,
+}
+
+impl<const D: usize, R: Records<D>> Run<'_, D, R> {
+    fn engine(&self, scratch: &mut Scratch, p: usize) -> Result<Engine<D, R::Measure>, KernelError> {
+        let (mesh, refusals) = self.mesh.cut(self.partition.patch(p), self.rim, scratch)?;
+        let measure = self.records.load(&mesh);
+        Ok(Engine::resume(mesh, measure, refusals))
+    }
+
+    fn patch(
+        &self,
+        scratch: &mut Scratch,
+        p: usize,
+        until: &Until,
+        seen: &Histogram,
+        attempts: &AtomicU64,
+        progress: &mut Progress,
+    ) -> Result<Piece<D, Bound<D, R>, R::Piece>, KernelError> {
+        progress.check()?;
+        let mut engine = self.engine(scratch, p)?;
+        if self.goal.record {
+            engine.record_path();
+        }
+        engine.run(*until, progress)?;
+        seen.add(engine.waiting());
+        attempts.fetch_add(engine.attempts(), Relaxed);
+        let (mesh, measure, refusals, merges, path) = engine.into_parts();
+        let records = R::unload(measure, &mesh);
+        Ok(Piece::new(&mesh, |edge| refusals[edge.index()], &merges, path, records))
+    }
+
+    /// The priorities in some of the patches, before the first round.
+    fn sample(&self, progress: &Progress) -> Result<Histogram, KernelError> {
+        let step = (self.partition.len() / 8).max(1);
+        let chosen = self.partition.len().div_ceil(step);
+        let seen = Histogram::default();
+        let one = |scratch: &mut Scratch, i: usize| -> Result<usize, KernelError> {
+            progress.check()?;
+            let engine = self.engine(scratch, i * step)?;
+            seen.add(engine.waiting());
+            Ok(self.partition.patch(i * step).len())
+        };
+        let scratch = || Scratch::new(self.mesh.points.len());
+        let sizes =
+            map(chosen, self.goal.threads, scratch, one).into_iter().collect::<Result<Vec<_>, _>>()?;
+        let sampled: usize = sizes.iter().sum();
+        Ok(Histogram { scale: self.mesh.triangles.len() as f64 / sampled as f64, ..seen })
+    }
+}
+
+/// Sixteen classes for every doubling of a priority.
+struct Histogram {
+    counts: Vec<AtomicU32>,
+    scale: f64,
+}
+
+const CLASS_BITS: u32 = 48;
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self { counts: (0..1 << (63 - CLASS_BITS)).map(|_| AtomicU32::new(0)).collect(), scale: 1.0 }
+    }
+}
+
+impl Histogram {
+    fn add(&self, priorities: impl Iterator<Item = f64>) {
+        for priority in priorities {
+            let class = (priority.max(0.0).to_bits() >> CLASS_BITS) as usize;
+            self.counts[class].fetch_add(1, Relaxed);
+        }
+    }
+
+    /// The priority up to which about `collapses` take place on a mesh where `most` can.
+    fn priority_for(&self, collapses: usize, most: usize) -> f64 {
+        // Of three edges one collapses and two merge with others when all go, while the first few are all
+        // collapses.
+        let share = collapses as f64 / most.max(1) as f64;
+        let wanted = collapses as f64 * (1.0 + 2.0 * share);
+        let mut below = 0.0;
+        for (class, count) in self.counts.iter().enumerate() {
+            below += self.scale * f64::from(count.load(Relaxed));
+            if below >= wanted {
+                return f64::from_bits((class as u64 + 1) << CLASS_BITS);
+            }
+        }
+        f64::INFINITY
+    }
+}
+
+/// How many merges of each patch to keep so that `triangles` are left: those of least priority.
+fn first_merges<const D: usize, B: Copy, R>(
+    pieces: &[Piece<D, B, R>],
+    triangles: usize,
+    mut count: usize,
+) -> Vec<usize> {
+    let mut order: Vec<(f64, u32, u32)> = vec![];
+    for (p, piece) in pieces.iter().enumerate() {
+        order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
+    }
+    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let mut limits = vec![0; pieces.len()];
+    for (_, p, i) in order {
+        if count <= triangles {
+            break;
+        }
+        limits[p as usize] += 1;
+        count -= usize::from(pieces[p as usize].merges[i as usize].triangles);
+    }
+    limits
+}
+
+/// Append the merges of a round, those of least priority first.
+fn gather_merges<const D: usize, B: Copy, R>(
+    source: &[u32],
+    pieces: &mut [Piece<D, B, R>],
+    merges: &mut Vec<Merge>,
+    path: &mut Vec<[f64; D]>,
+) {
+    let at_start = |v: VertexId| VertexId(source[v.index()]);
+    let mut order: Vec<(f64, u32, u32)> = vec![];
+    for (p, piece) in pieces.iter().enumerate() {
+        order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
+    }
+    let recorded = pieces.iter().any(|piece| piece.path.is_some());
+    if recorded {
+        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    }
+    for (_, p, i) in order {
+        let piece = &pieces[p as usize];
+        let m = piece.merges[i as usize];
+        merges.push(Merge { removed: at_start(m.removed), survivor: at_start(m.survivor), ..m });
+        if let Some(points) = &piece.path {
+            path.push(points[i as usize]);
+        }
+    }
+}
+
+/// Check the manifold around vertices of the rim, whose triangles no patch has all. Returns the boundary edges
+/// between two of them, in the direction of their triangle, each with the corner across.
+fn check_seam<const D: usize, B: Copy>(
+    mesh: &Whole<D, B>,
+    rim: &[bool],
+    patches: usize,
+) -> Result<Vec<[u32; 3]>, KernelError> {
+    if patches == 1 {
+        return Ok(vec![]);
+    }
+    let touching: Vec<u32> = (0..mesh.triangles.len() as u32)
+        .filter(|&t| mesh.triangles[t as usize].iter().any(|&v| rim[v as usize]))
+        .collect();
+    // Here it is the others that have triangles elsewhere.
+    let others: Vec<bool> = rim.iter().map(|is_rim| !is_rim).collect();
+    let mut scratch = Scratch::new(mesh.points.len());
+    let (seam, _) = mesh.cut(&touching, &others, &mut scratch).map_err(|error| explained(mesh, error))?;
+    let connectivity = &seam.connectivity;
+    let whole = |v: VertexId| seam.vertex_source[v.index()];
+    let open = connectivity.edges().filter(|&e| connectivity.is_boundary_edge(e)).map(|e| {
+        let h = connectivity.halfedge(e);
+        [connectivity.origin(h), connectivity.target(h), connectivity.origin(Connectivity::prev(h))]
+            .map(whole)
+    });
+    Ok(open.filter(|[a, b, _]| rim[*a as usize] && rim[*b as usize]).collect())
+}
+
+/// What a patch found wrong, in the numbers of the whole mesh.
+fn explained<const D: usize, B>(mesh: &Whole<D, B>, error: KernelError) -> KernelError {
+    if error == KernelError::Interrupted {
+        return error;
+    }
+    Connectivity::from_triangles(mesh.points.len(), &mesh.triangles).err().unwrap_or(error)
+}
