@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["InvalidMeshError", "LimitError", "Running", "Simplified", "fit", "simplify", "simplify_by_quadrics"]
+__all__ = ["InvalidMeshError", "LimitError", "Running", "Simplified", "fit", "residuals", "simplify", "simplify_by_quadrics"]
 
 class InvalidMeshError(ValueError):
     """The mesh breaks a rule the kernels need; the message names the elements."""
@@ -135,4 +135,16 @@ def fit(
 
     `became` holds, for each original vertex, the vertex of the result it became part of, -1 for none. Raises
     InvalidMeshError for a mesh it cannot work on.
+    """
+
+def residuals(
+    vertices: NDArray[np.float64],
+    attributes: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    *,
+    target: int,
+) -> tuple[float, float] | None:
+    """Return the RMS errors of shape and attributes to expect of a result with `target` triangles.
+
+    None where the mesh is too small to tell or has no attributes.
     """

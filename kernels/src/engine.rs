@@ -225,13 +225,14 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     /// Bring a rising edge to where it belongs until one is first that has risen already.
     fn refresh_first(&mut self) {
-        while M::RISING {
-            match self.queue.first() {
-                Some((edge, _)) if std::mem::replace(&mut self.stale[edge.index()], false) => {
-                    offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
-                }
-                _ => break,
+        if !M::RISING {
+            return;
+        }
+        while let Some((edge, _)) = self.queue.first() {
+            if !std::mem::replace(&mut self.stale[edge.index()], false) {
+                break;
             }
+            offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
         }
     }
 

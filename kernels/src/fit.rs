@@ -132,8 +132,8 @@ pub fn fit<const D: usize>(
     let system = System::new(mesh, input, hits.iter().flatten(), &normals);
     progress.check()?;
     let solution = system.solve();
-    for v in 0..mesh.points.len() {
-        (3..D).for_each(|j| mesh.points[v][j] += solution[v][j]);
+    for (point, step) in mesh.points.iter_mut().zip(&solution) {
+        (3..D).for_each(|j| point[j] += step[j]);
     }
     move_along_normals(mesh, &normals, &solution);
     Ok(())

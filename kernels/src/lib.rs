@@ -11,6 +11,7 @@
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 
+pub mod balance;
 mod connect;
 pub mod connectivity;
 pub mod engine;

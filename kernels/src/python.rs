@@ -14,6 +14,7 @@ use pyo3::exceptions::{PyOverflowError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBool;
 
+use crate::balance;
 use crate::connect::check_indices;
 use crate::engine::{Merge, Refusal, Stop};
 use crate::error::KernelError;
@@ -293,6 +294,38 @@ fn quadric_points<const D: usize, const K: usize>(
     })
 }
 
+/// Errors of shape and of the attributes that a result of `target` triangles has to be expected to make; None where
+/// the mesh is too small to tell or has no attributes.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, *, target))]
+fn residuals(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    target: usize,
+) -> PyResult<Option<(f64, f64)>> {
+    let fixed = PyArray1::from_vec(py, vec![]).readonly();
+    let inputs = Inputs { vertices, attributes, triangles, fixed };
+    match inputs.attributes.as_array().ncols() {
+        0 => Ok(None),
+        1 => residuals_of_points::<4>(py, &inputs, target),
+        3 => residuals_of_points::<6>(py, &inputs, target),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn residuals_of_points<const D: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    target: usize,
+) -> PyResult<Option<(f64, f64)>> {
+    let (points, triangles, _) = inputs.copied::<D>()?;
+    check_points(&points)?;
+    check_indices(points.len(), &triangles)?;
+    Ok(py.detach(|| balance::residuals(&points, &triangles, target)))
+}
+
 /// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
 fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
     let mut became = vec![-1; vertices];
@@ -304,6 +337,9 @@ fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
     }
     became
 }
+
+/// Vertices and attributes.
+type Points = (Py<PyArray2<f64>>, Py<PyArray2<f64>>);
 
 /// Fit a simplified mesh to its input: `became` holds the vertex of the result that each vertex of the input
 /// became part of, −1 for none. Returns vertices and attributes of the result.
@@ -323,7 +359,7 @@ fn fit(
     became: PyReadonlyArray1<'_, i32>,
     threads: usize,
     progress: Py<PyAny>,
-) -> PyResult<(Py<PyArray2<f64>>, Py<PyArray2<f64>>)> {
+) -> PyResult<Points> {
     let k = attributes.as_array().ncols();
     let result = Inputs { vertices, attributes, triangles, fixed };
     let none = PyArray1::from_vec(py, vec![]).readonly();
@@ -348,7 +384,7 @@ fn fit_points<const D: usize>(
     became: &PyReadonlyArray1<'_, i32>,
     wanted_threads: usize,
     progress: &Py<PyAny>,
-) -> PyResult<(Py<PyArray2<f64>>, Py<PyArray2<f64>>)> {
+) -> PyResult<Points> {
     let (points, triangles, fixed) = result.copied::<D>()?;
     let (original_points, original_triangles, _) = original.copied::<D>()?;
     let vertices = points.len();
@@ -513,5 +549,6 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add_function(wrap_pyfunction!(simplify_by_quadrics, module)?)?;
     module.add_function(wrap_pyfunction!(fit, module)?)?;
+    module.add_function(wrap_pyfunction!(residuals, module)?)?;
     module.add_function(wrap_pyfunction!(simplify, module)?)
 }

@@ -49,7 +49,7 @@ impl<const K: usize> QemRecords<K> {
     }
 
     /// Quadrics of the vertices of a patch from its triangles: whole ones inside, a part of them on the rim.
-    fn from_triangles<const D: usize>(&self, mesh: &Mesh<D>) -> Vec<Quadric<K>> {
+    fn at_start<const D: usize>(&self, mesh: &Mesh<D>) -> Vec<Quadric<K>> {
         let mut quadrics = vec![Quadric::default(); mesh.points.len()];
         for t in mesh.connectivity.triangles() {
             let corners = mesh.connectivity.corners(t);
@@ -160,7 +160,7 @@ impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
 
     fn load(&self, patch: &Mesh<D>) -> Qem<D, K> {
         let quadrics: Vec<Quadric<K>> = if self.quadrics.is_empty() {
-            self.from_triangles(patch)
+            self.at_start(patch)
         } else {
             patch.vertex_source.iter().map(|&v| self.quadrics[v as usize]).collect()
         };

@@ -12,7 +12,7 @@
 //! For any p the best s is the mean of the predictions, so that only a system of three equations is left, however
 //! many attributes there are.
 
-use crate::geometry::{Vec3, cross, dot, norm2, position, sub};
+use crate::geometry::{Vec3, add_scaled, cross, dot, norm2, position, sub};
 
 /// Symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz.
 pub type Symmetric = [f64; 6];
@@ -96,12 +96,10 @@ impl<const K: usize> Quadric<K> {
             let gradient: Vec3 = std::array::from_fn(|i| weight * (du * along_u[i] + dv * along_v[i]));
             let offset = weight * p - dot(&gradient, &origin);
             add_outer(&mut quadric.shape, area, &gradient);
-            for i in 0..3 {
-                quadric.linear[i] += area * offset * gradient[i];
-                quadric.attributes[j][i] = area * gradient[i];
-            }
+            let [x, y, z] = gradient.map(|x| area * x);
+            quadric.linear = add_scaled(&quadric.linear, area * offset, &gradient);
             quadric.constant += area * offset * offset;
-            quadric.attributes[j][3] = area * offset;
+            quadric.attributes[j] = [x, y, z, area * offset];
         }
         quadric
     }
@@ -110,9 +108,7 @@ impl<const K: usize> Quadric<K> {
     #[inline]
     pub fn add_plane(&mut self, weight: f64, normal: &Vec3, offset: f64) {
         add_outer(&mut self.shape, weight, normal);
-        for i in 0..3 {
-            self.linear[i] += weight * offset * normal[i];
-        }
+        self.linear = add_scaled(&self.linear, weight * offset, normal);
         self.constant += weight * offset * offset;
     }
 
@@ -153,7 +149,7 @@ impl<const K: usize> Quadric<K> {
                 let [x, y, z, d] = self.attributes[j];
                 let gradient = [x, y, z];
                 add_outer(&mut shape, minus, &gradient);
-                (0..3).for_each(|i| linear[i] += minus * d * gradient[i]);
+                linear = add_scaled(&linear, minus * d, &gradient);
                 constant += minus * d * d;
             }
         }
