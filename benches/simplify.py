@@ -1,0 +1,386 @@
+"""Simplifiers side by side, each called the way its users call it: shape, colour, soundness, time, memory.
+
+    python benches/simplify.py DATA [--ratios 0.1 0.04] [--mesh globe] [--only VTK] [--scan FILE]
+                                    [--picture FILE] [--samples 200000]
+
+DATA holds `meshes/` and `images/`. `pip install '.[bench]'` brings the peers that are Python packages;
+meshoptimizer wants cargo, CGAL wants g++ and Debian's libcgal-dev and libeigen3-dev. A peer that is absent
+is left out, with a line that says why. It prints Markdown: a table for each mesh and ratio, then what
+follows from them. All tools get the same cleaned mesh. The whole takes four minutes.
+
+Each call is a process of its own on one core. "CPU s" is the processor time of the call, "MB" the growth of
+the process's peak memory during it; both start after one call on a small mesh. Shape is two-sided; colour is
+sampled on the original: the colour there against the colour at the nearest point of the result, in 8-bit
+levels. Lengths are relative to the bounding box's diagonal. "check" is the RMS by PyMeshLab's own sampling.
+"pinched" are vertices of more than one fan, "turned" are triangles that face more than 120° away from the
+original next to them, "spread" is the standard deviation of edge lengths over their mean.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshes
+import numpy as np
+from peers.tools import OURS, TOOLS, Missing, Tool
+
+from stages.compare import compare
+from stages.edges import edges_of
+from stages.mesh import Mesh
+from stages.raycasting import Surface, bounding_box
+from stages.topology import Topology, topology
+
+# A call that takes longer counts as failed.
+PATIENCE_S = 300
+# Fewer triangles make any result worse; a tool may end this much above another and still compare.
+SAME_COUNT = 1.01
+QUADRIC = {tool.name for tool in TOOLS if tool.is_quadric}
+TURNED = math.cos(math.radians(120))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One result. Distances are shares of the diagonal, colours 8-bit levels, None where there are none."""
+
+    mesh: str
+    ratio: float
+    tool: str
+    setting: str
+    triangles: int
+    rms: float
+    maximum: float
+    check: float | None
+    color: float | None
+    color_note: str
+    psnr: float | None
+    topology: Topology
+    euler_change: int
+    turned: int
+    edge_mean: float
+    edge_spread: float
+    angle_low: float
+    angle_least: float
+    seconds: float
+    megabytes: float
+
+
+def main() -> None:
+    """Print the tables and what follows from them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
+    parser.add_argument("--mesh", nargs="+", choices=meshes.MESHES, default=list(meshes.MESHES))
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so, and ours")
+    parser.add_argument("--scan", type=Path, help="another coloured mesh")
+    parser.add_argument("--picture", type=Path, help="draw shape error against colour error")
+    parser.add_argument("--samples", type=int, default=200_000)
+    options = parser.parse_args()
+
+    tools = list(installed(options.only))
+    inputs = {name: meshes.MESHES[name](options.data) for name in options.mesh}
+    if options.scan:
+        inputs[options.scan.stem] = meshes.scan(options.scan)
+    rows = []
+    for name, mesh in inputs.items():
+        for ratio in options.ratios:
+            print(f"\n### {name}, {len(mesh.triangles):,} triangles to {ratio:.0%}\n\n{HEADER}")
+            part: list[Row] = []
+            for row in measured(name, mesh, ratio, tools, options.samples):
+                part.append(row)
+                print(line(row, part[0]), flush=True)
+            rows += part
+    print("\n" + "\n".join(verdicts(rows)))
+    if options.picture:
+        from peers.picture import draw
+
+        draw(rows, options.picture)
+
+
+def installed(only: list[str] | None) -> Iterator[Tool]:
+    """Return the tools that can be called here, and print which ones and why others cannot."""
+    for tool in TOOLS:
+        if only and tool.name != OURS and not tool.name.lower().startswith(tuple(o.lower() for o in only)):
+            continue
+        try:
+            print(f"- {tool.name}: {tool.version()}", flush=True)
+            yield tool
+        except Missing as reason:
+            print(f"- {tool.name} is left out: {reason}", flush=True)
+
+
+def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: int) -> Iterator[Row]:
+    """Run each tool with each of its settings and measure what comes out."""
+    before = topology(mesh)
+    with tempfile.TemporaryDirectory() as folder:
+        given, result = Path(folder, "given.npz"), Path(folder, "result.npz")
+        save(mesh, given)
+        for tool in tools:
+            settings = list(tool.settings)
+            for setting in settings if mesh.colors is not None else settings[:1]:
+                try:
+                    cost = in_own_process(
+                        tool, setting, given, math.floor(ratio * len(mesh.triangles)), result
+                    )
+                except (Missing, subprocess.SubprocessError) as error:
+                    print(f"| {tool.name} | {setting} | failed: {error} |")
+                    continue
+                light = load(result)
+                yield Row(
+                    mesh=name,
+                    ratio=ratio,
+                    tool=tool.name,
+                    setting=setting if mesh.colors is not None else "",
+                    **cost,
+                    **quality(mesh, before, light, samples),
+                )
+
+
+def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result: Path) -> dict[str, float]:
+    """Have a fresh process call the tool; return seconds and megabytes.
+
+    Raises
+    ------
+    Missing
+        If the tool fails there; the message is the last thing it said.
+    """
+    command = [
+        sys.executable,
+        __file__,
+        "--call",
+        tool.name,
+        setting,
+        str(given),
+        str(triangles),
+        str(result),
+    ]
+    # Some tools look for cores here rather than at where they may run.
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "RAYON_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, env=environment)
+    if done.returncode:
+        raise Missing((done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def call(name: str, setting: str, given: str, triangles: str, result: str) -> None:
+    """Call one tool in this process and print what it took."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    tool = next(tool for tool in TOOLS if tool.name == name)
+    mesh = load(Path(given))
+    small = meshes.globe(12, np.zeros((2, 2, 3), np.uint8)).with_(colors=None)
+    if mesh.colors is not None:
+        small = small.with_(colors=np.resize(mesh.colors, (len(small.vertices), 3)))
+    # What is loaded once is loaded now.
+    warm, _ = tool.prepare(small, 200, **tool.settings[setting])
+    warm()
+    work, unpacked = tool.prepare(mesh, int(triangles), **tool.settings[setting])
+    # The peak so far belongs to what came before; Linux lets a process start it afresh.
+    Path("/proc/self/clear_refs").write_text("5")
+    before, start = peak_bytes(), time.process_time()
+    raw = work()
+    seconds, growth = time.process_time() - start, peak_bytes() - before
+    save(unpacked(raw), Path(result))
+    print("\n" + json.dumps({"seconds": seconds, "megabytes": growth / 1e6}))
+
+
+def peak_bytes() -> int:
+    """Return the largest resident size of this process so far."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(status.split("VmHWM:")[1].split()[0])
+
+
+def save(mesh: Mesh, path: Path) -> None:
+    """Write what `load` reads."""
+    colors = {} if mesh.colors is None else {"colors": mesh.colors}
+    np.savez(path, vertices=mesh.vertices, triangles=mesh.triangles, **colors)
+
+
+def load(path: Path) -> Mesh:
+    """Read what `save` wrote."""
+    with np.load(path) as arrays:
+        return Mesh(arrays["vertices"], arrays["triangles"], arrays.get("colors"))
+
+
+def quality(mesh: Mesh, before: Topology, light: Mesh, samples: int) -> dict[str, Any]:
+    """Measure a result against the mesh it was made from."""
+    difference = compare(mesh, light, samples=samples)
+    after = topology(light)
+    color = difference.color_a_to_b
+    lengths = edge_lengths(light)
+    angles = smallest_angles(light)
+    diagonal = difference.diagonal
+    return {
+        "triangles": len(light.triangles),
+        "rms": difference.symmetric.rms / diagonal,
+        "maximum": difference.symmetric.maximum / diagonal,
+        "check": independent_rms(mesh, light, samples // 2, diagonal),
+        "color": color and color.rmse,
+        "color_note": "" if mesh.colors is None else "dropped",
+        "psnr": color and color.psnr,
+        "topology": after,
+        "euler_change": after.euler - before.euler,
+        "turned": turned(mesh, light),
+        "edge_mean": lengths.mean() / diagonal,
+        "edge_spread": lengths.std() / lengths.mean(),
+        "angle_low": float(np.percentile(angles, 5)),
+        "angle_least": float(angles.min()),
+    }
+
+
+def independent_rms(mesh: Mesh, light: Mesh, samples: int, diagonal: float) -> float | None:
+    """Return the two-sided RMS distance over the diagonal by PyMeshLab's sampling; None without it."""
+    try:
+        import pymeshlab
+    except ImportError:
+        return None
+    pair = pymeshlab.MeshSet()
+    for one in (mesh, light):
+        pair.add_mesh(pymeshlab.Mesh(one.vertices, one.triangles))
+    squared = [
+        pair.get_hausdorff_distance(
+            sampledmesh=a, targetmesh=1 - a, samplevert=False, sampleface=True, samplenum=samples
+        )["RMS"]
+        ** 2
+        for a in (0, 1)
+    ]
+    return math.sqrt(sum(squared) / 2) / diagonal
+
+
+def edge_lengths(mesh: Mesh) -> np.ndarray:
+    """Return the length of every edge, once."""
+    ends = edges_of(mesh.triangles, len(mesh.vertices)).ends
+    return np.linalg.norm(mesh.vertices[ends[:, 0]] - mesh.vertices[ends[:, 1]], axis=1)
+
+
+def smallest_angles(mesh: Mesh) -> np.ndarray:
+    """Return each triangle's smallest angle, degrees; 0 where a side has no length."""
+    corners = mesh.vertices[mesh.triangles]
+    one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    sines = np.linalg.norm(np.cross(one, other), axis=2)
+    return np.degrees(np.arctan2(sines, (one * other).sum(axis=2))).min(axis=1)
+
+
+def turned(mesh: Mesh, light: Mesh) -> int:
+    """Count triangles that face away from the original's triangle nearest to their middle."""
+    middles = light.vertices[light.triangles].mean(axis=1)
+    nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
+    cosines = (unit_normals(light) * unit_normals(mesh)[nearest]).sum(axis=1)
+    return int(np.count_nonzero(cosines < TURNED))
+
+
+def unit_normals(mesh: Mesh) -> np.ndarray:
+    """Return each triangle's unit normal, zero where it has no area."""
+    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+COLUMNS = {
+    "tool": "---",
+    "setting": "---",
+    "triangles": "---:",
+    "RMS ×1e-5": "---:",
+    "check": "---:",
+    "max ×1e-5": "---:",
+    "colour RMSE": "---:",
+    "PSNR dB": "---:",
+    "non-manifold edges": "---:",
+    "pinched": "---:",
+    "turned": "---:",
+    "degenerate": "---:",
+    "border edges": "---:",
+    "Euler ±": "---:",
+    "edge ×1e-5": "---:",
+    "spread": "---:",
+    "5 % angle °": "---:",
+    "least °": "---:",
+    "CPU s": "---:",
+    "× ours": "---:",
+    "MB": "---:",
+}
+HEADER = "\n".join("| " + " | ".join(part) + " |" for part in (COLUMNS, COLUMNS.values()))
+
+
+def line(row: Row, first: Row) -> str:
+    """Return the row in Markdown; times are also given over those of `first` where that is ours."""
+    shape = row.topology
+    color = (row.color_note, "") if row.color is None else (f"{row.color:.2f}", f"{row.psnr:.2f}")
+    cells = (
+        row.tool,
+        row.setting,
+        f"{row.triangles:,}",
+        f"{1e5 * row.rms:.2f}",
+        "" if row.check is None else f"{1e5 * row.check:.2f}",
+        f"{1e5 * row.maximum:.0f}",
+        *color,
+        f"{shape.nonmanifold_edges}",
+        f"{shape.nonmanifold_vertices}",
+        f"{row.turned}",
+        f"{shape.degenerate}",
+        f"{shape.boundary_edges}",
+        f"{row.euler_change:+d}",
+        f"{1e5 * row.edge_mean:.0f}",
+        f"{row.edge_spread:.2f}",
+        f"{row.angle_low:.1f}",
+        f"{row.angle_least:.2f}",
+        f"{row.seconds:.2f}",
+        f"{row.seconds / first.seconds:.2f}" if first.tool == OURS else "",
+        f"{row.megabytes:.0f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def verdicts(rows: list[Row]) -> Iterator[str]:
+    """Say, for each mesh and ratio, which peers ours beats, and how far the default is from the best."""
+    for mesh, ratio in dict.fromkeys((row.mesh, row.ratio) for row in rows):
+        part = [row for row in rows if (row.mesh, row.ratio) == (mesh, ratio)]
+        own, peers = ([row for row in part if (row.tool == OURS) == yes] for yes in (True, False))
+        if not own or not peers:
+            continue
+        yield f"**{mesh}, {ratio:.0%}**\n"
+        for tool in dict.fromkeys(row.tool for row in peers if row.color is not None):
+            yield verdict(tool, [row for row in peers if row.tool == tool], own)
+        dropping = [row for row in peers if row.color is None]
+        quadric = [row for row in dropping if row.tool in QUADRIC]
+        for some, kind in ((quadric, "quadric tool"), (dropping, "tool")):
+            if some:
+                best = min(some, key=lambda row: row.rms)
+                yield (
+                    f"- shape RMS of our {own[0].setting or 'only setting'} is {own[0].rms / best.rms:.2f} "
+                    f"times that of {best.tool}, the best {kind} that drops colours"
+                )
+        yield ""
+
+
+def verdict(tool: str, rows: list[Row], own: list[Row]) -> str:
+    """Say of each setting of a tool which of ours are better in shape and in colour at once."""
+    better = {row.setting: [mine.setting for mine in own if is_better(mine, row)] for row in rows}
+    count = sum(map(bool, better.values()))
+    parts = (f"{name or 'as it is'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
+    return f"- {tool}: {count} of {len(rows)} beaten ({'; '.join(parts)})"
+
+
+def is_better(mine: Row, row: Row) -> bool:
+    """Whether one result has the smaller shape and colour error, on no more triangles."""
+    if mine.color is None or row.color is None:
+        return False
+    return mine.rms < row.rms and mine.color < row.color and mine.triangles <= SAME_COUNT * row.triangles
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--call"]:
+        call(*sys.argv[2:])
+    else:
+        main()
