@@ -33,6 +33,16 @@ pub struct Proposal<const D: usize, C> {
     pub change: C,
 }
 
+/// Which priorities a collapse changes.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Reach {
+    /// Those of the edges of the new star.
+    Star,
+    /// Those of all edges that touch the new star. Those at its centre are asked again at once; of the others,
+    /// which change little, each is asked again when it comes to the front.
+    Ring,
+}
+
 /// The part of a simplifier that varies.
 ///
 /// The engine calls `priority` whenever it needs the order, then `propose`, `judge` and `commit` in this order
@@ -43,9 +53,8 @@ pub trait Measure<const D: usize> {
     /// What one collapse adds to the records.
     type Change;
 
-    /// Whether a collapse can only raise the priorities around it, and only those of edges at the vertex it leaves.
-    /// An edge is then asked again when it reaches the front, instead of after every collapse beside it.
-    const RISING: bool = false;
+    /// Which priorities a collapse changes.
+    const REACH: Reach = Reach::Star;
 
     /// Edges are tried from the smallest value up. May depend on the edge, its ends and what is recorded of
     /// them, and nothing else: only edges of the new star are asked again after a collapse.
@@ -135,7 +144,7 @@ pub struct Engine<const D: usize, M: Measure<D>> {
     /// their edges then need not be fetched from memory.
     stuck: Vec<bool>,
     marks: Marks,
-    /// Edges of a rising measure whose priority may have risen.
+    /// Edges in the queue whose priority has changed since they were put there.
     stale: Vec<bool>,
     star: Star<D>,
     ring: Vec<VertexId>,
@@ -186,7 +195,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             refusals,
             stuck,
             marks: Marks::new(vertices),
-            stale: if M::RISING { vec![false; slots] } else { vec![] },
+            stale: if M::REACH == Reach::Ring { vec![false; slots] } else { vec![] },
             star: Star::default(),
             ring: vec![],
             merges: vec![],
@@ -223,9 +232,9 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         }
     }
 
-    /// Bring a rising edge to where it belongs until one is first that has risen already.
+    /// Bring the first edge to where it belongs until one is first that is there already.
     fn refresh_first(&mut self) {
-        if !M::RISING {
+        if M::REACH != Reach::Ring {
             return;
         }
         while let Some((edge, _)) = self.queue.first() {
@@ -298,18 +307,25 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         let connectivity = &self.mesh.connectivity;
         self.ring.clear();
         self.ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
-        if M::RISING {
-            for (edge, _) in connectivity.spokes(centre) {
-                if self.queue.holds(edge) {
-                    self.stale[edge.index()] = true;
-                } else if !on_rim(&self.mesh, edge) {
+        match M::REACH {
+            Reach::Star => {
+                let live = |edge: &&EdgeId| connectivity.is_edge(**edge) && !on_rim(&self.mesh, **edge);
+                for &edge in self.star.others.iter().filter(live) {
                     offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                 }
             }
-        } else {
-            let live = |edge: &&EdgeId| connectivity.is_edge(**edge) && !on_rim(&self.mesh, **edge);
-            for &edge in self.star.others.iter().filter(live) {
-                offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+            Reach::Ring => {
+                for (edge, v) in connectivity.spokes(centre) {
+                    for (outer, _) in connectivity.spokes(v) {
+                        self.stale[outer.index()] = true;
+                    }
+                    if !on_rim(&self.mesh, edge) {
+                        offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                    }
+                }
+                for (edge, _) in connectivity.spokes(centre) {
+                    self.stale[edge.index()] = false;
+                }
             }
         }
         // Other edges with one end on the ring: what was refused may be legal now that their stars have changed.

@@ -469,7 +469,7 @@ impl<const D: usize> Records<D> for JiaRecords {
         (sums.collect(), measure.largest)
     }
 
-    fn join(mut self, _: &[u32], _: &[[u32; 3]], _: &[[f64; D]], pieces: Vec<Self::Piece>) -> Self {
+    fn join(mut self, _: &[u32], pieces: Vec<Self::Piece>) -> Self {
         self.around = vec![];
         self.accumulated = Vec::with_capacity(pieces.iter().map(|piece| piece.0.len()).sum());
         for (sums, largest) in pieces {

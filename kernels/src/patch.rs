@@ -44,8 +44,8 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
     fn unload(measure: Self::Measure, patch: &Mesh<D>) -> Self::Piece;
 
     /// Records of the next whole mesh: its vertices are those of `rim` (numbers of this one), then those of
-    /// each piece. `seam` holds the boundary edges between two vertices of the rim, each with the corner across.
-    fn join(self, rim: &[u32], seam: &[[u32; 3]], points: &[[f64; D]], pieces: Vec<Self::Piece>) -> Self;
+    /// each piece.
+    fn join(self, rim: &[u32], pieces: Vec<Self::Piece>) -> Self;
 }
 
 const NOBODY: u32 = u32::MAX;
@@ -301,7 +301,6 @@ impl<const D: usize, B: Copy> Whole<D, B> {
     pub fn join<R: Records<D>>(
         self,
         rim: &[bool],
-        seam: &[[u32; 3]],
         records: R,
         pieces: Vec<Piece<D, B, R::Piece>>,
     ) -> (Self, R) {
@@ -341,7 +340,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         if !self.fixed.is_empty() {
             next.fixed = from.iter().map(|&v| self.fixed[v as usize]).collect();
         }
-        let records = records.join(&rim_vertices, seam, &self.points, kept);
+        let records = records.join(&rim_vertices, kept);
         (next, records)
     }
 }

@@ -259,7 +259,7 @@ fn quadric_points<const D: usize, const K: usize>(
     let (mesh, standing, stop, merges, path, attempts) =
         detached(py, progress, running.partial, |progress| {
             let whole = Whole::new(points, triangles, fixed)?;
-            let records = QemRecords::<K>::new(weight, importance);
+            let records = QemRecords::<K> { weight, importance };
             let outcome = collapse(whole, records, &running.goal(), progress)?;
             let held = outcome.mesh.held_edges();
             let count = |wanted| held.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();

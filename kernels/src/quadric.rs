@@ -133,6 +133,23 @@ impl<const K: usize> Quadric<K> {
     }
 
     #[inline]
+    pub fn subtract(&mut self, other: &Self) {
+        self.replace(other, &Self::default());
+    }
+
+    /// Take one out and put another in.
+    #[inline]
+    pub fn replace(&mut self, old: &Self, new: &Self) {
+        (0..6).for_each(|i| self.shape[i] += new.shape[i] - old.shape[i]);
+        (0..3).for_each(|i| self.linear[i] += new.linear[i] - old.linear[i]);
+        self.constant += new.constant - old.constant;
+        self.area += new.area - old.area;
+        for (mine, (new, old)) in self.attributes.iter_mut().zip(new.attributes.iter().zip(&old.attributes)) {
+            (0..4).for_each(|i| mine[i] += new[i] - old[i]);
+        }
+    }
+
+    #[inline]
     pub fn sum(&self, other: &Self) -> Self {
         let mut sum = *self;
         sum.add(other);

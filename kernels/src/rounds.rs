@@ -80,7 +80,9 @@ pub fn collapse<const D: usize, R: Records<D>>(
         let patches = (count / goal.patch).max(1);
         let partition = Partition::new(&mesh.points, &mesh.triangles, patches, round, goal.threads);
         let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
-        let seam = if round == 0 { check_seam(&mesh, &rim, patches)? } else { vec![] };
+        if round == 0 {
+            check_seam(&mesh, &rim, patches)?;
+        }
         progress.tell((at_start - count) as u64, (at_start - goal.triangles.min(at_start)) as u64)?;
 
         let run = Run { mesh: &mesh, records: &records, partition: &partition, rim: &rim, goal };
@@ -124,7 +126,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
         }
         let enough = progress.is_enough();
         gather_merges(&mesh.vertex_source, &mut pieces, &mut merges, &mut path);
-        (mesh, records) = mesh.join(&rim, &seam, records, pieces);
+        (mesh, records) = mesh.join(&rim, records, pieces);
         histogram = Some(histogram_of_round);
         round += 1;
         if enough {
@@ -298,31 +300,22 @@ fn gather_merges<const D: usize, B: Copy, R>(
     }
 }
 
-/// Check the manifold around vertices of the rim, whose triangles no patch has all. Returns the boundary edges
-/// between two of them, in the direction of their triangle, each with the corner across.
+/// Check the manifold around vertices of the rim, whose triangles no patch has all.
 fn check_seam<const D: usize, B: Copy>(
     mesh: &Whole<D, B>,
     rim: &[bool],
     patches: usize,
-) -> Result<Vec<[u32; 3]>, KernelError> {
+) -> Result<(), KernelError> {
     if patches == 1 {
-        return Ok(vec![]);
+        return Ok(());
     }
-    let touching: Vec<u32> = (0..mesh.triangles.len() as u32)
-        .filter(|&t| mesh.triangles[t as usize].iter().any(|&v| rim[v as usize]))
-        .collect();
+    let touches = |t: &u32| mesh.triangles[*t as usize].iter().any(|&v| rim[v as usize]);
+    let touching: Vec<u32> = (0..mesh.triangles.len() as u32).filter(touches).collect();
     // Here it is the others that have triangles elsewhere.
     let others: Vec<bool> = rim.iter().map(|is_rim| !is_rim).collect();
     let mut scratch = Scratch::new(mesh.points.len());
-    let (seam, _) = mesh.cut(&touching, &others, &mut scratch).map_err(|error| explained(mesh, error))?;
-    let connectivity = &seam.connectivity;
-    let whole = |v: VertexId| seam.vertex_source[v.index()];
-    let open = connectivity.edges().filter(|&e| connectivity.is_boundary_edge(e)).map(|e| {
-        let h = connectivity.halfedge(e);
-        [connectivity.origin(h), connectivity.target(h), connectivity.origin(Connectivity::prev(h))]
-            .map(whole)
-    });
-    Ok(open.filter(|[a, b, _]| rim[*a as usize] && rim[*b as usize]).collect())
+    mesh.cut(&touching, &others, &mut scratch).map_err(|error| explained(mesh, error))?;
+    Ok(())
 }
 
 /// What a patch found wrong, in the numbers of the whole mesh.
