@@ -1,83 +1,98 @@
-"""Texture-preserving simplification: split long edges, collapse what may go, within stated bounds."""
+"""Simplification that keeps colours: to a number of triangles, or within bounds on shape and texture."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
+from stages.centred import Light, as_result, attributes_of, centred, fitted
+from stages.collapse_record import CollapseRecord
+from stages.color_weight import color_weight
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
+from stages.jia01_limits import limits_of
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
+from stages.regions import Region, resolve_control
 
-VERSION = 3
+VERSION = 4
 
-# The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see `simplify`).
-EDGES_PER_RESOLUTION = 36.0  # wanted edge length / mean edge length of the input
-SHAPE_PER_RESOLUTION = 0.1  # the paper's choice
-SHAPE_PER_DIAGONAL = 0.005  # a mesh of few large triangles must not lose its shape
-MAX_TEXTURE = 400.0  # 8-bit levels, summed over the collapses around an edge
-
-# By default, splitting may add this share of the triangles: a few long edges must not decide for all others.
-_SPLIT_SHARE = 0.05
 # What splitting may lead to: about 4 GB.
 _TRIANGLE_LIMIT = 20_000_000
-
-_BOUNDS = ("resolution", "max_shape", "max_texture")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimplifyParams:
-    """How far `simplify` may go.
+    """How, and how far, `simplify` goes.
 
     With `triangles` or `ratio`, a bound that is not given does not limit; its default then only helps to say
     which edges go first. Any bound that is given is kept.
     """
 
+    method: str = param(
+        "auto",
+        "quadric: to a number of triangles, with the least squared error of shape and colour. jia01: within "
+        "bounds on the summed change of shape and texture. auto: quadric for triangles or ratio alone, else "
+        "jia01.",
+        choices=("auto", "quadric", "jia01"),
+    )
+    triangles: int | None = param(None, "Stop when at most this many triangles are left.", low=1)
+    ratio: float | None = param(
+        None, "Stop when at most this share of the input's triangles is left.", low=0, high=1, low_open=True
+    )
+    fit: bool = param(
+        True,
+        "quadric: move vertices and colours to fit the input by least squares at the end; boundaries stay.",
+    )
+    attribute_scale: float | None = param(
+        None,
+        "Length that weighs as much as one level of colour. Default: quadric derives it from the mesh and "
+        "the number of triangles; jia01 takes max_shape / max_texture.",
+        unit="m per level",
+        low=0,
+    )
     resolution: float | None = param(
         None,
-        "Wanted edge length: longer edges are split first, and do not collapse. Default: 36 times the mean "
-        "edge length, more where splitting would add over 5 % of triangles.",
+        "jia01: wanted edge length: longer edges are split first, and do not collapse. Default: 36 times the "
+        "mean edge length, more where splitting would add over 5 % of triangles.",
         unit="m",
         low=0,
         low_open=True,
     )
     max_shape: float | None = param(
         None,
-        "Largest shape change, summed over the collapses around an edge. Default: 0.1 of the resolution, "
-        "but at most 0.5 % of the bounding box's diagonal.",
+        "jia01: largest shape change, summed over the collapses around an edge. Default: 0.1 of the "
+        "resolution, but at most 0.5 % of the bounding box's diagonal.",
         unit="m",
         low=0,
         low_open=True,
     )
     max_texture: float | None = param(
         None,
-        "Largest texture change: the strongest contrast in the neighbourhood of a collapse, summed over the "
-        "collapses around an edge. It far exceeds the colour error that results. Default: 400.",
+        "jia01: largest texture change: the strongest contrast in the neighbourhood of a collapse, summed "
+        "over the collapses around an edge. It far exceeds the colour error that results. Default: 400.",
         unit="8-bit levels",
         low=0,
     )
-    attribute_scale: float | None = param(
-        None,
-        "Length that weighs as much as one level of colour when a new vertex is placed. "
-        "Default: max_shape / max_texture.",
-        unit="m per level",
-        low=0,
-    )
-    triangles: int | None = param(None, "Stop when at most this many triangles are left.", low=1)
-    ratio: float | None = param(
-        None, "Stop when at most this share of the input's triangles is left.", low=0, high=1, low_open=True
-    )
     paper_rule: bool = param(
         False,
-        "Follow the paper: check the bounds after each collapse, so that the last one may overshoot, and "
-        "measure shape at vertices only. Default: check before, and between vertices too; bounds then hold.",
+        "jia01: follow the paper: check the bounds after each collapse, so that the last one may overshoot, "
+        "and measure shape at vertices only. Default: check before, and between vertices too; bounds then "
+        "hold.",
+    )
+    threads: int | None = param(
+        None,
+        "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
+        low=1,
+        high=256,
+        invalidates=False,
     )
 
     def __post_init__(self) -> None:
@@ -87,6 +102,36 @@ class SimplifyParams:
                 raise UsageError(f"{name} is infinite; leave it out, and give triangles or ratio instead.")
         if self.triangles is not None and self.ratio is not None:
             raise UsageError("triangles and ratio are both given; give one of them.")
+
+    @property
+    def has_count(self) -> bool:
+        """Whether a number of triangles is wanted."""
+        return self.triangles is not None or self.ratio is not None
+
+    def target(self, triangles: int) -> int:
+        """Return how many of so many triangles are wanted; 0 if there is no such wish."""
+        return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles or 0
+
+    def chosen(self) -> str:
+        """Return the method that `auto` stands for here, or the one that is given.
+
+        Raises
+        ------
+        UsageError
+            If the parameters do not suit the method.
+        """
+        of_jia01 = [
+            name for name in ("resolution", "max_shape", "max_texture") if getattr(self, name) is not None
+        ]
+        of_jia01 += ["paper_rule"] * self.paper_rule
+        if self.method == "auto":
+            return "quadric" if self.has_count and not of_jia01 else "jia01"
+        if self.method == "quadric":
+            if of_jia01:
+                raise UsageError(f"{of_jia01[0]} has no meaning for method quadric; leave one of them out.")
+            if not self.has_count:
+                raise UsageError("method quadric needs a number of triangles; give triangles or ratio.")
+        return self.method
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,73 +143,113 @@ class Simplified:
     mesh : Mesh
     vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached.
+    method : "quadric" or "jia01".
+    stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
+        "request" when the caller was content with less.
     refused : edges of the result by the rule that refused them last: "length", "shape" and "texture" are the
         three bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
-        between two boundary vertices, "fold" for a flipped or degenerate triangle. Edges whose turn had not
-        come when the wanted number of triangles was reached are not counted.
-    largest_shape_change_m, largest_texture_change_levels : largest sums on any edge at any time.
-    resolution_m, max_shape_m, max_texture_levels, attribute_scale_m_per_level : what was used.
-    bounded : whether resolution, max_shape and max_texture were bounds, not only the order of collapses.
+        between two boundary vertices, "fold" for a flipped or degenerate triangle, "pinned" for an edge
+        between two vertices that must stay. Edges whose turn had not come are not counted.
+    attribute_scale_m_per_level : what was used.
     splits, collapses, attempts : edges split and collapsed; edges whose turn came, some repeatedly.
     triangles_before : triangles of the input.
+    fitted : whether vertices and colours were moved to fit the input at the end.
+    record : all collapses, if that was asked for.
+    largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
+    resolution_m, max_shape_m, max_texture_levels : jia01: what was used.
+    bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
     """
 
     mesh: Mesh
     vertex_source: NDArray[np.int32]
     triangle_source: NDArray[np.int32]
+    method: str
     stopped_by: str
     refused: dict[str, int]
-    largest_shape_change_m: float
-    largest_texture_change_levels: float
-    resolution_m: float
-    max_shape_m: float
-    max_texture_levels: float
     attribute_scale_m_per_level: float
-    bounded: dict[str, bool]
     splits: int
     collapses: int
     attempts: int
     triangles_before: int
+    fitted: bool = False
+    record: CollapseRecord | None = None
+    largest_shape_change_m: float | None = None
+    largest_texture_change_levels: float | None = None
+    resolution_m: float | None = None
+    max_shape_m: float | None = None
+    max_texture_levels: float | None = None
+    bounded: dict[str, bool] = field(default_factory=dict)
+
+    def follow(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
+        return values[self.vertex_source]
 
     def figures(self) -> dict[str, Any]:
-        """Everything but the arrays, ready for JSON."""
+        """Everything but the arrays, ready for JSON; what the method has no figure for is left out."""
         triangles = len(self.mesh.triangles)
-        return {
+        figures: dict[str, Any] = {
+            "method": self.method,
             "triangles_before": self.triangles_before,
             "triangles": triangles,
             "vertices": len(self.mesh.vertices),
             "reduction": 1 - triangles / self.triangles_before if self.triangles_before else 0.0,
             "stopped_by": self.stopped_by,
             "refused_edges": dict(self.refused),
+            "attribute_scale_m_per_level": self.attribute_scale_m_per_level,
+            "collapses": self.collapses,
+            "attempts": self.attempts,
+        }
+        if self.method == "quadric":
+            return figures | {"fitted": self.fitted}
+        return figures | {
             "largest_shape_change_m": self.largest_shape_change_m,
             "largest_texture_change_levels": self.largest_texture_change_levels,
             "resolution_m": self.resolution_m,
             "max_shape_m": self.max_shape_m,
             "max_texture_levels": self.max_texture_levels,
-            "attribute_scale_m_per_level": self.attribute_scale_m_per_level,
             "bounded": dict(self.bounded),
             "splits": self.splits,
-            "collapses": self.collapses,
-            "attempts": self.attempts,
         }
 
 
 def simplify(
-    mesh: MeshLike, params: SimplifyParams | None = None, *, progress: Progress = silent, **changes: Any
+    mesh: MeshLike,
+    params: SimplifyParams | None = None,
+    *,
+    lock: ArrayLike | None = None,
+    importance: ArrayLike | None = None,
+    regions: Sequence[Region] = (),
+    record: bool = False,
+    partial: bool = False,
+    progress: Progress = silent,
+    **changes: Any,
 ) -> Simplified:
-    """Split long edges, then collapse edges until none may go or few enough triangles are left.
+    """Collapse edges until few enough triangles are left, or none may go within the bounds.
 
-    A new vertex, position and colour together, is the mean of the projections of the edge's midpoint on the
-    planes of the triangles around, in the space of position and colour. Topology, boundary loops and
-    orientation stay; a boundary shrinks only along itself. Equal input gives equal bytes.
+    Topology, boundary loops and orientation stay; a boundary shrinks only along itself; no triangle turns
+    over. Equal input gives equal bytes, on any number of threads.
+
+    Method `quadric`, for `triangles` or `ratio` alone: each collapse is the one that adds least to the
+    squared distance from the input's triangles, in the space of position and colour, and puts the new vertex
+    where that is least. At the end vertices move along their normals, and colours change, to fit the input.
+
+    Method `jia01`, for bounds: long edges are split; then edges collapse in the order of what was summed up
+    around them. A new vertex is the mean of the projections of the edge's midpoint on the planes of the
+    triangles around, in the space of position and colour.
 
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold.
         Vertices without triangles and triangles that name a vertex twice are left out.
     params : SimplifyParams; single fields can be given by name instead.
-    progress : called about ten times a second; raising from it stops the work.
+    lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included. Others may collapse
+        into them.
+    importance : (n,) float above 0, factor of the squared error around each vertex. Only for `quadric`.
+    regions : Sphere and Box of `stages.regions`, which lock the vertices they hold, or give them importance.
+    record : keep all collapses, so that every mesh on the way can be had again. Only for `quadric`.
+    partial : Ctrl-C gives out what there is by then, instead of raising KeyboardInterrupt.
+    progress : called about ten times a second with the triangles that are gone and those that have to go;
+        returning False gives out what there is by then, raising stops the work.
 
     Returns
     -------
@@ -178,12 +263,13 @@ def simplify(
         For an edge with more than two triangles or inconsistent orientation, or a vertex where two fans
         touch; the message names them. `clean` repairs all three.
     UsageError
-        For a parameter out of range, or a resolution so fine that splitting passes 20 million triangles.
+        For a parameter out of range or of another method, or a resolution so fine that splitting passes 20
+        million triangles.
 
     Notes
     -----
-    Shape and texture changes are sums over collapses. The texture change counts contrast, not error, and so
-    its default looks large. With the defaults:
+    For jia01, shape and texture changes are sums over collapses. The texture change counts contrast, not
+    error, and so its default looks large. With its defaults:
 
     ==================================  =========  =========  ============  ============  =======
     mesh                                triangles  reduction  RMS distance  colour RMSE   PSNR
@@ -201,29 +287,145 @@ def simplify(
 
     References
     ----------
-    Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and Graphics
-    6(7), 2001: shape change (1)-(2), texture change (3), placement (4)-(6), order (7).
+    quadric: Garland and Heckbert, "Surface simplification using quadric error metrics", 1997; Hoppe, "New
+    quadric metric for simplifying meshes with appearance attributes", 1999; and for the fit Hoppe, DeRose,
+    Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993.
+
+    jia01: Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and
+    Graphics 6(7), 2001: shape change (1)-(2), texture change (3), placement (4)-(6), order (7).
     """
     params = resolve(SimplifyParams, params, changes)
+    method = params.chosen()
     mesh = as_mesh(mesh)
-    limits = _limits(mesh, params)
-    count = len(mesh.triangles)
-    target = params.triangles or 0
-    if params.ratio is not None:
-        target = math.floor(params.ratio * count)
-    attributes = np.zeros((len(mesh.vertices), 0)) if mesh.colors is None else mesh.colors.astype(np.float64)
+    locked, factors = resolve_control(mesh, lock, importance, regions)
+    running = _kernels.Running(
+        target_triangles=params.target(len(mesh.triangles)),
+        threads=params.threads or 0,
+        record=record,
+        partial=partial,
+    )
+    try:
+        if method == "quadric":
+            return _by_quadrics(mesh, params, locked, factors, running, progress)
+        if len(factors):
+            raise UsageError(
+                "importance has no meaning for method jia01; give triangles or ratio, and no bound."
+            )
+        if record:
+            raise UsageError("method jia01 keeps no record; give triangles or ratio, and no bound.")
+        return _by_jia01(mesh, params, locked, running, progress)
+    except _kernels.InvalidMeshError as error:
+        raise MeshError(f"{error}; run clean first.", "mesh") from error
+
+
+def _by_quadrics(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    given = centred(mesh)
+    weight = params.attribute_scale
+    if weight is None:
+        weight = color_weight(mesh, running.target_triangles)
+    result = _kernels.simplify_by_quadrics(
+        given.vertices,
+        given.attributes,
+        mesh.triangles,
+        lock,
+        importance,
+        weight=weight,
+        running=running,
+        progress=progress,
+    )
+    source = result.vertex_source
+    vertices = given.placed_back(result.vertices, source)
+    attributes = given.kept(result.attributes, source, lock)
+    stopped_by, is_fitted = result.stopped_by, False
+    if params.fit and result.collapses and stopped_by != "request":
+        light = Light(vertices, attributes, result.triangles, source, result.became)
+        try:
+            vertices, attributes = fitted(
+                light, given, lock, running.threads, _finishing(progress, len(mesh.triangles), running)
+            )
+            is_fitted = True
+        except (_Content, KeyboardInterrupt) as stop:
+            if not (running.partial or isinstance(stop, _Content)):
+                raise
+            stopped_by = "request"
+    light_mesh = as_result(mesh, vertices, attributes, result.triangles, source, "simplify")
+    kept = None
+    if running.record:
+        places = given.placed_back(result.path[:, :3], result.survivor)
+        colors = given.kept(result.path[:, 3:], result.survivor, lock)
+        kept = CollapseRecord(
+            mesh.with_(texture=None, notes=light_mesh.notes),
+            result.removed,
+            result.survivor,
+            np.concatenate([places, colors], axis=1),
+            lock,
+        )
+    return Simplified(
+        mesh=light_mesh,
+        vertex_source=source,
+        triangle_source=result.triangle_source,
+        method="quadric",
+        stopped_by=stopped_by,
+        refused=result.standing,
+        attribute_scale_m_per_level=weight,
+        splits=0,
+        collapses=result.collapses,
+        attempts=result.attempts,
+        triangles_before=len(mesh.triangles),
+        fitted=is_fitted,
+        record=kept,
+    )
+
+
+class _Content(Exception):  # noqa: N818 (nothing went wrong)
+    """The caller wants what there is."""
+
+
+def _finishing(progress: Progress, triangles: int, running: _kernels.Running) -> Progress:
+    """Keep telling that all triangles are gone that had to go, while the rest is being done."""
+    going = max(triangles - running.target_triangles, 0)
+
+    def tell(done: int, total: int) -> None:  # noqa: ARG001
+        if progress(going, going) is False:
+            raise _Content
+
+    return tell
+
+
+def _by_jia01(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    limits = limits_of(
+        mesh,
+        params.resolution,
+        params.max_shape,
+        params.max_texture,
+        params.attribute_scale,
+        only_given=params.has_count,
+    )
     try:
         result = _kernels.simplify(
             mesh.vertices,
-            attributes,
+            attributes_of(mesh),
             mesh.triangles,
-            np.zeros(0, bool),
+            lock,
             bounds=limits.bounds,
             scales=limits.scales,
             attribute_scale=limits.attribute_scale,
             paper_rule=params.paper_rule,
-            triangle_limit=max(_TRIANGLE_LIMIT, count),
-            running=_kernels.Running(target_triangles=target),
+            triangle_limit=max(_TRIANGLE_LIMIT, len(mesh.triangles)),
+            running=running,
             progress=progress,
         )
     except _kernels.LimitError as error:
@@ -231,95 +433,25 @@ def simplify(
             f"resolution is {limits.scales[0]:g} m, and with edges no longer than that {error}; "
             "give a coarser one."
         ) from error
-    except _kernels.InvalidMeshError as error:
-        raise MeshError(f"{error}; run clean first.", "mesh") from error
+    names = ("resolution", "max_shape", "max_texture")
     return Simplified(
-        mesh=_result_mesh(mesh, result),
+        mesh=as_result(
+            mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
+        ),
         vertex_source=result.vertex_source,
         triangle_source=result.triangle_source,
+        method="jia01",
         stopped_by=result.stopped_by,
         refused=result.standing,
+        attribute_scale_m_per_level=limits.attribute_scale,
+        splits=result.splits,
+        collapses=result.collapses,
+        attempts=result.attempts,
+        triangles_before=len(mesh.triangles),
         largest_shape_change_m=result.largest_shape_change,
         largest_texture_change_levels=result.largest_texture_change,
         resolution_m=limits.scales[0],
         max_shape_m=limits.scales[1],
         max_texture_levels=limits.max_texture,
-        attribute_scale_m_per_level=limits.attribute_scale,
-        bounded=dict(
-            zip(("resolution", "max_shape", "max_texture"), map(math.isfinite, limits.bounds), strict=True)
-        ),
-        splits=result.splits,
-        collapses=result.collapses,
-        attempts=result.attempts,
-        triangles_before=count,
+        bounded=dict(zip(names, map(math.isfinite, limits.bounds), strict=True)),
     )
-
-
-def _result_mesh(mesh: Mesh, result: _kernels.Simplified) -> Mesh:
-    colors = None
-    if mesh.colors is not None:
-        # A projection can leave the range of colours a little.
-        colors = np.rint(result.attributes).clip(0, 255).astype(np.uint8)
-    normals = None if mesh.normals is None else mesh.normals[result.vertex_source]
-    notes = mesh.notes
-    if mesh.texture is not None:
-        notes += ("simplify left the texture out: it carries vertex colours only.",)
-    return Mesh(result.vertices, result.triangles, colors=colors, normals=normals, notes=notes)
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """L, S_max, T_max: as bounds (infinite for none) and as what the order of collapses is relative to."""
-
-    bounds: tuple[float, float, float]
-    scales: tuple[float, float, float]
-    max_texture: float
-    attribute_scale: float
-
-
-def _limits(mesh: Mesh, params: SimplifyParams) -> _Limits:
-    resolution = _default_resolution(mesh) if params.resolution is None else params.resolution
-    max_shape = _default_shape(mesh, resolution) if params.max_shape is None else params.max_shape
-    max_texture = MAX_TEXTURE if params.max_texture is None else params.max_texture
-    # No texture change at all is a fair wish; it then needs another unit in the order.
-    texture_scale = max_texture or 1.0
-    attribute_scale = params.attribute_scale
-    if attribute_scale is None:
-        attribute_scale = max_shape / texture_scale
-    only_wanted = params.triangles is not None or params.ratio is not None
-    values = (resolution, max_shape, max_texture)
-    wanted = (params.resolution, params.max_shape, params.max_texture)
-    bounds = (
-        math.inf if only_wanted and given is None else value
-        for value, given in zip(values, wanted, strict=True)
-    )
-    return _Limits(
-        bounds=(next(bounds), next(bounds), next(bounds)),
-        scales=(resolution, max_shape, texture_scale),
-        max_texture=max_texture,
-        attribute_scale=attribute_scale,
-    )
-
-
-def _default_shape(mesh: Mesh, resolution: float) -> float:
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
-    share = SHAPE_PER_RESOLUTION * resolution
-    return min(share, SHAPE_PER_DIAGONAL * diagonal) if diagonal > 0 else share
-
-
-def _default_resolution(mesh: Mesh) -> float:
-    """Twelve mean edge lengths, or more if that would split too many edges."""
-    corners = mesh.vertices[mesh.triangles]
-    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel()
-    resolution = EDGES_PER_RESOLUTION * float(lengths.mean()) if len(lengths) else 0.0
-    if not resolution > 0:
-        return 1.0  # no edge has a length; any will do
-    while _split_triangles(lengths, resolution) > _SPLIT_SHARE * len(mesh.triangles):
-        resolution *= 1.1
-    return resolution
-
-
-def _split_triangles(lengths: NDArray[np.float64], resolution: float) -> float:
-    """Triangles that splitting adds at least: sides are halved until short enough, each cut adds one."""
-    pieces = np.exp2(np.ceil(np.log2(lengths[lengths > resolution] / resolution)))
-    return float((pieces - 1).sum())

@@ -1,0 +1,282 @@
+"""The collapses of a simplification, kept so that any of its intermediate meshes can be had again.
+
+The record is a progressive mesh (Hoppe, "Progressive meshes", 1996) in its plainest form: the input, and for
+each collapse which vertex went into which other, and where that one went. A prefix of it sends every vertex
+to the one it is part of by then, for all collapses at once.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.centred import Light, as_result, attributes_of, centred, fitted
+from stages.errors import InputError, UsageError
+from stages.mesh import Mesh, validated
+from stages.params import check, param, resolve
+from stages.progress import silent
+from stages.replacing import replacing
+from stages.topology import repeats_vertex
+
+_FORMAT = 1
+_NEEDED = ("vertices", "triangles", "removed", "survivor", "path", "lock")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayParams:
+    """How far a record is replayed; one of the three numbers, or to its end."""
+
+    triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
+    ratio: float | None = param(
+        None,
+        "Replay until at most this share of the input's triangles is left.",
+        low=0,
+        high=1,
+        low_open=True,
+    )
+    collapses: int | None = param(None, "Replay this many collapses.", low=0)
+    fit: bool = param(
+        False, "Move vertices and colours to fit the input by least squares at the end, as simplify does."
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        given = [name for name in ("triangles", "ratio", "collapses") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise UsageError(f"{' and '.join(given)} are given; give one of them.")
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """A mesh on the way, and where its parts came from.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
+    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
+    collapses : how many were replayed.
+    """
+
+    mesh: Mesh
+    vertex_source: NDArray[np.int32]
+    triangle_source: NDArray[np.int32]
+    collapses: int
+
+
+@dataclass(frozen=True, eq=False)
+class CollapseRecord:
+    """All collapses of one run of `simplify`.
+
+    Attributes
+    ----------
+    mesh : the input, without its texture.
+    removed, survivor : (m,) int32, for each collapse the input vertex that vanished and the one it went into.
+    path : (m, 3 + k) float64, where the survivor went: metres, then colours in 8-bit levels if there are any.
+    lock : (n,) bool, vertices that stay as they are.
+    """
+
+    mesh: Mesh
+    removed: NDArray[np.int32]
+    survivor: NDArray[np.int32]
+    path: NDArray[np.float64]
+    lock: NDArray[np.bool_]
+
+    @cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        """For each triangle the number of the collapse that it vanishes in; `len(removed)` if it stays.
+
+        Triangles that repeat a vertex in the input count as gone before the first, −1.
+        """
+        last = len(self.removed)
+        parent = np.arange(len(self.mesh.vertices))
+        parent[self.removed] = self.survivor
+        when = np.full(len(self.mesh.vertices), last)
+        when[self.removed] = np.arange(last)
+        ends = np.full(len(self.mesh.triangles), last)
+        for side in range(3):
+            a, b = self.mesh.triangles[:, side], self.mesh.triangles[:, (side + 1) % 3]
+            np.minimum(ends, _meeting(a, b, parent, when, last), out=ends)
+        ends[repeats_vertex(self.mesh.triangles)] = -1
+        return ends
+
+    @cached_property
+    def _sorted_ends(self) -> NDArray[np.int64]:
+        return np.sort(self._ends)
+
+    def triangles_after(self, collapses: int) -> int:
+        """Return how many triangles are left after so many collapses."""
+        return len(self._ends) - int(np.searchsorted(self._sorted_ends, collapses))
+
+    def replay(self, params: ReplayParams | None = None, **changes: Any) -> Replayed:
+        """Return the mesh as it was when so many triangles were left, or after so many collapses.
+
+        It is a manifold of the input's topology at every step. At the last it equals what `simplify` gave
+        out, to the bit, if both are fitted or neither is.
+
+        Parameters
+        ----------
+        params : ReplayParams; single fields can be given by name instead.
+
+        Raises
+        ------
+        UsageError
+            For fewer triangles or more collapses than the record leads to.
+        """
+        params = resolve(ReplayParams, params, changes)
+        collapses = self._collapses(params)
+        place = np.concatenate([self.mesh.vertices, attributes_of(self.mesh)], axis=1)
+        # Of several values for one vertex, the last one stays.
+        place[self.survivor[:collapses]] = self.path[:collapses]
+        root = np.arange(len(place))
+        root[self.removed[:collapses]] = self.survivor[:collapses]
+        while (root[root] != root).any():
+            root = root[root]
+        left = np.flatnonzero(self._ends >= collapses)
+        corners = root[self.mesh.triangles[left]]
+        used = np.zeros(len(place), bool)
+        used[corners] = True
+        source = np.flatnonzero(used)
+        number = np.full(len(place), -1, np.int32)
+        number[source] = np.arange(len(source))
+        vertex_source, triangles = source.astype(np.int32), number[corners]
+        vertices, attributes = place[source, :3], place[source, 3:]
+        if params.fit:
+            light = Light(vertices, attributes, triangles, vertex_source, became=number[root])
+            vertices, attributes = fitted(light, centred(self.mesh), self.lock, 0, silent)
+        mesh = as_result(self.mesh, vertices, attributes, triangles, vertex_source, "replay")
+        return Replayed(mesh, vertex_source, left.astype(np.int32), collapses)
+
+    def _collapses(self, params: ReplayParams) -> int:
+        most = len(self.removed)
+        if params.collapses is not None:
+            if params.collapses > most:
+                raise UsageError(f"collapses is {params.collapses}, but the record holds only {most}.")
+            return params.collapses
+        wanted = params.triangles
+        if params.ratio is not None:
+            wanted = math.floor(params.ratio * len(self.mesh.triangles))
+        if wanted is None:
+            return most
+        least = self.triangles_after(most)
+        if wanted < least:
+            name = "triangles" if params.ratio is None else "ratio"
+            raise UsageError(f"{name} asks for {wanted} triangles, but the record ends at {least}.")
+        # As many triangles as have to go are gone after the collapse that the last of them vanishes in.
+        going = len(self._ends) - wanted
+        return 0 if going <= 0 else max(int(self._sorted_ends[going - 1]) + 1, 0)
+
+    def save(self, path: Path | str) -> None:
+        """Write the record to a file that `load_record` reads, `.npz` by custom.
+
+        Raises
+        ------
+        StageError
+            If the system refuses to write.
+        """
+        mesh = self.mesh
+        arrays: dict[str, Any] = {
+            "scanloom_collapse_record": np.array(_FORMAT),
+            "vertices": mesh.vertices,
+            "triangles": mesh.triangles,
+            "colors": mesh.colors,
+            "normals": mesh.normals,
+            "removed": self.removed,
+            "survivor": self.survivor,
+            "path": self.path,
+            "lock": self.lock,
+        }
+        with replacing(Path(path)) as part, part.open("wb") as file:
+            np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
+
+
+def _meeting(
+    a: NDArray[np.int32],
+    b: NDArray[np.int32],
+    parent: NDArray[np.int64],
+    when: NDArray[np.int64],
+    never: int,
+) -> NDArray[np.int64]:
+    """Return for each pair of vertices the number of the collapse that makes them one; `never` for none.
+
+    Whichever of the two is removed first goes on to its survivor, until both are the same.
+    """
+    met = np.full(len(a), never)
+    pairs = np.flatnonzero(a != b)
+    first, second = a[pairs].astype(np.int64), b[pairs].astype(np.int64)
+    while len(pairs):
+        in_order = when[first] < when[second]
+        first, second = np.where(in_order, first, second), np.where(in_order, second, first)
+        step = when[first]
+        first = parent[first]
+        same = first == second
+        met[pairs[same]] = step[same]
+        open_still = ~same & (step < never)
+        pairs, first, second = pairs[open_still], first[open_still], second[open_still]
+    return met
+
+
+def load_record(path: Path | str) -> CollapseRecord:
+    """Read a record that `CollapseRecord.save` wrote.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, no record, or of another version.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files} if hasattr(file, "files") else {}
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}.", path) from error
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError) as error:
+        raise InputError("is damaged, or no record of collapses.", path) from error
+    version = arrays.get("scanloom_collapse_record")
+    if version is None:
+        raise InputError("is no record of collapses.", path)
+    if version.shape != () or version != _FORMAT:
+        raise InputError(f"is a record of version {version}; this scanloom reads version {_FORMAT}.", path)
+    missing = [name for name in _NEEDED if name not in arrays]
+    if missing:
+        raise InputError(f"is damaged: it has no {missing[0]}.", path)
+    mesh = validated(
+        Mesh(arrays["vertices"], arrays["triangles"], arrays.get("colors"), arrays.get("normals")), str(path)
+    )
+    record = CollapseRecord(mesh, *(arrays[name] for name in ("removed", "survivor", "path", "lock")))
+    _require_sound(record, path)
+    return record
+
+
+def _require_sound(record: CollapseRecord, path: Path) -> None:
+    """Refuse a record whose collapses cannot have taken place on its mesh."""
+    count, collapses = len(record.mesh.vertices), len(record.removed)
+    shapes: dict[str, tuple[NDArray[Any], type, list[tuple[int, ...]]]] = {
+        "removed": (record.removed, np.int32, [(collapses,)]),
+        "survivor": (record.survivor, np.int32, [(collapses,)]),
+        "path": (record.path, np.float64, [(collapses, 3 + attributes_of(record.mesh).shape[1])]),
+        "lock": (record.lock, np.bool_, [(count,)]),
+    }
+    for name, (array, kind, allowed) in shapes.items():
+        if array.dtype != kind or array.shape not in allowed:
+            raise InputError(f"is damaged: {name} is {array.dtype} of shape {array.shape}.", path)
+    for name, ids in (("removed", record.removed), ("survivor", record.survivor)):
+        if collapses and not (ids.min() >= 0 and ids.max() < count):
+            raise InputError(f"is damaged: {name} names a vertex that is not there.", path)
+    if not np.isfinite(record.path).all():
+        raise InputError("is damaged: a vertex goes to a place that is not finite.", path)
+    when = np.full(count, collapses)
+    when[record.removed] = np.arange(collapses)
+    # A vertex that is removed twice has the later number; one that went into itself has its own.
+    ordered = (when[record.removed] == np.arange(collapses)) & (when[record.survivor] > np.arange(collapses))
+    if not ordered.all():
+        wrong = int(np.flatnonzero(~ordered)[0])
+        raise InputError(f"is damaged: collapse {wrong} has a vertex that is gone already.", path)
