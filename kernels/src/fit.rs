@@ -3,8 +3,9 @@
 //! Samples of the input go to the nearest point of the result; vertices then move along their normals, and their
 //! attributes change, until the squared differences at the samples are least: the inner problem of Hoppe, DeRose,
 //! Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993, with one unknown a vertex instead of three.
-//! Samples are the input's vertices and the centres of its triangles, a twelfth of a triangle's area for each
-//! corner and three quarters for its centre: exact for the integral of what is quadratic on the triangle.
+//! Samples are the centres of the input's triangles, each with the triangle's area; where there are few of
+//! them to a triangle of the result, the corners count too, a twelfth of the area each and three quarters for
+//! the centre: exact for the integral of what is quadratic on the triangle.
 
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
@@ -34,29 +35,42 @@ pub struct Input<'a, const D: usize> {
     pub became: &'a [VertexId],
 }
 
-impl<const D: usize> Input<'_, D> {
-    fn samples(&self) -> usize {
-        self.points.len() + self.triangles.len()
+/// With this many triangles of the input to one of the result, their centres are samples enough.
+const ENOUGH_CENTRES: usize = 6;
+
+/// Samples of the input: the centres of its triangles, and then perhaps its vertices.
+struct Samples<'a, const D: usize> {
+    input: &'a Input<'a, D>,
+    with_vertices: bool,
+}
+
+impl<const D: usize> Samples<'_, D> {
+    fn len(&self) -> usize {
+        self.input.triangles.len() + if self.with_vertices { self.input.points.len() } else { 0 }
     }
 
     /// The place and attributes of a sample, and a vertex of the result to start the search from.
-    fn sample(&self, i: usize) -> ([f64; D], VertexId) {
-        if let Some(point) = self.points.get(i) {
-            return (*point, self.became[i]);
-        }
-        let corners = self.triangles[i - self.points.len()].map(|v| v as usize);
-        let [a, b, c] = corners.map(|v| &self.points[v]);
-        let near = corners.into_iter().map(|v| self.became[v]).find(|v| v.is_some());
+    fn get(&self, i: usize) -> ([f64; D], VertexId) {
+        let Some(corners) = self.input.triangles.get(i) else {
+            let v = i - self.input.triangles.len();
+            return (self.input.points[v], self.input.became[v]);
+        };
+        let corners = corners.map(|v| v as usize);
+        let [a, b, c] = corners.map(|v| &self.input.points[v]);
+        let near = corners.into_iter().map(|v| self.input.became[v]).find(|v| v.is_some());
         (std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0), near.unwrap_or(VertexId::NONE))
     }
 
     fn weights(&self) -> Vec<f64> {
-        let mut weights = vec![0.0; self.samples()];
-        for (t, corners) in self.triangles.iter().enumerate() {
-            let [a, b, c] = corners.map(|v| position(&self.points[v as usize]));
-            let area = 0.5 * norm2(&cross(&sub(&b, &a), &sub(&c, &a))).sqrt();
-            corners.iter().for_each(|&v| weights[v as usize] += area / 12.0);
-            weights[self.points.len() + t] = 0.75 * area;
+        let triangles = self.input.triangles;
+        let mut weights = vec![0.0; self.len()];
+        for (t, corners) in triangles.iter().enumerate() {
+            let [a, b, c] = corners.map(|v| position(&self.input.points[v as usize]));
+            weights[t] = 0.5 * norm2(&cross(&sub(&b, &a), &sub(&c, &a))).sqrt();
+            if self.with_vertices {
+                corners.iter().for_each(|&v| weights[triangles.len() + v as usize] += weights[t] / 12.0);
+                weights[t] *= 0.75;
+            }
         }
         weights
     }
@@ -116,12 +130,14 @@ pub fn fit<const D: usize>(
     threads: usize,
     progress: &Progress,
 ) -> Result<(), KernelError> {
-    let count = input.samples();
+    let with_vertices = input.triangles.len() < ENOUGH_CENTRES * mesh.connectivity.triangle_count();
+    let samples = Samples { input, with_vertices };
+    let count = samples.len();
     let find = |(): &mut (), chunk: usize| -> Result<Vec<Option<Hit>>, KernelError> {
         progress.check()?;
         let chunk = CHUNK * chunk..(CHUNK * (chunk + 1)).min(count);
         let one = |i| {
-            let (point, near) = input.sample(i);
+            let (point, near) = samples.get(i);
             if near.is_none() { None } else { nearest(mesh, &position(&point), near) }
         };
         Ok(chunk.map(one).collect())
@@ -129,7 +145,7 @@ pub fn fit<const D: usize>(
     let hits = map(count.div_ceil(CHUNK), threads, || (), find).into_iter().collect::<Result<Vec<_>, _>>()?;
     progress.check()?;
     let normals = vertex_normals(mesh);
-    let system = System::new(mesh, input, hits.iter().flatten(), &normals);
+    let system = System::new(mesh, &samples, hits.iter().flatten(), &normals);
     progress.check()?;
     let solution = system.solve();
     for (point, step) in mesh.points.iter_mut().zip(&solution) {
@@ -151,7 +167,7 @@ struct System<const D: usize> {
 impl<const D: usize> System<D> {
     fn new<'h>(
         mesh: &Mesh<D>,
-        input: &Input<'_, D>,
+        samples: &Samples<'_, D>,
         hits: impl Iterator<Item = &'h Option<Hit>>,
         normals: &[Vec3],
     ) -> Self {
@@ -159,9 +175,9 @@ impl<const D: usize> System<D> {
         let mut diagonal = vec![[0.0; 2]; mesh.points.len()];
         let mut across = vec![[0.0; 2]; connectivity.edge_slots()];
         let mut right = vec![[0.0; D]; mesh.points.len()];
-        for (i, (hit, weight)) in hits.zip(input.weights()).enumerate() {
+        for (i, (hit, weight)) in hits.zip(samples.weights()).enumerate() {
             let Some(hit) = hit else { continue };
-            let (sample, at) = (input.sample(i).0, hit.weights());
+            let (sample, at) = (samples.get(i).0, hit.weights());
             let corners = connectivity.corners(hit.triangle);
             let points = corners.map(|v| mesh.point(v));
             let off: [f64; D] = std::array::from_fn(|j| {

@@ -44,6 +44,25 @@ pub fn map<T: Send, S>(
     results.into_iter().map(|r| r.1).collect()
 }
 
+/// Fill a slice with a value for each place, each thread a part of it.
+pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> T + Sync) {
+    let part = values.len().div_ceil(threads.max(1)).max(1);
+    thread::scope(|scope| {
+        let mut parts = values.chunks_mut(part).enumerate();
+        let own = parts.next();
+        let value = &value;
+        let run = move |(number, values): (usize, &mut [T])| {
+            for (i, slot) in values.iter_mut().enumerate() {
+                *slot = value(number * part + i);
+            }
+        };
+        for other in parts {
+            scope.spawn(move || run(other));
+        }
+        own.into_iter().for_each(run);
+    });
+}
+
 /// Two pieces of work side by side, if there is a thread to spare.
 pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
     if threads <= 1 {

@@ -1,14 +1,14 @@
 //! Cutting a mesh into compact patches of equal size, along planes that turn from one partition to the next.
 
-use crate::parallel::both;
+use crate::parallel::{both, fill};
 
-/// Patch `p` is `triangles[starts[p]..starts[p + 1]]`.
+/// Patch `p` is `triangles[starts[p]..starts[p + 1]]`, in no order.
 pub struct Partition {
     pub triangles: Vec<u32>,
     pub starts: Vec<usize>,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Item {
     /// The triangle's centre in the turned frame; single precision is enough to sort by.
     centre: [f32; 3],
@@ -32,25 +32,17 @@ impl Partition {
             };
         }
         let frame = frame(turn);
-        let mut items: Vec<Item> = triangles
-            .iter()
-            .enumerate()
-            .map(|(t, corners)| {
-                let sum: [f64; 3] =
-                    std::array::from_fn(|i| corners.iter().map(|&v| points[v as usize][i]).sum());
-                let along = |axis: &[f64; 3]| (axis[0] * sum[0] + axis[1] * sum[1] + axis[2] * sum[2]) as f32;
-                Item { centre: [along(&frame[0]), along(&frame[1]), along(&frame[2])], triangle: t as u32 }
-            })
-            .collect();
+        let mut items = vec![Item::default(); triangles.len()];
+        fill(&mut items, threads, |t| {
+            let sum: [f64; 3] =
+                std::array::from_fn(|i| triangles[t].iter().map(|&v| points[v as usize][i]).sum());
+            let along = |axis: &[f64; 3]| (axis[0] * sum[0] + axis[1] * sum[1] + axis[2] * sum[2]) as f32;
+            Item { centre: [along(&frame[0]), along(&frame[1]), along(&frame[2])], triangle: t as u32 }
+        });
         let mut starts = vec![0];
         leaf_sizes(items.len(), patches, &mut |size| starts.push(starts.last().unwrap_or(&0) + size));
         halve(&mut items, patches, threads);
-        let mut order: Vec<u32> = items.iter().map(|item| item.triangle).collect();
-        drop(items);
-        // Neighbours in the input are mostly neighbours in memory.
-        for patch in starts.windows(2) {
-            order[patch[0]..patch[1]].sort_unstable();
-        }
+        let order = items.iter().map(|item| item.triangle).collect();
         Self { triangles: order, starts }
     }
 

@@ -194,9 +194,12 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         rim: &[bool],
         scratch: &mut Scratch,
     ) -> Result<(Mesh<D>, Refusals<B>), KernelError> {
+        // Neighbours in the input are mostly neighbours in memory.
+        let mut triangle_source = patch.to_vec();
+        triangle_source.sort_unstable();
         let mut vertex_source: Vec<u32> = Vec::with_capacity(patch.len() / 2 + 64);
         let mut triangles: Vec<[u32; 3]> = Vec::with_capacity(patch.len());
-        for &t in patch {
+        for &t in &triangle_source {
             triangles.push(self.triangles[t as usize].map(|v| {
                 let local = &mut scratch.local[v as usize];
                 if *local == NOBODY {
@@ -218,7 +221,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         };
         let mut refusals = vec![None; connectivity.edge_slots()];
         if !self.held.is_empty() {
-            for (local, &t) in patch.iter().enumerate() {
+            for (local, &t) in triangle_source.iter().enumerate() {
                 for corner in 0..3 {
                     let edge = connectivity.edge(HalfedgeId((3 * local + corner) as u32));
                     refusals[edge.index()] = self.held[t as usize][corner];
@@ -228,7 +231,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         let mesh = Mesh {
             points: vertex_source.iter().map(|&v| self.points[v as usize]).collect(),
             pins: vertex_source.iter().map(pin).collect(),
-            triangle_source: patch.to_vec(),
+            triangle_source,
             vertex_source,
             connectivity,
         };

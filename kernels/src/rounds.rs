@@ -41,7 +41,7 @@ pub struct Goal {
 pub const PATCH: usize = 8192;
 
 /// Share of the triangles that one round may remove: more saves rounds, less follows one queue's order closer.
-const SHARE: f64 = 0.45;
+const SHARE: f64 = 0.75;
 
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
