@@ -151,8 +151,8 @@ def test_resolution_too_fine_is_refused_at_once() -> None:
 
 def test_triangle_targets() -> None:
     mesh = sheet(40, hills)
-    by_count = simplify(mesh, triangles=500)
-    by_ratio = simplify(mesh, ratio=500 / 3200)
+    by_count = simplify(mesh, method="jia01", triangles=500)
+    by_ratio = simplify(mesh, method="jia01", ratio=500 / 3200)
     assert by_count.stopped_by == by_ratio.stopped_by == "triangles"
     assert 498 <= len(by_count.mesh.triangles) <= 500
     np.testing.assert_array_equal(by_count.mesh.triangles, by_ratio.mesh.triangles)
@@ -176,9 +176,10 @@ def test_every_edge_is_refused_by_one_rule_at_the_end() -> None:
     assert sum(result.refused.values()) == topology(result.mesh).edges
 
 
-def test_a_target_above_the_count_changes_nothing() -> None:
+@pytest.mark.parametrize("method", ["quadric", "jia01"])
+def test_a_target_above_the_count_changes_nothing(method: str) -> None:
     mesh = sheet(5, hills)
-    result = simplify(mesh, triangles=1000)
+    result = simplify(mesh, method=method, triangles=1000)
     np.testing.assert_array_equal(result.mesh.vertices, mesh.vertices)
     np.testing.assert_array_equal(result.mesh.triangles, mesh.triangles)
     np.testing.assert_array_equal(result.mesh.colors, mesh.colors)
@@ -203,7 +204,7 @@ def test_holes_stay_holes() -> None:
     square = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 30)
     holes = [np.abs(square - c).max(axis=1) < 4 for c in ((9, 9), (20, 18))]
     holed = Mesh(mesh.vertices, mesh.triangles[~(holes[0] | holes[1])], colors=mesh.colors)
-    result = simplify(holed, triangles=60)
+    result = simplify(holed, method="jia01", triangles=60)
     assert topology(result.mesh).boundary_loops == 3
     assert_same_topology(result, holed)
 
@@ -213,7 +214,7 @@ def test_holes_stay_holes() -> None:
 
 def test_sources_lead_back_to_the_input() -> None:
     mesh = sheet(40, hills)
-    result = simplify(mesh, ratio=0.3)
+    result = simplify(mesh, method="jia01", ratio=0.3)
     assert len(np.unique(result.vertex_source)) == len(result.mesh.vertices)
     length = edge_lengths(result.mesh).max()
     apart = np.linalg.norm(result.mesh.vertices - mesh.vertices[result.vertex_source], axis=1)
@@ -260,7 +261,9 @@ def test_the_input_is_not_changed() -> None:
 def test_same_bytes_every_time_and_in_every_thread() -> None:
     mesh = sheet(60, hills, 0.001)
     results: list[Simplified] = []
-    workers = [threading.Thread(target=lambda: results.append(simplify(mesh, ratio=0.1))) for _ in range(3)]
+    workers = [
+        threading.Thread(target=lambda: results.append(simplify(mesh, max_shape=0.01))) for _ in range(3)
+    ]
     for worker in workers:
         worker.start()
     for worker in workers:

@@ -1,0 +1,481 @@
+"""Simplification to a number of triangles: counts, topology, colours, repeatability, what a user steers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay
+
+from stages import _kernels
+from stages.clean import clean
+from stages.compare import compare
+from stages.convert import as_mesh, to_open3d_legacy
+from stages.errors import MeshError, UsageError
+from stages.mesh import Mesh
+from stages.mesh_files import read_mesh
+from stages.progress import silent
+from stages.regions import Box, Sphere
+from stages.simplify import simplify
+from stages.topology import topology
+
+
+def sheet(n: int = 40, noise: float = 0.001, height: float = 0.1) -> Mesh:
+    """Hills over the unit square, 2 n² triangles; red and green run along x and y, blue comes in stripes."""
+    y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
+    z = height * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, noise, x.shape)
+    vertices = np.stack([x, y, z], -1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    b, c, d = a + 1, a + n + 2, a + n + 1
+    triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)
+    colors = np.stack([255 * x, 255 * y, 90 * ((x * 4).astype(int) % 2)], -1).reshape(-1, 3)
+    return Mesh(vertices, triangles.astype(np.int32), colors=np.rint(colors).astype(np.uint8))
+
+
+def of_trimesh(made: Any) -> Mesh:
+    vertices = np.array(made.vertices)
+    colors = np.clip(128 + 90 * np.sin(5 * vertices), 0, 255).astype(np.uint8)
+    return Mesh(vertices, np.array(made.faces, np.int32), colors=colors)
+
+
+def ball() -> Mesh:
+    return of_trimesh(trimesh.creation.icosphere(subdivisions=4))
+
+
+def ring() -> Mesh:
+    return of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=32))
+
+
+def holed() -> Mesh:
+    mesh = sheet()
+    square = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
+    holes = [np.abs(square - center).max(axis=1) < 5 for center in ((12, 12), (28, 25))]
+    return Mesh(mesh.vertices, mesh.triangles[~(holes[0] | holes[1])], colors=mesh.colors)
+
+
+MESHES = {"sheet": sheet, "ball": ball, "ring": ring, "holed": holed}
+
+
+def normals(mesh: Mesh) -> NDArray[np.float64]:
+    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def assert_same_topology(now: Mesh, before: Mesh) -> None:
+    was, is_now = topology(before), topology(now)
+    assert is_now.is_manifold
+    assert is_now.is_oriented
+    for name in ("euler", "boundary_loops", "components", "duplicate"):
+        assert getattr(is_now, name) == getattr(was, name), name
+    assert is_now.unreferenced == 0
+
+
+def squared(mesh: Mesh, light: Mesh) -> tuple[float, float]:
+    """RMS distance in metres, and RMS difference of colours in levels."""
+    measured = compare(mesh, light, samples=40_000)
+    assert measured.color is not None
+    return measured.symmetric.rms, measured.color.rmse
+
+
+# -- counts and topology ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])
+@pytest.mark.parametrize("triangles", [60, 301, 1200])
+@pytest.mark.parametrize("name", MESHES)
+def test_the_count_is_met_and_topology_kept(name: str, triangles: int, fit: bool) -> None:
+    mesh = MESHES[name]()
+    result = simplify(mesh, triangles=triangles, fit=fit)
+    assert result.method == "quadric"
+    assert result.stopped_by == "triangles"
+    assert triangles - 1 <= len(result.mesh.triangles) <= triangles
+    assert_same_topology(result.mesh, mesh)
+
+
+def test_ratio_is_a_count() -> None:
+    mesh = sheet()
+    by_ratio, by_count = simplify(mesh, ratio=0.125), simplify(mesh, triangles=400)
+    np.testing.assert_array_equal(by_ratio.mesh.vertices, by_count.mesh.vertices)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_as_few_triangles_as_the_topology_needs(name: str) -> None:
+    mesh = MESHES[name]()
+    result = simplify(mesh, triangles=1)
+    # A disc can shrink to the single triangle that was asked for.
+    assert result.stopped_by == ("triangles" if len(result.mesh.triangles) == 1 else "bounds")
+    assert len(result.mesh.triangles) < 60
+    if result.stopped_by == "bounds":
+        assert sum(result.refused.values()) == topology(result.mesh).edges
+    assert_same_topology(result.mesh, mesh)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.1, 0.02])
+def test_no_triangle_turns_over(ratio: float) -> None:
+    mesh = sheet(noise=0.0)
+    assert (normals(simplify(mesh, ratio=ratio).mesh)[:, 2] > 0).all()
+    light = simplify(ball(), ratio=ratio).mesh
+    outwards = light.vertices[light.triangles].mean(axis=1)
+    assert (np.einsum("ij,ij->i", normals(light), outwards) > 0).all()
+
+
+@pytest.mark.parametrize("patch", [40, 300, 2000, 1_000_000])
+@pytest.mark.parametrize("name", MESHES)
+def test_patches_of_any_size_keep_the_mesh_whole(name: str, patch: int) -> None:
+    mesh = MESHES[name]()
+    assert mesh.colors is not None
+    running = _kernels.Running(target_triangles=200, patch_triangles=patch)
+    result = _kernels.simplify_by_quadrics(
+        mesh.vertices,
+        mesh.colors.astype(np.float64),
+        mesh.triangles,
+        np.zeros(0, bool),
+        np.zeros(0),
+        weight=1e-4,
+        running=running,
+        progress=silent,
+    )
+    assert 199 <= len(result.triangles) <= 200
+    assert_same_topology(Mesh(result.vertices, result.triangles), mesh)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(5, 120),
+    gone=st.floats(0, 0.4),
+    roughness=st.sampled_from([0.0, 0.05, 1.0]),
+    share=st.floats(0.05, 1.0),
+    colored=st.booleans(),
+    fit=st.booleans(),
+)
+def test_random_meshes(
+    seed: int, count: int, gone: float, roughness: float, share: float, colored: bool, fit: bool
+) -> None:
+    random = np.random.default_rng(seed)
+    flat = random.random((count, 2))
+    triangles = Delaunay(flat).simplices.astype(np.int32)
+    triangles = triangles[random.random(len(triangles)) >= gone]
+    vertices = np.column_stack([flat, roughness * random.random(count)])
+    a, b, c = (flat[triangles[:, i]] for i in range(3))
+    clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    colors = random.integers(0, 256, (count, 3)).astype(np.uint8) if colored else None
+    mesh = clean(Mesh(vertices, triangles, colors=colors), min_island_area=0).mesh
+    result = simplify(mesh, ratio=share, fit=fit, record=True)
+    wanted = int(share * len(mesh.triangles))
+    assert len(result.mesh.triangles) <= wanted or result.stopped_by == "bounds"
+    assert len(result.mesh.triangles) >= wanted - 1
+    assert_same_topology(result.mesh, mesh)
+    if roughness == 0:
+        assert (normals(result.mesh)[:, 2] > 0).all()
+        np.testing.assert_allclose(result.mesh.vertices[:, 2], 0, atol=1e-12)
+    assert result.record is not None
+    replayed = result.record.replay(fit=result.fitted)
+    np.testing.assert_array_equal(replayed.mesh.vertices, result.mesh.vertices)
+    np.testing.assert_array_equal(replayed.mesh.triangles, result.mesh.triangles)
+
+
+# -- error -----------------------------------------------------------------------------------------------
+
+
+def test_what_is_flat_and_of_even_colour_costs_nothing() -> None:
+    mesh = sheet(noise=0.0, height=0.0)
+    assert mesh.colors is not None
+    even = mesh.with_(colors=mesh.colors * np.array([1, 1, 0], np.uint8))
+    light = simplify(even, triangles=2, attribute_scale=1e-4).mesh
+    assert len(light.triangles) == 2
+    shape, color = squared(even, light)
+    assert shape < 1e-6
+    assert color < 1  # the rounding of eight bits
+
+
+def test_a_colour_edge_is_seen_on_a_flat_wall() -> None:
+    wall = sheet(60, noise=0.0, height=0.0)
+    blind, seeing = (simplify(wall, triangles=60, attribute_scale=scale).mesh for scale in (0.0, 1e-4))
+    assert squared(wall, seeing)[1] < 0.25 * squared(wall, blind)[1]
+
+
+def test_fitting_brings_shape_and_colour_closer() -> None:
+    mesh = sheet(80)
+    plain, fitted = (simplify(mesh, ratio=0.05, fit=fit) for fit in (False, True))
+    assert (plain.fitted, fitted.fitted) == (False, True)
+    np.testing.assert_array_equal(plain.mesh.triangles, fitted.mesh.triangles)
+    assert squared(mesh, fitted.mesh)[0] < squared(mesh, plain.mesh)[0]
+    assert squared(mesh, fitted.mesh)[1] < squared(mesh, plain.mesh)[1]
+
+
+def by_open3d(mesh: Mesh, triangles: int) -> Mesh:
+    return as_mesh(to_open3d_legacy(mesh).simplify_quadric_decimation(triangles))
+
+
+@pytest.mark.parametrize("name", ["sheet", "ball", "ring"])
+def test_closer_in_shape_and_colour_than_another_quadric_simplifier(name: str) -> None:
+    mesh = MESHES[name]()
+    light = simplify(mesh, ratio=0.1).mesh
+    ours, theirs = squared(mesh, light), squared(mesh, by_open3d(mesh, len(light.triangles)))
+    assert ours[0] < theirs[0]
+    assert ours[1] < theirs[1]
+
+
+def test_closer_on_the_horse_and_in_the_kitchen(shared_data: Path) -> None:
+    horse = clean(read_mesh(shared_data / "meshes" / "horse.ply")).mesh
+    light = simplify(horse, ratio=0.1).mesh
+    assert_same_topology(light, horse)
+    theirs = by_open3d(horse, len(light.triangles))
+    ours_rms, their_rms = (compare(horse, m, samples=200_000).symmetric.rms for m in (light, theirs))
+    assert ours_rms < 0.75 * their_rms
+
+    kitchen = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
+    light = simplify(kitchen, ratio=0.1).mesh
+    assert_same_topology(light, kitchen)
+    ours, other = squared(kitchen, light), squared(kitchen, by_open3d(kitchen, len(light.triangles)))
+    assert ours[0] < other[0]
+    assert ours[1] < other[1]
+
+
+# -- colours ---------------------------------------------------------------------------------------------
+
+
+def test_one_colour_stays_one_colour() -> None:
+    mesh = sheet()
+    grey = mesh.with_(colors=np.full((len(mesh.vertices), 3), 77, np.uint8))
+    assert np.unique(simplify(grey, ratio=0.05).mesh.colors).tolist() == [77]
+
+
+def test_colours_stay_in_range() -> None:
+    mesh = sheet()
+    random = np.random.default_rng(2)
+    loud = mesh.with_(colors=(255 * random.integers(0, 2, (len(mesh.vertices), 3))).astype(np.uint8))
+    colors = simplify(loud, ratio=0.1).mesh.colors
+    assert colors is not None
+    # Out of range, a value would have wrapped around; the mean of black and white is grey.
+    assert 100 < colors.mean() < 155
+
+
+def test_colours_do_not_matter_where_they_weigh_nothing() -> None:
+    mesh = sheet()
+    colored = simplify(mesh, ratio=0.1, attribute_scale=0.0)
+    plain = simplify(mesh.with_(colors=None), ratio=0.1)
+    np.testing.assert_array_equal(colored.mesh.triangles, plain.mesh.triangles)
+    np.testing.assert_array_equal(colored.mesh.vertices, plain.mesh.vertices)
+
+
+# -- repeatability ---------------------------------------------------------------------------------------
+
+
+def test_same_bytes_on_any_number_of_threads() -> None:
+    mesh = sheet(150)  # several patches
+    one, *others = [simplify(mesh, ratio=0.1, threads=threads) for threads in (1, 1, 2, 3)]
+    assert one.mesh.colors is not None
+    for other in others:
+        assert other.mesh.colors is not None
+        assert other.mesh.vertices.tobytes() == one.mesh.vertices.tobytes()
+        assert other.mesh.colors.tobytes() == one.mesh.colors.tobytes()
+        assert other.mesh.triangles.tobytes() == one.mesh.triangles.tobytes()
+        assert other.vertex_source.tobytes() == one.vertex_source.tobytes()
+        assert other.triangle_source.tobytes() == one.triangle_source.tobytes()
+        assert other.figures() == one.figures()
+
+
+def test_far_from_the_origin_only_rounding_differs() -> None:
+    mesh = sheet()
+    here = simplify(mesh, ratio=0.1)
+    away = simplify(mesh.with_(vertices=mesh.vertices + 1e6), ratio=0.1)
+    np.testing.assert_array_equal(away.mesh.triangles, here.mesh.triangles)
+    np.testing.assert_array_equal(away.vertex_source, here.vertex_source)
+    # Coordinates are rounded to 1e-10; where the surface is all but flat, a vertex slides more than that.
+    np.testing.assert_allclose(away.mesh.vertices - 1e6, here.mesh.vertices, atol=1e-5)
+    assert here.mesh.colors is not None
+    assert away.mesh.colors is not None
+    assert np.abs(away.mesh.colors.astype(int) - here.mesh.colors).max() <= 1
+
+
+@pytest.mark.parametrize("exponent", [-20, 20])
+def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
+    mesh = sheet()
+    factor = 2.0**exponent
+    here, other = simplify(mesh, ratio=0.1), simplify(mesh.with_(vertices=mesh.vertices * factor), ratio=0.1)
+    np.testing.assert_array_equal(other.mesh.triangles, here.mesh.triangles)
+    np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, atol=1e-9)
+
+
+# -- where things came from ------------------------------------------------------------------------------
+
+
+def test_other_attributes_follow_their_vertices() -> None:
+    mesh = sheet()
+    result = simplify(mesh, ratio=0.2)
+    assert len(np.unique(result.vertex_source)) == len(result.mesh.vertices)
+    confidence = np.linspace(0, 1, len(mesh.vertices))
+    np.testing.assert_array_equal(result.follow(confidence), confidence[result.vertex_source])
+    apart = np.linalg.norm(result.mesh.vertices - result.follow(mesh.vertices), axis=1)
+    corners = result.mesh.vertices[result.mesh.triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
+    assert apart.max() < longest
+    now = corners.mean(axis=1)
+    then = mesh.vertices[mesh.triangles[result.triangle_source]].mean(axis=1)
+    assert np.linalg.norm(now - then, axis=1).max() < 2 * longest
+
+
+# -- lock, importance, regions ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])
+def test_locked_vertices_stay_to_the_bit(fit: bool) -> None:
+    mesh = sheet(150)
+    lock = np.random.default_rng(5).choice(len(mesh.vertices), 400, replace=False)
+    result = simplify(mesh, ratio=0.05, lock=lock, fit=fit)
+    assert len(result.mesh.triangles) <= 0.05 * len(mesh.triangles)
+    assert_same_topology(result.mesh, mesh)
+    assert set(lock.tolist()) <= set(result.vertex_source.tolist())
+    at = np.searchsorted(result.vertex_source, np.sort(lock))
+    assert result.mesh.colors is not None
+    assert mesh.colors is not None
+    assert result.mesh.vertices[at].tobytes() == mesh.vertices[np.sort(lock)].tobytes()
+    np.testing.assert_array_equal(result.mesh.colors[at], mesh.colors[np.sort(lock)])
+
+
+@pytest.mark.parametrize("changes", [{"triangles": 1}, {"max_shape": 1.0, "max_texture": 1e9}])
+def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:
+    mesh = ball()
+    result = simplify(mesh, lock=np.ones(len(mesh.vertices), bool), **changes)
+    np.testing.assert_array_equal(result.mesh.vertices, mesh.vertices)
+    np.testing.assert_array_equal(result.mesh.triangles, mesh.triangles)
+    assert result.refused["pinned"] == topology(mesh).edges
+
+
+def test_bounds_leave_locked_vertices_where_they_are() -> None:
+    mesh = sheet()
+    lock = np.linalg.norm(mesh.vertices[:, :2] - 0.5, axis=1) < 0.2
+    result = simplify(mesh, max_shape=0.01, lock=lock)
+    assert result.method == "jia01"
+    assert len(result.mesh.triangles) < 0.7 * len(mesh.triangles)
+    at = np.searchsorted(result.vertex_source, np.flatnonzero(lock))
+    np.testing.assert_array_equal(result.mesh.vertices[at], mesh.vertices[lock])
+
+
+def centers_within(mesh: Mesh, low: float, high: float) -> int:
+    x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
+    return int(((low <= x) & (x <= high)).sum())
+
+
+def test_importance_draws_triangles() -> None:
+    mesh = sheet(60)
+    left = np.where(mesh.vertices[:, 0] < 0.5, 100.0, 1.0)
+    even, uneven = (simplify(mesh, triangles=600, importance=i) for i in (None, left))
+    assert len(uneven.mesh.triangles) == len(even.mesh.triangles)
+    assert_same_topology(uneven.mesh, mesh)
+    assert centers_within(uneven.mesh, 0, 0.5) > 1.5 * centers_within(even.mesh, 0, 0.5)
+
+
+def test_equal_importance_everywhere_changes_nothing() -> None:
+    mesh = sheet()
+    eight = np.full(len(mesh.vertices), 8.0)
+    np.testing.assert_array_equal(
+        simplify(mesh, ratio=0.1, importance=eight).mesh.vertices, simplify(mesh, ratio=0.1).mesh.vertices
+    )
+
+
+def test_regions_stand_for_their_vertices() -> None:
+    mesh = sheet()
+    own = np.random.default_rng(1).uniform(0.5, 3.0, len(mesh.vertices))
+    regions = (
+        Sphere((0.25, 0.25, 0.0), 0.2, importance=20.0),
+        Sphere((0.3, 0.25, 0.0), 0.2, importance=5.0),
+        Box((0.7, 0.7, -1.0), (0.8, 0.9, 1.0), lock=True),
+    )
+    x, y, z = mesh.vertices.T
+    near = [(x - c) ** 2 + (y - 0.25) ** 2 + z**2 <= 0.2**2 for c in (0.25, 0.3)]
+    factors = np.maximum(own, np.where(near[0], 20.0, np.where(near[1], 5.0, 0.0)))
+    boxed = (x >= 0.7) & (x <= 0.8) & (y >= 0.7) & (y <= 0.9)
+    by_regions = simplify(mesh, ratio=0.2, importance=own, lock=[0, 5], regions=regions)
+    by_values = simplify(mesh, ratio=0.2, importance=factors, lock=boxed | np.isin(np.arange(len(x)), [0, 5]))
+    assert boxed.sum() > 10
+    np.testing.assert_array_equal(by_regions.mesh.vertices, by_values.mesh.vertices)
+    np.testing.assert_array_equal(by_regions.mesh.triangles, by_values.mesh.triangles)
+
+
+# -- bad input -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "quadric"}, "needs a number of triangles"),
+        (
+            {"method": "quadric", "ratio": 0.5, "max_shape": 1.0},
+            "max_shape has no meaning for method quadric",
+        ),
+        ({"method": "quadric", "ratio": 0.5, "paper_rule": True}, "paper_rule has no meaning"),
+        ({"method": "magic"}, "method is 'magic'; it must be one of auto, quadric"),
+        ({"max_shape": 0.1, "importance": np.full(36, 2.0)}, "importance has no meaning for method jia01"),
+        ({"max_shape": 0.1, "record": True}, "jia01 keeps no record"),
+        ({"ratio": 0.5, "lock": np.ones(5, bool)}, "lock has shape .5,.; one value for each of 36"),
+        ({"ratio": 0.5, "lock": [0, 36]}, "lock names vertex 36, but there are only 36"),
+        ({"ratio": 0.5, "lock": [-1]}, "lock names vertex -1"),
+        ({"ratio": 0.5, "lock": [0.5]}, "list of vertex indices"),
+        ({"ratio": 0.5, "importance": np.ones(5)}, "importance has shape .5,."),
+        ({"ratio": 0.5, "importance": np.zeros(36)}, "importance of vertex 0 is 0.0; it must be above 0"),
+        ({"ratio": 0.5, "importance": np.full(36, np.nan)}, "importance of vertex 0 is nan"),
+        ({"ratio": 0.5, "importance": ["a"] * 36}, "one number for each of 36"),
+        ({"ratio": 0.5, "regions": [Sphere((9, 9, 9), 1, lock=True)]}, "sphere about .9, 9, 9. .* no vertex"),
+        ({"ratio": 0.5, "threads": 0}, "threads is 0; it must be at least 1"),
+    ],
+)
+def test_what_cannot_be_done_is_said(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        simplify(sheet(5), **arguments)
+
+
+def test_a_mesh_that_is_no_manifold_is_named() -> None:
+    mesh = sheet(10)
+    broken = mesh.with_(triangles=np.concatenate([mesh.triangles, [[12, 13, 0]]]).astype(np.int32))
+    with pytest.raises(MeshError, match=r"edge.*more than two triangles.*12–13.*run clean first"):
+        simplify(broken, ratio=0.5)
+
+
+def test_nothing_to_simplify() -> None:
+    empty = simplify((np.zeros((0, 3)), np.zeros((0, 3), np.int32)), triangles=5, record=True)
+    assert empty.mesh.vertices.shape == (0, 3)
+    assert empty.record is not None
+    assert empty.record.replay().mesh.triangles.shape == (0, 3)
+    json.dumps(empty.figures())
+
+
+def test_what_is_no_part_of_the_surface_is_left_out() -> None:
+    mesh = sheet()
+    assert mesh.colors is not None
+    far = np.concatenate([mesh.vertices, [[1e30, 0, 0]]])
+    twice = np.concatenate([mesh.triangles, [[3, 3, 4]]]).astype(np.int32)
+    odd = Mesh(far, twice, colors=np.concatenate([mesh.colors, [[0, 0, 0]]]).astype(np.uint8))
+    one, other = (
+        simplify(mesh, triangles=300, attribute_scale=1e-4),
+        simplify(odd, triangles=300, attribute_scale=1e-4),
+    )
+    np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
+    np.testing.assert_array_equal(one.mesh.triangles, other.mesh.triangles)
+
+
+@pytest.mark.parametrize("squash", [(1, 0, 0), (0, 0, 0)], ids=["line", "point"])
+def test_triangles_without_area(squash: tuple[int, int, int]) -> None:
+    mesh = sheet(12)
+    result = simplify(mesh.with_(vertices=mesh.vertices * squash), ratio=0.2)
+    assert np.isfinite(result.mesh.vertices).all()
+    assert topology(result.mesh).is_manifold
+
+
+def test_figures_say_how_it_was_done() -> None:
+    figures = simplify(sheet(), ratio=0.25).figures()
+    assert json.loads(json.dumps(figures)) == figures
+    assert figures["method"] == "quadric"
+    assert figures["fitted"] is True
+    assert figures["attribute_scale_m_per_level"] > 0
+    assert figures["triangles"] <= 800 < figures["triangles_before"] == 3200
