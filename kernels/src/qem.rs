@@ -59,6 +59,11 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         qem
     }
 
+    /// The quadric of a vertex.
+    pub fn quadric(&self, v: VertexId) -> &Quadric<K> {
+        &self.quadrics[v.index()]
+    }
+
     #[inline]
     fn importance(&self, v: VertexId) -> f64 {
         self.importance.get(v.index()).copied().unwrap_or(1.0)
@@ -138,7 +143,11 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
     fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, ()>, ()> {
         let together = self.together(mesh, star.edge);
         let (place, _) = self.place(mesh, star.edge, &together);
-        let point = together.with_attributes(&place, self.weight, &star.middle);
+        let fixed = star.ends.iter().position(|&v| mesh.pin(v) == Pin::Fixed);
+        let point = match fixed {
+            Some(end) => star.end_points[end],
+            None => together.with_attributes(&place, self.weight, &star.middle),
+        };
         let survivor = match star.end_stays {
             [true, _] => 0,
             [_, true] => 1,

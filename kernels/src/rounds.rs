@@ -21,7 +21,7 @@ use crate::error::KernelError;
 use crate::ids::VertexId;
 use crate::parallel::map;
 use crate::partition::Partition;
-use crate::patch::{Piece, Records, Scratch, Whole, find_rim};
+use crate::patch::{Held, Piece, Records, Scratch, Whole, find_rim};
 use crate::progress::Progress;
 
 /// How far to go, and on how many threads.
@@ -70,14 +70,15 @@ pub fn collapse<const D: usize, R: Records<D>>(
     let (mut merges, mut path) = (vec![], vec![]);
     let attempts = AtomicU64::new(0);
     let mut histogram: Option<Histogram> = None;
-    let mut idle = 0;
+    let mut idle: u32 = 0;
     let mut round = 0;
     let stop = loop {
         let count = mesh.triangles.len();
         if count <= goal.triangles && round > 0 {
             break Stop::Target;
         }
-        let patches = (count / goal.patch).max(1);
+        // While nothing happens but some edges were on a rim each time, larger patches leave fewer of them.
+        let patches = ((count / goal.patch.max(1)) >> idle).max(1);
         let partition = Partition::new(&mesh.points, &mesh.triangles, patches, round, goal.threads);
         let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
         if round == 0 {
@@ -135,12 +136,12 @@ pub fn collapse<const D: usize, R: Records<D>>(
         if mesh.triangles.len() <= goal.triangles {
             break Stop::Target;
         }
-        // Every edge waits on a refusal, or the last partitions let nothing happen any more.
-        idle = if collapsed == 0 && priority == f64::INFINITY { idle + 1 } else { 0 };
-        let open = |held: &crate::patch::Held<_>| held.iter().any(Option::is_none);
-        if priority == f64::INFINITY && (patches == 1 || idle == 3 || !mesh.held.iter().any(open)) {
+        // The end: every edge waits on a refusal.
+        let open = |held: &Held<_>| held.iter().any(Option::is_none);
+        if priority == f64::INFINITY && (patches == 1 || !mesh.held.iter().any(open)) {
             break Stop::Exhausted;
         }
+        idle = if collapsed == 0 && priority == f64::INFINITY { idle + 1 } else { 0 };
     };
     Ok(Outcome { mesh, records, stop, merges, path, attempts: attempts.into_inner() })
 }
