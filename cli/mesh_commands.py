@@ -1,4 +1,4 @@
-"""Commands on mesh files: clean, simplify, compare, render."""
+"""Commands on mesh files: clean, simplify, replay, compare, render."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import stages
 from cli.options import with_options
 from cli.output import Output, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from stages import CleanParams, CompareParams, Mesh, MeshError, SimplifyParams, UsageError
+from stages import CleanParams, CompareParams, Mesh, MeshError, ReplayParams, SimplifyParams, UsageError
 from stages.params import check, param
+from stages.regions import parse_region
 from stages.render import write_png
 
 MeshFile = Annotated[
@@ -49,6 +50,7 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands."""
     app.command("clean", rich_help_panel="One stage at a time")(with_options(clean))
     app.command("simplify", rich_help_panel="One stage at a time")(with_options(simplify))
+    app.command("replay", rich_help_panel="One stage at a time")(with_options(replay))
     app.command("compare", rich_help_panel="Look and measure")(with_options(compare))
     app.command("render", rich_help_panel="Look and measure")(with_options(render))
 
@@ -68,21 +70,84 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
     out.result({"output": str(target), **cleaned.figures()})
 
 
-def simplify(source: MeshFile, target: NewMesh, params: SimplifyParams, out: Output) -> None:
-    """Make a mesh light: collapse edges as long as shape and texture stay within the bounds.
+def simplify(
+    source: MeshFile,
+    target: NewMesh,
+    params: SimplifyParams,
+    out: Output,
+    region: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="REGION",
+            help='A place to take care of: "sphere x y z radius" or "box x y z x y z" (lowest, then highest '
+            "corner), in m, followed by an importance (factor of the squared error there), by lock (nothing "
+            "moves there), or by both. Can be given several times.",
+            show_default=False,
+        ),
+    ] = None,
+    save_record: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Keep all collapses in this file (.npz), for scanloom replay.",
+            show_default=False,
+        ),
+    ] = None,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Ctrl-C writes what there is by then, instead of nothing.")
+    ] = False,
+) -> None:
+    """Make a mesh light: collapse edges to a number of triangles, or within bounds on shape and texture.
 
     The input must be a manifold mesh; run `scanloom clean` on it first when it is not.
 
-    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 10
-
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
+
+    Example: scanloom simplify clean.ply light.ply --ratio 0.1 --region "sphere 0 0 1.2 0.3 20"
+
+    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 200
     """
     require_new_file(target, MESH_SUFFIXES)
+    if save_record is not None:
+        require_new_file(save_record, (".npz",))
+    regions = [parse_region(text) for text in region or ()]
     mesh = _read(source, out)
-    with _about(source), out.progress("simplify", "collapses") as progress:
-        simplified = stages.simplify(mesh, params, progress=progress)
+    with _about(source), out.progress("simplify", "triangles") as progress:
+        simplified = stages.simplify(
+            mesh,
+            params,
+            regions=regions,
+            record=save_record is not None,
+            partial=partial,
+            progress=progress,
+        )
     _write(target, simplified.mesh, out)
+    if simplified.record is not None and save_record is not None:
+        save_record.parent.mkdir(parents=True, exist_ok=True)
+        simplified.record.save(save_record)
     out.result({"output": str(target), **simplified.figures()})
+
+
+def replay(
+    record: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORD", help="File that `simplify --save-record` wrote.", show_default=False
+        ),
+    ],
+    target: NewMesh,
+    params: ReplayParams,
+    out: Output,
+) -> None:
+    """Write a mesh as it was on the way of a simplification, at any number of triangles.
+
+    Example: scanloom replay light.npz half.ply --ratio 0.5
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    replayed = stages.load_record(require_file(record)).replay(params)
+    _write(target, replayed.mesh, out)
+    figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
+    out.result({"output": str(target), **figures, "collapses": replayed.collapses})
 
 
 def compare(

@@ -13,8 +13,9 @@ from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgr
 from stages.progress import Progress
 
 # What is counted while a stage works.
-_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "collapses"}
-# What came out of a stage and what was derived for it, in one line; all figures are in report.json.
+_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles"}
+# What came out of a stage and what was derived for it, in one line; all figures are in report.json. Where
+# methods differ in what they can tell, the method's name follows that of the stage.
 _HEADLINES = {
     "depth": "{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
     "up to {max_depth_m:.3g} m",
@@ -23,6 +24,8 @@ _HEADLINES = {
     "clean": "{triangles:,} triangles; {islands:,} islands removed",
     "simplify": "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, largest "
     "change of shape {largest_shape_change_m:.3g} m, of texture {largest_texture_change_levels:,.0f} levels",
+    "simplify quadric": "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "
+    "{attribute_scale_m_per_level:.3g} m",
     "report": "{pictures} pictures",
 }
 
@@ -89,7 +92,8 @@ def line_of(event: StageFinished) -> str:
 
 def headline(stage: str, figures: Mapping[str, Any]) -> str:
     """Return the figures of a stage that say most, as one line."""
-    return _Figures(figures).format(_HEADLINES.get(stage, ""))
+    text = _HEADLINES.get(f"{stage} {figures.get('method')}", _HEADLINES.get(stage, ""))
+    return _Figures(figures).format(text)
 
 
 def tell_skipped(out: Output, who: str, figures: Mapping[str, Any]) -> None:

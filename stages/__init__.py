@@ -10,6 +10,7 @@ first used, so importing this package is cheap.
 """
 
 from stages.clean import Cleaned, CleanParams, clean
+from stages.collapse_record import CollapseRecord, ReplayParams, load_record
 from stages.compare import CompareParams, Comparison, compare
 from stages.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
 from stages.depth import DepthMap, DepthParams, depth, depth_scan
@@ -19,6 +20,7 @@ from stages.inspection import Inspection, inspect
 from stages.layouts import ScanParams, read_scan
 from stages.mesh import Mesh, Texture
 from stages.mesh_files import read_mesh, write_mesh
+from stages.regions import Box, Sphere
 from stages.render import View, render
 from stages.scan import Camera, Frame, Scan, StereoRig
 from stages.simplify import Simplified, SimplifyParams, simplify
@@ -26,9 +28,11 @@ from stages.topology import Topology, topology
 from stages.viewpoints import viewpoints
 
 __all__ = [
+    "Box",
     "Camera",
     "CleanParams",
     "Cleaned",
+    "CollapseRecord",
     "CompareParams",
     "Comparison",
     "DepthMap",
@@ -41,11 +45,13 @@ __all__ = [
     "Mesh",
     "MeshError",
     "MeshLike",
+    "ReplayParams",
     "Scan",
     "ScanParams",
     "ScanloomError",
     "Simplified",
     "SimplifyParams",
+    "Sphere",
     "StageError",
     "StereoRig",
     "Texture",
@@ -59,6 +65,7 @@ __all__ = [
     "depth_scan",
     "fuse",
     "inspect",
+    "load_record",
     "read_mesh",
     "read_scan",
     "render",
