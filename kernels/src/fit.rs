@@ -12,7 +12,7 @@ use crate::error::KernelError;
 use crate::geometry::{Vec3, add_scaled, cross, dot, nearest_on_triangle, norm2, position, sub};
 use crate::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::{Mesh, Pin};
-use crate::parallel::map;
+use crate::parallel::{fill, map};
 use crate::progress::Progress;
 
 /// Strength of the spring that holds every unknown, as a share of the samples' weight at a vertex: without it
@@ -20,7 +20,7 @@ use crate::progress::Progress;
 const SPRING: f64 = 0.05;
 
 /// Steps of the conjugate gradient method; the systems are well conditioned.
-const STEPS: usize = 24;
+const STEPS: usize = 12;
 
 /// No triangle may turn by more than 60° (cosine).
 const LEAST_COSINE: f64 = 0.5;
@@ -41,12 +41,38 @@ const ENOUGH_CENTRES: usize = 6;
 /// Samples of the input: the centres of its triangles, and then perhaps its vertices.
 struct Samples<'a, const D: usize> {
     input: &'a Input<'a, D>,
-    with_vertices: bool,
+    /// Weights of the vertices; empty if they do not count.
+    vertices: Vec<f64>,
 }
 
-impl<const D: usize> Samples<'_, D> {
+impl<'a, const D: usize> Samples<'a, D> {
+    fn new(input: &'a Input<'a, D>, with_vertices: bool) -> Self {
+        let mut samples = Self { input, vertices: vec![] };
+        if with_vertices {
+            samples.vertices = vec![0.0; input.points.len()];
+            for corners in input.triangles {
+                let share = samples.area(corners) / 12.0;
+                corners.iter().for_each(|&v| samples.vertices[v as usize] += share);
+            }
+        }
+        samples
+    }
+
     fn len(&self) -> usize {
-        self.input.triangles.len() + if self.with_vertices { self.input.points.len() } else { 0 }
+        self.input.triangles.len() + self.vertices.len()
+    }
+
+    fn area(&self, corners: &[u32; 3]) -> f64 {
+        let [a, b, c] = corners.map(|v| position(&self.input.points[v as usize]));
+        0.5 * norm2(&cross(&sub(&b, &a), &sub(&c, &a))).sqrt()
+    }
+
+    fn weight(&self, i: usize) -> f64 {
+        match self.input.triangles.get(i) {
+            Some(corners) if self.vertices.is_empty() => self.area(corners),
+            Some(corners) => 0.75 * self.area(corners),
+            None => self.vertices[i - self.input.triangles.len()],
+        }
     }
 
     /// The place and attributes of a sample, and a vertex of the result to start the search from.
@@ -59,20 +85,6 @@ impl<const D: usize> Samples<'_, D> {
         let [a, b, c] = corners.map(|v| &self.input.points[v]);
         let near = corners.into_iter().map(|v| self.input.became[v]).find(|v| v.is_some());
         (std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0), near.unwrap_or(VertexId::NONE))
-    }
-
-    fn weights(&self) -> Vec<f64> {
-        let triangles = self.input.triangles;
-        let mut weights = vec![0.0; self.len()];
-        for (t, corners) in triangles.iter().enumerate() {
-            let [a, b, c] = corners.map(|v| position(&self.input.points[v as usize]));
-            weights[t] = 0.5 * norm2(&cross(&sub(&b, &a), &sub(&c, &a))).sqrt();
-            if self.with_vertices {
-                corners.iter().for_each(|&v| weights[triangles.len() + v as usize] += weights[t] / 12.0);
-                weights[t] *= 0.75;
-            }
-        }
-        weights
     }
 }
 
@@ -131,7 +143,7 @@ pub fn fit<const D: usize>(
     progress: &Progress,
 ) -> Result<(), KernelError> {
     let with_vertices = input.triangles.len() < ENOUGH_CENTRES * mesh.connectivity.triangle_count();
-    let samples = Samples { input, with_vertices };
+    let samples = Samples::new(input, with_vertices);
     let count = samples.len();
     let find = |(): &mut (), chunk: usize| -> Result<Vec<Option<Hit>>, KernelError> {
         progress.check()?;
@@ -143,9 +155,10 @@ pub fn fit<const D: usize>(
         Ok(chunk.map(one).collect())
     };
     let hits = map(count.div_ceil(CHUNK), threads, || (), find).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let hits = hits.concat();
     progress.check()?;
     let normals = vertex_normals(mesh);
-    let system = System::new(mesh, &samples, hits.iter().flatten(), &normals);
+    let system = System::new(mesh, &samples, &hits, &normals, threads);
     progress.check()?;
     let solution = system.solve();
     for (point, step) in mesh.points.iter_mut().zip(&solution) {
@@ -164,49 +177,112 @@ struct System<const D: usize> {
     right: Vec<[f64; D]>,
 }
 
+/// What the samples of one triangle add to the system: corner by corner, and side by side from corner to corner.
+#[derive(Clone, Copy)]
+struct Share<const D: usize> {
+    diagonal: [[f64; 2]; 3],
+    across: [[f64; 2]; 3],
+    right: [[f64; D]; 3],
+}
+
+/// Triangles whose shares are made at a time.
+const BLOCK: usize = 1 << 15;
+
+impl<const D: usize> Share<D> {
+    const NONE: Self = Self { diagonal: [[0.0; 2]; 3], across: [[0.0; 2]; 3], right: [[0.0; D]; 3] };
+
+    fn add(
+        &mut self,
+        weight: f64,
+        sample: &[f64; D],
+        at: [f64; 3],
+        points: [&[f64; D]; 3],
+        normals: [&Vec3; 3],
+    ) {
+        let off: [f64; D] = std::array::from_fn(|j| {
+            sample[j] - (at[0] * points[0][j] + at[1] * points[1][j] + at[2] * points[2][j])
+        });
+        let [a, b, c] = points.map(position);
+        let is_inside = at.iter().all(|&x| x > EDGE);
+        let away = position(&off);
+        // Beyond a side, the distance is not along the normal of the triangle.
+        let towards = if is_inside || norm2(&away) == 0.0 { cross(&sub(&b, &a), &sub(&c, &a)) } else { away };
+        let length = norm2(&towards).sqrt();
+        if length == 0.0 {
+            return;
+        }
+        let towards = towards.map(|x| x / length);
+        let distance = dot(&away, &towards);
+        let lever: [f64; 3] = std::array::from_fn(|k| at[k] * dot(&towards, normals[k]));
+        for k in 0..3 {
+            let next = (k + 1) % 3;
+            self.diagonal[k][0] += weight * (lever[k] * lever[k] + SPRING * at[k] * at[k]);
+            self.diagonal[k][1] += weight * (1.0 + SPRING) * at[k] * at[k];
+            self.across[k][0] += weight * lever[k] * lever[next];
+            self.across[k][1] += weight * at[k] * at[next];
+            self.right[k][0] += weight * lever[k] * distance;
+            (3..D).for_each(|j| self.right[k][j] += weight * at[k] * off[j]);
+        }
+    }
+}
+
+/// Samples grouped by the triangle they are nearest to: those of `t` are `order[starts[t]..starts[t + 1]]`.
+fn by_triangle(hits: &[Option<Hit>], triangles: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut starts = vec![0u32; triangles + 1];
+    for hit in hits.iter().flatten() {
+        starts[hit.triangle.index() + 1] += 1;
+    }
+    for t in 0..triangles {
+        starts[t + 1] += starts[t];
+    }
+    let mut next = starts.clone();
+    let mut order = vec![0u32; starts[triangles] as usize];
+    for (hit, i) in hits.iter().zip(0..) {
+        if let Some(hit) = hit {
+            let place = &mut next[hit.triangle.index()];
+            order[*place as usize] = i;
+            *place += 1;
+        }
+    }
+    (order, starts)
+}
+
 impl<const D: usize> System<D> {
-    fn new<'h>(
+    fn new(
         mesh: &Mesh<D>,
         samples: &Samples<'_, D>,
-        hits: impl Iterator<Item = &'h Option<Hit>>,
+        hits: &[Option<Hit>],
         normals: &[Vec3],
+        threads: usize,
     ) -> Self {
         let connectivity = &mesh.connectivity;
+        let triangles = connectivity.triangle_slots();
+        let (order, starts) = by_triangle(hits, triangles);
+        let share = |t: usize| {
+            let mut share = Share::NONE;
+            let corners = connectivity.corners(TriangleId::from_index(t));
+            let (points, normals) = (corners.map(|v| mesh.point(v)), corners.map(|v| &normals[v.index()]));
+            for &i in &order[starts[t] as usize..starts[t + 1] as usize] {
+                let at = hits[i as usize].map_or([0.0; 3], |hit| hit.weights());
+                share.add(samples.weight(i as usize), &samples.get(i as usize).0, at, points, normals);
+            }
+            share
+        };
         let mut diagonal = vec![[0.0; 2]; mesh.points.len()];
         let mut across = vec![[0.0; 2]; connectivity.edge_slots()];
         let mut right = vec![[0.0; D]; mesh.points.len()];
-        for (i, (hit, weight)) in hits.zip(samples.weights()).enumerate() {
-            let Some(hit) = hit else { continue };
-            let (sample, at) = (samples.get(i).0, hit.weights());
-            let corners = connectivity.corners(hit.triangle);
-            let points = corners.map(|v| mesh.point(v));
-            let off: [f64; D] = std::array::from_fn(|j| {
-                sample[j] - (at[0] * points[0][j] + at[1] * points[1][j] + at[2] * points[2][j])
-            });
-            let [a, b, c] = points.map(position);
-            let is_inside = at.iter().all(|&x| x > EDGE);
-            let away = position(&off);
-            // Beyond a side, the distance is not along the normal of the triangle.
-            let towards =
-                if is_inside || norm2(&away) == 0.0 { cross(&sub(&b, &a), &sub(&c, &a)) } else { away };
-            let length = norm2(&towards).sqrt();
-            if length == 0.0 {
-                continue;
-            }
-            let towards = towards.map(|x| x / length);
-            let distance = dot(&away, &towards);
-            let lever: [f64; 3] =
-                std::array::from_fn(|k| at[k] * dot(&towards, &normals[corners[k].index()]));
-            for k in 0..3 {
-                let v = corners[k].index();
-                diagonal[v][0] += weight * (lever[k] * lever[k] + SPRING * at[k] * at[k]);
-                diagonal[v][1] += weight * (1.0 + SPRING) * at[k] * at[k];
-                right[v][0] += weight * lever[k] * distance;
-                (3..D).for_each(|j| right[v][j] += weight * at[k] * off[j]);
-                let next = (k + 1) % 3;
-                let edge = connectivity.edge(HalfedgeId(3 * hit.triangle.0 + k as u32)).index();
-                across[edge][0] += weight * lever[k] * lever[next];
-                across[edge][1] += weight * at[k] * at[next];
+        let mut shares = vec![Share::<D>::NONE; BLOCK.min(triangles)];
+        for block in (0..triangles).step_by(BLOCK) {
+            let shares = &mut shares[..BLOCK.min(triangles - block)];
+            fill(shares, threads, |i| share(block + i));
+            for (share, t) in shares.iter().zip(block..) {
+                let corners = connectivity.corners(TriangleId::from_index(t));
+                for (k, v) in corners.into_iter().map(VertexId::index).enumerate() {
+                    let edge = connectivity.edge(HalfedgeId((3 * t + k) as u32)).index();
+                    (0..2).for_each(|i| diagonal[v][i] += share.diagonal[k][i]);
+                    (0..2).for_each(|i| across[edge][i] += share.across[k][i]);
+                    (0..D).for_each(|j| right[v][j] += share.right[k][j]);
+                }
             }
         }
         for v in connectivity.vertices() {

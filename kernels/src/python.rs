@@ -445,9 +445,14 @@ fn points_from<const D: usize>(
             attributes.shape()
         )));
     }
-    let point =
-        |v: usize| std::array::from_fn(|i| if i < 3 { vertices[[v, i]] } else { attributes[[v, i - 3]] });
-    Ok((0..vertices.nrows()).map(point).collect())
+    let (vertices, attributes) = (vertices.as_standard_layout(), attributes.as_standard_layout());
+    let places = vertices.as_slice().unwrap_or_default().chunks_exact(3);
+    let k = D - 3;
+    let values = attributes.as_slice().unwrap_or_default();
+    let point = |(v, place): (usize, &[f64])| {
+        std::array::from_fn(|i| if i < 3 { place[i] } else { values[k * v + i - 3] })
+    };
+    Ok(places.enumerate().map(point).collect())
 }
 
 fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
@@ -458,13 +463,13 @@ fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyR
             triangles.shape()
         )));
     }
-    let corners = |(triangle, row): (usize, numpy::ndarray::ArrayView1<'_, i32>)| {
-        if let Some(&vertex) = row.iter().find(|&&v| v < 0) {
-            return Err(KernelError::IndexOutOfRange { triangle, vertex: vertex.into(), vertices }.into());
-        }
-        Ok([row[0] as u32, row[1] as u32, row[2] as u32])
-    };
-    triangles.outer_iter().enumerate().map(corners).collect()
+    let triangles = triangles.as_standard_layout();
+    let values = triangles.as_slice().unwrap_or_default();
+    if let Some(place) = values.iter().position(|&v| v < 0) {
+        let (triangle, vertex) = (place / 3, values[place].into());
+        return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices }.into());
+    }
+    Ok(values.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect())
 }
 
 /// How often the waiting thread looks for Ctrl-C, and every how many looks it reports progress.
