@@ -41,13 +41,6 @@ class Centred:
         moved = (points != self.vertices[source]).any(axis=1, keepdims=True)
         return np.where(moved, points + self.origin, self.mesh.vertices[source])
 
-    def kept(self, attributes: Floats, source: Ids, lock: NDArray[np.bool_]) -> Floats:
-        """Return attributes (p, k) with those of locked `source` vertices (p,) as they were.
-
-        The kernels leave such a vertex in its place, but give it the best colour for all that went into it.
-        """
-        return np.where(lock[source, None], self.attributes[source], attributes)
-
 
 def centred(mesh: Mesh) -> Centred:
     """Return the mesh about the middle of its bounding box."""

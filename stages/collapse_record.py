@@ -27,6 +27,8 @@ from stages.replacing import replacing
 from stages.topology import repeats_vertex
 
 _FORMAT = 1
+# What reading an archive can raise; RuntimeError is for an encryption or compression nobody asked for.
+_DAMAGE = (ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 _NEEDED = ("vertices", "triangles", "removed", "survivor", "path", "lock")
 
 
@@ -239,7 +241,7 @@ def load_record(path: Path | str) -> CollapseRecord:
             arrays = dict(content) if isinstance(content, np.lib.npyio.NpzFile) else {}
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}.", path) from error
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError) as error:
+    except _DAMAGE as error:
         raise InputError("is damaged, or no record of collapses.", path) from error
     version = arrays.get("scanloom_collapse_record")
     if version is None:
@@ -259,7 +261,7 @@ def load_record(path: Path | str) -> CollapseRecord:
 
 def _require_sound(record: CollapseRecord, path: Path) -> None:
     """Refuse a record whose collapses cannot have taken place on its mesh."""
-    count, collapses = len(record.mesh.vertices), len(record.removed)
+    count, collapses = len(record.mesh.vertices), record.removed.size
     shapes: dict[str, tuple[NDArray[Any], type, list[tuple[int, ...]]]] = {
         "removed": (record.removed, np.int32, [(collapses,)]),
         "survivor": (record.survivor, np.int32, [(collapses,)]),

@@ -304,6 +304,8 @@ def simplify(
         record=record,
         partial=partial,
     )
+    if partial:
+        progress = _contented(progress)
     try:
         if method == "quadric":
             return _by_quadrics(mesh, params, locked, factors, running, progress)
@@ -341,8 +343,7 @@ def _by_quadrics(
         progress=progress,
     )
     source = result.vertex_source
-    vertices = given.placed_back(result.vertices, source)
-    attributes = given.kept(result.attributes, source, lock)
+    vertices, attributes = given.placed_back(result.vertices, source), result.attributes
     stopped_by, is_fitted = result.stopped_by, False
     if params.fit and result.collapses and stopped_by != "request":
         light = Light(vertices, attributes, result.triangles, source, result.became)
@@ -358,15 +359,10 @@ def _by_quadrics(
     light_mesh = as_result(mesh, vertices, attributes, result.triangles, source, "simplify")
     kept = None
     if running.record:
-        places = given.placed_back(result.path[:, :3], result.survivor)
-        colors = given.kept(result.path[:, 3:], result.survivor, lock)
-        kept = CollapseRecord(
-            mesh.with_(texture=None, notes=light_mesh.notes),
-            result.removed,
-            result.survivor,
-            np.concatenate([places, colors], axis=1),
-            lock,
-        )
+        path = result.path.copy()
+        path[:, :3] = given.placed_back(path[:, :3], result.survivor)
+        base = mesh.with_(texture=None, notes=light_mesh.notes)
+        kept = CollapseRecord(base, result.removed, result.survivor, path, lock)
     return Simplified(
         mesh=light_mesh,
         vertex_source=source,
@@ -382,6 +378,18 @@ def _by_quadrics(
         fitted=is_fitted,
         record=kept,
     )
+
+
+def _contented(progress: Progress) -> Progress:
+    """Take Ctrl-C for a wish for what there is also while progress is being told."""
+
+    def tell(done: int, total: int) -> object:
+        try:
+            return progress(done, total)
+        except KeyboardInterrupt:
+            return False
+
+    return tell
 
 
 class _Content(Exception):  # noqa: N818 (nothing went wrong)

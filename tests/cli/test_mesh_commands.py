@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import pytest
 from stages.formats.ply import write_ply
 from stages.mesh import Mesh
 from stages.mesh_files import read_mesh
+from stages.progress import Progress
 
 Run = Callable[..., Any]
 
@@ -37,6 +40,53 @@ def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path,
     figures = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
     assert figures["distance"]["symmetric"]["maximum_m"] <= 0.05
     assert 4 <= len(read_mesh(light).triangles) < 1280
+
+
+def test_simplify_to_a_count_and_back(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    clean, light, half = (tmp_path / f"{name}.ply" for name in ("clean", "light", "half"))
+    record = tmp_path / "new" / "light.npz"
+    scanloom("clean", ball, clean)
+    regions = ("--region", "box -1 -1 0.9 1 1 1 lock", "--region", "sphere 1 0 0 0.5 50")
+    ran = scanloom("simplify", clean, light, "--triangles", 200, *regions, "--save-record", record, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert (ran.json["method"], ran.json["triangles"]) == ("quadric", 200)
+    before, after = read_mesh(clean), read_mesh(light)
+    locked = before.vertices[before.vertices[:, 2] >= 0.9]
+    assert len(locked) > 10
+    assert {tuple(v) for v in locked.tolist()} <= {tuple(v) for v in after.vertices.tolist()}
+    right, left = (after.vertices[:, 0] * side > 0.8 for side in (1, -1))
+    assert right.sum() > left.sum()
+
+    ran = scanloom("replay", record, half, "--ratio", 0.5, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["triangles"] == len(read_mesh(half).triangles) == 640
+    scanloom("replay", record, half, "--fit")
+    assert half.read_bytes() == light.read_bytes()
+
+
+def test_ctrl_c_writes_what_there_is_if_asked(
+    scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    n = 400
+    y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    triangles = np.stack([a, a + 1, a + n + 2, a, a + n + 2, a + n + 1], 1).reshape(-1, 3)
+    hills = np.stack([x, y, 0.1 * np.sin(7 * x) * np.cos(5 * y)], -1).reshape(-1, 3)
+    source, target = tmp_path / "hills.ply", tmp_path / "light.ply"
+    write_ply(source, Mesh(hills, triangles.astype(np.int32)))
+
+    @contextmanager
+    def interrupting(*_: object) -> Iterator[Progress]:
+        yield lambda *_: signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("cli.output.Output.progress", interrupting)
+    words = ("simplify", source, target, "--ratio", 0.01)
+    assert scanloom(*words).exit_code == 130
+    assert not target.exists()
+    ran = scanloom(*words, "--partial", "--json")
+    assert ran.exit_code == 0
+    assert ran.json["stopped_by"] == "request"
+    assert 0.01 * len(triangles) < len(read_mesh(target).triangles) < len(triangles)
 
 
 def test_a_mesh_may_be_replaced_by_its_clean_self(scanloom: Run, ball: Path) -> None:
@@ -84,6 +134,25 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
         (("simplify", "ball.ply", "out.ply", "--triangles", "few"), 2, "--triangles"),
         (("simplify", "ball.ply", "out.ply", "--speed", "9"), 2, "--speed"),
         (("simplify", "ball.ply"), 2, "OUT"),
+        (
+            ("simplify", "ball.ply", "out.ply", "--method", "magic"),
+            2,
+            "--method is 'magic'; it must be one of",
+        ),
+        (
+            ("simplify", "ball.ply", "out.ply", "--region", "cube 0 0 0"),
+            2,
+            "starts with neither sphere nor box",
+        ),
+        (("simplify", "ball.ply", "out.ply", "--save-record", "r.txt"), 2, "use .npz"),
+        (
+            ("simplify", "ball.ply", "out.ply", "--max-shape", "1", "--save-record", "r.npz"),
+            2,
+            "keeps no record",
+        ),
+        (("replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or no record of collapses."),
+        (("replay", "missing.npz", "out.ply"), 3, "missing.npz: there is no such file."),
+        (("replay", "ball.ply", "out.ply", "--ratio", "0.5", "--collapses", "3"), 2, "give one of them"),
         (("compare", "ball.ply", "ball.ply", "--samples", "0"), 2, "--samples is 0"),
         (("knit",), 2, "knit"),
     ],

@@ -232,6 +232,18 @@ def test_a_changed_byte_is_bad_input(tmp_path: Path) -> None:
             load_record(path)
 
 
+def test_an_archive_nobody_wrote_like_this_is_bad_input(tmp_path: Path) -> None:
+    _, record = recorded(ring(), ratio=0.1)
+    path = tmp_path / "light.npz"
+    record.save(path)
+    content = bytearray(path.read_bytes())
+    entry = content.index(b"PK\x01\x02")  # in the archive's directory; its compression is two bytes at 10
+    content[entry + 10] = 99
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+        load_record(path)
+
+
 def changed(record: CollapseRecord, name: str) -> dict[str, Any]:
     """Arrays of a file with one thing wrong."""
     mesh = record.mesh
@@ -254,6 +266,8 @@ def changed(record: CollapseRecord, name: str) -> dict[str, Any]:
             del arrays["path"]
         case "type":
             arrays["removed"] = arrays["removed"].astype(np.float64)
+        case "scalar":
+            arrays["removed"] = np.array(3, np.int32)
         case "length":
             arrays["survivor"] = arrays["survivor"][:-1]
         case "columns":
@@ -282,6 +296,7 @@ def changed(record: CollapseRecord, name: str) -> dict[str, Any]:
         ("other", "is no record of collapses"),
         ("missing", "it has no path"),
         ("type", "removed is float64 of shape"),
+        ("scalar", r"removed is int32 of shape \(\)"),
         ("length", "survivor is int32 of shape"),
         ("columns", "path is float64 of shape"),
         ("range", "survivor names a vertex that is not there"),

@@ -155,25 +155,44 @@ def test_patches_of_any_size_keep_the_mesh_whole(name: str, patch: int) -> None:
     share=st.floats(0.05, 1.0),
     colored=st.booleans(),
     fit=st.booleans(),
+    locked=st.floats(0, 0.5),
+    importance=st.booleans(),
 )
 def test_random_meshes(
-    seed: int, count: int, gone: float, roughness: float, share: float, colored: bool, fit: bool
+    seed: int,
+    count: int,
+    gone: float,
+    roughness: float,
+    share: float,
+    colored: bool,
+    fit: bool,
+    locked: float,
+    importance: bool,
 ) -> None:
     random = np.random.default_rng(seed)
     flat = random.random((count, 2))
     triangles = Delaunay(flat).simplices.astype(np.int32)
-    triangles = triangles[random.random(len(triangles)) >= gone]
+    stays = random.random(len(triangles)) >= gone
+    stays[0] = True
+    triangles = triangles[stays]
     vertices = np.column_stack([flat, roughness * random.random(count)])
     a, b, c = (flat[triangles[:, i]] for i in range(3))
     clockwise = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     colors = random.integers(0, 256, (count, 3)).astype(np.uint8) if colored else None
     mesh = clean(Mesh(vertices, triangles, colors=colors), min_island_area=0).mesh
-    result = simplify(mesh, ratio=share, fit=fit, record=True)
+    lock = random.random(len(mesh.vertices)) < locked
+    factors = np.exp(random.normal(0, 5, len(mesh.vertices))) if importance else None
+    result = simplify(mesh, ratio=share, fit=fit, record=True, lock=lock, importance=factors)
     wanted = int(share * len(mesh.triangles))
     assert len(result.mesh.triangles) <= wanted or result.stopped_by == "bounds"
     assert len(result.mesh.triangles) >= wanted - 1
     assert_same_topology(result.mesh, mesh)
+    at = np.searchsorted(result.vertex_source, np.flatnonzero(lock))
+    np.testing.assert_array_equal(result.mesh.vertices[at], mesh.vertices[lock])
+    if mesh.colors is not None:
+        assert result.mesh.colors is not None
+        np.testing.assert_array_equal(result.mesh.colors[at], mesh.colors[lock])
     if roughness == 0:
         assert (normals(result.mesh)[:, 2] > 0).all()
         np.testing.assert_allclose(result.mesh.vertices[:, 2], 0, atol=1e-12)

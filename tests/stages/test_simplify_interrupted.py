@@ -1,0 +1,161 @@
+"""A real Ctrl-C in the middle of a long simplification, with and without wanting what there is by then."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from stages.mesh import Mesh
+from stages.progress import Progress
+from stages.simplify import simplify
+from stages.topology import topology
+
+# Hills of a million triangles; the child says when collapsing has begun, and afterwards how far it came.
+CHILD = """
+import json, sys
+import numpy as np
+from stages.mesh import Mesh
+from stages.simplify import simplify
+from stages.topology import topology
+
+n = 720
+y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
+z = 0.1 * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, 0.0001, x.shape)
+a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+b, c, d = a + 1, a + n + 2, a + n + 1
+triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)
+colors = np.stack([255 * x, 255 * y, 0 * x], -1).reshape(-1, 3).astype(np.uint8)
+mesh = Mesh(np.stack([x, y, z], -1).reshape(-1, 3), triangles.astype(np.int32), colors=colors)
+
+seen = []
+def progress(done, total):
+    if not seen:
+        print("working", flush=True)
+    seen.append((done, total))
+
+arguments = json.loads(sys.argv[1])
+try:
+    result = simplify(mesh, progress=progress, **arguments)
+except KeyboardInterrupt:
+    print(json.dumps({"interrupted": True, "seen": seen}))
+else:
+    now = topology(result.mesh)
+    print(json.dumps({
+        "interrupted": False, "stopped_by": result.stopped_by, "triangles": now.triangles, "euler": now.euler,
+        "sound": now.is_manifold and now.is_oriented, "seen": seen,
+    }))
+"""
+
+
+def interrupted(**arguments: Any) -> dict[str, Any]:
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, json.dumps(arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "working\n"
+    child.send_signal(signal.SIGINT)
+    output, complaints = child.communicate(timeout=120)
+    assert child.returncode == 0, complaints
+    report: dict[str, Any] = json.loads(output)
+    return report
+
+
+METHODS = pytest.mark.parametrize(
+    "arguments", [{"ratio": 0.05}, {"max_shape": 0.01}], ids=["quadric", "jia01"]
+)
+
+
+@METHODS
+def test_ctrl_c_stops_the_work(arguments: dict[str, float]) -> None:
+    report = interrupted(**arguments)
+    assert report["interrupted"]
+    # It had a long way to go still, or did not even know how long.
+    assert all(done < total or total == 0 for done, total in report["seen"])
+
+
+@METHODS
+def test_ctrl_c_gives_out_what_there_is(arguments: dict[str, float]) -> None:
+    report = interrupted(partial=True, **arguments)
+    assert not report["interrupted"]
+    assert report["stopped_by"] == "request"
+    assert 0.05 * 1_036_800 < report["triangles"] < 1_036_800
+    assert report["sound"]
+    assert report["euler"] == 1
+
+
+def hills(n: int) -> Mesh:
+    y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
+    z = 0.1 * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, 0.1 / n, x.shape)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    b, c, d = a + 1, a + n + 2, a + n + 1
+    triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)
+    return Mesh(np.stack([x, y, z], -1).reshape(-1, 3), triangles.astype(np.int32))
+
+
+@METHODS
+def test_progress_that_returns_false_gives_out_what_there_is(arguments: dict[str, float]) -> None:
+    mesh = hills(500)
+    result = simplify(mesh, record="ratio" in arguments, progress=lambda *_: False, **arguments)
+    assert result.stopped_by == "request"
+    assert not result.fitted
+    now = topology(result.mesh)
+    assert 0.05 * 500_000 < now.triangles < 500_000
+    assert now.is_manifold
+    assert now.euler == 1
+    if result.record is not None:
+        np.testing.assert_array_equal(result.record.replay().mesh.vertices, result.mesh.vertices)
+
+
+def test_ctrl_c_while_progress_is_told() -> None:
+    mesh = hills(500)
+
+    def ctrl_c(*_: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        simplify(mesh, ratio=0.05, progress=ctrl_c)
+    assert simplify(mesh, ratio=0.05, progress=ctrl_c, partial=True).stopped_by == "request"
+
+
+def test_other_answers_of_progress_mean_nothing() -> None:
+    result = simplify(hills(300), ratio=0.05, progress=lambda *_: 0)
+    assert result.stopped_by == "triangles"
+
+
+def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = sys.modules["stages.simplify"]  # under its name, `stages` has the function
+    mesh = hills(40)
+    plain = simplify(mesh, ratio=0.1, fit=False)
+
+    def ctrl_c(*_: Any) -> NoReturn:
+        raise KeyboardInterrupt
+
+    def asks(_light: Any, _given: Any, _lock: Any, _threads: int, progress: Progress) -> NoReturn:
+        progress(0, 0)
+        raise AssertionError("progress was told to stop")
+
+    told: list[tuple[int, int]] = []
+
+    def stop(done: int, total: int) -> bool:
+        told.append((done, total))
+        return False
+
+    monkeypatch.setattr(module, "fitted", ctrl_c)
+    with pytest.raises(KeyboardInterrupt):
+        simplify(mesh, ratio=0.1)
+    results = [simplify(mesh, ratio=0.1, partial=True)]
+    monkeypatch.setattr(module, "fitted", asks)
+    results.append(simplify(mesh, ratio=0.1, progress=stop))
+    assert told[-1] == (2880, 2880)
+    for result in results:
+        assert (result.stopped_by, result.fitted) == ("request", False)
+        np.testing.assert_array_equal(result.mesh.vertices, plain.mesh.vertices)
