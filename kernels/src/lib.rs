@@ -9,8 +9,11 @@
 //! | [`queue`], [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
 //! | [`split`] | splitting long edges |
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
+//! | [`certify`], [`bvh`] | proven bounds between two surfaces; the tree they search |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 
+pub mod bvh;
+pub mod certify;
 mod connect;
 pub mod connectivity;
 pub mod engine;
@@ -29,3 +32,5 @@ pub mod validate;
 
 #[cfg(feature = "python")]
 mod python;
+#[cfg(feature = "python")]
+mod python_certify;

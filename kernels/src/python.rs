@@ -151,7 +151,7 @@ fn simplify_points<const D: usize>(
     })
 }
 
-fn points_from<const D: usize>(
+pub fn points_from<const D: usize>(
     vertices: &PyReadonlyArray2<'_, f64>,
     attributes: &PyReadonlyArray2<'_, f64>,
 ) -> PyResult<Vec<[f64; D]>> {
@@ -168,7 +168,7 @@ fn points_from<const D: usize>(
     Ok((0..vertices.nrows()).map(point).collect())
 }
 
-fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
+pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
     let triangles = triangles.as_array();
     if triangles.ncols() != 3 {
         return Err(PyValueError::new_err(format!(
@@ -187,7 +187,7 @@ fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyR
 
 /// Run `work` without the GIL. Its progress reaches the Python function `progress(done, total)`; an exception
 /// there, or Ctrl-C, stops the work and comes back from here. A panic becomes a RuntimeError.
-fn detached<R: Send>(
+pub fn detached<R: Send>(
     py: Python<'_>,
     progress: &Py<PyAny>,
     work: impl FnOnce(&mut Progress) -> Result<R, KernelError> + Send,
@@ -233,6 +233,8 @@ fn sources(py: Python<'_>, sources: &[u32]) -> Py<PyArray1<i32>> {
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Simplified>()?;
+    module.add_class::<crate::python_certify::Certified>()?;
+    module.add_function(wrap_pyfunction!(crate::python_certify::certify, module)?)?;
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add_function(wrap_pyfunction!(simplify, module)?)

@@ -1,0 +1,224 @@
+//! Upper bounds over one convex piece of a triangle: how far the other surface is, and its colour there.
+
+use super::facet::{Facet, nearest};
+use super::polygon::{Corner, Polygon};
+use super::surface::{Found, Surface, blend, combine, difference};
+use crate::geometry::{Vec3, norm2, sub};
+
+/// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at.
+const CROWD: usize = 48;
+
+/// Shape in metres, colour in 8-bit levels (Euclidean norm over the channels).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Deviation {
+    pub shape: f64,
+    pub color: f64,
+}
+
+impl Deviation {
+    pub fn max(self, other: Self) -> Self {
+        Self { shape: self.shape.max(other.shape), color: self.color.max(other.color) }
+    }
+
+    pub fn min(self, other: Self) -> Self {
+        Self { shape: self.shape.min(other.shape), color: self.color.min(other.color) }
+    }
+
+    pub fn within(self, other: Self) -> bool {
+        self.shape <= other.shape && self.color <= other.color
+    }
+}
+
+/// What part of a piece's deviation falls on which slot of the other surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Share {
+    pub slot: u32,
+    pub deviation: Deviation,
+}
+
+#[derive(Clone, Debug)]
+pub struct Piece {
+    pub polygon: Polygon,
+    /// The slot nearest to the centre.
+    pub slot: u32,
+    pub radius: f64,
+    pub bound: Deviation,
+    /// Where the bound on colour, and where that on shape, comes from.
+    pub worst: [Corner; 2],
+    /// Range in the list of shares; none if there were too many to look at.
+    pub shares: Option<(usize, usize)>,
+}
+
+/// What every piece is bounded against.
+pub struct Against<'a> {
+    pub target: &'a Surface,
+    pub slack: f64,
+    /// No colours of the two surfaces differ more.
+    pub color_range: f64,
+    pub with_color: bool,
+    /// Whether shares are wanted; they cost a search where there are no colours.
+    pub with_shares: bool,
+}
+
+impl Against<'_> {
+    /// Bound `polygon`, part of something bounded by `parent`. Returns it with the deviation at its centre.
+    /// `goal` says, given that, how close the bound on shape has to be for colour to be looked at.
+    pub fn piece(
+        &self,
+        mut polygon: Polygon,
+        hint: u32,
+        parent: Deviation,
+        goal: impl Fn(Deviation) -> f64,
+        shares: &mut Vec<Share>,
+    ) -> (Piece, Deviation) {
+        let (centre, radius) = polygon.centre();
+        let Found { slot, distance } = self.target.nearest(&centre.at, hint);
+        let attained = self.deviation(&centre, slot, distance);
+        // Two functions are nowhere less than the distance, and convex: that to one triangle, and a cone.
+        polygon.set_reach(|p| self.target.distance2(slot, p).sqrt());
+        let reach = farthest(&polygon).reach;
+        if reach > distance + radius {
+            polygon.set_reach(|p| distance + norm2(&sub(p, &centre.at)).sqrt());
+        }
+        let far = farthest(&polygon);
+        let shape = (far.reach + self.slack).min(parent.shape);
+        let mut piece = Piece {
+            polygon,
+            slot,
+            radius,
+            bound: Deviation { shape, color: parent.color },
+            worst: [far; 2],
+            shares: None,
+        };
+        // Colour is looked at where it is clear which triangles are near.
+        if (self.with_color || self.with_shares) && shape <= goal(attained) {
+            self.look_around(&mut piece, parent, shares);
+        }
+        (piece, attained)
+    }
+
+    /// Deviation at a point whose nearest triangle is known.
+    pub fn deviation(&self, corner: &Corner, slot: u32, distance: f64) -> Deviation {
+        let color = if self.with_color {
+            difference(&corner.color, &self.target.color(slot, &corner.at))
+        } else {
+            0.0
+        };
+        Deviation { shape: distance, color }
+    }
+
+    /// Every slot whose triangle may be nearest to some point of `polygon`, and perhaps a few more.
+    pub fn around(&self, polygon: &Polygon, visit: impl FnMut(u32) -> bool) {
+        let reach = farthest(polygon).reach + self.slack;
+        let [low, high] = polygon.bounding_box();
+        self.target.bvh.meeting(&low.map(|x| x - reach), &high.map(|x| x + reach), visit);
+    }
+
+    fn look_around(&self, piece: &mut Piece, parent: Deviation, shares: &mut Vec<Share>) {
+        let first = shares.len();
+        let (mut met, mut color) = (0, 0.0);
+        self.around(&piece.polygon, |slot| {
+            met += 1;
+            if let Some((deviation, worst)) = self.share(&piece.polygon, slot) {
+                let deviation = deviation.min(piece.bound);
+                if deviation.color > color {
+                    color = deviation.color;
+                    piece.worst[1] = worst;
+                }
+                shares.push(Share { slot, deviation });
+            }
+            met <= CROWD
+        });
+        if met > CROWD {
+            shares.truncate(first);
+        } else {
+            piece.shares = Some((first, shares.len()));
+            piece.bound.color = color.min(parent.color);
+        }
+    }
+
+    /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`.
+    fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
+        let corners = &self.target.corners[slot as usize];
+        let facet = Facet::new(corners);
+        let (part, outside) = match &facet {
+            Some(facet) => facet.part(polygon, self.slack)?,
+            None => {
+                let (centre, radius) = polygon.centre();
+                let distance = nearest(&centre.at, corners).distance2.sqrt();
+                if distance - radius > farthest(polygon).reach + self.slack {
+                    return None;
+                }
+                (*polygon, f64::INFINITY)
+            }
+        };
+        let shape = farthest(&part).reach + self.slack;
+        if !self.with_color {
+            return Some((Deviation { shape, color: 0.0 }, part[0]));
+        }
+        let (color, worst) = self.color(&part, corners, facet.as_ref(), outside, slot);
+        Some((Deviation { shape, color }, worst))
+    }
+
+    /// The greatest colour difference between `part` and the nearest points of one triangle, and the corner it is
+    /// from. `outside` is the most a foot may be outside the triangle.
+    fn color(
+        &self,
+        part: &Polygon,
+        corners: &[Vec3; 3],
+        facet: Option<&Facet>,
+        outside: f64,
+        slot: u32,
+    ) -> (f64, Corner) {
+        let colors = self.target.corner_colors(slot);
+        let found = |c: &Corner| nearest(&c.at, corners);
+        let first = found(&part[0]);
+        // The nearest point of a triangle is linear in space where it stays on one face, side or corner; such a region
+        // is convex. So is the difference then, and its norm is greatest at a corner.
+        let mut one_feature = true;
+        let mut exact = (0.0, part[0]);
+        for corner in part.iter() {
+            let here = found(corner);
+            one_feature &= here.feature == first.feature;
+            greater(&mut exact, difference(&corner.color, &blend(&here, &colors)), corner);
+        }
+        if one_feature {
+            return exact;
+        }
+        // No colour of the triangle is farther than one of its corners is: convex in both.
+        let mut range = 0.0f64;
+        for corner in part.iter() {
+            for color in &colors {
+                range = range.max(difference(&corner.color, color));
+            }
+        }
+        let Some(facet) = facet else { return (range, exact.1) };
+        // The colour continued over the plane, and what it changes from the foot to the triangle.
+        let mut beyond = 0.0f64;
+        let mut continued = (0.0, part[0]);
+        for corner in part.iter() {
+            let height = facet.height(&corner.at);
+            beyond = beyond.max((found(corner).distance2 - height * height).max(0.0).sqrt());
+            let color = combine(&facet.weights(&corner.at), &colors);
+            greater(&mut continued, difference(&corner.color, &color), corner);
+        }
+        let continued = continued.0 + facet.slope(&colors) * beyond.min(outside);
+        (continued.min(range), exact.1)
+    }
+}
+
+fn farthest(polygon: &Polygon) -> Corner {
+    let mut far = polygon[0];
+    for corner in polygon.iter() {
+        if corner.reach > far.reach {
+            far = *corner;
+        }
+    }
+    far
+}
+
+fn greater(most: &mut (f64, Corner), value: f64, corner: &Corner) {
+    if value > most.0 {
+        *most = (value, *corner);
+    }
+}
