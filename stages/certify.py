@@ -1,7 +1,7 @@
 """Proven bounds on how far two meshes are apart, in shape and in colour: never exceeded, at any point.
 
-`compare` measures at samples, and a maximum between them goes unseen. Here every triangle is covered by pieces
-that are bounded as a whole, in both directions.
+`compare` measures at samples, and a maximum between them goes unseen. Here every triangle is covered by
+pieces that are bounded as a whole, in both directions.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class CertifyParams:
     )
     effort: float = param(
         16.0,
-        "Pieces a triangle, on average, that may be spent on coming closer. More never makes a bound greater.",
+        "Pieces a triangle, on average, that may be spent on coming closer. More never makes a bound "
+        "greater.",
         low=0,
         high=1e6,
     )
@@ -77,18 +78,19 @@ class Certificate:
     Attributes
     ----------
     shape_bound, color_bound : (q,) float64, for each triangle of the result, both ways: no point of it is
-        farther from the original, and no point of the original whose nearest point is on it is farther from it.
-    original_shape_bound, original_color_bound : (m,) float64, for each triangle of the original, to the result.
+        farther from the original, and no point of the original whose nearest point is on it is farther away.
+    original_shape_bound, original_color_bound : (m,) float64, for each triangle of the original, from its
+        points to the result.
     shape_bound_m, color_bound_levels : the greatest of all. The colour bound also holds for the difference of
         any single channel.
     shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between.
     slack_m : points within this of the smallest distance count as nearest points too, and bounds on shape
         contain it: a search in single precision returns any of them.
     color_slack_levels : contained in the bounds on colour, for interpolation in single precision.
-    within_limits : whether every triangle is proven to stay within max_shape and max_color; None without them.
+    within_limits : whether all is proven to stay within max_shape and max_color; None without them.
     pieces : how many pieces of triangles were looked at.
 
-    Colour bounds are None unless both meshes have vertex colours (and, with max_shape, max_color is given too).
+    Colour bounds are None unless both meshes have vertex colours, and where max_shape is given alone.
     """
 
     shape_bound: NDArray[np.float64]
@@ -129,9 +131,9 @@ def certify(
 ) -> Certificate:
     """Bound the two-sided distance and colour difference between a mesh and the one it came from.
 
-    The colour at a point is compared with the colour at the nearest point of the other mesh, at *every* nearest
-    point where there are several (within `slack`, to allow for single precision). So the bounds hold for
-    whoever samples the two surfaces, however densely, with whatever search: Metro, `compare`, Embree.
+    The colour at a point is compared with the colour at the nearest point of the other mesh, at *every*
+    nearest point where there are several (within `slack`, to allow for single precision). So the bounds hold
+    for whoever samples the two surfaces, however densely, with whatever search: Metro, `compare`, Embree.
 
     Parameters
     ----------
@@ -164,9 +166,9 @@ def certify(
 
     References
     ----------
-    Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998, for what is bounded;
-    Tang, Lee and Kim, "Interactive Hausdorff distance computation for general polygonal models", 2009, for
-    refining where the bound is greatest.
+    Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998, for what is
+    bounded; Tang, Lee and Kim, "Interactive Hausdorff distance computation for general polygonal models",
+    2009, for refining where the bound is greatest.
     """
     params = resolve(CertifyParams, params, changes)
     a, b = as_mesh(result, "result"), as_mesh(original, "original")
@@ -210,8 +212,6 @@ def certify(
     )
 
 
-def _soup(
-    mesh: Mesh, colored: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+def _soup(mesh: Mesh, colored: bool) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     colors = mesh.colors if colored and mesh.colors is not None else np.zeros((len(mesh.vertices), 0))
     return mesh.vertices, colors.astype(np.float64), mesh.triangles

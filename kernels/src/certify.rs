@@ -39,6 +39,8 @@ const CHUNK: usize = 256;
 const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
 const FIRST_PIECES: usize = 64;
+/// Small meshes may cost as much as one of so many triangles.
+const AT_LEAST: usize = 4096;
 /// Each round allows so many times the pieces of the one before.
 const GROWTH: usize = 8;
 /// Bounds of single triangles are this close to what they attain,
@@ -110,6 +112,11 @@ pub fn certify(
         && !original.colors.is_empty()
         && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
     let slack = slack([result, original], options.slack);
+    // A bound contains the slack, and what is attained does not.
+    let least = Deviation { shape: 2.0 * slack, color: 0.0 };
+    let limit = options.limit.map(|limit| Deviation { color: limit.color - COLOR_SLACK, ..limit });
+    let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
+    let absolute = options.absolute_tolerance;
     let color_range = color_range(result, original);
     let against = |target, with_shares| Against { target, slack, color_range, with_color, with_shares };
     let mut sides = [Side::new(result, against(original, false)), Side::new(original, against(result, true))];
@@ -124,16 +131,15 @@ pub fn certify(
     let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
     let first = options.limit.map_or_else(
         || Goal {
-            at_most: unimportant(attained(&sides), options.absolute_tolerance),
+            at_most: Deviation::default(),
             times_attained: 1.0 + TRIANGLE_EXCESS,
+            above_attained: unimportant(attained(&sides), absolute),
             pieces: FIRST_PIECES,
             decide: false,
         },
-        |at_most| Goal { at_most, times_attained: 0.0, pieces: FIRST_PIECES, decide: true },
+        |limit| Goal::decision(limit, FIRST_PIECES),
     );
-    let keep = options
-        .limit
-        .unwrap_or_else(|| worth_all(attained(&sides), options.tolerance, options.absolute_tolerance));
+    let keep = options.limit.unwrap_or_else(|| worth_all(attained(&sides), options.tolerance, absolute));
     for side in &mut sides {
         let everything: Vec<u32> = (0..side.mesh.len() as u32).collect();
         side.bound(&everything, &first, keep, CHUNK, &mut run)?;
@@ -333,14 +339,13 @@ impl Run<'_, '_> {
 
     /// Spend pieces on the triangles that keep the greatest bound from the greatest deviation seen.
     fn tighten(&mut self, sides: &mut [Side<'_>; 2], options: &Options) -> Result<(), KernelError> {
-        let all = (sides[0].mesh.len() + sides[1].mesh.len()) as f64;
+        let all = (sides[0].mesh.len() + sides[1].mesh.len() + AT_LEAST) as f64;
+        let absolute = options.absolute_tolerance;
         let budget = self.pieces + (options.effort * all) as u64;
         let mut pieces = FIRST_PIECES;
         loop {
             let attained = sides[0].attained.max(sides[1].attained);
-            let at_most = options
-                .limit
-                .unwrap_or_else(|| worth_all(attained, options.tolerance, options.absolute_tolerance));
+            let at_most = options.limit.unwrap_or_else(|| worth_all(attained, options.tolerance, absolute));
             let decide = options.limit.is_some();
             // One that did not use up its pieces cannot be bounded better; the first look was content with less.
             let settled = |outcome: &Outcome| {
@@ -359,9 +364,14 @@ impl Run<'_, '_> {
                 return Ok(());
             }
             pieces = more;
-            let times_attained =
-                if decide { 0.0 } else { 1.0 + options.tolerance.shape.min(options.tolerance.color) };
-            let goal = Goal { at_most, times_attained, pieces, decide };
+            let goal = if decide {
+                Goal::decision(at_most, pieces)
+            } else {
+                let tolerance = options.tolerance;
+                let times_attained = 1.0 + tolerance.shape.min(tolerance.color);
+                let above_attained = absolute;
+                Goal { at_most, times_attained, above_attained, pieces, decide }
+            };
             for side in sides.iter_mut() {
                 side.tighten(&goal, self)?;
             }

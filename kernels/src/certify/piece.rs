@@ -5,7 +5,8 @@ use super::polygon::{Corner, Polygon};
 use super::surface::{Found, Surface, blend, combine, difference};
 use crate::geometry::{Vec3, norm2, sub};
 
-/// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at.
+/// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
+/// unless it is small already, beside the distance.
 const CROWD: usize = 48;
 
 /// Shape in metres, colour in 8-bit levels (Euclidean norm over the channels).
@@ -117,6 +118,7 @@ impl Against<'_> {
     fn look_around(&self, piece: &mut Piece, parent: Deviation, shares: &mut Vec<Share>) {
         let first = shares.len();
         let (mut met, mut color) = (0, 0.0);
+        let crowd = if 2.0 * piece.radius < piece.bound.shape { usize::MAX } else { CROWD };
         self.around(&piece.polygon, |slot| {
             met += 1;
             if let Some((deviation, worst)) = self.share(&piece.polygon, slot) {
@@ -127,9 +129,9 @@ impl Against<'_> {
                 }
                 shares.push(Share { slot, deviation });
             }
-            met <= CROWD
+            met <= crowd
         });
-        if met > CROWD {
+        if met > crowd {
             shares.truncate(first);
         } else {
             piece.shares = Some((first, shares.len()));
@@ -160,8 +162,8 @@ impl Against<'_> {
         Some((Deviation { shape, color }, worst))
     }
 
-    /// The greatest colour difference between `part` and the nearest points of one triangle, and the corner it is
-    /// from. `outside` is the most a foot may be outside the triangle.
+    /// The greatest colour difference between `part` and the nearest points of one triangle, or points of it within
+    /// the slack of those; and the corner it is from. `outside` is the most a foot may be outside the triangle.
     fn color(
         &self,
         part: &Polygon,
@@ -171,39 +173,38 @@ impl Against<'_> {
         slot: u32,
     ) -> (f64, Corner) {
         let colors = self.target.corner_colors(slot);
-        let found = |c: &Corner| nearest(&c.at, corners);
-        let first = found(&part[0]);
         // The nearest point of a triangle is linear in space where it stays on one face, side or corner; such a region
         // is convex. So is the difference then, and its norm is greatest at a corner.
-        let mut one_feature = true;
+        let mut features = 0;
         let mut exact = (0.0, part[0]);
-        for corner in part.iter() {
-            let here = found(corner);
-            one_feature &= here.feature == first.feature;
-            greater(&mut exact, difference(&corner.color, &blend(&here, &colors)), corner);
-        }
-        if one_feature {
-            return exact;
-        }
+        // Elsewhere: the colour continued over the plane, and how far from the foot the triangle is.
+        let (mut continued, mut beyond) = (0.0f64, 0.0f64);
         // No colour of the triangle is farther than one of its corners is: convex in both.
         let mut range = 0.0f64;
         for corner in part.iter() {
-            for color in &colors {
-                range = range.max(difference(&corner.color, color));
+            let here = nearest(&corner.at, corners);
+            features |= 1u8 << here.feature;
+            greater(&mut exact, difference(&corner.color, &blend(&here, &colors)), corner);
+            range = colors.iter().map(|color| difference(&corner.color, color)).fold(range, f64::max);
+            if let Some(facet) = facet {
+                let height = facet.height(&corner.at);
+                beyond = beyond.max((here.distance2 - height * height).max(0.0).sqrt());
+                let color = combine(&facet.weights(&corner.at), &colors);
+                continued = continued.max(difference(&corner.color, &color));
             }
         }
+        // A triangle that is no more than its sides has several colours at one place.
         let Some(facet) = facet else { return (range, exact.1) };
-        // The colour continued over the plane, and what it changes from the foot to the triangle.
-        let mut beyond = 0.0f64;
-        let mut continued = (0.0, part[0]);
-        for corner in part.iter() {
-            let height = facet.height(&corner.at);
-            beyond = beyond.max((found(corner).distance2 - height * height).max(0.0).sqrt());
-            let color = combine(&facet.weights(&corner.at), &colors);
-            greater(&mut continued, difference(&corner.color, &color), corner);
-        }
-        let continued = continued.0 + facet.slope(&colors) * beyond.min(outside);
-        (continued.min(range), exact.1)
+        let slope = facet.slope(&colors);
+        let most = if features.count_ones() == 1 {
+            exact.0
+        } else {
+            // Or the colour as if linear, and what it misses: nearest points are no farther apart than the points they
+            // are nearest to, and the mean distance of a point from corners that it is the mean of is at most the radius.
+            let missed = part.centre().1;
+            (continued + slope * beyond.min(outside)).min(exact.0 + slope * missed)
+        };
+        ((most + slope * self.slack).min(range), exact.1)
     }
 }
 

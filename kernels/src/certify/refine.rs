@@ -10,20 +10,24 @@ use super::facet::Facet;
 use super::parallel::GoOn;
 use super::piece::{Against, Deviation, Piece, Share};
 use super::polygon::{Corner, MOST, Polygon};
-use crate::geometry::{dot, sub};
+use crate::geometry::{Vec3, dot, sub};
 
 /// A polygon with more corners is halved, not cut along an outline: three cuts may add three.
 const MANY: usize = MOST / 2;
+/// Share of a piece's radius that is too thin to be cut off.
+const SLIVER: f64 = 0.02;
 /// Pieces between two questions whether to go on.
 const STRIDE: usize = 64;
 
 /// When a bound is good enough.
 #[derive(Clone, Copy, Debug)]
 pub struct Goal {
-    /// Below this in any case,
+    /// Below this in any case;
     pub at_most: Deviation,
-    /// or below this multiple of what some point of the triangle attains.
+    /// or below this multiple of what some point of the triangle attains,
     pub times_attained: f64,
+    /// or no more than so much above that.
+    pub above_attained: Deviation,
     /// No more than this many pieces.
     pub pieces: usize,
     /// Stop where a point passes `at_most`: the question is only whether one does.
@@ -31,10 +35,19 @@ pub struct Goal {
 }
 
 impl Goal {
+    /// Which triangles stay within `limit`? Nothing that passes it is good enough.
+    pub fn decision(limit: Deviation, pieces: usize) -> Self {
+        let above_attained = Deviation { shape: f64::NEG_INFINITY, color: f64::NEG_INFINITY };
+        Self { at_most: limit, times_attained: 0.0, above_attained, pieces, decide: true }
+    }
+
     fn level(&self, attained: Deviation) -> Deviation {
+        let one = |at_most: f64, above: f64, attained: f64| {
+            at_most.max(self.times_attained * attained).max(above + attained)
+        };
         Deviation {
-            shape: self.at_most.shape.max(self.times_attained * attained.shape),
-            color: self.at_most.color.max(self.times_attained * attained.color),
+            shape: one(self.at_most.shape, self.above_attained.shape, attained.shape),
+            color: one(self.at_most.color, self.above_attained.color, attained.color),
         }
     }
 }
@@ -113,7 +126,7 @@ pub fn refine(
         let found = against.target.nearest(&probe.at, piece.slot);
         outcome.attained = outcome.attained.max(against.deviation(probe, found.slot, found.distance));
         parent = piece.bound;
-        let wanted = if shape_first { level.shape } else { 0.0 };
+        let wanted = if shape_first { (level.shape - against.slack).max(0.0) } else { 0.0 };
         parts.extend(split(against, &piece, wanted).into_iter().map(|part| (part, piece.slot)));
     }
     for Waiting { piece, .. } in waiting.drain() {
@@ -161,7 +174,7 @@ fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
         if let Some(facet) = Facet::new(&against.target.corners[piece.slot as usize]) {
             let height = polygon.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
             let margin = (wanted * wanted - height * height).max(0.0).sqrt();
-            let parts = cut_along(polygon, &facet, margin);
+            let parts = cut_along(polygon, &facet, margin, SLIVER * piece.radius);
             if parts.len() > 1 {
                 return parts;
             }
@@ -170,23 +183,21 @@ fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
     halves(polygon)
 }
 
-/// The part inside the outline moved out by `margin`, then those outside; one if the outline cuts nothing.
-fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64) -> Vec<Polygon> {
+/// The part inside the outline moved out by `margin`, then those outside; one if the outline cuts nothing. A cut leaves
+/// more than `least` on either side: rounding could else cut off nothing, again and again.
+fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64, least: f64) -> Vec<Polygon> {
     let mut inside = *polygon;
     let mut parts = vec![];
     for opposite in 0..3 {
-        let level = |c: &crate::geometry::Vec3| facet.depth(c, opposite) + margin;
-        if inside.iter().all(|c| level(&c.at) >= 0.0) {
+        let level = |p: &Vec3| facet.depth(p, opposite) + margin;
+        if inside.iter().all(|c| level(&c.at) >= -least) {
             continue;
         }
-        let outside = inside.clipped(|p| -level(p));
-        inside = inside.clipped(level);
-        if inside.len() < 3 {
+        if inside.iter().all(|c| level(&c.at) <= least) {
             return vec![];
         }
-        if outside.len() >= 3 {
-            parts.push(outside);
-        }
+        parts.push(inside.clipped(|p| -level(p)));
+        inside = inside.clipped(level);
     }
     parts.insert(0, inside);
     parts
@@ -195,7 +206,7 @@ fn cut_along(polygon: &Polygon, facet: &Facet, margin: f64) -> Vec<Polygon> {
 fn halves(polygon: &Polygon) -> Vec<Polygon> {
     let [a, b] = polygon.diameter();
     let (along, middle) = (sub(&b, &a), polygon.centre().0.at);
-    let level = |p: &crate::geometry::Vec3| dot(&along, &sub(p, &middle));
+    let level = |p: &Vec3| dot(&along, &sub(p, &middle));
     vec![polygon.clipped(level), polygon.clipped(|p| -level(p))]
 }
 
