@@ -73,9 +73,16 @@ impl Bvh {
         (slot, least)
     }
 
-    /// Visit every slot whose leaf's box meets the box `low`–`high`, until `visit` returns false.
+    /// Visit every slot whose leaf's box meets the box `low`–`high`, until `visit` returns false. Branches, given by
+    /// their node's number and 0 or 1, are left out where `skip` says so.
     #[inline]
-    pub fn meeting(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32) -> bool) {
+    pub fn meeting(
+        &self,
+        low: &Vec3,
+        high: &Vec3,
+        mut skip: impl FnMut(u32, usize) -> bool,
+        mut visit: impl FnMut(u32) -> bool,
+    ) {
         let meets = |b: &Branch| (0..3).all(|i| b.low[i] <= high[i] && b.high[i] >= low[i]);
         let Some(root) = self.root.filter(meets) else { return };
         let mut stack = [(0, 0); STACK];
@@ -92,13 +99,36 @@ impl Bvh {
                 }
                 continue;
             }
-            for child in self.nodes[start as usize].iter().rev() {
-                if meets(child) {
+            for (i, child) in self.nodes[start as usize].iter().enumerate().rev() {
+                if meets(child) && !skip(start, i) {
                     stack[height] = (child.start, child.count);
                     height += 1;
                 }
             }
         }
+    }
+
+    /// A value for both branches of every node: of the slots in a leaf, and joined upwards.
+    pub fn gathered<T: Copy>(
+        &self,
+        leaf: impl Fn(std::ops::Range<usize>) -> T,
+        join: impl Fn(T, T) -> T,
+    ) -> Vec<[T; 2]> {
+        let mut upwards: Vec<[T; 2]> = Vec::with_capacity(self.nodes.len());
+        // A node is numbered before those below it.
+        for both in self.nodes.iter().rev() {
+            let value = both.each_ref().map(|b| {
+                if b.count > 0 {
+                    leaf(b.start as usize..(b.start + b.count) as usize)
+                } else {
+                    let [left, right] = upwards[self.nodes.len() - 1 - b.start as usize];
+                    join(left, right)
+                }
+            });
+            upwards.push(value);
+        }
+        upwards.reverse();
+        upwards
     }
 }
 
@@ -166,10 +196,15 @@ mod tests {
             let (low, high) = ([1.0, 0.5, 2.0], [4.0, 3.0, 9.0]);
             let inside = |p: &Vec3| (0..3).all(|i| low[i] <= p[i] && p[i] <= high[i]);
             let mut found = vec![];
-            bvh.meeting(&low, &high, |slot| {
-                found.push(order[slot as usize]);
-                true
-            });
+            bvh.meeting(
+                &low,
+                &high,
+                |_, _| false,
+                |slot| {
+                    found.push(order[slot as usize]);
+                    true
+                },
+            );
             for (i, p) in points.iter().enumerate() {
                 assert!(!inside(p) || found.contains(&(i as u32)));
             }

@@ -24,7 +24,7 @@ pub use piece::Deviation;
 pub use surface::Surface;
 
 use parallel::{for_chunks, thread_count};
-use piece::{Against, Share};
+use piece::{Against, Share, Wanted};
 use polygon::Corner;
 use refine::{Goal, Outcome, Workspace, refine};
 use surface::around;
@@ -98,7 +98,7 @@ pub struct Certificate {
 /// infinitely far from it.
 ///
 /// With `options.limit` a triangle is left as soon as it is proven to stay within it, or a point of it does
-/// not: compare the bounds with the limit. One that passes it is not tight then.
+/// not. Its bound then is the limit, or more than that.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -118,8 +118,10 @@ pub fn certify(
     let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
     let absolute = options.absolute_tolerance;
     let color_range = color_range(result, original);
-    let against = |target, with_shares| Against { target, slack, color_range, with_color, with_shares };
-    let mut sides = [Side::new(result, against(original, false)), Side::new(original, against(result, true))];
+    let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
+    let both_ways = limit.map_or(Wanted::All, Wanted::Beyond);
+    let mut sides =
+        [Side::new(result, against(original, Wanted::None)), Side::new(original, against(result, both_ways))];
     let mut run = Run { threads: thread_count(options.threads), progress, done: 0, total: 0, pieces: 0 };
     if result.is_empty() || original.is_empty() {
         return Ok(one_sided(&sides, slack));
@@ -145,7 +147,7 @@ pub fn certify(
         side.bound(&everything, &first, keep, CHUNK, &mut run)?;
     }
     run.tighten(&mut sides, options)?;
-    Ok(finished(&sides, attained(&sides), slack, run.pieces))
+    Ok(finished(&sides, attained(&sides), slack, limit, run.pieces))
 }
 
 /// One direction: the triangles of `mesh` against the other surface. By slot of `mesh` unless said otherwise.
@@ -173,7 +175,7 @@ struct Run<'a, 'b> {
 impl<'a> Side<'a> {
     fn new(mesh: &'a Surface, against: Against<'a>) -> Self {
         let on_target =
-            vec![Deviation::default(); if against.with_shares { against.target.len() } else { 0 }];
+            vec![Deviation::default(); if against.wanted == Wanted::None { 0 } else { against.target.len() }];
         Self {
             mesh,
             against,
@@ -435,11 +437,19 @@ fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
     }
 }
 
-fn finished(sides: &[Side<'_>; 2], attained: Deviation, slack: f64, pieces: u64) -> Certificate {
+fn finished(
+    sides: &[Side<'_>; 2],
+    attained: Deviation,
+    slack: f64,
+    limit: Option<Deviation>,
+    pieces: u64,
+) -> Certificate {
     let with_color = sides[0].against.with_color;
-    let sure = |d: &Deviation| Deviation {
-        shape: d.shape,
-        color: if with_color { d.color + COLOR_SLACK } else { 0.0 },
+    // What is within the limit was not looked at more closely.
+    let least = limit.unwrap_or_default();
+    let sure = |d: &Deviation| {
+        let d = d.max(least);
+        Deviation { shape: d.shape, color: if with_color { d.color + COLOR_SLACK } else { 0.0 } }
     };
     let in_order = |side: &Side<'_>, bounds: &mut dyn Iterator<Item = Deviation>| {
         let mut by_triangle = vec![Deviation::default(); side.mesh.len()];

@@ -2,7 +2,7 @@
 
 use super::facet::{Facet, nearest};
 use super::polygon::{Corner, Polygon};
-use super::surface::{Found, Surface, blend, combine, difference};
+use super::surface::{Found, Surface, around, blend, combine, difference};
 use crate::geometry::{Vec3, norm2, sub};
 
 /// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
@@ -50,6 +50,15 @@ pub struct Piece {
     pub shares: Option<(usize, usize)>,
 }
 
+/// Of which pieces it is wanted what falls on which slot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Wanted {
+    None,
+    All,
+    /// Of those that are not within this.
+    Beyond(Deviation),
+}
+
 /// What every piece is bounded against.
 pub struct Against<'a> {
     pub target: &'a Surface,
@@ -57,19 +66,18 @@ pub struct Against<'a> {
     /// No colours of the two surfaces differ more.
     pub color_range: f64,
     pub with_color: bool,
-    /// Whether shares are wanted; they cost a search where there are no colours.
-    pub with_shares: bool,
+    pub wanted: Wanted,
 }
 
 impl Against<'_> {
     /// Bound `polygon`, part of something bounded by `parent`. Returns it with the deviation at its centre.
-    /// `goal` says, given that, how close the bound on shape has to be for colour to be looked at.
+    /// `goal` says, given that, which bound is good enough.
     pub fn piece(
         &self,
         mut polygon: Polygon,
         hint: u32,
         parent: Deviation,
-        goal: impl Fn(Deviation) -> f64,
+        goal: impl Fn(Deviation) -> Deviation,
         shares: &mut Vec<Share>,
     ) -> (Piece, Deviation) {
         let (centre, radius) = polygon.centre();
@@ -91,9 +99,10 @@ impl Against<'_> {
             worst: [far; 2],
             shares: None,
         };
-        // Colour is looked at where it is clear which triangles are near.
-        if (self.with_color || self.with_shares) && shape <= goal(attained) {
-            self.look_around(&mut piece, parent, shares);
+        // Colour is looked at where the nearest triangles are not all over the place.
+        let level = goal(attained);
+        if (self.with_color || self.wanted == Wanted::All) && shape <= level.shape {
+            self.look_around(&mut piece, parent, level.color, shares);
         }
         (piece, attained)
     }
@@ -108,18 +117,25 @@ impl Against<'_> {
         Deviation { shape: distance, color }
     }
 
-    /// Every slot whose triangle may be nearest to some point of `polygon`, and perhaps a few more.
-    pub fn around(&self, polygon: &Polygon, visit: impl FnMut(u32) -> bool) {
-        let reach = farthest(polygon).reach + self.slack;
-        let [low, high] = polygon.bounding_box();
-        self.target.bvh.meeting(&low.map(|x| x - reach), &high.map(|x| x + reach), visit);
-    }
-
-    fn look_around(&self, piece: &mut Piece, parent: Deviation, shares: &mut Vec<Share>) {
+    fn look_around(&self, piece: &mut Piece, parent: Deviation, level: f64, shares: &mut Vec<Share>) {
         let first = shares.len();
         let (mut met, mut color) = (0, 0.0);
         let crowd = if 2.0 * piece.radius < piece.bound.shape { usize::MAX } else { CROWD };
-        self.around(&piece.polygon, |slot| {
+        // Where all colours are close enough to all of the piece, nothing else matters.
+        let all = self.wanted == Wanted::All;
+        let colors = (!all).then(|| around(piece.polygon.iter().map(|c| c.color)));
+        let mut close = 0.0;
+        let skip = |node: u32, branch: usize| {
+            colors.is_some_and(|colors| {
+                let range = farthest_apart(&colors, &self.target.color_boxes[node as usize][branch]);
+                let skip = range <= level;
+                if skip {
+                    close = range.max(close);
+                }
+                skip
+            })
+        };
+        self.around(&piece.polygon, skip, |slot| {
             met += 1;
             if let Some((deviation, worst)) = self.share(&piece.polygon, slot) {
                 let deviation = deviation.min(piece.bound);
@@ -127,16 +143,52 @@ impl Against<'_> {
                     color = deviation.color;
                     piece.worst[1] = worst;
                 }
-                shares.push(Share { slot, deviation });
+                if all {
+                    shares.push(Share { slot, deviation });
+                }
             }
             met <= crowd
         });
         if met > crowd {
             shares.truncate(first);
         } else {
-            piece.shares = Some((first, shares.len()));
-            piece.bound.color = color.min(parent.color);
+            piece.shares = all.then_some((first, shares.len()));
+            piece.bound.color = close.max(color).min(parent.color);
         }
+    }
+
+    /// What of a piece falls on which slot.
+    pub fn shares(&self, piece: &Piece, shares: &mut Vec<Share>) {
+        self.around(
+            &piece.polygon,
+            |_, _| false,
+            |slot| {
+                if let Some((deviation, _)) = self.share(&piece.polygon, slot) {
+                    shares.push(Share { slot, deviation: deviation.min(piece.bound) });
+                }
+                true
+            },
+        );
+    }
+
+    /// Every slot whose triangle may be nearest to some point of `polygon`, and a few more; as [`Bvh::meeting`].
+    ///
+    /// [`Bvh::meeting`]: crate::bvh::Bvh::meeting
+    fn around(
+        &self,
+        polygon: &Polygon,
+        skip: impl FnMut(u32, usize) -> bool,
+        mut visit: impl FnMut(u32) -> bool,
+    ) {
+        let reach = farthest(polygon).reach + self.slack;
+        let [low, high] = polygon.bounding_box();
+        let (low, high) = (low.map(|x| x - reach), high.map(|x| x + reach));
+        self.target.bvh.meeting(&low, &high, skip, |slot| {
+            let [a, b, c] = &self.target.corners[slot as usize];
+            let meets =
+                (0..3).all(|i| a[i].min(b[i]).min(c[i]) <= high[i] && a[i].max(b[i]).max(c[i]) >= low[i]);
+            !meets || visit(slot)
+        });
     }
 
     /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`.
@@ -206,6 +258,12 @@ impl Against<'_> {
         };
         ((most + slope * self.slack).min(range), exact.1)
     }
+}
+
+/// The most two colours of two boxes can differ.
+fn farthest_apart([low, high]: &[Vec3; 2], [from, to]: &[[f32; 3]; 2]) -> f64 {
+    let most = |i: usize| (high[i] - f64::from(from[i])).max(f64::from(to[i]) - low[i]);
+    norm2(&[0, 1, 2].map(most)).sqrt()
 }
 
 fn farthest(polygon: &Polygon) -> Corner {

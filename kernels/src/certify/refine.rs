@@ -8,7 +8,7 @@ use std::collections::BinaryHeap;
 
 use super::facet::Facet;
 use super::parallel::GoOn;
-use super::piece::{Against, Deviation, Piece, Share};
+use super::piece::{Against, Deviation, Piece, Share, Wanted};
 use super::polygon::{Corner, MOST, Polygon};
 use crate::geometry::{Vec3, dot, sub};
 
@@ -96,7 +96,7 @@ pub fn refine(
     loop {
         for (polygon, near) in parts.drain(..) {
             let so_far = outcome.attained;
-            let wanted = |at_centre| goal.level(so_far.max(at_centre)).shape;
+            let wanted = |at_centre| goal.level(so_far.max(at_centre));
             let (piece, at_centre) = against.piece(polygon, near, parent, wanted, shares);
             *hint = piece.slot;
             outcome.attained = outcome.attained.max(at_centre);
@@ -143,16 +143,15 @@ fn excess(bound: Deviation, level: Deviation) -> f64 {
 
 fn finish(against: &Against<'_>, piece: &Piece, shares: &[Share], outcome: &mut Outcome) {
     outcome.bound = outcome.bound.max(piece.bound);
-    if !against.with_shares {
-        return;
-    }
+    let wanted = match against.wanted {
+        Wanted::None => false,
+        Wanted::All => true,
+        Wanted::Beyond(limit) => !piece.bound.within(limit),
+    };
     if let Some((first, last)) = piece.shares {
         outcome.shares.extend_from_slice(&shares[first..last]);
-    } else {
-        against.around(&piece.polygon, |slot| {
-            outcome.shares.push(Share { slot, deviation: piece.bound });
-            true
-        });
+    } else if wanted {
+        against.shares(piece, &mut outcome.shares);
     }
 }
 

@@ -19,6 +19,8 @@ pub struct Surface {
     pub corners: Vec<[Vec3; 3]>,
     /// Attributes of the corners; empty where there are none. Single precision holds 8-bit levels exactly.
     pub colors: Vec<[[f32; 3]; 3]>,
+    /// The box around the colours below both branches of each node of the tree.
+    pub color_boxes: Vec<[[[f32; 3]; 2]; 2]>,
     /// Vertices of the input at the corners.
     pub vertices: Vec<[u32; 3]>,
     pub vertex_count: usize,
@@ -57,9 +59,27 @@ impl Surface {
         let color = |v: u32| [0, 1, 2].map(|i| points[v as usize].get(3 + i).copied().unwrap_or(0.0) as f32);
         let colors: Vec<[[f32; 3]; 3]> =
             if D == 3 { vec![] } else { vertices.iter().map(|t| t.map(color)).collect() };
+        let color_boxes = if D == 3 {
+            vec![]
+        } else {
+            bvh.gathered(
+                |slots| color_box(colors[slots].iter().flatten()),
+                |[a, b], [c, d]| color_box(&[a, b, c, d]),
+            )
+        };
         let bounds = around(corners.iter().flatten().copied());
         let color_bounds = around(colors.iter().flatten().map(|c| c.map(f64::from)));
-        Ok(Self { bvh, order, corners, colors, vertices, vertex_count: points.len(), bounds, color_bounds })
+        Ok(Self {
+            bvh,
+            order,
+            corners,
+            colors,
+            color_boxes,
+            vertices,
+            vertex_count: points.len(),
+            bounds,
+            color_bounds,
+        })
     }
 
     pub fn len(&self) -> usize {
@@ -114,6 +134,12 @@ pub fn difference(a: &Vec3, b: &Vec3) -> f64 {
 pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
     points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
         [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
+    })
+}
+
+fn color_box<'a>(colors: impl IntoIterator<Item = &'a [f32; 3]>) -> [[f32; 3]; 2] {
+    colors.into_iter().fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |[low, high], c| {
+        [[0, 1, 2].map(|i| low[i].min(c[i])), [0, 1, 2].map(|i| high[i].max(c[i]))]
     })
 }
 
