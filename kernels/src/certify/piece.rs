@@ -197,15 +197,14 @@ impl Against<'_> {
         let facet = Facet::new(corners);
         let (part, outside) = match &facet {
             Some(facet) => facet.part(polygon, self.slack)?,
-            None => {
-                let (centre, radius) = polygon.centre();
-                let distance = nearest(&centre.at, corners).distance2.sqrt();
-                if distance - radius > farthest(polygon).reach + self.slack {
-                    return None;
-                }
-                (*polygon, f64::INFINITY)
-            }
+            None => (*polygon, f64::INFINITY),
         };
+        // Beside a sharp corner, inside of both outlines moved out, the triangle can still be too far.
+        let (centre, radius) = part.centre();
+        let distance = nearest(&centre.at, corners).distance2.sqrt();
+        if distance - radius > farthest(&part).reach + self.slack {
+            return None;
+        }
         let shape = farthest(&part).reach + self.slack;
         if !self.with_color {
             return Some((Deviation { shape, color: 0.0 }, part[0]));
