@@ -9,6 +9,7 @@ Each name below that is a verb is a function; its module of the same name holds 
 first used, so importing this package is cheap.
 """
 
+from stages.certify import Certificate, CertifyParams, certify
 from stages.clean import Cleaned, CleanParams, clean
 from stages.compare import CompareParams, Comparison, compare
 from stages.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
@@ -27,6 +28,8 @@ from stages.viewpoints import viewpoints
 
 __all__ = [
     "Camera",
+    "Certificate",
+    "CertifyParams",
     "CleanParams",
     "Cleaned",
     "CompareParams",
@@ -53,6 +56,7 @@ __all__ = [
     "UsageError",
     "View",
     "as_mesh",
+    "certify",
     "clean",
     "compare",
     "depth",

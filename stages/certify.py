@@ -149,8 +149,8 @@ def certify(
         Where one mesh has no triangles, bounds for the other are infinite.
 
         Bounds of single triangles are within a fifth of what is attained there, or below 2 % of the greatest
-        deviation, unless `effort` runs out. With `max_shape` or `max_color` they only tell whether a triangle
-        stays within them: a bound that does not is no more than that.
+        deviation, unless `effort` runs out. With `max_shape` or `max_color` a triangle that stays within them
+        has these as its bounds, and any other more; what has no limit then has no bound.
 
     Raises
     ------
@@ -161,8 +161,9 @@ def certify(
 
     Notes
     -----
-    A float32 search can still miss the nearest of two triangles by more than the slack where one is a needle,
-    thinner than about 1e-4 of its length; no bound can foresee what it returns then.
+    A search in single precision can overlook a needle, a triangle far longer than high, and return what is
+    beside it. Of needles (below 1:250) therefore only the longest side counts as near; where that is a
+    boundary, so that nothing is beside it, such a search can still pass the bounds by the needle's height.
 
     References
     ----------

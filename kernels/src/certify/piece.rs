@@ -84,10 +84,11 @@ impl Against<'_> {
         let Found { slot, distance } = self.target.nearest(&centre.at, hint);
         let attained = self.deviation(&centre, slot, distance);
         // Two functions are nowhere less than the distance, and convex: that to one triangle, and a cone.
-        polygon.set_reach(|p| self.target.distance2(slot, p).sqrt());
-        let reach = farthest(&polygon).reach;
-        if reach > distance + radius {
-            polygon.set_reach(|p| distance + norm2(&sub(p, &centre.at)).sqrt());
+        let reach = self.target.reach(slot);
+        polygon.set_reach(&reach);
+        let at_centre = reach(&centre.at);
+        if farthest(&polygon).reach > at_centre + radius {
+            polygon.set_reach(|p| at_centre + norm2(&sub(p, &centre.at)).sqrt());
         }
         let far = farthest(&polygon);
         let shape = (far.reach + self.slack).min(parent.shape);
