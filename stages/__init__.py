@@ -9,6 +9,7 @@ Each name below that is a verb is a function; its module of the same name holds 
 first used, so importing this package is cheap.
 """
 
+from stages.certify import Certificate, CertifyParams, certify
 from stages.clean import Cleaned, CleanParams, clean
 from stages.collapse_record import CollapseRecord, ReplayParams, load_record
 from stages.compare import CompareParams, Comparison, compare
@@ -30,6 +31,8 @@ from stages.viewpoints import viewpoints
 __all__ = [
     "Box",
     "Camera",
+    "Certificate",
+    "CertifyParams",
     "CleanParams",
     "Cleaned",
     "CollapseRecord",
@@ -59,6 +62,7 @@ __all__ = [
     "UsageError",
     "View",
     "as_mesh",
+    "certify",
     "clean",
     "compare",
     "depth",

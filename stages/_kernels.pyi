@@ -1,12 +1,23 @@
 """Mesh kernels in Rust. Private: `stages.simplify` is the way in."""
 
 from collections.abc import Callable
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["InvalidMeshError", "LimitError", "Running", "Simplified", "fit", "residuals", "simplify", "simplify_by_quadrics"]
+__all__ = [
+    "Certified",
+    "InvalidMeshError",
+    "LimitError",
+    "Running",
+    "Simplified",
+    "certify",
+    "fit",
+    "residuals",
+    "simplify",
+    "simplify_by_quadrics",
+]
 
 class InvalidMeshError(ValueError):
     """The mesh breaks a rule the kernels need; the message names the elements."""
@@ -147,4 +158,45 @@ def residuals(
     """Return the RMS errors of shape and attributes to expect of a result with `target` triangles.
 
     None where the mesh is too small to tell or has no attributes.
+
+_Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
+
+@final
+class Certified:
+    """Upper bounds by triangle; pairs are (shape in metres, colour in levels)."""
+
+    @property
+    def shape_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def color_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def original_shape_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def original_color_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def bound(self) -> tuple[float, float]: ...
+    @property
+    def attained(self) -> tuple[float, float]: ...
+    @property
+    def slack(self) -> float: ...
+    @property
+    def color_slack(self) -> float: ...
+    @property
+    def pieces(self) -> int: ...
+
+def certify(
+    result: _Soup,
+    original: _Soup,
+    *,
+    tolerance: tuple[float, float],
+    absolute_tolerance: tuple[float, float],
+    limit: tuple[float, float] | None,
+    effort: float,
+    slack: float | None,
+    threads: int,
+    progress: Callable[[int, int], object],
+) -> Certified:
+    """Bound how far two triangle soups (vertices, attributes, triangles) are apart.
+
+    Raises InvalidMeshError for an index out of range or a value that is not finite.
     """

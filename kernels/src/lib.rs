@@ -9,9 +9,12 @@
 //! | [`queue`], [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
 //! | [`split`] | splitting long edges |
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
+//! | [`certify`], [`bvh`] | proven bounds between two surfaces; the tree they search |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 
 pub mod balance;
+pub mod bvh;
+pub mod certify;
 mod connect;
 pub mod connectivity;
 pub mod engine;
@@ -37,3 +40,5 @@ pub mod validate;
 
 #[cfg(feature = "python")]
 mod python;
+#[cfg(feature = "python")]
+mod python_certify;

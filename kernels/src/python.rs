@@ -433,7 +433,7 @@ impl Inputs<'_> {
     }
 }
 
-fn points_from<const D: usize>(
+pub fn points_from<const D: usize>(
     vertices: &PyReadonlyArray2<'_, f64>,
     attributes: &PyReadonlyArray2<'_, f64>,
 ) -> PyResult<Vec<[f64; D]>> {
@@ -455,7 +455,7 @@ fn points_from<const D: usize>(
     Ok(places.enumerate().map(point).collect())
 }
 
-fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
+pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
     let triangles = triangles.as_array();
     if triangles.ncols() != 3 {
         return Err(PyValueError::new_err(format!(
@@ -479,7 +479,7 @@ const LOOKS_A_REPORT: u32 = 3;
 /// Run `work` without the GIL on a thread of its own, while this one waits. Progress reaches the Python function
 /// `progress(done, total)`. An exception there, or Ctrl-C, stops the work and comes back from here; so does False,
 /// with what there is. With `partial`, Ctrl-C does the same as False. A panic becomes a RuntimeError.
-fn detached<R: Send>(
+pub fn detached<R: Send>(
     py: Python<'_>,
     progress: &Py<PyAny>,
     partial: bool,
@@ -550,6 +550,8 @@ fn sources(py: Python<'_>, sources: impl Iterator<Item = u32>) -> Py<PyArray1<i3
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Running>()?;
     module.add_class::<Simplified>()?;
+    module.add_class::<crate::python_certify::Certified>()?;
+    module.add_function(wrap_pyfunction!(crate::python_certify::certify, module)?)?;
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add_function(wrap_pyfunction!(simplify_by_quadrics, module)?)?;

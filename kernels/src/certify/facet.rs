@@ -1,0 +1,196 @@
+//! One triangle of the other surface: its nearest point, and where around it that point can be the nearest.
+
+use super::polygon::Polygon;
+use crate::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
+
+/// Where squared height over squared length falls below this, the normal is worth less than half its digits.
+/// The triangle then is its sides, which are no farther from any of its points than a 1e-8th of their length.
+const FLAT: f64 = 1e-16;
+
+/// The nearest point of a triangle: what it takes of each corner, and its squared distance.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearest {
+    pub distance2: f64,
+    pub weights: Vec3,
+    /// Bit i is set where corner i takes part: the corner, side or face the point lies on.
+    pub feature: u8,
+}
+
+/// The point of triangle `corners` nearest to `p`.
+#[inline]
+pub fn nearest(p: &Vec3, corners: &[Vec3; 3]) -> Nearest {
+    let [a, b, c] = corners;
+    let (ab, ac, to_p) = (sub(b, a), sub(c, a), sub(p, a));
+    let normal = cross(&ab, &ac);
+    let area2 = norm2(&normal);
+    let mut outside = [true; 3];
+    if area2 > FLAT * norm2(&ab) * norm2(&ac) {
+        let at_b = dot(&cross(&to_p, &ac), &normal);
+        let at_c = dot(&cross(&ab, &to_p), &normal);
+        outside = [at_b + at_c > area2, at_b < 0.0, at_c < 0.0];
+        if outside == [false; 3] {
+            let height = dot(&to_p, &normal) / area2.sqrt();
+            let (v, w) = (at_b / area2, at_c / area2);
+            return Nearest { distance2: height * height, weights: [1.0 - v - w, v, w], feature: 7 };
+        }
+    }
+    // A side is nearest only where its line parts the foot of the perpendicular from the triangle.
+    let mut best = Nearest { distance2: f64::INFINITY, weights: [1.0, 0.0, 0.0], feature: 1 };
+    for (opposite, _) in outside.iter().enumerate().filter(|(_, outside)| **outside) {
+        let (i, j) = ((opposite + 1) % 3, (opposite + 2) % 3);
+        let (along, to_p) = (sub(&corners[j], &corners[i]), sub(p, &corners[i]));
+        let length2 = norm2(&along);
+        let t = if length2 > 0.0 { (dot(&to_p, &along) / length2).clamp(0.0, 1.0) } else { 0.0 };
+        let distance2 = norm2(&add_scaled(&to_p, -t, &along));
+        if distance2 < best.distance2 {
+            let mut weights = [0.0; 3];
+            (weights[i], weights[j]) = (1.0 - t, t);
+            let feature = [i, j].iter().filter(|&&k| weights[k] > 0.0).map(|k| 1 << k).sum();
+            best = Nearest { distance2, weights, feature };
+        }
+    }
+    best
+}
+
+/// The plane of a triangle and its barycentric coordinates, as functions linear in space.
+#[derive(Clone, Copy, Debug)]
+pub struct Facet {
+    origin: Vec3,
+    normal: Vec3,
+    /// Gradients of the barycentric coordinates, and their lengths (one over the heights).
+    gradients: [Vec3; 3],
+    steepness: Vec3,
+}
+
+impl Facet {
+    /// None for a triangle that is no more than its sides.
+    pub fn new([a, b, c]: &[Vec3; 3]) -> Option<Self> {
+        let (ab, ac) = (sub(b, a), sub(c, a));
+        let normal = cross(&ab, &ac);
+        let area2 = norm2(&normal);
+        if area2 <= FLAT * norm2(&ab) * norm2(&ac) {
+            return None;
+        }
+        let unit = |v: Vec3, by: f64| v.map(|x| x / by);
+        let (of_b, of_c) = (unit(cross(&ac, &normal), area2), unit(cross(&normal, &ab), area2));
+        let gradients = [[0, 1, 2].map(|i| -of_b[i] - of_c[i]), of_b, of_c];
+        let steepness = gradients.map(|g| norm2(&g).sqrt());
+        Some(Self { origin: *a, normal: unit(normal, area2.sqrt()), gradients, steepness })
+    }
+
+    /// Signed distance from the plane.
+    #[inline]
+    pub fn height(&self, p: &Vec3) -> f64 {
+        dot(&self.normal, &sub(p, &self.origin))
+    }
+
+    /// How far the foot of `p` is inside side `opposite`; negative outside.
+    #[inline]
+    pub fn depth(&self, p: &Vec3, opposite: usize) -> f64 {
+        let start = if opposite == 0 { 1.0 } else { 0.0 };
+        (start + dot(&self.gradients[opposite], &sub(p, &self.origin))) / self.steepness[opposite]
+    }
+
+    /// Barycentric coordinates of the foot of `p`, negative ones where it is outside.
+    #[inline]
+    pub fn weights(&self, p: &Vec3) -> Vec3 {
+        let to_p = sub(p, &self.origin);
+        let (v, w) = (dot(&self.gradients[1], &to_p), dot(&self.gradients[2], &to_p));
+        [1.0 - v - w, v, w]
+    }
+
+    /// The most a value that is linear between `corners` changes per length (Frobenius norm over channels).
+    pub fn slope(&self, corners: &[Vec3; 3]) -> f64 {
+        let [to_b, to_c] = [1, 2].map(|i| sub(&corners[i], &corners[0]));
+        let [of_b, of_c] = [self.gradients[1], self.gradients[2]];
+        let square = norm2(&to_b) * norm2(&of_b)
+            + norm2(&to_c) * norm2(&of_c)
+            + 2.0 * dot(&to_b, &to_c) * dot(&of_b, &of_c);
+        square.max(0.0).sqrt()
+    }
+
+    /// Where in `polygon` the nearest point of the surface can lie on this triangle, and how far outside it the
+    /// foot can be there. None where it cannot.
+    ///
+    /// With the foot a distance o from the triangle and the plane h away, h² + o² is at most (reach + slack)²:
+    /// o² ≤ (reach + slack − |h|)(reach + slack + |h|). Both factors have upper bounds that are convex, and so
+    /// are greatest at corners. Cutting off what is farther outside lets the bound shrink: a few rounds do.
+    pub fn part(&self, polygon: &Polygon, slack: f64) -> Option<(Polygon, f64)> {
+        let side = polygon.iter().map(|c| self.height(&c.at)).sum::<f64>().signum();
+        let mut part = *polygon;
+        let mut outside = f64::INFINITY;
+        for _ in 0..3 {
+            let (mut less, mut more) = (f64::NEG_INFINITY, 0.0f64);
+            for corner in part.iter() {
+                let (height, reach) = (self.height(&corner.at), corner.reach + slack);
+                less = less.max(reach - side * height);
+                more = more.max(reach + height.abs());
+            }
+            // Not nearest anywhere: the plane alone is farther than the surface.
+            if less < 0.0 {
+                return None;
+            }
+            let nearer = (less * more).sqrt();
+            if nearer >= 0.7 * outside {
+                outside = outside.min(nearer);
+                break;
+            }
+            outside = nearer;
+            for opposite in 0..3 {
+                let level = |p: &Vec3| self.depth(p, opposite) + outside;
+                let mut cut = 0;
+                for corner in part.iter() {
+                    cut += usize::from(level(&corner.at) < 0.0);
+                }
+                if cut == part.len() {
+                    return None;
+                }
+                if cut > 0 {
+                    part = part.clipped(level);
+                }
+            }
+        }
+        Some((part, outside))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::triangle_distance2;
+
+    const CORNERS: [Vec3; 3] = [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [-1.0, 2.0, 0.0]];
+
+    #[test]
+    fn the_nearest_point_is_on_the_feature_it_names() {
+        for (p, feature) in [
+            ([0.5, 0.5, 2.0], 0b111),
+            ([1.0, -1.0, 1.0], 0b011),
+            ([-2.0, 1.0, 0.0], 0b101),
+            ([3.0, 3.0, 0.0], 0b110),
+            ([9.0, -1.0, 0.0], 0b010),
+            ([-3.0, 9.0, 0.0], 0b100),
+            ([-0.1, -1.0, 0.0], 0b001),
+        ] {
+            let found = nearest(&p, &CORNERS);
+            assert_eq!(found.feature, feature, "{p:?}");
+            let [a, b, c] = &CORNERS;
+            assert!((found.distance2 - triangle_distance2(&p, [a, b, c])).abs() < 1e-12);
+            let at: Vec3 = [0, 1, 2].map(|i| (0..3).map(|k| found.weights[k] * CORNERS[k][i]).sum());
+            assert!((norm2(&sub(&p, &at)) - found.distance2).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn the_plane_knows_heights_depths_and_slopes() {
+        let facet = Facet::new(&CORNERS).unwrap();
+        assert_eq!(facet.height(&[1.0, 1.0, 3.0]).abs(), 3.0);
+        assert!((facet.depth(&[1.0, -0.5, 9.0], 2) + 0.5).abs() < 1e-15);
+        let weights = facet.weights(&[1.5, 1.0, 7.0]);
+        assert!(sub(&weights, &[0.0, 0.5, 0.5]).iter().all(|x| x.abs() < 1e-15), "{weights:?}");
+        // One channel is 3x, another 4x.
+        let colors = CORNERS.map(|p| [3.0 * p[0], 4.0 * p[0], 0.0]);
+        assert!((facet.slope(&colors) - 5.0).abs() < 1e-14);
+        assert!(Facet::new(&[CORNERS[0], CORNERS[1], [2.0, 1e-9, 0.0]]).is_none());
+    }
+}

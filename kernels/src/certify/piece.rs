@@ -1,0 +1,283 @@
+//! Upper bounds over one convex piece of a triangle: how far the other surface is, and its colour there.
+
+use super::facet::{Facet, nearest};
+use super::polygon::{Corner, Polygon};
+use super::surface::{Found, Surface, around, blend, combine, difference};
+use crate::geometry::{Vec3, norm2, sub};
+
+/// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
+/// unless it is small already, beside the distance.
+const CROWD: usize = 48;
+
+/// Shape in metres, colour in 8-bit levels (Euclidean norm over the channels).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Deviation {
+    pub shape: f64,
+    pub color: f64,
+}
+
+impl Deviation {
+    pub fn max(self, other: Self) -> Self {
+        Self { shape: self.shape.max(other.shape), color: self.color.max(other.color) }
+    }
+
+    pub fn min(self, other: Self) -> Self {
+        Self { shape: self.shape.min(other.shape), color: self.color.min(other.color) }
+    }
+
+    pub fn within(self, other: Self) -> bool {
+        self.shape <= other.shape && self.color <= other.color
+    }
+}
+
+/// What part of a piece's deviation falls on which slot of the other surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Share {
+    pub slot: u32,
+    pub deviation: Deviation,
+}
+
+#[derive(Clone, Debug)]
+pub struct Piece {
+    pub polygon: Polygon,
+    /// The slot nearest to the centre.
+    pub slot: u32,
+    pub radius: f64,
+    pub bound: Deviation,
+    /// Where the bound on colour, and where that on shape, comes from.
+    pub worst: [Corner; 2],
+    /// Range in the list of shares; none if there were too many to look at.
+    pub shares: Option<(usize, usize)>,
+}
+
+/// Of which pieces it is wanted what falls on which slot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Wanted {
+    None,
+    All,
+    /// Of those that are not within this.
+    Beyond(Deviation),
+}
+
+/// What every piece is bounded against.
+pub struct Against<'a> {
+    pub target: &'a Surface,
+    pub slack: f64,
+    /// No colours of the two surfaces differ more.
+    pub color_range: f64,
+    pub with_color: bool,
+    pub wanted: Wanted,
+}
+
+impl Against<'_> {
+    /// Bound `polygon`, part of something bounded by `parent`. Returns it with the deviation at its centre.
+    /// `goal` says, given that, which bound is good enough.
+    pub fn piece(
+        &self,
+        mut polygon: Polygon,
+        hint: u32,
+        parent: Deviation,
+        goal: impl Fn(Deviation) -> Deviation,
+        shares: &mut Vec<Share>,
+    ) -> (Piece, Deviation) {
+        let (centre, radius) = polygon.centre();
+        let Found { slot, distance } = self.target.nearest(&centre.at, hint);
+        let attained = self.deviation(&centre, slot, distance);
+        // Two functions are nowhere less than the distance, and convex: that to one triangle, and a cone.
+        let reach = self.target.reach(slot);
+        polygon.set_reach(&reach);
+        let at_centre = reach(&centre.at);
+        if farthest(&polygon).reach > at_centre + radius {
+            polygon.set_reach(|p| at_centre + norm2(&sub(p, &centre.at)).sqrt());
+        }
+        let far = farthest(&polygon);
+        let shape = (far.reach + self.slack).min(parent.shape);
+        let mut piece = Piece {
+            polygon,
+            slot,
+            radius,
+            bound: Deviation { shape, color: parent.color },
+            worst: [far; 2],
+            shares: None,
+        };
+        // Colour is looked at where the nearest triangles are not all over the place.
+        let level = goal(attained);
+        if (self.with_color || self.wanted == Wanted::All) && shape <= level.shape {
+            self.look_around(&mut piece, parent, level.color, shares);
+        }
+        (piece, attained)
+    }
+
+    /// Deviation at a point whose nearest triangle is known.
+    pub fn deviation(&self, corner: &Corner, slot: u32, distance: f64) -> Deviation {
+        let color = if self.with_color {
+            difference(&corner.color, &self.target.color(slot, &corner.at))
+        } else {
+            0.0
+        };
+        Deviation { shape: distance, color }
+    }
+
+    fn look_around(&self, piece: &mut Piece, parent: Deviation, level: f64, shares: &mut Vec<Share>) {
+        let first = shares.len();
+        let (mut met, mut color) = (0, 0.0);
+        let crowd = if 2.0 * piece.radius < piece.bound.shape { usize::MAX } else { CROWD };
+        // Where all colours are close enough to all of the piece, nothing else matters.
+        let all = self.wanted == Wanted::All;
+        let colors = (!all).then(|| around(piece.polygon.iter().map(|c| c.color)));
+        let mut close = 0.0;
+        let skip = |node: u32, branch: usize| {
+            colors.is_some_and(|colors| {
+                let range = farthest_apart(&colors, &self.target.color_boxes[node as usize][branch]);
+                let skip = range <= level;
+                if skip {
+                    close = range.max(close);
+                }
+                skip
+            })
+        };
+        self.around(&piece.polygon, skip, |slot| {
+            met += 1;
+            if let Some((deviation, worst)) = self.share(&piece.polygon, slot) {
+                let deviation = deviation.min(piece.bound);
+                if deviation.color > color {
+                    color = deviation.color;
+                    piece.worst[1] = worst;
+                }
+                if all {
+                    shares.push(Share { slot, deviation });
+                }
+            }
+            met <= crowd
+        });
+        if met > crowd {
+            shares.truncate(first);
+        } else {
+            piece.shares = all.then_some((first, shares.len()));
+            piece.bound.color = close.max(color).min(parent.color);
+        }
+    }
+
+    /// What of a piece falls on which slot.
+    pub fn shares(&self, piece: &Piece, shares: &mut Vec<Share>) {
+        self.around(
+            &piece.polygon,
+            |_, _| false,
+            |slot| {
+                if let Some((deviation, _)) = self.share(&piece.polygon, slot) {
+                    shares.push(Share { slot, deviation: deviation.min(piece.bound) });
+                }
+                true
+            },
+        );
+    }
+
+    /// Every slot whose triangle may be nearest to some point of `polygon`, and a few more; as [`Bvh::meeting`].
+    ///
+    /// [`Bvh::meeting`]: crate::bvh::Bvh::meeting
+    fn around(
+        &self,
+        polygon: &Polygon,
+        skip: impl FnMut(u32, usize) -> bool,
+        mut visit: impl FnMut(u32) -> bool,
+    ) {
+        let reach = farthest(polygon).reach + self.slack;
+        let [low, high] = polygon.bounding_box();
+        let (low, high) = (low.map(|x| x - reach), high.map(|x| x + reach));
+        self.target.bvh.meeting(&low, &high, skip, |slot| {
+            let [a, b, c] = &self.target.corners[slot as usize];
+            let meets =
+                (0..3).all(|i| a[i].min(b[i]).min(c[i]) <= high[i] && a[i].max(b[i]).max(c[i]) >= low[i]);
+            !meets || visit(slot)
+        });
+    }
+
+    /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`.
+    fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
+        let corners = &self.target.corners[slot as usize];
+        let facet = Facet::new(corners);
+        let (part, outside) = match &facet {
+            Some(facet) => facet.part(polygon, self.slack)?,
+            None => (*polygon, f64::INFINITY),
+        };
+        // Beside a sharp corner, inside of both outlines moved out, the triangle can still be too far.
+        let (centre, radius) = part.centre();
+        let distance = nearest(&centre.at, corners).distance2.sqrt();
+        if distance - radius > farthest(&part).reach + self.slack {
+            return None;
+        }
+        let shape = farthest(&part).reach + self.slack;
+        if !self.with_color {
+            return Some((Deviation { shape, color: 0.0 }, part[0]));
+        }
+        let (color, worst) = self.color(&part, corners, facet.as_ref(), outside, slot);
+        Some((Deviation { shape, color }, worst))
+    }
+
+    /// The greatest colour difference between `part` and the nearest points of one triangle, or points of it within
+    /// the slack of those; and the corner it is from. `outside` is the most a foot may be outside the triangle.
+    fn color(
+        &self,
+        part: &Polygon,
+        corners: &[Vec3; 3],
+        facet: Option<&Facet>,
+        outside: f64,
+        slot: u32,
+    ) -> (f64, Corner) {
+        let colors = self.target.corner_colors(slot);
+        // The nearest point of a triangle is linear in space where it stays on one face, side or corner; such a region
+        // is convex. So is the difference then, and its norm is greatest at a corner.
+        let mut features = 0;
+        let mut exact = (0.0, part[0]);
+        // Elsewhere: the colour continued over the plane, and how far from the foot the triangle is.
+        let (mut continued, mut beyond) = (0.0f64, 0.0f64);
+        // No colour of the triangle is farther than one of its corners is: convex in both.
+        let mut range = 0.0f64;
+        for corner in part.iter() {
+            let here = nearest(&corner.at, corners);
+            features |= 1u8 << here.feature;
+            greater(&mut exact, difference(&corner.color, &blend(&here, &colors)), corner);
+            range = colors.iter().map(|color| difference(&corner.color, color)).fold(range, f64::max);
+            if let Some(facet) = facet {
+                let height = facet.height(&corner.at);
+                beyond = beyond.max((here.distance2 - height * height).max(0.0).sqrt());
+                let color = combine(&facet.weights(&corner.at), &colors);
+                continued = continued.max(difference(&corner.color, &color));
+            }
+        }
+        // A triangle that is no more than its sides has several colours at one place.
+        let Some(facet) = facet else { return (range, exact.1) };
+        let slope = facet.slope(&colors);
+        let most = if features.count_ones() == 1 {
+            exact.0
+        } else {
+            // Or the colour as if linear, and what it misses: nearest points are no farther apart than the points they
+            // are nearest to, and the mean distance of a point from corners that it is the mean of is at most the radius.
+            let missed = part.centre().1;
+            (continued + slope * beyond.min(outside)).min(exact.0 + slope * missed)
+        };
+        ((most + slope * self.slack).min(range), exact.1)
+    }
+}
+
+/// The most two colours of two boxes can differ.
+fn farthest_apart([low, high]: &[Vec3; 2], [from, to]: &[[f32; 3]; 2]) -> f64 {
+    let most = |i: usize| (high[i] - f64::from(from[i])).max(f64::from(to[i]) - low[i]);
+    norm2(&[0, 1, 2].map(most)).sqrt()
+}
+
+fn farthest(polygon: &Polygon) -> Corner {
+    let mut far = polygon[0];
+    for corner in polygon.iter() {
+        if corner.reach > far.reach {
+            far = *corner;
+        }
+    }
+    far
+}
+
+fn greater(most: &mut (f64, Corner), value: f64, corner: &Corner) {
+    if value > most.0 {
+        *most = (value, *corner);
+    }
+}

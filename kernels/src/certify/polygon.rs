@@ -1,0 +1,153 @@
+//! A convex part of a triangle, cut by half-spaces.
+//!
+//! Its corners carry the colour there and how far the other surface is at most (`reach`). Over the polygon the
+//! colour is linear, and any convex function, distances among them, is greatest at a corner.
+
+use std::ops::Deref;
+
+use crate::geometry::{Vec3, norm2, sub};
+
+/// Corners a polygon may have. Every cut of a convex one adds one at most.
+pub const MOST: usize = 16;
+
+#[derive(Clone, Copy, Debug)]
+pub struct Corner {
+    pub at: Vec3,
+    pub color: Vec3,
+    pub reach: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub struct Polygon {
+    corners: [Corner; MOST],
+    count: usize,
+}
+
+impl Deref for Polygon {
+    type Target = [Corner];
+
+    fn deref(&self) -> &[Corner] {
+        &self.corners[..self.count]
+    }
+}
+
+impl Polygon {
+    pub fn new(corners: [Corner; 3]) -> Self {
+        let mut all = [corners[0]; MOST];
+        all[..3].copy_from_slice(&corners);
+        Self { corners: all, count: 3 }
+    }
+
+    /// A point inside, and how far the corners are from it.
+    pub fn centre(&self) -> (Corner, f64) {
+        let share = 1.0 / self.len() as f64;
+        let mean =
+            |of: fn(&Corner) -> &Vec3| [0, 1, 2].map(|i| share * self.iter().map(|c| of(c)[i]).sum::<f64>());
+        let centre = Corner { at: mean(|c| &c.at), color: mean(|c| &c.color), reach: f64::INFINITY };
+        let radius2 = self.iter().map(|c| norm2(&sub(&c.at, &centre.at))).fold(0.0, f64::max);
+        (centre, radius2.sqrt())
+    }
+
+    /// The two corners farthest from each other.
+    pub fn diameter(&self) -> [Vec3; 2] {
+        let mut farthest = ([self[0].at; 2], 0.0);
+        for (i, a) in self.iter().enumerate() {
+            for b in &self[i + 1..] {
+                let distance2 = norm2(&sub(&a.at, &b.at));
+                if distance2 > farthest.1 {
+                    farthest = ([a.at, b.at], distance2);
+                }
+            }
+        }
+        farthest.0
+    }
+
+    pub fn set_reach(&mut self, reach: impl Fn(&Vec3) -> f64) {
+        for corner in &mut self.corners[..self.count] {
+            corner.reach = reach(&corner.at);
+        }
+    }
+
+    pub fn bounding_box(&self) -> [Vec3; 2] {
+        let side = |pick: fn(f64, f64) -> f64, start| {
+            [0, 1, 2].map(|i| self.iter().map(|c| c.at[i]).fold(start, pick))
+        };
+        [side(f64::min, f64::INFINITY), side(f64::max, f64::NEG_INFINITY)]
+    }
+
+    /// The part where a function linear in space is not negative (Sutherland & Hodgman 1974).
+    ///
+    /// Never less than that part: where rounding would make too many corners, the polygon comes back whole.
+    pub fn clipped(&self, level: impl Fn(&Vec3) -> f64) -> Self {
+        let Some(last) = self.last() else { return *self };
+        let mut out = Self { corners: [*last; MOST], count: 0 };
+        let (mut before, mut level_before) = (last, level(&last.at));
+        for corner in self.iter() {
+            let here = level(&corner.at);
+            if (here < 0.0) != (level_before < 0.0) && here != 0.0 && level_before != 0.0 {
+                let t = level_before / (level_before - here);
+                if !out.push(between(before, corner, t)) {
+                    return *self;
+                }
+            }
+            if here >= 0.0 && !out.push(*corner) {
+                return *self;
+            }
+            (before, level_before) = (corner, here);
+        }
+        out
+    }
+
+    fn push(&mut self, corner: Corner) -> bool {
+        if self.count == MOST {
+            return false;
+        }
+        self.corners[self.count] = corner;
+        self.count += 1;
+        true
+    }
+}
+
+/// The reach of a convex function is at most the chord's.
+fn between(a: &Corner, b: &Corner, t: f64) -> Corner {
+    let mix = |x: f64, y: f64| x + t * (y - x);
+    Corner {
+        at: [0, 1, 2].map(|i| mix(a.at[i], b.at[i])),
+        color: [0, 1, 2].map(|i| mix(a.color[i], b.color[i])),
+        reach: mix(a.reach, b.reach),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangle() -> Polygon {
+        let corner = |x: f64, y: f64| Corner { at: [x, y, 0.0], color: [x, 2.0 * y, x + y], reach: x };
+        Polygon::new([corner(0.0, 0.0), corner(4.0, 0.0), corner(0.0, 4.0)])
+    }
+
+    fn area(polygon: &Polygon) -> f64 {
+        let next = polygon.iter().cycle().skip(1);
+        0.5 * polygon.iter().zip(next).map(|(a, b)| a.at[0] * b.at[1] - b.at[0] * a.at[1]).sum::<f64>()
+    }
+
+    #[test]
+    fn a_cut_gives_two_parts_and_the_values_on_it_are_linear() {
+        let level = |p: &Vec3| p[0] - 1.0;
+        let (right, left) = (triangle().clipped(level), triangle().clipped(|p| -level(p)));
+        assert_eq!((area(&right), area(&left)), (4.5, 3.5));
+        for c in right.iter().chain(left.iter()) {
+            assert_eq!(c.color, [c.at[0], 2.0 * c.at[1], c.at[0] + c.at[1]]);
+            assert_eq!(c.reach, c.at[0]);
+        }
+    }
+
+    #[test]
+    fn nothing_is_left_beyond_and_all_before_the_line() {
+        assert!(triangle().clipped(|p| -1.0 - p[0]).is_empty());
+        assert_eq!(area(&triangle().clipped(|p| p[0] + 1.0)), 8.0);
+        // The line touches a corner only.
+        assert_eq!(triangle().clipped(|p| p[0] - 4.0).len(), 1);
+    }
+}

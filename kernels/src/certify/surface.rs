@@ -1,0 +1,189 @@
+//! A triangle soup ready to be asked for nearest points.
+
+use super::facet::{Nearest, nearest};
+use crate::bvh::Bvh;
+use crate::error::KernelError;
+use crate::geometry::{Vec3, cross, norm2, position, segment_distance2, sub};
+
+/// Beyond this the products of four lengths come near the end of double precision.
+const LARGEST: f64 = 1e60;
+/// Attributes are held in single precision, and their differences squared in double.
+const LARGEST_ATTRIBUTE: f64 = 1e30;
+
+/// Height over longest side below which single precision is not trusted to find a triangle. On a scan, Embree overlooked
+/// them up to 1.2e-3, by more than the slack up to 0.7e-3.
+const NEEDLE: f64 = 4e-3;
+
+/// Triangles in the order of their tree; a *slot* is a place in that order.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    pub bvh: Bvh,
+    /// Triangle of the input in each slot.
+    pub order: Vec<u32>,
+    pub corners: Vec<[Vec3; 3]>,
+    /// Attributes of the corners; empty where there are none. Single precision holds 8-bit levels exactly.
+    pub colors: Vec<[[f32; 3]; 3]>,
+    /// The box around the colours below both branches of each node of the tree.
+    pub color_boxes: Vec<[[[f32; 3]; 2]; 2]>,
+    /// Vertices of the input at the corners.
+    pub vertices: Vec<[u32; 3]>,
+    pub vertex_count: usize,
+    /// Lowest and highest corner of everything, and of the colours.
+    pub bounds: [Vec3; 2],
+    pub color_bounds: [Vec3; 2],
+}
+
+/// A point of the surface: the nearest one to some other point.
+#[derive(Clone, Copy, Debug)]
+pub struct Found {
+    pub slot: u32,
+    pub distance: f64,
+}
+
+impl Surface {
+    /// `points` are positions in metres, then attributes in 8-bit levels: none, one or three. Any triangles will do:
+    /// holes, several layers, edges of many triangles, triangles without area.
+    ///
+    /// # Errors
+    /// For an index out of range, and for a value that is not finite or is beyond ±1e60.
+    pub fn new<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
+        const { assert!(D >= 3 && D <= 6, "a point has three coordinates and up to three attributes") };
+        check(points, triangles)?;
+        let corner = |v: u32| position(&points[v as usize]);
+        let boxes: Vec<[Vec3; 2]> = triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(corner);
+                [[0, 1, 2].map(|i| a[i].min(b[i]).min(c[i])), [0, 1, 2].map(|i| a[i].max(b[i]).max(c[i]))]
+            })
+            .collect();
+        let (bvh, order) = Bvh::new(&boxes);
+        let vertices: Vec<[u32; 3]> = order.iter().map(|&t| triangles[t as usize]).collect();
+        let corners: Vec<[Vec3; 3]> = vertices.iter().map(|t| t.map(corner)).collect();
+        let color = |v: u32| [0, 1, 2].map(|i| points[v as usize].get(3 + i).copied().unwrap_or(0.0) as f32);
+        let colors: Vec<[[f32; 3]; 3]> =
+            if D == 3 { vec![] } else { vertices.iter().map(|t| t.map(color)).collect() };
+        let color_boxes = if D == 3 {
+            vec![]
+        } else {
+            bvh.gathered(
+                |slots| color_box(colors[slots].iter().flatten()),
+                |[a, b], [c, d]| color_box(&[a, b, c, d]),
+            )
+        };
+        let bounds = around(corners.iter().flatten().copied());
+        let color_bounds = around(colors.iter().flatten().map(|c| c.map(f64::from)));
+        Ok(Self {
+            bvh,
+            order,
+            corners,
+            colors,
+            color_boxes,
+            vertices,
+            vertex_count: points.len(),
+            bounds,
+            color_bounds,
+        })
+    }
+
+    pub fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.order.is_empty()
+    }
+
+    /// The nearest point to `p`; `hint` is a slot likely near it, which makes the search short.
+    #[inline]
+    pub fn nearest(&self, p: &Vec3, hint: u32) -> Found {
+        let distance2 = |slot: u32| self.distance2(slot, p);
+        let (slot, least) = self.bvh.nearest(p, (hint, distance2(hint)), distance2);
+        Found { slot, distance: least.sqrt() }
+    }
+
+    #[inline]
+    pub fn distance2(&self, slot: u32, p: &Vec3) -> f64 {
+        nearest(p, &self.corners[slot as usize]).distance2
+    }
+
+    /// A convex function that is nowhere less than the distance to the surface: that to the triangle in `slot`.
+    ///
+    /// A search in single precision overlooks needles and finds what is beside them: of those only the longest
+    /// side counts.
+    pub fn reach(&self, slot: u32) -> impl Fn(&Vec3) -> f64 {
+        let [a, b, c] = self.corners[slot as usize];
+        let sides = [[a, b], [b, c], [c, a]];
+        let longest = sides.into_iter().max_by(|s, t| length2(s).total_cmp(&length2(t))).unwrap_or([a, b]);
+        let area2 = norm2(&cross(&sub(&b, &a), &sub(&c, &a)));
+        let needle = area2 < (NEEDLE * length2(&longest)).powi(2);
+        move |p: &Vec3| {
+            let distance2 = if needle {
+                segment_distance2(p, &longest[0], &longest[1])
+            } else {
+                nearest(p, &[a, b, c]).distance2
+            };
+            distance2.sqrt()
+        }
+    }
+
+    /// Colours at the corners; black where there are none.
+    #[inline]
+    pub fn corner_colors(&self, slot: u32) -> [Vec3; 3] {
+        self.colors.get(slot as usize).map_or([[0.0; 3]; 3], |corners| corners.map(|c| c.map(f64::from)))
+    }
+
+    /// Colour at the point of a slot's triangle nearest to `p`.
+    pub fn color(&self, slot: u32, p: &Vec3) -> Vec3 {
+        blend(&nearest(p, &self.corners[slot as usize]), &self.corner_colors(slot))
+    }
+}
+
+#[inline]
+pub fn blend(at: &Nearest, colors: &[Vec3; 3]) -> Vec3 {
+    combine(&at.weights, colors)
+}
+
+#[inline]
+pub fn combine(weights: &Vec3, values: &[Vec3; 3]) -> Vec3 {
+    [0, 1, 2].map(|i| weights[0] * values[0][i] + weights[1] * values[1][i] + weights[2] * values[2][i])
+}
+
+#[inline]
+pub fn difference(a: &Vec3, b: &Vec3) -> f64 {
+    norm2(&sub(a, b)).sqrt()
+}
+
+fn length2([a, b]: &[Vec3; 2]) -> f64 {
+    norm2(&sub(a, b))
+}
+
+/// The box around points; from +∞ to −∞ around none.
+pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
+    points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
+        [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
+    })
+}
+
+fn color_box<'a>(colors: impl IntoIterator<Item = &'a [f32; 3]>) -> [[f32; 3]; 2] {
+    colors.into_iter().fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |[low, high], c| {
+        [[0, 1, 2].map(|i| low[i].min(c[i])), [0, 1, 2].map(|i| high[i].max(c[i]))]
+    })
+}
+
+fn check<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<(), KernelError> {
+    // NaN fails the comparison too.
+    let sound = |p: &[f64; D]| {
+        p[..3].iter().all(|x| x.abs() <= LARGEST) && p[3..].iter().all(|x| x.abs() <= LARGEST_ATTRIBUTE)
+    };
+    if let Some(vertex) = points.iter().position(|p| !sound(p)) {
+        return Err(KernelError::NotFinite { vertex });
+    }
+    let vertices = points.len();
+    for (triangle, corners) in triangles.iter().enumerate() {
+        if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
+            return Err(KernelError::IndexOutOfRange { triangle, vertex: vertex.into(), vertices });
+        }
+    }
+    Ok(())
+}

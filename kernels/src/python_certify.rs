@@ -1,0 +1,97 @@
+//! `stages._kernels.certify`.
+
+use numpy::{PyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::certify::{Certificate, Deviation, Options, Surface};
+use crate::python::{detached, points_from, triangles_from};
+
+/// What `certify` returns.
+#[pyclass(frozen, get_all)]
+pub struct Certified {
+    shape_bound: Py<PyArray1<f64>>,
+    color_bound: Py<PyArray1<f64>>,
+    original_shape_bound: Py<PyArray1<f64>>,
+    original_color_bound: Py<PyArray1<f64>>,
+    bound: (f64, f64),
+    attained: (f64, f64),
+    slack: f64,
+    color_slack: f64,
+    pieces: u64,
+}
+
+type Soup<'py> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, i32>);
+
+/// Bound how far two meshes (vertices, attributes, triangles) are apart.
+#[pyfunction]
+#[pyo3(signature = (result, original, *, tolerance, absolute_tolerance, limit, effort, slack, threads, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn certify(
+    py: Python<'_>,
+    result: Soup<'_>,
+    original: Soup<'_>,
+    tolerance: (f64, f64),
+    absolute_tolerance: (f64, f64),
+    limit: Option<(f64, f64)>,
+    effort: f64,
+    slack: Option<f64>,
+    threads: usize,
+    progress: Py<PyAny>,
+) -> PyResult<Certified> {
+    let pair = |(shape, color): (f64, f64)| Deviation { shape, color };
+    let all = [tolerance, absolute_tolerance, limit.unwrap_or_default(), (effort, slack.unwrap_or_default())];
+    if !all.iter().all(|&(a, b)| a >= 0.0 && b >= 0.0) {
+        return Err(PyValueError::new_err("tolerances, limits, effort and slack must not be negative"));
+    }
+    let options = Options {
+        tolerance: pair(tolerance),
+        absolute_tolerance: pair(absolute_tolerance),
+        limit: limit.map(pair),
+        effort,
+        slack,
+        threads,
+    };
+    match (result.1.as_array().ncols(), original.1.as_array().ncols()) {
+        (0, 0) => certify_points::<3>(py, &result, &original, &options, &progress),
+        (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
+        (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
+        (a, b) => Err(PyValueError::new_err(format!(
+            "{a} and {b} attributes a vertex; 0, 1 (intensity) or 3 (RGB) on both sides are known"
+        ))),
+    }
+}
+
+fn certify_points<const D: usize>(
+    py: Python<'_>,
+    result: &Soup<'_>,
+    original: &Soup<'_>,
+    options: &Options,
+    progress: &Py<PyAny>,
+) -> PyResult<Certified> {
+    let soup = |(vertices, attributes, triangles): &Soup<'_>| {
+        let points = points_from::<D>(vertices, attributes)?;
+        let triangles = triangles_from(triangles, points.len())?;
+        PyResult::Ok((points, triangles))
+    };
+    let (result, original) = (soup(result)?, soup(original)?);
+    let certificate = detached(py, progress, false, |progress| {
+        let surface = |(points, triangles): (Vec<[f64; D]>, Vec<[u32; 3]>)| Surface::new(&points, &triangles);
+        crate::certify::certify(&surface(result)?, &surface(original)?, options, progress)
+    })?;
+    let Certificate { result, original, bound, attained, slack, color_slack, pieces } = certificate;
+    let array = |bounds: &[Deviation], of: fn(&Deviation) -> f64| {
+        PyArray1::from_vec(py, bounds.iter().map(of).collect()).unbind()
+    };
+    Ok(Certified {
+        shape_bound: array(&result, |d| d.shape),
+        color_bound: array(&result, |d| d.color),
+        original_shape_bound: array(&original, |d| d.shape),
+        original_color_bound: array(&original, |d| d.color),
+        bound: (bound.shape, bound.color),
+        attained: (attained.shape, attained.color),
+        slack,
+        color_slack,
+        pieces,
+    })
+}

@@ -1,0 +1,155 @@
+//! Bounds between two surfaces: never below what brute force finds, whatever the triangles.
+
+mod common;
+
+use common::{Noise, coloured, gallery, sheet};
+use scanloom_kernels::certify::{Certificate, Deviation, Options, Surface, certify};
+use scanloom_kernels::error::KernelError;
+use scanloom_kernels::geometry::{position, triangle_distance2};
+use scanloom_kernels::progress::{Control, Progress};
+
+type Soup<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
+
+fn bounds<const D: usize>(result: &Soup<D>, original: &Soup<D>, options: &Options) -> Certificate {
+    let (result, original) = (surface(result).unwrap(), surface(original).unwrap());
+    certify(&result, &original, options, &mut Progress::new(&Control::default())).unwrap()
+}
+
+fn surface<const D: usize>((points, triangles): &Soup<D>) -> Result<Surface, KernelError> {
+    Surface::new(points, triangles)
+}
+
+fn distance<const D: usize>(p: &[f64; 3], (points, triangles): &Soup<D>) -> f64 {
+    let to = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|v| position(&points[v as usize]));
+        triangle_distance2(p, [&a, &b, &c])
+    };
+    triangles.iter().map(to).fold(f64::INFINITY, f64::min).sqrt()
+}
+
+/// Every mesh of the gallery, and the same with its points moved.
+fn pairs() -> Vec<(&'static str, Soup<6>, Soup<6>)> {
+    let mut noise = Noise(11);
+    let moved = |(name, points, triangles): (&'static str, Vec<[f64; 3]>, Vec<[u32; 3]>)| {
+        let coloured: Vec<[f64; 6]> = coloured(&points, 0.0, 5);
+        let shaken = coloured.iter().map(|p| p.map(|x| x + 0.3 * (noise.next() - 0.5))).collect();
+        (name, (coloured, triangles.clone()), (shaken, triangles))
+    };
+    gallery().into_iter().map(moved).collect()
+}
+
+#[test]
+fn no_point_is_farther_than_its_triangles_bound() {
+    let mut noise = Noise(4);
+    for (name, result, original) in pairs() {
+        let found = bounds(&result, &original, &Options::default());
+        for (mesh, other, of) in [(&result, &original, &found.result), (&original, &result, &found.original)]
+        {
+            for (t, corners) in mesh.1.iter().enumerate() {
+                let corners = corners.map(|v| position(&mesh.0[v as usize]));
+                for _ in 0..20 {
+                    let (u, v) = (noise.next(), noise.next());
+                    let weights =
+                        if u + v < 1.0 { [u, v, 1.0 - u - v] } else { [1.0 - u, 1.0 - v, u + v - 1.0] };
+                    let p = [0, 1, 2].map(|i| (0..3).map(|k| weights[k] * corners[k][i]).sum());
+                    let d = distance(&p, other);
+                    assert!(d <= of[t].shape, "{name} {t}: {d} > {:?}", of[t]);
+                    assert!(of[t].shape <= found.bound.shape && of[t].color <= found.bound.color);
+                }
+            }
+        }
+        assert!(found.attained.within(found.bound), "{name}");
+        assert!(found.bound.shape <= 1.06 * found.attained.shape + 3.0 * found.slack, "{name}");
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    for (name, result, original) in pairs() {
+        let with = |threads| bounds(&result, &original, &Options { threads, ..Options::default() });
+        let (one, three) = (with(1), with(3));
+        assert_eq!(
+            (one.result, one.original, one.pieces),
+            (three.result, three.original, three.pieces),
+            "{name}"
+        );
+        assert_eq!((one.bound, one.attained), (three.bound, three.attained), "{name}");
+    }
+}
+
+#[test]
+fn a_decision_agrees_with_the_bounds() {
+    for (name, result, original) in pairs() {
+        let full = bounds(&result, &original, &Options::default());
+        let passes = |limit: Deviation| {
+            let found = bounds(&result, &original, &Options { limit: Some(limit), ..Options::default() });
+            !found.bound.within(limit)
+        };
+        let times = |by: f64| Deviation { shape: by * full.bound.shape, color: by * full.bound.color };
+        assert!(!passes(times(1.01)), "{name}");
+        assert!(passes(Deviation { shape: 0.9 * full.attained.shape, color: f64::INFINITY }), "{name}");
+    }
+}
+
+/// A power of two changes no digit, so the same pieces must follow.
+#[test]
+fn the_unit_of_length_does_not_matter() {
+    for (name, result, original) in pairs() {
+        let scaled = |s: f64| {
+            let of = |(points, triangles): &Soup<6>| {
+                let points = points.iter().map(|p| [p[0] * s, p[1] * s, p[2] * s, p[3], p[4], p[5]]);
+                (points.collect(), triangles.clone())
+            };
+            bounds(&of(&result), &of(&original), &Options::default())
+        };
+        let here = scaled(1.0);
+        for s in [2f64.powi(-40), 2f64.powi(40)] {
+            let there = scaled(s);
+            assert_eq!(
+                (there.bound.shape / s, there.bound.color),
+                (here.bound.shape, here.bound.color),
+                "{name}"
+            );
+            assert_eq!(there.pieces, here.pieces, "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_part_that_is_missing_shows_on_the_triangles_beside_it() {
+    let (points, triangles) = sheet(6, 1);
+    let left = triangles[..6].to_vec();
+    let found = bounds(&(points.clone(), left), &(points, triangles), &Options::default());
+    // Half the sheet is gone: its far end is three squares from the last edge that is left.
+    assert!((3.0..3.0 * 1.06).contains(&found.bound.shape), "{:?}", found.bound);
+    assert!(found.result[0].shape < 1e-3);
+    assert!(found.original[..6].iter().all(|d| d.shape < 1e-3));
+}
+
+#[test]
+fn bad_indices_and_numbers_are_named() {
+    let (mut points, mut triangles) = sheet(1, 1);
+    triangles[1][2] = 9;
+    let wrong = KernelError::IndexOutOfRange { triangle: 1, vertex: 9, vertices: 4 };
+    assert_eq!(Surface::new(&points, &triangles).unwrap_err(), wrong);
+    points[2][1] = f64::NAN;
+    assert_eq!(Surface::new(&points, &triangles).unwrap_err(), KernelError::NotFinite { vertex: 2 });
+}
+
+#[test]
+fn the_caller_can_stop_the_work() {
+    let soup = sheet(300, 200);
+    let one = surface(&soup).unwrap();
+    let control = Control::default();
+    control.abort();
+    let stopped = certify(&one, &one, &Options::default(), &mut Progress::new(&control));
+    assert!(matches!(stopped, Err(KernelError::Interrupted)));
+}
+
+#[test]
+fn nothing_is_infinitely_far() {
+    let (soup, nothing): (Soup<3>, Soup<3>) = (sheet(1, 1), (vec![], vec![]));
+    let found = bounds(&nothing, &soup, &Options::default());
+    assert!(found.original.iter().all(|d| d.shape == f64::INFINITY));
+    assert_eq!(bounds(&nothing, &nothing, &Options::default()).bound.shape, 0.0);
+}
