@@ -340,7 +340,7 @@ def test_far_from_the_origin_the_slack_follows_single_precision(bumps):
 def test_the_single_triangle_bounds_are_close_to_what_is_there(bumps):
     result, original = bumps
     found = certify(result, original)
-    at = attack_points(original, result, 20_000, np.random.default_rng(2))
+    at = attack_points(original, result, 400_000, np.random.default_rng(2))
     hit = embree(interpolated(original.vertices, original, at), result)
     seen = np.zeros(len(original.triangles))
     np.maximum.at(seen, at.triangles, hit.distances)
