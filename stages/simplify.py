@@ -268,15 +268,19 @@ def simplify(
 
     Notes
     -----
-    For jia01, shape and texture changes are sums over collapses. The texture change counts contrast, not
-    error, and so its default looks large. With its defaults:
+    With default bounds, and with a ratio of 0.1:
 
-    ==================================  =========  =========  ============  ============  =======
-    mesh                                triangles  reduction  RMS distance  colour RMSE   PSNR
-    ==================================  =========  =========  ============  ============  =======
-    room fused at 2 cm, 6.3 m across      144,611     68.4 %        1.1 mm    2.5 levels  40.2 dB
-    unit sphere with a satellite map       73,728     76.9 %        0.3 mm    5.1 levels  34.0 dB
-    ==================================  =========  =========  ============  ============  =======
+    ================================  =========  =======  =========  ============  ===========  =======
+    mesh                              triangles  method   reduction  RMS distance  colour RMSE  PSNR
+    ================================  =========  =======  =========  ============  ===========  =======
+    room fused at 2 cm, 6.3 m across    144,611  jia01       67.9 %       1.1 mm   2.4 levels   40.4 dB
+    room fused at 2 cm, 6.3 m across    144,611  quadric     90.0 %       1.1 mm   2.6 levels   39.8 dB
+    unit sphere with a satellite map     73,728  jia01       77.5 %       0.4 mm   5.0 levels   34.2 dB
+    unit sphere with a satellite map     73,728  quadric     90.0 %       0.2 mm   8.8 levels   29.2 dB
+    ================================  =========  =======  =========  ============  ===========  =======
+
+    For jia01, shape and texture changes are sums over collapses. The texture change counts contrast, not
+    error, and so its default looks large.
 
     The paper looks at vertices only, and a long triangle can swing away between its corners; and it adds to
     each edge what happens around it, though a point may move on to another edge's triangle. Unless

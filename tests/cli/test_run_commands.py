@@ -45,6 +45,11 @@ def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
     changed = states(scanloom(*words, "--set", "simplify.max_shape=0.02"))
     assert (changed["fuse"], changed["clean"], changed["simplify"]) == ("cached", "cached", "run")
 
+    said = scanloom(*(word for word in words if word != "--json"), "--set", "simplify.ratio=0.5").stderr
+    assert re.search(
+        r"^simplify .* triangles, stopped by triangles; a level of colour .* m \(", said, re.MULTILINE
+    )
+
     forced = states(scanloom(*words, "--set", "simplify.max_shape=0.02", "--force", "clean"))
     assert (forced["fuse"], forced["clean"]) == ("cached", "run")
 
