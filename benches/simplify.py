@@ -1,12 +1,16 @@
 """Simplifiers side by side, each called the way its users call it: shape, colour, soundness, time, memory.
 
     python benches/simplify.py DATA [--ratios 0.1 0.04] [--mesh globe] [--only VTK] [--scan FILE]
-                                    [--picture FILE] [--samples 200000]
+                                    [--picture FILE] [--summary] [--samples 200000]
 
 DATA holds `meshes/` and `images/`. `pip install '.[bench]'` brings the peers that are Python packages;
 meshoptimizer wants cargo, CGAL wants g++ and Debian's libcgal-dev and libeigen3-dev. A peer that is absent
 is left out, with a line that says why. It prints Markdown: a table for each mesh and ratio, then what
-follows from them. All tools get the same cleaned mesh. The whole takes four minutes.
+follows from them; with --summary a row a tool, each at its best setting for each mesh and ratio: that of
+least shape error times colour error. All tools get the same cleaned mesh. The whole takes five minutes.
+
+Ours runs with its default weight of colour, which it derives, and with multiples of that. A peer is beaten
+where one of ours is better in shape and in colour at once.
 
 Each call is a process of its own on one core. "CPU s" is the processor time of the call, "MB" the growth of
 the process's peak memory during it; both start after one call on a small mesh. Shape is two-sided; colour is
@@ -19,6 +23,7 @@ original next to them, "spread" is the standard deviation of edge lengths over t
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -27,12 +32,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import meshes
 import numpy as np
+from peers.results import Row, summary, verdicts
 from peers.tools import OURS, TOOLS, Missing, Tool
 
 from stages.compare import compare
@@ -43,36 +48,7 @@ from stages.topology import Topology, topology
 
 # A call that takes longer counts as failed.
 PATIENCE_S = 300
-# Fewer triangles make any result worse; a tool may end this much above another and still compare.
-SAME_COUNT = 1.01
-QUADRIC = {tool.name for tool in TOOLS if tool.is_quadric}
 TURNED = math.cos(math.radians(120))
-
-
-@dataclass(frozen=True)
-class Row:
-    """One result. Distances are shares of the diagonal, colours 8-bit levels, None where there are none."""
-
-    mesh: str
-    ratio: float
-    tool: str
-    setting: str
-    triangles: int
-    rms: float
-    maximum: float
-    check: float | None
-    color: float | None
-    color_note: str
-    psnr: float | None
-    topology: Topology
-    euler_change: int
-    turned: int
-    edge_mean: float
-    edge_spread: float
-    angle_low: float
-    angle_least: float
-    seconds: float
-    megabytes: float
 
 
 def main() -> None:
@@ -84,9 +60,23 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so, and ours")
     parser.add_argument("--scan", type=Path, help="another coloured mesh")
     parser.add_argument("--picture", type=Path, help="draw shape error against colour error")
+    parser.add_argument("--summary", action="store_true", help="print a row a tool; the rest to stderr")
     parser.add_argument("--samples", type=int, default=200_000)
     options = parser.parse_args()
 
+    with contextlib.redirect_stdout(sys.stderr if options.summary else sys.stdout):
+        rows = run(options)
+        print("\n" + "\n".join(verdicts(rows)))
+    if options.summary:
+        print("\n".join(summary(rows)))
+    if options.picture:
+        from peers.picture import draw
+
+        draw(rows, options.picture)
+
+
+def run(options: argparse.Namespace) -> list[Row]:
+    """Run and measure everything, and print a table for each mesh and ratio."""
     tools = list(installed(options.only))
     inputs = {name: meshes.MESHES[name](options.data) for name in options.mesh}
     if options.scan:
@@ -100,11 +90,7 @@ def main() -> None:
                 part.append(row)
                 print(line(row, part[0]), flush=True)
             rows += part
-    print("\n" + "\n".join(verdicts(rows)))
-    if options.picture:
-        from peers.picture import draw
-
-        draw(rows, options.picture)
+    return rows
 
 
 def installed(only: list[str] | None) -> Iterator[Tool]:
@@ -340,43 +326,6 @@ def line(row: Row, first: Row) -> str:
         f"{row.megabytes:.0f}",
     )
     return "| " + " | ".join(cells) + " |"
-
-
-def verdicts(rows: list[Row]) -> Iterator[str]:
-    """Say, for each mesh and ratio, which peers ours beats, and how far the default is from the best."""
-    for mesh, ratio in dict.fromkeys((row.mesh, row.ratio) for row in rows):
-        part = [row for row in rows if (row.mesh, row.ratio) == (mesh, ratio)]
-        own, peers = ([row for row in part if (row.tool == OURS) == yes] for yes in (True, False))
-        if not own or not peers:
-            continue
-        yield f"**{mesh}, {ratio:.0%}**\n"
-        for tool in dict.fromkeys(row.tool for row in peers if row.color is not None):
-            yield verdict(tool, [row for row in peers if row.tool == tool], own)
-        dropping = [row for row in peers if row.color is None]
-        quadric = [row for row in dropping if row.tool in QUADRIC]
-        for some, kind in ((quadric, "quadric tool"), (dropping, "tool")):
-            if some:
-                best = min(some, key=lambda row: row.rms)
-                yield (
-                    f"- shape RMS of our {own[0].setting or 'only setting'} is {own[0].rms / best.rms:.2f} "
-                    f"times that of {best.tool}, the best {kind} that drops colours"
-                )
-        yield ""
-
-
-def verdict(tool: str, rows: list[Row], own: list[Row]) -> str:
-    """Say of each setting of a tool which of ours are better in shape and in colour at once."""
-    better = {row.setting: [mine.setting for mine in own if is_better(mine, row)] for row in rows}
-    count = sum(map(bool, better.values()))
-    parts = (f"{name or 'as it is'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
-    return f"- {tool}: {count} of {len(rows)} beaten ({'; '.join(parts)})"
-
-
-def is_better(mine: Row, row: Row) -> bool:
-    """Whether one result has the smaller shape and colour error, on no more triangles."""
-    if mine.color is None or row.color is None:
-        return False
-    return mine.rms < row.rms and mine.color < row.color and mine.triangles <= SAME_COUNT * row.triangles
 
 
 if __name__ == "__main__":

@@ -1,24 +1,37 @@
 """How fast `simplify` is, and how much memory it takes, as the mesh grows.
 
-Run `python benches/simplify_speed.py`; it prints a Markdown table. Each row is a process of its own: the time
-is its processor time in `simplify`, the memory the growth of its peak (VmHWM) during the call: the work and
-the result count, the input does not. Sizes can be given: `python benches/simplify_speed.py 10000`.
+    python benches/simplify_speed.py [SIZE ...] [--mode count] [--mesh hills] [--repeats 2]
+
+It prints Markdown. Modes: "count" is to a tenth of the triangles, all else default: colours weighed, the
+result fitted. "jia01" is within that method's default bounds. Meshes: "hills" have colours and the row order
+of a depth image, "shuffled" are the same in random order, "sphere" has no colours. Each run is a process of
+its own. "removed/s" are triangles removed in a second of processor time on one thread, "memory" is how much
+the process's peak grows (VmHWM) over the triangles given: the work and the result count, the input does not.
+"1 thread" and "2 threads" are elapsed seconds; the results are compared by the bytes of their arrays, and a
+difference is an error. Seconds are the least of the repeats. "n log n" is the time for each removed triangle
+over log n, against the smallest size of the same kind: at most 1 is growth no faster than n log n.
 """
 
 from __future__ import annotations
 
+import argparse
+import hashlib
 import json
+import math
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stages.mesh import Mesh
-from stages.simplify import simplify
+from stages.simplify import Simplified, simplify
 
-SIZES = (10_000, 100_000, 1_000_000, 2_000_000)
+SIZES = (10_000, 100_000, 1_000_000, 2_000_000, 5_000_000)
+SHUFFLED = 1_000_000
 
 
 def hills(triangles: int) -> Mesh:
@@ -35,6 +48,15 @@ def hills(triangles: int) -> Mesh:
     return Mesh(
         0.01 * np.stack([x, y, z], -1).reshape(-1, 3), squares.astype(np.int32), colors.reshape(-1, 3)
     )
+
+
+def shuffled(triangles: int) -> Mesh:
+    """Make hills whose vertices and triangles come in random order."""
+    mesh, random = hills(triangles), np.random.default_rng(1)
+    order = random.permutation(len(mesh.vertices))
+    number = np.argsort(order).astype(np.int32)
+    assert mesh.colors is not None
+    return Mesh(mesh.vertices[order], number[random.permutation(mesh.triangles)], mesh.colors[order])
 
 
 def sphere(triangles: int) -> Mesh:
@@ -55,7 +77,87 @@ def sphere(triangles: int) -> Mesh:
     return Mesh(vertices, np.concatenate([np.stack(p, 1) for p in parts]).astype(np.int32))
 
 
-MESHES = {"hills": hills, "sphere": sphere}
+MESHES: dict[str, Callable[[int], Mesh]] = {"hills": hills, "shuffled": shuffled, "sphere": sphere}
+MODES: dict[str, Callable[[Mesh, int], Simplified]] = {
+    "count": lambda mesh, threads: simplify(mesh, ratio=0.1, threads=threads),
+    "jia01": lambda mesh, threads: simplify(mesh, method="jia01", threads=threads),
+}
+
+
+def main() -> None:
+    """Print the figures of each run, and then how the time grows."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sizes", nargs="*", type=int, metavar="SIZE", help="triangles")
+    parser.add_argument("--mode", nargs="+", choices=MODES, default=list(MODES))
+    parser.add_argument("--mesh", nargs="+", choices=MESHES, default=list(MESHES))
+    parser.add_argument("--repeats", type=int, default=2)
+    options = parser.parse_args()
+    print("| mode | mesh | triangles | removed | removed/s | memory, bytes | 1 thread | 2 threads | faster |")
+    print("|---|---|---:|---:|---:|---:|---:|---:|---:|")
+    growth: dict[tuple[str, str], dict[int, float]] = {}
+    for mode in options.mode:
+        for mesh in options.mesh:
+            for size in options.sizes or ((SHUFFLED,) if mesh == "shuffled" else SIZES):
+                one, two = both(mode, mesh, size, options.repeats)
+                removed, triangles = one["removed"], one["triangles"]
+                growth.setdefault((mode, mesh), {})[triangles] = 1e9 * one["seconds"] / removed
+                print(
+                    f"| {mode} | {mesh} | {triangles:,} | {removed:,} | {removed / one['seconds']:,.0f} "
+                    f"| {one['bytes'] / triangles:.0f} | {one['elapsed']:.2f} | {two['elapsed']:.2f} "
+                    f"| {one['elapsed'] / two['elapsed']:.2f} |",
+                    flush=True,
+                )
+    print("\n| mode | mesh | triangles | ns for each removed | n log n |\n|---|---|---:|---:|---:|")
+    for (mode, mesh), times in growth.items():
+        for triangles, ratio in over_n_log_n(times).items():
+            print(f"| {mode} | {mesh} | {triangles:,} | {times[triangles]:,.0f} | {ratio:.2f} |")
+
+
+def over_n_log_n(times: dict[int, float]) -> dict[int, float]:
+    """Return the time for each of n triangles over log n, against that of the smallest n."""
+    over = {n: time / math.log(n) for n, time in times.items()}
+    return {n: value / over[min(over)] for n, value in over.items()}
+
+
+def both(mode: str, mesh: str, size: int, repeats: int) -> Iterator[dict[str, Any]]:
+    """Return the figures with one thread and with two, in turn, the best of each.
+
+    Raises
+    ------
+    SystemExit
+        If any two results differ.
+    """
+    runs = [[in_own_process(mode, mesh, size, threads) for threads in (1, 2)] for _ in range(repeats)]
+    if len({run["digest"] for pair in runs for run in pair}) > 1:
+        raise SystemExit(f"{mode}, {mesh}, {size}: results differ from run to run or from one thread to two")
+    for some in zip(*runs, strict=True):
+        yield some[0] | {key: min(run[key] for run in some) for key in ("seconds", "elapsed")}
+
+
+def in_own_process(mode: str, mesh: str, size: int, threads: int) -> dict[str, Any]:
+    """Have a fresh process run `measure`."""
+    command = [sys.executable, __file__, "--measure", mode, mesh, str(size), str(threads)]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    return dict(json.loads(done.stdout))
+
+
+def measure(mode: str, name: str, triangles: int, threads: int) -> dict[str, Any]:
+    """Simplify one mesh in this process; return counts, seconds, bytes and a digest of the result."""
+    mesh = MESHES[name](triangles)
+    MODES[mode](MESHES[name](1000), threads)  # loads what is loaded once
+    # The peak so far belongs to making the mesh; Linux lets a process start it afresh.
+    Path("/proc/self/clear_refs").write_text("5")
+    memory, start, elapsed = peak_bytes(), time.process_time(), time.perf_counter()
+    result = MODES[mode](mesh, threads)
+    elapsed, seconds = time.perf_counter() - elapsed, time.process_time() - start
+    return {
+        "triangles": len(mesh.triangles),
+        "removed": len(mesh.triangles) - len(result.mesh.triangles),
+        "seconds": seconds,
+        "elapsed": elapsed,
+        "bytes": peak_bytes() - memory,
+        "digest": digest(result),
+    }
 
 
 def peak_bytes() -> int:
@@ -64,41 +166,19 @@ def peak_bytes() -> int:
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
-def measure(name: str, triangles: int) -> dict[str, float]:
-    """Simplify one mesh to a tenth in this process."""
-    mesh = MESHES[name](triangles)
-    simplify(MESHES[name](1000), ratio=0.5)  # loads what is loaded once
-    # The peak so far belongs to making the mesh; Linux lets a process start it afresh.
-    Path("/proc/self/clear_refs").write_text("5")
-    before, start = peak_bytes(), time.process_time()
-    result = simplify(mesh, ratio=0.1)
-    seconds = time.process_time() - start
-    return {
-        "triangles": len(mesh.triangles),
-        "collapses": result.collapses,
-        "seconds": seconds,
-        "bytes": (peak_bytes() - before) / len(mesh.triangles),
-    }
-
-
-def main(sizes: tuple[int, ...]) -> None:
-    """Print the table, a row a process."""
-    print("| mesh | triangles | collapses | CPU s | collapses/s | ns/collapse | peak bytes/triangle |")
-    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for name in MESHES:
-        for size in sizes:
-            command = [sys.executable, __file__, "--measure", name, str(size)]
-            row = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-            rate = row["collapses"] / row["seconds"]
-            print(
-                f"| {name} | {row['triangles']:,} | {row['collapses']:,} | {row['seconds']:.2f} "
-                f"| {rate:,.0f} | {1e9 / rate:,.0f} | {row['bytes']:.0f} |",
-                flush=True,
-            )
+def digest(result: Simplified) -> str:
+    """Return an MD5 over all arrays of a result."""
+    mesh = result.mesh
+    arrays = (mesh.vertices, mesh.triangles, mesh.colors, result.vertex_source, result.triangle_source)
+    md5 = hashlib.md5(usedforsecurity=False)
+    for array in arrays:
+        if array is not None:
+            md5.update(np.ascontiguousarray(array).data)
+    return md5.hexdigest()
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--measure"]:
-        print(json.dumps(measure(sys.argv[2], int(sys.argv[3]))))
+        print(json.dumps(measure(sys.argv[2], sys.argv[3], int(sys.argv[4]), int(sys.argv[5]))))
     else:
-        main(tuple(map(int, sys.argv[1:])) or SIZES)
+        main()

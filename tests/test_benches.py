@@ -13,6 +13,7 @@ from stages.topology import topology
 
 ROOT = Path(__file__).resolve().parents[1]
 MAP = np.arange(8 * 16 * 3, dtype=np.uint8).reshape(8, 16, 3) % 200
+NO_TRIANGLES = np.zeros((0, 3), np.int32)
 
 
 @pytest.fixture(autouse=True)
@@ -32,6 +33,20 @@ def bench() -> ModuleType:
     import simplify
 
     return simplify
+
+
+@pytest.fixture
+def speed() -> ModuleType:
+    import simplify_speed
+
+    return simplify_speed
+
+
+@pytest.fixture
+def results() -> ModuleType:
+    from peers import results
+
+    return results
 
 
 @pytest.mark.parametrize("steps", [1, 2, 7])
@@ -103,30 +118,97 @@ def test_turned_triangles_and_small_angles_are_counted(meshes: ModuleType, bench
     np.testing.assert_allclose(bench.smallest_angles(pair), [45, 0])
 
 
-def test_a_setting_beats_another_only_in_both_errors_and_on_no_more_triangles(bench: ModuleType):
-    base = bench.Row(
-        **{field.name: 0 for field in dataclasses.fields(bench.Row)}
+@pytest.fixture
+def row(results: ModuleType):
+    base = results.Row(
+        **{field.name: 0 for field in dataclasses.fields(results.Row)}
         | {"mesh": "globe", "ratio": 0.1, "triangles": 1000, "rms": 1.0, "color": 5.0, "setting": "default"}
+        | {"seconds": 1.0, "tool": "scanloom", "topology": topology(Mesh(np.zeros((0, 3)), NO_TRIANGLES))}
     )
 
-    def row(**changes: Any) -> Any:
+    def changed(**changes: Any) -> Any:
         return dataclasses.replace(base, **changes)
 
-    assert bench.is_better(row(rms=0.9, color=4.9), base)
-    assert not bench.is_better(row(rms=0.9, color=5.0), base)
-    assert not bench.is_better(row(rms=1.0, color=4.9), base)
-    assert not bench.is_better(row(rms=0.9, color=4.9, triangles=1011), base)
-    assert not bench.is_better(row(rms=0.9, color=4.9), row(color=None))
+    return changed
 
-    own = [row(tool="scanloom", rms=2.0), row(tool="scanloom", setting="light", rms=0.9, color=4.0)]
+
+def test_a_setting_beats_another_only_in_both_errors_and_on_no_more_triangles(results: ModuleType, row: Any):
+    assert results.is_better(row(rms=0.9, color=4.9), row())
+    assert not results.is_better(row(rms=0.9, color=5.0), row())
+    assert not results.is_better(row(rms=1.0, color=4.9), row())
+    assert not results.is_better(row(rms=0.9, color=4.9, triangles=1011), row())
+    assert not results.is_better(row(rms=0.9, color=4.9), row(color=None))
+
+    own = [row(rms=2.0), row(setting="light", rms=0.9, color=4.0)]
     peers = [
         row(tool="VTK", setting="weight 1"),
         row(tool="VTK", setting="weight 2", color=3.0),
         row(tool="Open3D tensor", setting="", rms=0.8, color=None),
         row(tool="CGAL Lindstrom–Turk", setting="", rms=0.5, color=None),
     ]
-    text = "\n".join(bench.verdicts([*own, *peers]))
+    text = "\n".join(results.verdicts([*own, *peers]))
 
     assert "VTK: 1 of 2 beaten (weight 1 ← light; weight 2 ← none)" in text
     assert "default is 2.50 times that of Open3D tensor, the best quadric tool" in text
     assert "default is 4.00 times that of CGAL Lindstrom–Turk, the best tool" in text
+
+
+def test_the_summary_takes_each_tool_at_its_best_and_leaves_out_meshes_without_colours(
+    results: ModuleType, row: Any
+):
+    # Two triangles that face the same way along their common side.
+    broken = topology(Mesh(np.eye(4, 3), np.array([[0, 1, 2], [0, 1, 3], [1, 0, 2]], np.int32)))
+    rows = [
+        row(rms=2e-5, color=5.0, seconds=2.0),
+        row(setting="light", rms=3e-5, color=3.0, seconds=1.0),
+        row(tool="VTK", setting="weight 1", rms=5e-5, color=2.5, seconds=3.0, topology=broken),
+        row(tool="VTK", setting="weight 2", rms=9e-5, color=2.0, seconds=9.0),
+        row(tool="CGAL Lindstrom–Turk", setting="", rms=1e-5, color=None, seconds=10.0),
+        row(mesh="horse", setting="", color=None),
+    ]
+
+    assert list(results.summary(rows)) == [
+        "|  | globe 10% | non-manifold edges | CPU time |",
+        "|---|---:|---:|---:|",
+        "| scanloom | 2.0 / 5.0 | 0 | 1 |",
+        "| scanloom, best of 2 weights | 3.0 / 3.0 | 0 | 0.5 |",
+        "| CGAL Lindstrom–Turk | 1.0 / – | 0 | 5 |",
+        f"| VTK, best of 2 weights | 5.0 / 2.5 | {broken.nonmanifold_edges} | 1.5 |",
+    ]
+    assert broken.nonmanifold_edges == 1
+
+
+def test_shuffled_hills_are_the_same_hills_in_another_order(speed: ModuleType):
+    mesh, shuffled = speed.hills(200), speed.shuffled(200)
+
+    def parts(mesh: Mesh) -> set[Any]:
+        corners = np.concatenate([mesh.vertices, mesh.colors], axis=1)[mesh.triangles]
+        # From the corner that comes first, round the same way.
+        first = [min(range(3), key=lambda i: tuple(t[i])) for t in corners]
+        return {np.roll(t, -i, axis=0).tobytes() for t, i in zip(corners, first, strict=True)}
+
+    assert parts(shuffled) == parts(mesh)
+    assert (shuffled.triangles != mesh.triangles).any()
+
+
+def test_a_result_that_depends_on_the_number_of_threads_is_an_error(
+    speed: ModuleType, monkeypatch: pytest.MonkeyPatch
+):
+    mesh = speed.hills(200)
+    same = speed.digest(speed.MODES["count"](mesh, 1))
+    other = speed.digest(speed.MODES["count"](mesh.with_(colors=mesh.colors[::-1].copy()), 1))
+    runs = {1: {"digest": same, "seconds": 2.0, "elapsed": 3.0}}
+    monkeypatch.setattr(speed, "in_own_process", lambda *run: runs[run[-1]])
+
+    runs[2] = runs[1] | {"elapsed": 1.5}
+    one, two = speed.both("count", "hills", 200, 2)
+    assert one["elapsed"] / two["elapsed"] == 2
+    runs[2] = runs[1] | {"digest": other}
+    with pytest.raises(SystemExit, match="differ"):
+        list(speed.both("count", "hills", 200, 2))
+
+
+def test_growth_is_relative_to_n_log_n(speed: ModuleType):
+    ratios = speed.over_n_log_n({10_000: 40.0, 100: 10.0, 1_000_000: 30.0})
+
+    assert ratios == pytest.approx({100: 1, 10_000: 2, 1_000_000: 1})

@@ -8,62 +8,81 @@ from typing import Any
 from matplotlib import ticker
 from matplotlib.figure import Figure
 
-from peers.tools import OURS, TOOLS
+from peers.results import Row, colored, of, parts
+from peers.tools import OURS, TOOLS, Tool
 
-MARKERS = "osD^v<>Pd"
+OUR_COLOR = "#d62728"
+# Of each peer: colour and marker, or without a marker the line's dashes.
+STYLES: dict[str, tuple[str, Any]] = {
+    "VTK": ("#1f77b4", "s"),
+    "meshoptimizer": ("#2ca02c", "^"),
+    "PyMeshLab": ("#9467bd", "D"),
+    "Open3D legacy": ("#8c564b", "v"),
+    "CGAL Lindstrom–Turk": ("#444444", (0, (1, 1.5))),
+    "CGAL Garland–Heckbert": ("#888888", (0, (1, 1.5))),
+    "Open3D tensor": ("#888888", (0, (5, 2))),
+    "fast-simplification": ("#888888", (0, (5, 2, 1, 2))),
+}
 
 
-def draw(rows: list[Any], path: Path) -> None:
-    """Draw rows that have colours; tools that drop colours are a line at their shape error."""
-    colored = {row.mesh for row in rows if row.color is not None}
-    names = [name for name in dict.fromkeys(row.mesh for row in rows) if name in colored]
-    ratios = list(dict.fromkeys(row.ratio for row in rows))
-    figure = Figure(figsize=(3.6 * len(names), 3.2 * len(ratios)))
+def draw(rows: list[Row], path: Path) -> None:
+    """Draw the rows of meshes with colours; a tool that drops colours is a line at its shape error."""
+    panels = parts(colored(rows))
+    ratios = list(dict.fromkeys(ratio for _, ratio in panels))
+    names = list(dict.fromkeys(name for name, _ in panels))
+    figure = Figure(figsize=(3.1 * len(names), 2.7 * len(ratios) + 0.7))
     axes = figure.subplots(len(ratios), len(names), squeeze=False)
-    for column, name in enumerate(names):
-        for line, ratio in enumerate(ratios):
-            axis = axes[line][column]
-            panel(axis, [row for row in rows if (row.mesh, row.ratio) == (name, ratio)])
-            axis.set_title(f"{name}, {ratio:.0%} of the triangles", fontsize=9)
+    for (name, ratio), part in panels.items():
+        axis = axes[ratios.index(ratio)][names.index(name)]
+        panel(axis, part)
+        axis.set_title(f"{name}, {ratio:.0%} of the triangles", fontsize=10)
     for axis in axes[-1]:
-        axis.set_xlabel("shape RMS, 1e-5 of the diagonal", fontsize=8)
+        axis.set_xlabel("shape: RMS, 1e-5 of the diagonal", fontsize=9)
     for axis in axes[:, 0]:
-        axis.set_ylabel("colour RMSE, 8-bit levels", fontsize=8)
+        axis.set_ylabel("colour: RMSE, 8-bit levels", fontsize=9)
     handles = {
         label: handle
         for axis in axes.flat
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
     }
-    rows_of_legend = -(-len(handles) // 4)
-    figure.legend(handles.values(), handles.keys(), loc="lower center", ncols=4, fontsize=8, frameon=False)
-    figure.tight_layout(rect=(0, 0.03 * rows_of_legend, 1, 1))
-    figure.savefig(path, dpi=100, metadata={"Software": None})
+    figure.legend(handles.values(), handles.keys(), loc="lower center", ncols=4, fontsize=8.5, frameon=False)
+    figure.tight_layout(rect=(0, 0.66 / figure.get_figheight(), 1, 1))
+    figure.savefig(path, dpi=130, metadata={"Software": None})
 
 
-def panel(axis: Any, rows: list[Any]) -> None:
+def panel(axis: Any, rows: list[Row]) -> None:
     """Draw one mesh at one ratio."""
-    for number, tool in enumerate(TOOLS):
-        mine = [row for row in rows if row.tool == tool.name]
-        color = "black" if tool.name == OURS else f"C{number}"
-        shape = [1e5 * row.rms for row in mine]
-        if not mine:
+    for tool in TOOLS:
+        points = sorted(of(rows, tool.name), key=lambda row: weight(tool, row))
+        if not points:
             continue
-        if tool.keeps_color:
+        shape = [1e5 * row.rms for row in points]
+        if tool.name == OURS:
+            errors = [row.color for row in points]
+            axis.plot(shape, errors, "o-", color=OUR_COLOR, linewidth=2.5, markersize=5, label=OURS, zorder=4)
+            default = of(rows, OURS)[0]
             axis.plot(
-                shape,
-                [row.color for row in mine],
-                marker=MARKERS[number],
-                color=color,
-                linewidth=2 if tool.name == OURS else 1,
-                markersize=4,
-                label=tool.name,
-                zorder=3 if tool.name == OURS else 2,
-            )
+                1e5 * default.rms, default.color, "*", color=OUR_COLOR, markeredgecolor="black",
+                markersize=14, label=f"{OURS}, default", zorder=5, linestyle="none",
+            )  # fmt: skip
+        elif tool.keeps_color:
+            color, marker = STYLES[tool.name]
+            errors = [row.color for row in points]
+            axis.plot(shape, errors, marker=marker, color=color, linewidth=1.2, markersize=5, label=tool.name)
         else:
-            axis.axvline(shape[0], color=color, linestyle=":", linewidth=1, label=f"{tool.name} (no colour)")
-    axis.set_xscale("log")
-    axis.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-    axis.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    axis.xaxis.set_minor_formatter(ticker.NullFormatter())
-    axis.tick_params(labelsize=7, which="both")
-    axis.grid(alpha=0.3, which="both")
+            color, dashes = STYLES[tool.name]
+            label = f"{tool.name}: no colour"
+            axis.axvline(shape[0], color=color, linestyle=dashes, linewidth=1.3, label=label)
+    scales = ((axis.set_xscale, axis.xaxis, (1, 2, 5)), (axis.set_yscale, axis.yaxis, (1, 2, 3, 5, 7)))
+    for scale, ticks, subs in scales:
+        scale("log")
+        ticks.set_major_locator(ticker.LogLocator(subs=subs))
+        ticks.set_major_formatter(ticker.FormatStrFormatter("%g"))
+        ticks.set_minor_formatter(ticker.NullFormatter())
+    axis.tick_params(labelsize=8, which="both")
+    axis.grid(alpha=0.3)
+
+
+def weight(tool: Tool, row: Row) -> float:
+    """Return the weight of colour a result was made with."""
+    return tool.settings[row.setting].get("weight", 0.0)

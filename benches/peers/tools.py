@@ -18,6 +18,7 @@ import numpy as np
 from peers import native
 from peers.native import Missing
 from stages._open3d import open3d
+from stages.color_weight import color_weight
 from stages.convert import as_mesh, to_open3d, to_open3d_legacy
 from stages.errors import StageError
 from stages.mesh import Mesh
@@ -59,9 +60,11 @@ def package(name: str) -> Callable[[], str]:
     return version
 
 
-def ours(mesh: Mesh, triangles: int, **setting: float) -> Prepared:
-    """Simplify to a number of triangles."""
-    return lambda: simplify(mesh, triangles=triangles, **setting), lambda result: result.mesh
+def ours(mesh: Mesh, triangles: int, weight: float) -> Prepared:
+    """Simplify to a number of triangles; the weight of colour is a multiple of the default."""
+    # The default is derived in the call, as it is for its users.
+    scale = None if weight == 1 else weight * color_weight(mesh, triangles)
+    return lambda: simplify(mesh, triangles=triangles, attribute_scale=scale), lambda result: result.mesh
 
 
 def open3d_legacy(mesh: Mesh, triangles: int) -> Prepared:
@@ -231,16 +234,18 @@ def levels(colors: np.ndarray) -> np.ndarray:
     return np.rint(colors).clip(0, 255).astype(np.uint8)
 
 
-def weights(*values: float) -> dict[str, dict[str, float]]:
+def weights(*values: float, prefix: str = "weight ") -> dict[str, dict[str, float]]:
     """Return a setting for each weight."""
-    return {f"weight {value:g}": {"weight": value} for value in values}
+    return {f"{prefix}{value:g}": {"weight": value} for value in values}
 
 
 ONE_WAY: dict[str, dict[str, float]] = {"": {}}
+# The default comes first.
+OUR_WAYS = {"default": {"weight": 1.0}} | weights(0, 0.3, 3, 10, 30, prefix="default × ")
 
 OURS = "scanloom"
 TOOLS = (
-    Tool(OURS, ours, lambda: "this one", True, {"default": {}}),
+    Tool(OURS, ours, lambda: "this one", True, OUR_WAYS),
     Tool("CGAL Lindstrom–Turk", cgal("lindstrom_turk"), cgal_version, False, ONE_WAY, is_quadric=False),
     Tool("CGAL Garland–Heckbert", cgal("garland_heckbert"), cgal_version, False, ONE_WAY),
     Tool("VTK", vtk, package("vtk"), True, weights(0.003, 0.01, 0.03, 0.1, 0.3, 1)),

@@ -1,0 +1,134 @@
+"""A result's figures, and what follows from many: who beats whom, and each tool at its best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from peers.tools import OURS, TOOLS
+from stages.topology import Topology
+
+# Fewer triangles make any result worse; a tool may end this much above another and still compare.
+SAME_COUNT = 1.01
+QUADRIC = {tool.name for tool in TOOLS if tool.is_quadric}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One result. Distances are shares of the diagonal, colours 8-bit levels, None where there are none."""
+
+    mesh: str
+    ratio: float
+    tool: str
+    setting: str
+    triangles: int
+    rms: float
+    maximum: float
+    check: float | None
+    color: float | None
+    color_note: str
+    psnr: float | None
+    topology: Topology
+    euler_change: int
+    turned: int
+    edge_mean: float
+    edge_spread: float
+    angle_low: float
+    angle_least: float
+    seconds: float
+    megabytes: float
+
+
+def parts(rows: list[Row]) -> dict[tuple[str, float], list[Row]]:
+    """Return the rows of each mesh and ratio, as they came."""
+    keys = dict.fromkeys((row.mesh, row.ratio) for row in rows)
+    return {key: [row for row in rows if (row.mesh, row.ratio) == key] for key in keys}
+
+
+def colored(rows: list[Row]) -> list[Row]:
+    """Return the rows of meshes that have colours."""
+    meshes = {row.mesh for row in rows if row.color is not None}
+    return [row for row in rows if row.mesh in meshes]
+
+
+def verdicts(rows: list[Row]) -> Iterator[str]:
+    """Say, for each mesh and ratio, which peers ours beats, and how far the default is from the best."""
+    for (mesh, ratio), part in parts(rows).items():
+        own, peers = ([row for row in part if (row.tool == OURS) == yes] for yes in (True, False))
+        if not own or not peers:
+            continue
+        yield f"**{mesh}, {ratio:.0%}**\n"
+        for tool in dict.fromkeys(row.tool for row in peers if row.color is not None):
+            yield verdict(tool, [row for row in peers if row.tool == tool], own)
+        dropping = [row for row in peers if row.color is None]
+        quadric = [row for row in dropping if row.tool in QUADRIC]
+        for some, kind in ((quadric, "quadric tool"), (dropping, "tool")):
+            if some:
+                best = min(some, key=lambda row: row.rms)
+                yield (
+                    f"- shape RMS of our {own[0].setting or 'only setting'} is {own[0].rms / best.rms:.2f} "
+                    f"times that of {best.tool}, the best {kind} without colours"
+                )
+        yield ""
+
+
+def verdict(tool: str, rows: list[Row], own: list[Row]) -> str:
+    """Say of each setting of a tool which of ours are better in shape and in colour at once."""
+    better = {row.setting: [mine.setting for mine in own if is_better(mine, row)] for row in rows}
+    count = sum(map(bool, better.values()))
+    each = (f"{name or 'as it is'} ← {', '.join(ours) or 'none'}" for name, ours in better.items())
+    return f"- {tool}: {count} of {len(rows)} beaten ({'; '.join(each)})"
+
+
+def is_better(mine: Row, row: Row) -> bool:
+    """Whether one result has the smaller shape and colour error, on no more triangles."""
+    if mine.color is None or row.color is None:
+        return False
+    return mine.rms < row.rms and mine.color < row.color and mine.triangles <= SAME_COUNT * row.triangles
+
+
+def summary(rows: list[Row]) -> Iterator[str]:
+    """Return a Markdown table with a row a tool, each at its best setting for each mesh and ratio.
+
+    The best is the one of least shape error times colour error. Ours has a row for its default, too, which
+    all times are relative to.
+    """
+    cells = parts(colored(rows))
+    of_tool = {tool.name: [of(part, tool.name) for part in cells.values()] for tool in TOOLS}
+    default = [results[:1] for results in of_tool[OURS]]
+    heads = ["", *(f"{mesh} {ratio:.0%}" for mesh, ratio in cells), "non-manifold edges", "CPU time"]
+    yield "| " + " | ".join(heads) + " |"
+    yield "|---" + "|---:" * (len(heads) - 1) + "|"
+    yield summary_row(OURS, default, default)
+    for name, results in of_tool.items():
+        settings = max(map(len, results), default=0)
+        if settings and (name, settings) != (OURS, 1):
+            note = f", best of {settings} weights" if settings > 1 else ""
+            yield summary_row(name + note, results, default)
+
+
+def summary_row(name: str, results: list[list[Row]], default: list[list[Row]]) -> str:
+    """Return the row of a tool, from its results for each mesh and ratio."""
+    best = [min(some, key=product) if some else None for some in results]
+    found = [row for row in best if row]
+    cells = [name, *("failed" if row is None else both(row) for row in best)]
+    cells.append(str(sum(row.topology.nonmanifold_edges for row in found)))
+    # Over the same meshes and ratios as its own.
+    times = [(row.seconds, ours[0].seconds) for row, ours in zip(best, default, strict=True) if row and ours]
+    cells.append(f"{sum(t for t, _ in times) / sum(t for _, t in times):.2g}" if times else "")
+    return "| " + " | ".join(cells) + " |"
+
+
+def of(rows: list[Row], tool: str) -> list[Row]:
+    """Return the rows of a tool."""
+    return [row for row in rows if row.tool == tool]
+
+
+def product(row: Row) -> float:
+    """Return shape error times colour error, shape error alone without colours."""
+    return row.rms * (1.0 if row.color is None else row.color)
+
+
+def both(row: Row) -> str:
+    """Return shape and colour error."""
+    return f"{1e5 * row.rms:.1f} / " + ("–" if row.color is None else f"{row.color:.1f}")
