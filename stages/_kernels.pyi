@@ -157,7 +157,9 @@ def residuals(
 ) -> tuple[float, float] | None:
     """Return the RMS errors of shape and attributes to expect of a result with `target` triangles.
 
-    None where the mesh is too small to tell or has no attributes.
+    None where the mesh is too small to tell or has no attributes. Raises InvalidMeshError for an index out of
+    range or a value that is not finite.
+    """
 
 _Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
 

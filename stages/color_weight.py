@@ -7,17 +7,20 @@ import numpy as np
 from stages import _kernels
 from stages.mesh import Mesh
 
-# Share of the balanced weight. With it, shape on three scans and a globe stays within a tenth of what it is
+# Share of the balanced weight. With it, shape on two scans and a globe stays within a tenth of what it is
 # without colours, and colour gains most of what it can.
 _SHARE = 0.4
+
+# On a flat mesh any weight above rounding lets colours decide.
+_LEAST_PER_DIAGONAL = 1e-8
 
 
 def color_weight(mesh: Mesh, triangles: int) -> float:
     """Return a weight that follows from the mesh and the number of triangles wanted.
 
-    Over pieces of surface as large as a triangle of the result, the mesh's distance to its best plane is about
-    the error of shape to expect, and its colours' difference to their best linear fit about that of colour. Both
-    count alike at the quotient of the two; shape is given preference over that.
+    Over pieces of surface as large as a triangle of the result, the mesh's distance to its best plane is
+    about the error of shape to expect, and its colours' difference to their best linear fit about that of
+    colour. Both count alike at the quotient of the two; shape is given preference over that.
 
     Parameters
     ----------
@@ -31,11 +34,12 @@ def color_weight(mesh: Mesh, triangles: int) -> float:
     """
     if mesh.colors is None:
         return 0.0
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
     errors = _kernels.residuals(
         mesh.vertices, mesh.colors.astype(np.float64), mesh.triangles, target=max(triangles, 1)
     )
     if errors is None:
         # Too small to tell: a level counts as a hundredth of a percent of the extent.
-        return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) / 1e4 if len(mesh.vertices) else 0.0
+        return diagonal / 1e4
     shape, color = errors
-    return _SHARE * shape / color
+    return max(_SHARE * shape / color, _LEAST_PER_DIAGONAL * diagonal)

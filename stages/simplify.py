@@ -24,6 +24,10 @@ from stages.regions import Region, resolve_control
 
 VERSION = 4
 
+# Triangles worked on at a time. Sums that grow from collapse to collapse mind the rims more, and want larger
+# patches.
+_PATCH_TRIANGLES = {"quadric": 8192, "jia01": 32768}
+
 # What splitting may lead to: about 4 GB.
 _TRIANGLE_LIMIT = 20_000_000
 
@@ -303,6 +307,7 @@ def simplify(
     mesh = as_mesh(mesh)
     locked, factors = resolve_control(mesh, lock, importance, regions)
     running = _kernels.Running(
+        patch_triangles=_PATCH_TRIANGLES[method],
         target_triangles=params.target(len(mesh.triangles)),
         threads=params.threads or 0,
         record=record,

@@ -72,6 +72,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
     let mut histogram: Option<Histogram> = None;
     let mut idle: u32 = 0;
     let mut round = 0;
+    progress.tell(0, (at_start - goal.triangles.min(at_start)) as u64)?;
     let stop = loop {
         let count = mesh.triangles.len();
         if count <= goal.triangles && round > 0 {
@@ -84,9 +85,11 @@ pub fn collapse<const D: usize, R: Records<D>>(
         if round == 0 {
             check_seam(&mesh, &rim, patches)?;
         }
-        progress.tell((at_start - count) as u64, (at_start - goal.triangles.min(at_start)) as u64)?;
+        let total = (at_start - goal.triangles.min(at_start)) as u64;
+        progress.tell((at_start - count) as u64, total)?;
 
-        let run = Run { mesh: &mesh, records: &records, partition: &partition, rim: &rim, goal };
+        let gone = AtomicU64::new((at_start - count) as u64);
+        let run = Run { mesh: &mesh, records: &records, partition: &partition, rim: &rim, goal, gone, total };
         let needed = count.saturating_sub(goal.triangles).div_ceil(2);
         let priority = if patches == 1 {
             f64::INFINITY
@@ -164,6 +167,9 @@ struct Run<'a, const D: usize, R: Records<D>> {
     partition: &'a Partition,
     rim: &'a [bool],
     goal: &'a Goal,
+    /// Triangles gone so far, of how many that may go.
+    gone: AtomicU64,
+    total: u64,
 }
 
 impl<const D: usize, R: Records<D>> Run<'_, D, R> {
@@ -188,6 +194,9 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
             engine.record_path();
         }
         engine.run(*until, progress)?;
+        let collapsed: u64 = engine.merges().iter().map(|m| u64::from(m.triangles)).sum();
+        let gone = self.gone.fetch_add(collapsed, Relaxed) + collapsed;
+        progress.tell(gone.min(self.total), self.total)?;
         seen.add(engine.waiting());
         attempts.fetch_add(engine.attempts(), Relaxed);
         let (mesh, measure, refusals, merges, path) = engine.into_parts();
