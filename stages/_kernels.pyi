@@ -29,8 +29,9 @@ class LimitError(OverflowError):
 class Running:
     """How a simplifier runs.
 
-    Up to how many triangles, on how many threads (0: one for each core; the result is the same), in patches of how
-    many triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
+    Up to how many triangles, on how many threads (0: one for each core; the result is the same), in patches
+    of how many triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what
+    there is.
     """
 
     def __new__(

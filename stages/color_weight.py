@@ -12,7 +12,7 @@ from stages.mesh import Mesh
 _SHARE = 0.4
 
 # On a flat mesh any weight above rounding lets colours decide.
-_LEAST_PER_DIAGONAL = 1e-8
+_LEAST_PER_DIAGONAL = 1e-7
 
 
 def color_weight(mesh: Mesh, triangles: int) -> float:

@@ -16,10 +16,10 @@ use crate::quadric::Quadric;
 use crate::star::Star;
 
 /// Strength of the spring that holds a vertex at the middle of its edge where the error does not: on a plane.
-const TETHER: f64 = 1e-5;
+const TETHER: f64 = 1e-9;
 
 /// The same for the choice among edges that cost nothing: shorter ones go first.
-const SHORTER_FIRST: f64 = 1e-9;
+const SHORTER_FIRST: f64 = 1e-10;
 
 /// Weight of the boundary: of the squared distance from each boundary edge's own side wall, against the area of
 /// the square over the edge.

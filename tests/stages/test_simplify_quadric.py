@@ -209,7 +209,7 @@ def test_what_is_flat_and_of_even_colour_costs_nothing() -> None:
     mesh = sheet(noise=0.0, height=0.0)
     assert mesh.colors is not None
     even = mesh.with_(colors=mesh.colors * np.array([1, 1, 0], np.uint8))
-    light = simplify(even, triangles=2, attribute_scale=1e-4).mesh
+    light = simplify(even, triangles=2).mesh
     assert len(light.triangles) == 2
     shape, color = squared(even, light)
     assert shape < 1e-6
@@ -390,7 +390,8 @@ def test_importance_draws_triangles() -> None:
     mesh = sheet(60)
     left = np.where(mesh.vertices[:, 0] < 0.5, 100.0, 1.0)
     even, uneven = (simplify(mesh, triangles=600, importance=i) for i in (None, left))
-    assert len(uneven.mesh.triangles) == len(even.mesh.triangles)
+    # The last collapse removes two triangles inside, one on the boundary.
+    assert {len(even.mesh.triangles), len(uneven.mesh.triangles)} <= {599, 600}
     assert_same_topology(uneven.mesh, mesh)
     assert centers_within(uneven.mesh, 0, 0.5) > 1.5 * centers_within(even.mesh, 0, 0.5)
 
