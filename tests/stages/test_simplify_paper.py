@@ -328,8 +328,8 @@ def compare_with_reference(mesh: Mesh, limits: Limits, target: int) -> None:
     np.testing.assert_allclose(result.mesh.colors, expected[:, 3:].clip(0, 255), atol=0.5 + 1e-6)
     assert rotated(result.vertex_source[result.mesh.triangles]) == rotated(reference.triangles)
     assert result.largest_shape_change_m == pytest.approx(reference.largest.shape, abs=1e-12)
-    # The reference shrinks colours to lengths and back: its rounding grows as the scale gets smaller, and with
-    # the number of contrasts, of about a hundred levels each, that were summed up.
+    # The reference shrinks colours to lengths and back: its rounding grows as the scale gets smaller, and
+    # with the number of contrasts, of about a hundred levels each, that were summed up.
     rounding = (1e-9 + 1e-13 / limits.scale) * (1 + reference.largest.texture / 100)
     assert result.largest_texture_change_levels == pytest.approx(reference.largest.texture, abs=rounding)
 
