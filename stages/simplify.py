@@ -26,7 +26,7 @@ VERSION = 4
 
 # Triangles worked on at a time. Sums that grow from collapse to collapse mind the rims more, and want larger
 # patches.
-_PATCH_TRIANGLES = {"quadric": 8192, "jia01": 32768}
+_PATCH_TRIANGLES = {"quadric": 8192, "jia01": 16384}
 
 # What splitting may lead to: about 4 GB.
 _TRIANGLE_LIMIT = 20_000_000
