@@ -10,6 +10,7 @@ __all__ = [
     "Certified",
     "InvalidMeshError",
     "LimitError",
+    "Proven",
     "Running",
     "Simplified",
     "certify",
@@ -17,6 +18,7 @@ __all__ = [
     "residuals",
     "simplify",
     "simplify_by_quadrics",
+    "simplify_certified",
 ]
 
 class InvalidMeshError(ValueError):
@@ -53,6 +55,31 @@ class Running:
     def record(self) -> bool: ...
     @property
     def partial(self) -> bool: ...
+
+_Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
+
+@final
+class Certified:
+    """Upper bounds by triangle; pairs are (shape in metres, colour in levels)."""
+
+    @property
+    def shape_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def color_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def original_shape_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def original_color_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def bound(self) -> tuple[float, float]: ...
+    @property
+    def attained(self) -> tuple[float, float]: ...
+    @property
+    def slack(self) -> float: ...
+    @property
+    def color_slack(self) -> float: ...
+    @property
+    def pieces(self) -> int: ...
 
 @final
 class Simplified:
@@ -162,31 +189,6 @@ def residuals(
     range or a value that is not finite.
     """
 
-_Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
-
-@final
-class Certified:
-    """Upper bounds by triangle; pairs are (shape in metres, colour in levels)."""
-
-    @property
-    def shape_bound(self) -> NDArray[np.float64]: ...
-    @property
-    def color_bound(self) -> NDArray[np.float64]: ...
-    @property
-    def original_shape_bound(self) -> NDArray[np.float64]: ...
-    @property
-    def original_color_bound(self) -> NDArray[np.float64]: ...
-    @property
-    def bound(self) -> tuple[float, float]: ...
-    @property
-    def attained(self) -> tuple[float, float]: ...
-    @property
-    def slack(self) -> float: ...
-    @property
-    def color_slack(self) -> float: ...
-    @property
-    def pieces(self) -> int: ...
-
 def certify(
     result: _Soup,
     original: _Soup,
@@ -202,4 +204,66 @@ def certify(
     """Bound how far two triangle soups (vertices, attributes, triangles) are apart.
 
     Raises InvalidMeshError for an index out of range or a value that is not finite.
+    """
+
+@final
+class Proven:
+    """A simplified mesh and what is proven of it; pairs are (shape in metres, colour in levels).
+
+    `passes` holds, for each turn: triangles left, those of result and input without a proof, collapses and
+    attempts.
+    """
+
+    @property
+    def vertices(self) -> NDArray[np.float64]: ...
+    @property
+    def attributes(self) -> NDArray[np.float64]: ...
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    @property
+    def vertex_source(self) -> NDArray[np.int32]: ...
+    @property
+    def triangle_source(self) -> NDArray[np.int32]: ...
+    @property
+    def stopped_by(self) -> str: ...
+    @property
+    def standing(self) -> dict[str, int]: ...
+    @property
+    def shape_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def color_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def bound(self) -> tuple[float, float]: ...
+    @property
+    def attained(self) -> tuple[float, float]: ...
+    @property
+    def slack(self) -> float: ...
+    @property
+    def color_slack(self) -> float: ...
+    @property
+    def proven(self) -> bool: ...
+    @property
+    def passes(self) -> list[tuple[int, int, int, int, int]]: ...
+
+def simplify_certified(
+    vertices: NDArray[np.float64],
+    attributes: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    fixed: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    *,
+    bounds: tuple[float, float],
+    weight: float,
+    share: float,
+    tolerance: tuple[float, float],
+    effort: float,
+    wanted_threads: int,
+    patch_triangles: int,
+    partial: bool,
+    progress: Callable[[int, int], object],
+) -> Proven:
+    """Simplify within bounds that are proven to hold everywhere; infinite for none.
+
+    `share` is the part of the bounds that samples may use; `tolerance` and `effort` are those of `certify`.
+    Raises InvalidMeshError for a mesh it cannot work on.
     """

@@ -21,7 +21,7 @@ mod refine;
 mod surface;
 
 pub use piece::Deviation;
-pub use surface::Surface;
+pub use surface::{NEEDLE, Surface};
 
 use parallel::{for_chunks, thread_count};
 use piece::{Against, Share, Wanted};
@@ -36,7 +36,7 @@ use crate::progress::Progress;
 /// Triangles a thread takes at a time. Fixed, since the search in one triangle starts from the one before.
 const CHUNK: usize = 256;
 /// What colours lose on their way: measured, interpolated and compared in single precision.
-const COLOR_SLACK: f64 = 1.0 / 512.0;
+pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
 const FIRST_PIECES: usize = 64;
 /// Small meshes may cost as much as one of so many triangles.
@@ -83,6 +83,8 @@ pub struct Certificate {
     /// For each triangle of the result, both ways: from its own points, and from all points of the original
     /// whose nearest point may be on it.
     pub result: Vec<Deviation>,
+    /// For each triangle of the result, from its own points only.
+    pub own: Vec<Deviation>,
     /// For each triangle of the original, from its points to the result.
     pub original: Vec<Deviation>,
     pub bound: Deviation,
@@ -399,7 +401,7 @@ fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
 
 /// Vertices rounded to single precision move by half a step of the largest coordinate, and a search in single precision
 /// is wrong by a few steps of the sizes it works with.
-fn slack(surfaces: [&Surface; 2], wanted: Option<f64>) -> f64 {
+pub fn slack(surfaces: [&Surface; 2], wanted: Option<f64>) -> f64 {
     let [low, high] = around(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds));
     let largest = (0..3).map(|i| low[i].abs().max(high[i].abs())).fold(0.0, f64::max);
     if largest == f64::INFINITY {
@@ -428,6 +430,7 @@ fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
     let bound = if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { infinite };
     Certificate {
         result: all(&sides[0]),
+        own: all(&sides[0]),
         original: all(&sides[1]),
         bound,
         attained: bound,
@@ -461,6 +464,7 @@ fn finished(
     let both_ways = own.bounds.iter().zip(&other.on_target).map(|(a, b)| a.max(*b));
     Certificate {
         result: in_order(own, &mut both_ways.map(|d| sure(&d))),
+        own: in_order(own, &mut own.bounds.iter().map(sure)),
         original: in_order(other, &mut other.bounds.iter().map(sure)),
         bound: sure(&bound),
         attained,

@@ -14,17 +14,20 @@
 
 pub mod balance;
 pub mod bvh;
+pub mod certified;
 pub mod certify;
 mod connect;
 pub mod connectivity;
 pub mod engine;
 pub mod error;
+pub mod fan;
 pub mod fit;
 pub mod geometry;
 pub mod ids;
 pub mod jia01;
 pub mod legality;
 pub mod mesh;
+pub mod original;
 pub mod parallel;
 pub mod partition;
 pub mod patch;
@@ -36,9 +39,12 @@ pub mod rounds;
 pub mod shape;
 pub mod split;
 pub mod star;
+pub mod tracked;
 pub mod validate;
 
 #[cfg(feature = "python")]
 mod python;
+#[cfg(feature = "python")]
+mod python_certified;
 #[cfg(feature = "python")]
 mod python_certify;

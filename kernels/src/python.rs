@@ -552,6 +552,8 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Simplified>()?;
     module.add_class::<crate::python_certify::Certified>()?;
     module.add_function(wrap_pyfunction!(crate::python_certify::certify, module)?)?;
+    module.add_class::<crate::python_certified::Proven>()?;
+    module.add_function(wrap_pyfunction!(crate::python_certified::simplify_certified, module)?)?;
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add_function(wrap_pyfunction!(simplify_by_quadrics, module)?)?;

@@ -79,7 +79,7 @@ fn certify_points<const D: usize>(
         let surface = |(points, triangles): (Vec<[f64; D]>, Vec<[u32; 3]>)| Surface::new(&points, &triangles);
         crate::certify::certify(&surface(result)?, &surface(original)?, options, progress)
     })?;
-    let Certificate { result, original, bound, attained, slack, color_slack, pieces } = certificate;
+    let Certificate { result, own: _, original, bound, attained, slack, color_slack, pieces } = certificate;
     let array = |bounds: &[Deviation], of: fn(&Deviation) -> f64| {
         PyArray1::from_vec(py, bounds.iter().map(of).collect()).unbind()
     };

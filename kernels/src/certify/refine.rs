@@ -173,7 +173,10 @@ fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
         if let Some(facet) = Facet::new(&against.target.corners[piece.slot as usize]) {
             let height = polygon.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
             let margin = (wanted * wanted - height * height).max(0.0).sqrt();
-            let parts = cut_along(polygon, &facet, margin, SLIVER * piece.radius);
+            // What may be left uncut must still be within the margin, if there is one.
+            let sliver = SLIVER * piece.radius;
+            let least = if margin > 0.0 { sliver.min(0.5 * margin) } else { sliver };
+            let parts = cut_along(polygon, &facet, (margin - least).max(0.0), least);
             if parts.len() > 1 {
                 return parts;
             }

@@ -12,7 +12,7 @@ const LARGEST_ATTRIBUTE: f64 = 1e30;
 
 /// Height over longest side below which single precision is not trusted to find a triangle. On a scan, Embree overlooked
 /// them up to 1.2e-3, by more than the slack up to 0.7e-3.
-const NEEDLE: f64 = 4e-3;
+pub const NEEDLE: f64 = 4e-3;
 
 /// Triangles in the order of their tree; a *slot* is a place in that order.
 #[derive(Clone, Debug)]

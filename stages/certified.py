@@ -1,0 +1,206 @@
+"""Simplification within bounds that are proven to hold at every point of both surfaces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import MeshError, UsageError
+from stages.mesh import Mesh
+from stages.progress import Progress, silent
+
+PATCH_TRIANGLES = 8192
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedResult:
+    """A simplified mesh and what is proven of it.
+
+    Attributes
+    ----------
+    mesh : Mesh, with colours if the input has them.
+    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
+    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
+    shape_bound, color_bound : (q,) float64, metres and levels, for each triangle, both ways; see `certify`.
+    shape_bound_m, color_bound_levels : the greatest of all; no more than what was asked for if `proven`.
+    shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between.
+    slack_m, color_slack_levels : contained in the bounds, for searches in single precision. Twice as much is
+        the least that can be proven, and is used in place of smaller bounds.
+    proven : whether the bounds that were asked for are proven. If not, the work was stopped, or they do not
+        even hold between the input and itself, as where sheets of different colours touch.
+    stopped_by : "bounds", or "request" when the caller stopped it.
+    refused : edges of the result by the rule that refused them last: "shape" and "color" are the bounds,
+        "needle" a triangle too thin for a proof, the others as in `Simplified`.
+    iterations : how often the mesh was simplified and its bounds looked at.
+    unproven : how many triangles of result and input had no proof, each time.
+    collapses, attempts : of the last time.
+
+    Colour bounds are None unless the mesh has colours and `max_color` was given.
+    """
+
+    mesh: Mesh
+    vertex_source: NDArray[np.int32]
+    triangle_source: NDArray[np.int32]
+    shape_bound: NDArray[np.float64]
+    color_bound: NDArray[np.float64] | None
+    shape_bound_m: float
+    color_bound_levels: float | None
+    shape_attained_m: float
+    color_attained_levels: float | None
+    slack_m: float
+    color_slack_levels: float
+    proven: bool
+    stopped_by: str
+    refused: dict[str, int]
+    iterations: int
+    unproven: tuple[tuple[int, int], ...]
+    collapses: int
+    attempts: int
+
+    def figures(self) -> dict[str, Any]:
+        """Everything but the arrays, ready for JSON."""
+        return {
+            "triangles": len(self.mesh.triangles),
+            "vertices": len(self.mesh.vertices),
+            "shape_bound_m": self.shape_bound_m,
+            "shape_attained_m": self.shape_attained_m,
+            "color_bound_levels": self.color_bound_levels,
+            "color_attained_levels": self.color_attained_levels,
+            "slack_m": self.slack_m,
+            "color_slack_levels": self.color_slack_levels,
+            "proven": self.proven,
+            "stopped_by": self.stopped_by,
+            "refused_edges": dict(self.refused),
+            "iterations": self.iterations,
+            "collapses": self.collapses,
+            "attempts": self.attempts,
+        }
+
+
+def simplify_certified(
+    mesh: Mesh,
+    *,
+    max_shape: float | None = None,
+    max_color: float | None = None,
+    fixed: NDArray[np.bool_] | None = None,
+    importance: NDArray[np.float64] | None = None,
+    weight: float | None = None,
+    share: float = 0.9,
+    threads: int = 0,
+    partial: bool = False,
+    progress: Progress = silent,
+) -> CertifiedResult:
+    """Collapse edges as far as the bounds can be proven to hold.
+
+    Every point of either surface is within `max_shape` of the other, and its colour within `max_color` of the
+    colour at every nearest point there. Vertices of the input are watched while edges collapse; then the
+    bounds are proven for all points between. Where that fails, the limits of the vertices around are
+    tightened, and it starts again. Equal input gives equal bytes, for any number of threads.
+
+    Parameters
+    ----------
+    mesh : an oriented manifold, as for `simplify`.
+    max_shape : metres; None for no bound.
+    max_color : 8-bit levels, Euclidean norm over the channels; None for no bound.
+    fixed : (n,) bool, vertices that stay where they are; None or empty for none.
+    importance : (n,) float64, at least 1: multiplies the error around a vertex and divides its part of the
+        bounds; None or empty for 1.
+    weight : metres that count as much as one level of colour when a vertex is placed; None for one that
+        follows from the bounds.
+    share : part of the bounds that vertices may use; what is left is for the points between them.
+    threads : 0 for one for each core.
+    partial : on Ctrl-C, or when `progress` returns False, give out what there is, with its bounds.
+    progress : called about ten times a second; raising from it stops the work.
+
+    Raises
+    ------
+    MeshError
+        For a mesh that is not an oriented manifold; the message names the elements.
+    UsageError
+        For a parameter out of range, or a bound on colour for a mesh without colours.
+
+    References
+    ----------
+    Garland and Heckbert 1997 and Hoppe 1999 for order and placement; Ciampalini, Cignoni, Montani and
+    Scopigno, "Multiresolution decimation based on global error", 1997, for watching the input's vertices.
+    """
+    _check(mesh, max_shape, max_color, fixed, importance)
+    shape, color = (math.inf if bound is None else float(bound) for bound in (max_shape, max_color))
+    attributes = np.zeros((len(mesh.vertices), 0)) if mesh.colors is None else mesh.colors.astype(np.float64)
+    try:
+        result = _kernels.simplify_certified(
+            mesh.vertices,
+            attributes,
+            mesh.triangles,
+            np.zeros(0, bool) if fixed is None else fixed,
+            np.zeros(0) if importance is None else importance,
+            bounds=(shape, color),
+            weight=_weight(mesh, shape, color) if weight is None else weight,
+            share=share,
+            tolerance=(0.05, 0.05),
+            effort=16.0,
+            wanted_threads=threads,
+            patch_triangles=PATCH_TRIANGLES,
+            partial=partial,
+            progress=progress,
+        )
+    except _kernels.InvalidMeshError as error:
+        raise MeshError(f"{error}; run clean first.", "mesh") from error
+    colors = None if mesh.colors is None else np.rint(result.attributes).clip(0, 255).astype(np.uint8)
+    normals = None if mesh.normals is None else mesh.normals[result.vertex_source]
+    bounds_color = mesh.colors is not None and max_color is not None
+    return CertifiedResult(
+        mesh=Mesh(result.vertices, result.triangles, colors=colors, normals=normals, notes=mesh.notes),
+        vertex_source=result.vertex_source,
+        triangle_source=result.triangle_source,
+        shape_bound=result.shape_bound,
+        color_bound=result.color_bound if bounds_color else None,
+        shape_bound_m=result.bound[0],
+        color_bound_levels=result.bound[1] if bounds_color else None,
+        shape_attained_m=result.attained[0],
+        color_attained_levels=result.attained[1] if bounds_color else None,
+        slack_m=result.slack,
+        color_slack_levels=result.color_slack,
+        proven=result.proven,
+        stopped_by=result.stopped_by,
+        refused=result.standing,
+        iterations=len(result.passes),
+        unproven=tuple((a, b) for _, a, b, _, _ in result.passes),
+        collapses=result.passes[-1][3],
+        attempts=result.passes[-1][4],
+    )
+
+
+def _check(
+    mesh: Mesh,
+    max_shape: float | None,
+    max_color: float | None,
+    fixed: NDArray[np.bool_] | None,
+    importance: NDArray[np.float64] | None,
+) -> None:
+    if max_shape is None and max_color is None:
+        raise UsageError("neither max_shape nor max_color is given; give one of them, or both.")
+    for name, bound in (("max_shape", max_shape), ("max_color", max_color)):
+        if bound is not None and not bound >= 0:
+            raise UsageError(f"{name} is {bound}; expected 0 or more.")
+    if max_color is not None and mesh.colors is None:
+        raise UsageError("max_color is given, but the mesh has no vertex colours.")
+    for name, values in (("fixed", fixed), ("importance", importance)):
+        if values is not None and values.shape not in ((0,), (len(mesh.vertices),)):
+            raise UsageError(f"{name} has shape {values.shape}; expected ({len(mesh.vertices)},) or none.")
+    if importance is not None and not (np.isfinite(importance).all() and (importance >= 1).all()):
+        raise UsageError("importance has values below 1 or not finite; expected 1 or more.")
+
+
+def _weight(mesh: Mesh, shape: float, color: float) -> float:
+    """Both bounds weigh the same; one that is not there weighs as a thousandth of the mesh, or 20 levels."""
+    if mesh.colors is None or not len(mesh.vertices):
+        return 0.0
+    if not math.isfinite(shape):
+        shape = 1e-3 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    return shape / max(color, 1.0) if math.isfinite(color) else shape / 20.0
