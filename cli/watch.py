@@ -26,6 +26,8 @@ _HEADLINES = {
     "change of shape {largest_shape_change_m:.3g} m, of texture {largest_texture_change_levels:,.0f} levels",
     "simplify quadric": "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "
     "{attribute_scale_m_per_level:.3g} m",
+    "simplify certified": "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
+    "{shape_bound_m:.3g} m and {color_bound_levels:.3g} levels off",
     "report": "{pictures} pictures",
 }
 

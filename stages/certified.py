@@ -10,11 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.centred import as_result, attributes_of
+from stages.color_weight import color_weight
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.progress import Progress, silent
 
 PATCH_TRIANGLES = 8192
+
+# Common bounds leave about an eighth of a scan; the weight of colour is found for triangles of that size.
+_REDUCTION = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +38,8 @@ class CertifiedResult:
         the least that can be proven, and is used in place of smaller bounds.
     proven : whether the bounds that were asked for are proven. If not, the work was stopped, or they do not
         even hold between the input and itself, as where sheets of different colours touch.
-    stopped_by : "bounds", or "request" when the caller stopped it.
+    stopped_by : "bounds", "request" when the caller stopped it, or else "unproven".
+    weight : metres that counted as much as one level of colour.
     refused : edges of the result by the rule that refused them last: "shape" and "color" are the bounds,
         "needle" a triangle too thin for a proof, the others as in `Simplified`.
     iterations : how often the mesh was simplified and its bounds looked at.
@@ -56,6 +62,7 @@ class CertifiedResult:
     color_slack_levels: float
     proven: bool
     stopped_by: str
+    weight: float
     refused: dict[str, int]
     iterations: int
     unproven: tuple[tuple[int, int], ...]
@@ -75,6 +82,7 @@ class CertifiedResult:
             "color_slack_levels": self.color_slack_levels,
             "proven": self.proven,
             "stopped_by": self.stopped_by,
+            "weight_m_per_level": self.weight,
             "refused_edges": dict(self.refused),
             "iterations": self.iterations,
             "collapses": self.collapses,
@@ -111,7 +119,7 @@ def simplify_certified(
     importance : (n,) float64, at least 1: multiplies the error around a vertex and divides its part of the
         bounds; None or empty for 1.
     weight : metres that count as much as one level of colour when a vertex is placed; None for one that
-        follows from the bounds.
+        follows from the mesh.
     share : part of the bounds that vertices may use; what is left is for the points between them.
     threads : 0 for one for each core.
     partial : on Ctrl-C, or when `progress` returns False, give out what there is, with its bounds.
@@ -131,16 +139,17 @@ def simplify_certified(
     """
     _check(mesh, max_shape, max_color, fixed, importance)
     shape, color = (math.inf if bound is None else float(bound) for bound in (max_shape, max_color))
-    attributes = np.zeros((len(mesh.vertices), 0)) if mesh.colors is None else mesh.colors.astype(np.float64)
+    if weight is None:
+        weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION)
     try:
         result = _kernels.simplify_certified(
             mesh.vertices,
-            attributes,
+            attributes_of(mesh),
             mesh.triangles,
             np.zeros(0, bool) if fixed is None else fixed,
             np.zeros(0) if importance is None else importance,
             bounds=(shape, color),
-            weight=_weight(mesh, shape, color) if weight is None else weight,
+            weight=weight,
             share=share,
             tolerance=(0.05, 0.05),
             effort=16.0,
@@ -151,11 +160,15 @@ def simplify_certified(
         )
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
-    colors = None if mesh.colors is None else np.rint(result.attributes).clip(0, 255).astype(np.uint8)
-    normals = None if mesh.normals is None else mesh.normals[result.vertex_source]
     bounds_color = mesh.colors is not None and max_color is not None
+    stopped_by = "bounds" if result.proven else "unproven"
+    light = as_result(
+        mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
+    )
+    if not result.proven:
+        light = light.with_(notes=(*light.notes, _not_proven(result, bounds_color)))
     return CertifiedResult(
-        mesh=Mesh(result.vertices, result.triangles, colors=colors, normals=normals, notes=mesh.notes),
+        mesh=light,
         vertex_source=result.vertex_source,
         triangle_source=result.triangle_source,
         shape_bound=result.shape_bound,
@@ -167,7 +180,8 @@ def simplify_certified(
         slack_m=result.slack,
         color_slack_levels=result.color_slack,
         proven=result.proven,
-        stopped_by=result.stopped_by,
+        stopped_by="request" if result.stopped_by == "request" else stopped_by,
+        weight=weight,
         refused=result.standing,
         iterations=len(result.passes),
         unproven=tuple((a, b) for _, a, b, _, _ in result.passes),
@@ -197,10 +211,8 @@ def _check(
         raise UsageError("importance has values below 1 or not finite; expected 1 or more.")
 
 
-def _weight(mesh: Mesh, shape: float, color: float) -> float:
-    """Both bounds weigh the same; one that is not there weighs as a thousandth of the mesh, or 20 levels."""
-    if mesh.colors is None or not len(mesh.vertices):
-        return 0.0
-    if not math.isfinite(shape):
-        shape = 1e-3 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    return shape / max(color, 1.0) if math.isfinite(color) else shape / 20.0
+def _not_proven(result: _kernels.Proven, with_color: bool) -> str:
+    """Say what is proven instead of what was asked for."""
+    shape, color = result.bound
+    levels = f" and {color:.4g} levels" if with_color else ""
+    return f"simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}."

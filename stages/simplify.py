@@ -1,4 +1,4 @@
-"""Simplification that keeps colours: to a number of triangles, or within bounds on shape and texture."""
+"""Simplification that keeps colours: to a number of triangles, or within bounds on shape and colour."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stages import _kernels
 from stages.centred import Light, as_result, attributes_of, centred, fitted
+from stages.certified import simplify_certified
 from stages.collapse_record import CollapseRecord
 from stages.color_weight import color_weight
 from stages.convert import MeshLike, as_mesh
@@ -22,7 +23,7 @@ from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.regions import Region, resolve_control
 
-VERSION = 4
+VERSION = 5
 
 # Triangles worked on at a time. Sums that grow from collapse to collapse mind the rims more, and want larger
 # patches.
@@ -31,21 +32,47 @@ _PATCH_TRIANGLES = {"quadric": 8192, "jia01": 16384}
 # What splitting may lead to: about 4 GB.
 _TRIANGLE_LIMIT = 20_000_000
 
+# What only one of the methods has to tell.
+_FIGURES = {
+    "quadric": ("fitted",),
+    "certified": (
+        "shape_bound_m",
+        "shape_attained_m",
+        "color_bound_levels",
+        "color_attained_levels",
+        "proven",
+        "unproven_triangles",
+        "iterations",
+        "max_shape_m",
+        "max_texture_levels",
+    ),
+    "jia01": (
+        "largest_shape_change_m",
+        "largest_texture_change_levels",
+        "resolution_m",
+        "max_shape_m",
+        "max_texture_levels",
+        "bounded",
+        "splits",
+    ),
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class SimplifyParams:
     """How, and how far, `simplify` goes.
 
-    With `triangles` or `ratio`, a bound that is not given does not limit; its default then only helps to say
-    which edges go first. Any bound that is given is kept.
+    Any bound that is given is kept. For jia01 with `triangles` or `ratio`, one that is not given does not
+    limit; its default then only helps to say which edges go first.
     """
 
     method: str = param(
         "auto",
-        "quadric: to a number of triangles, with the least squared error of shape and colour. jia01: within "
-        "bounds on the summed change of shape and texture. auto: quadric for triangles or ratio alone, else "
-        "jia01.",
-        choices=("auto", "quadric", "jia01"),
+        "quadric: to a number of triangles, with the least squared error of shape and colour. certified: as "
+        "far as bounds on the distance and on the difference of colour are proven for every point. jia01: "
+        "within bounds on the summed change of shape and texture. auto: quadric for triangles or ratio, "
+        "certified for max_shape and max_texture, else, also with resolution or paper_rule, jia01.",
+        choices=("auto", "quadric", "certified", "jia01"),
     )
     triangles: int | None = param(None, "Stop when at most this many triangles are left.", low=1)
     ratio: float | None = param(
@@ -58,7 +85,7 @@ class SimplifyParams:
     attribute_scale: float | None = param(
         None,
         "Length that weighs as much as one level of colour. Default: quadric derives it from the mesh and "
-        "the number of triangles; jia01 takes max_shape / max_texture.",
+        "the number of triangles, certified from the mesh; jia01 takes max_shape / max_texture.",
         unit="m per level",
         low=0,
     )
@@ -72,7 +99,8 @@ class SimplifyParams:
     )
     max_shape: float | None = param(
         None,
-        "jia01: largest shape change, summed over the collapses around an edge. Default: 0.1 of the "
+        "certified: largest distance of any point of either surface from the other one; no bound if not "
+        "given. jia01: largest shape change, summed over the collapses around an edge; default: 0.1 of the "
         "resolution, but at most 0.5 % of the bounding box's diagonal.",
         unit="m",
         low=0,
@@ -80,8 +108,10 @@ class SimplifyParams:
     )
     max_texture: float | None = param(
         None,
-        "jia01: largest texture change: the strongest contrast in the neighbourhood of a collapse, summed "
-        "over the collapses around an edge. It far exceeds the colour error that results. Default: 400.",
+        "certified: largest difference, Euclidean over the channels, between the colour at any point of "
+        "either surface and that at any nearest point of the other; no bound if not given. jia01: the "
+        "strongest contrast in the neighbourhood of a collapse, summed over the collapses around an edge, "
+        "which far exceeds the colour error that results; default: 400.",
         unit="8-bit levels",
         low=0,
     )
@@ -124,18 +154,29 @@ class SimplifyParams:
         UsageError
             If the parameters do not suit the method.
         """
-        of_jia01 = [
-            name for name in ("resolution", "max_shape", "max_texture") if getattr(self, name) is not None
-        ]
-        of_jia01 += ["paper_rule"] * self.paper_rule
-        if self.method == "auto":
-            return "quadric" if self.has_count and not of_jia01 else "jia01"
+        bounds = [name for name in ("max_shape", "max_texture") if getattr(self, name) is not None]
+        of_jia01 = ["resolution"] * (self.resolution is not None) + ["paper_rule"] * self.paper_rule
+        if self.method == "jia01" or (self.method == "auto" and of_jia01):
+            return "jia01"
+        if self.method == "certified" or (self.method == "auto" and bounds):
+            self._check_suits("certified", not_for=of_jia01)
+            if not bounds:
+                raise UsageError("method certified needs a bound; give max_shape, max_texture or both.")
+            if self.has_count:
+                count = "ratio" if self.triangles is None else "triangles"
+                raise UsageError(
+                    f"method certified goes as far as the bounds allow; leave out {count}, or choose jia01."
+                )
+            return "certified"
         if self.method == "quadric":
-            if of_jia01:
-                raise UsageError(f"{of_jia01[0]} has no meaning for method quadric; leave one of them out.")
+            self._check_suits("quadric", not_for=[*of_jia01, *bounds])
             if not self.has_count:
                 raise UsageError("method quadric needs a number of triangles; give triangles or ratio.")
-        return self.method
+        return "quadric" if self.has_count else "jia01"
+
+    def _check_suits(self, method: str, not_for: list[str]) -> None:
+        if not_for:
+            raise UsageError(f"{not_for[0]} has no meaning for method {method}; leave one of them out.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,20 +188,31 @@ class Simplified:
     mesh : Mesh
     vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    method : "quadric" or "jia01".
+    method : "quadric", "certified" or "jia01".
     stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
-        "request" when the caller was content with less.
-    refused : edges of the result by the rule that refused them last: "length", "shape" and "texture" are the
-        three bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
-        between two boundary vertices, "fold" for a flipped or degenerate triangle, "pinned" for an edge
-        between two vertices that must stay. Edges whose turn had not come are not counted.
+        "request" when the caller was content with less, "unproven" when the bounds cannot be proven.
+    refused : edges of the result by the rule that refused them last: "length", "shape", "texture" and "color"
+        are bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
+        between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
+        for a proof, "pinned" for an edge between two vertices that must stay. Edges whose turn had not come
+        are not counted.
     attribute_scale_m_per_level : what was used.
     splits, collapses, attempts : edges split and collapsed; edges whose turn came, some repeatedly.
     triangles_before : triangles of the input.
     fitted : whether vertices and colours were moved to fit the input at the end.
     record : all collapses, if that was asked for.
+    shape_bound, color_bound : certified: (q,) float64, metres and levels, proven for each triangle, both
+        ways: for its points, and for points of the input whose nearest point is on it. `color_bound` is None
+        unless colour was bounded.
+    shape_bound_m, color_bound_levels : certified: the greatest of all, input and result.
+    shape_attained_m, color_attained_levels : certified: the greatest found at a point; the true maximum is
+        between that and the bound.
+    proven : certified: whether max_shape and max_texture are proven. What is said of bounds holds anyway.
+    unproven_triangles : certified: triangles of the result and of the input that are not proven to stay
+        within max_shape and max_texture.
+    iterations : certified: how often the mesh was simplified and what came out looked at.
     largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
-    resolution_m, max_shape_m, max_texture_levels : jia01: what was used.
+    resolution_m, max_shape_m, max_texture_levels : jia01, and the latter two certified: what was used.
     bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
     """
 
@@ -177,6 +229,15 @@ class Simplified:
     triangles_before: int
     fitted: bool = False
     record: CollapseRecord | None = None
+    shape_bound: NDArray[np.float64] | None = None
+    color_bound: NDArray[np.float64] | None = None
+    shape_bound_m: float | None = None
+    color_bound_levels: float | None = None
+    shape_attained_m: float | None = None
+    color_attained_levels: float | None = None
+    proven: bool | None = None
+    unproven_triangles: tuple[int, int] | None = None
+    iterations: int | None = None
     largest_shape_change_m: float | None = None
     largest_texture_change_levels: float | None = None
     resolution_m: float | None = None
@@ -203,17 +264,13 @@ class Simplified:
             "collapses": self.collapses,
             "attempts": self.attempts,
         }
-        if self.method == "quadric":
-            return figures | {"fitted": self.fitted}
-        return figures | {
-            "largest_shape_change_m": self.largest_shape_change_m,
-            "largest_texture_change_levels": self.largest_texture_change_levels,
-            "resolution_m": self.resolution_m,
-            "max_shape_m": self.max_shape_m,
-            "max_texture_levels": self.max_texture_levels,
-            "bounded": dict(self.bounded),
-            "splits": self.splits,
-        }
+        return figures | {name: _plain(getattr(self, name)) for name in _FIGURES[self.method]}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return dict(value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def simplify(
@@ -237,9 +294,12 @@ def simplify(
     squared distance from the input's triangles, in the space of position and colour, and puts the new vertex
     where that is least. At the end vertices move along their normals, and colours change, to fit the input.
 
-    Method `jia01`, for bounds: long edges are split; then edges collapse in the order of what was summed up
-    around them. A new vertex is the mean of the projections of the edge's midpoint on the planes of the
-    triangles around, in the space of position and colour.
+    Method `certified`, for bounds: as `quadric`, as long as the vertices of the input stay within them. Then
+    they are proven for every point between, and where that fails the work is done again more carefully.
+
+    Method `jia01`, for bounds on sums: long edges are split; then edges collapse in the order of what was
+    summed up around them. A new vertex is the mean of the projections of the edge's midpoint on the planes of
+    the triangles around, in the space of position and colour.
 
     Parameters
     ----------
@@ -248,10 +308,12 @@ def simplify(
     params : SimplifyParams; single fields can be given by name instead.
     lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included. Others may collapse
         into them.
-    importance : (n,) float above 0, factor of the squared error around each vertex. Only for `quadric`.
+    importance : (n,) float above 0, factor of the squared error around each vertex; for `certified` at least
+        1, and bounds there are divided by it. Not for `jia01`.
     regions : Sphere and Box of `stages.regions`, which lock the vertices they hold, or give them importance.
     record : keep all collapses, so that every mesh on the way can be had again. Only for `quadric`.
-    partial : Ctrl-C gives out what there is by then, instead of raising KeyboardInterrupt.
+    partial : Ctrl-C gives out what there is by then, instead of raising KeyboardInterrupt; `certified` then
+        still proves how far that is from the input, which takes a while.
     progress : called about ten times a second with the triangles that are gone and those that have to go;
         returning False gives out what there is by then, raising stops the work.
 
@@ -259,7 +321,7 @@ def simplify(
     -------
     Simplified
         The mesh has colours if the input has. Normals are those of `vertex_source`; texture is not carried,
-        and a note of the mesh says so.
+        and a note of the mesh says so; likewise when bounds are not proven.
 
     Raises
     ------
@@ -267,8 +329,8 @@ def simplify(
         For an edge with more than two triangles or inconsistent orientation, or a vertex where two fans
         touch; the message names them. `clean` repairs all three.
     UsageError
-        For a parameter out of range or of another method, or a resolution so fine that splitting passes 20
-        million triangles.
+        For a parameter out of range or of another method, a bound on the colours of a mesh without, or a
+        resolution so fine that splitting passes 20 million triangles.
 
     Notes
     -----
@@ -283,6 +345,12 @@ def simplify(
     unit sphere with a satellite map     73,728  quadric     90.0 %       0.2 mm   8.8 levels   29.2 dB
     ================================  =========  =======  =========  ============  ===========  =======
 
+    The bounds that `certified` proves hold for positions as they are, and as 32-bit floats in a file: they
+    contain 2⁻²² of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal for that, and for searches
+    in single precision. Twice as much is the least distance that can be proven, and takes the place of a
+    smaller `max_shape`. Bounds need not be provable at all where sheets of different colours touch, since a
+    point there has nearest points of both colours; triangles there stay as they are.
+
     For jia01, shape and texture changes are sums over collapses. The texture change counts contrast, not
     error, and so its default looks large.
 
@@ -295,9 +363,9 @@ def simplify(
 
     References
     ----------
-    quadric: Garland and Heckbert, "Surface simplification using quadric error metrics", 1997; Hoppe, "New
-    quadric metric for simplifying meshes with appearance attributes", 1999; and for the fit Hoppe, DeRose,
-    Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993.
+    quadric, certified: Garland and Heckbert, "Surface simplification using quadric error metrics", 1997;
+    Hoppe, "New quadric metric for simplifying meshes with appearance attributes", 1999; for the fit Hoppe,
+    DeRose, Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993; and see `stages.certified`.
 
     jia01: Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and
     Graphics 6(7), 2001: shape change (1)-(2), texture change (3), placement (4)-(6), order (7).
@@ -306,6 +374,14 @@ def simplify(
     method = params.chosen()
     mesh = as_mesh(mesh)
     locked, factors = resolve_control(mesh, lock, importance, regions)
+    if record and method != "quadric":
+        raise UsageError(f"method {method} keeps no record; give triangles or ratio, and no bound.")
+    if len(factors) and method == "jia01":
+        raise UsageError("importance has no meaning for method jia01; give triangles or ratio, and no bound.")
+    if partial:
+        progress = _contented(progress)
+    if method == "certified":
+        return _by_proof(mesh, params, locked, factors, partial, progress)
     running = _kernels.Running(
         patch_triangles=_PATCH_TRIANGLES[method],
         target_triangles=params.target(len(mesh.triangles)),
@@ -313,20 +389,59 @@ def simplify(
         record=record,
         partial=partial,
     )
-    if partial:
-        progress = _contented(progress)
     try:
         if method == "quadric":
             return _by_quadrics(mesh, params, locked, factors, running, progress)
-        if len(factors):
-            raise UsageError(
-                "importance has no meaning for method jia01; give triangles or ratio, and no bound."
-            )
-        if record:
-            raise UsageError("method jia01 keeps no record; give triangles or ratio, and no bound.")
         return _by_jia01(mesh, params, locked, running, progress)
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
+
+
+def _by_proof(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    partial: bool,
+    progress: Progress,
+) -> Simplified:
+    if params.max_texture is not None and mesh.colors is None:
+        raise UsageError("max_texture is given, but the mesh has no vertex colours; leave it out.")
+    found = simplify_certified(
+        mesh,
+        max_shape=params.max_shape,
+        max_color=params.max_texture,
+        fixed=lock,
+        importance=importance,
+        weight=params.attribute_scale,
+        threads=params.threads or 0,
+        partial=partial,
+        progress=progress,
+    )
+    return Simplified(
+        mesh=found.mesh,
+        vertex_source=found.vertex_source,
+        triangle_source=found.triangle_source,
+        method="certified",
+        stopped_by=found.stopped_by,
+        refused=found.refused,
+        attribute_scale_m_per_level=found.weight,
+        splits=0,
+        collapses=found.collapses,
+        attempts=found.attempts,
+        triangles_before=len(mesh.triangles),
+        shape_bound=found.shape_bound,
+        color_bound=found.color_bound,
+        shape_bound_m=found.shape_bound_m,
+        color_bound_levels=found.color_bound_levels,
+        shape_attained_m=found.shape_attained_m,
+        color_attained_levels=found.color_attained_levels,
+        proven=found.proven,
+        unproven_triangles=found.unproven[-1],
+        iterations=found.iterations,
+        max_shape_m=params.max_shape,
+        max_texture_levels=params.max_texture,
+    )
 
 
 def _by_quadrics(

@@ -70,7 +70,7 @@ def assert_same_topology(result: Simplified, before: Mesh) -> None:
 @pytest.mark.parametrize("make", [lambda: sheet(60, hills, 0.001), ball], ids=["hills", "ball"])
 def test_shape_bound_holds_both_ways(make: Callable[[], Mesh], max_shape: float) -> None:
     mesh = make()
-    result = simplify(mesh, max_shape=max_shape, max_texture=1e9, resolution=3.0)
+    result = simplify(mesh, method="jia01", max_shape=max_shape, max_texture=1e9, resolution=3.0)
     assert 0 < result.largest_shape_change_m <= max_shape
     assert compare(mesh, result.mesh, samples=100_000).symmetric.maximum <= max_shape
     assert_same_topology(result, mesh)
@@ -78,7 +78,7 @@ def test_shape_bound_holds_both_ways(make: Callable[[], Mesh], max_shape: float)
 
 def test_texture_bound_holds() -> None:
     mesh = sheet(40, hills)
-    result = simplify(mesh, max_texture=60)
+    result = simplify(mesh, method="jia01", max_texture=60)
     assert 0 < result.largest_texture_change_levels <= 60
     # Each step may blur by the contrast it counts, so the sum is far above any colour error.
     error = compare(mesh, result.mesh, samples=50_000).color
@@ -89,7 +89,7 @@ def test_texture_bound_holds() -> None:
 def test_no_texture_change_keeps_every_colour_edge() -> None:
     mesh = sheet(30, flat)
     halves = np.where(mesh.vertices[:, :1] < 0.5, 40, 200).astype(np.uint8).repeat(3, axis=1)
-    result = simplify(mesh.with_(colors=halves), max_texture=0)
+    result = simplify(mesh.with_(colors=halves), method="jia01", max_texture=0)
     assert len(result.mesh.triangles) < 0.5 * len(mesh.triangles)
     assert set(np.unique(result.mesh.colors)) == {40, 200}
     error = compare(mesh.with_(colors=halves), result.mesh, samples=50_000).color
@@ -99,15 +99,19 @@ def test_no_texture_change_keeps_every_colour_edge() -> None:
 
 def test_paper_rule_may_overshoot() -> None:
     mesh = sheet(40, hills, 0.003)
-    bounds = {"max_shape": 0.002, "max_texture": 200.0}
+    bounds = {"method": "jia01", "max_shape": 0.002, "max_texture": 200.0}
     assert simplify(mesh, paper_rule=True, **bounds).largest_shape_change_m > 0.002
     assert simplify(mesh, **bounds).largest_shape_change_m <= 0.002
 
 
 def test_wider_bounds_leave_fewer_triangles() -> None:
     mesh = sheet(40, hills, 0.001)
-    shape = [len(simplify(mesh, max_shape=s).mesh.triangles) for s in (0.0005, 0.002, 0.008)]
-    texture = [len(simplify(mesh, max_texture=t).mesh.triangles) for t in (20, 80, 320)]
+
+    def left(**bound: float) -> int:
+        return len(simplify(mesh, method="jia01", **bound).mesh.triangles)
+
+    shape = [left(max_shape=s) for s in (0.0005, 0.002, 0.008)]
+    texture = [left(max_texture=t) for t in (20, 80, 320)]
     assert shape == sorted(shape, reverse=True)
     assert texture == sorted(texture, reverse=True)
 
@@ -162,7 +166,7 @@ def test_triangle_targets() -> None:
 
 def test_a_bound_beside_a_target_is_kept() -> None:
     mesh = sheet(40, hills)
-    result = simplify(mesh, triangles=10, max_shape=0.002)
+    result = simplify(mesh, method="jia01", triangles=10, max_shape=0.002)
     assert result.stopped_by == "bounds"
     assert result.bounded == {"resolution": False, "max_shape": True, "max_texture": False}
     assert result.largest_shape_change_m <= 0.002
@@ -170,8 +174,9 @@ def test_a_bound_beside_a_target_is_kept() -> None:
     assert result.refused["length"] == result.refused["texture"] == 0
 
 
-def test_every_edge_is_refused_by_one_rule_at_the_end() -> None:
-    result = simplify(sheet(40, hills, 0.001), max_shape=0.001)
+@pytest.mark.parametrize("method", ["certified", "jia01"])
+def test_every_edge_is_refused_by_one_rule_at_the_end(method: str) -> None:
+    result = simplify(sheet(40, hills, 0.001), method=method, max_shape=0.001)
     assert result.stopped_by == "bounds"
     assert sum(result.refused.values()) == topology(result.mesh).edges
 
@@ -188,9 +193,10 @@ def test_a_target_above_the_count_changes_nothing(method: str) -> None:
 # -- boundaries ------------------------------------------------------------------------------------------
 
 
-def test_a_boundary_stays_where_it_is() -> None:
+@pytest.mark.parametrize("method", ["certified", "jia01"])
+def test_a_boundary_stays_where_it_is(method: str) -> None:
     mesh = sheet(40, flat)
-    result = simplify(mesh, max_shape=1e-6, max_texture=1e9)
+    result = simplify(mesh, method=method, max_shape=1e-6, max_texture=1e9)
     assert len(result.mesh.triangles) < 0.2 * len(mesh.triangles)
     outline = trimesh.Trimesh(result.mesh.vertices, result.mesh.triangles, process=False).outline()
     assert outline.length == pytest.approx(4.0, abs=1e-5)
@@ -258,11 +264,13 @@ def test_the_input_is_not_changed() -> None:
 # -- repeatability ---------------------------------------------------------------------------------------
 
 
-def test_same_bytes_every_time_and_in_every_thread() -> None:
+@pytest.mark.parametrize("method", ["certified", "jia01"])
+def test_same_bytes_every_time_and_in_every_thread(method: str) -> None:
     mesh = sheet(60, hills, 0.001)
     results: list[Simplified] = []
     workers = [
-        threading.Thread(target=lambda: results.append(simplify(mesh, max_shape=0.01))) for _ in range(3)
+        threading.Thread(target=lambda: results.append(simplify(mesh, method=method, max_shape=0.01)))
+        for _ in range(3)
     ]
     for worker in workers:
         worker.start()
@@ -285,14 +293,15 @@ def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
     np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, rtol=1e-12)
 
 
-def test_the_order_of_the_input_hardly_matters() -> None:
+@pytest.mark.parametrize("method", ["certified", "jia01"])
+def test_the_order_of_the_input_hardly_matters(method: str) -> None:
     mesh = sheet(40, hills, 0.001)
     order = np.random.default_rng(1).permutation(len(mesh.vertices))
     place = np.argsort(order)
     shuffled = Mesh(
         mesh.vertices[order], place[mesh.triangles].astype(np.int32)[::-1], colors=mesh.colors[order]
     )
-    one, other = simplify(mesh, max_shape=0.004), simplify(shuffled, max_shape=0.004)
+    one, other = (simplify(m, method=method, max_shape=0.004) for m in (mesh, shuffled))
     assert len(other.mesh.triangles) == pytest.approx(len(one.mesh.triangles), rel=0.05)
 
 
@@ -398,7 +407,8 @@ def test_triangles_without_area() -> None:
 
 
 def test_figures_are_plain_numbers_with_units() -> None:
-    figures = simplify(sheet(20, hills), SimplifyParams(ratio=0.5), max_texture=100.0).figures()
+    params = SimplifyParams(method="jia01", ratio=0.5)
+    figures = simplify(sheet(20, hills), params, max_texture=100.0).figures()
     assert json.loads(json.dumps(figures)) == figures
     assert figures["triangles"] < figures["triangles_before"] == 800
     assert figures["max_texture_levels"] == 100.0
@@ -421,7 +431,7 @@ def test_figures_are_plain_numbers_with_units() -> None:
 def test_real_meshes_keep_their_bound_and_topology(shared_data: Path, name: str, relative: float) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / name)).mesh
     max_shape = relative * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    result = simplify(mesh, max_shape=max_shape)
+    result = simplify(mesh, method="jia01", max_shape=max_shape)
     assert_same_topology(result, mesh)
     measured = compare(mesh, result.mesh, samples=200_000)
     assert 0 < measured.symmetric.maximum <= max_shape

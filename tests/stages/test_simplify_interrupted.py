@@ -70,7 +70,9 @@ def interrupted(**arguments: Any) -> dict[str, Any]:
 
 
 METHODS = pytest.mark.parametrize(
-    "arguments", [{"ratio": 0.05}, {"max_shape": 0.01}], ids=["quadric", "jia01"]
+    "arguments",
+    [{"ratio": 0.05}, {"method": "jia01", "max_shape": 0.01}, {"max_shape": 0.01}],
+    ids=["quadric", "jia01", "certified"],
 )
 
 

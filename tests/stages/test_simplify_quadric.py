@@ -362,7 +362,14 @@ def test_locked_vertices_stay_to_the_bit(fit: bool) -> None:
     np.testing.assert_array_equal(result.mesh.colors[at], mesh.colors[np.sort(lock)])
 
 
-@pytest.mark.parametrize("changes", [{"triangles": 1}, {"max_shape": 1.0, "max_texture": 1e9}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"triangles": 1},
+        {"max_shape": 1.0},
+        {"method": "jia01", "max_shape": 1.0, "max_texture": 1e9},
+    ],
+)
 def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:
     mesh = ball()
     result = simplify(mesh, lock=np.ones(len(mesh.vertices), bool), **changes)
@@ -371,11 +378,11 @@ def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:
     assert result.refused["pinned"] == topology(mesh).edges
 
 
-def test_bounds_leave_locked_vertices_where_they_are() -> None:
+@pytest.mark.parametrize("method", ["certified", "jia01"])
+def test_bounds_leave_locked_vertices_where_they_are(method: str) -> None:
     mesh = sheet()
     lock = np.linalg.norm(mesh.vertices[:, :2] - 0.5, axis=1) < 0.2
-    result = simplify(mesh, max_shape=0.01, lock=lock)
-    assert result.method == "jia01"
+    result = simplify(mesh, method=method, max_shape=0.01, lock=lock)
     assert len(result.mesh.triangles) < 0.7 * len(mesh.triangles)
     at = np.searchsorted(result.vertex_source, np.flatnonzero(lock))
     np.testing.assert_array_equal(result.mesh.vertices[at], mesh.vertices[lock])
@@ -436,8 +443,17 @@ def test_regions_stand_for_their_vertices() -> None:
         ),
         ({"method": "quadric", "ratio": 0.5, "paper_rule": True}, "paper_rule has no meaning"),
         ({"method": "magic"}, "method is 'magic'; it must be one of auto, quadric"),
-        ({"max_shape": 0.1, "importance": np.full(36, 2.0)}, "importance has no meaning for method jia01"),
-        ({"max_shape": 0.1, "record": True}, "jia01 keeps no record"),
+        ({"resolution": 0.1, "importance": np.full(36, 2.0)}, "importance has no meaning for method jia01"),
+        ({"resolution": 0.1, "record": True}, "jia01 keeps no record"),
+        ({"max_shape": 0.1, "record": True}, "certified keeps no record"),
+        ({"max_shape": 0.1, "importance": np.full(36, 0.5)}, "importance has values below 1"),
+        ({"method": "certified"}, "certified needs a bound"),
+        ({"max_shape": 0.1, "ratio": 0.5}, "as far as the bounds allow; leave out ratio, or choose jia01"),
+        ({"max_texture": 9.0, "triangles": 5}, "leave out triangles"),
+        (
+            {"method": "certified", "max_shape": 0.1, "resolution": 1.0},
+            "resolution has no meaning for method certified",
+        ),
         ({"ratio": 0.5, "lock": np.ones(5, bool)}, "lock has shape .5,.; one value for each of 36"),
         ({"ratio": 0.5, "lock": [0, 36]}, "lock names vertex 36, but there are only 36"),
         ({"ratio": 0.5, "lock": [-1]}, "lock names vertex -1"),
