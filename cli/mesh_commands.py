@@ -1,4 +1,4 @@
-"""Commands on mesh files: clean, simplify, replay, compare, render."""
+"""Commands on mesh files: clean, simplify, replay, compare, certify, render."""
 
 from __future__ import annotations
 
@@ -11,10 +11,20 @@ from typing import Annotated, Any
 import typer
 
 import stages
+from cli.errors import STAGE_FAILED
 from cli.options import with_options
-from cli.output import Output, table_of
+from cli.output import Output, lines_of, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from stages import CleanParams, CompareParams, Mesh, MeshError, ReplayParams, SimplifyParams, UsageError
+from stages import (
+    CertifyParams,
+    CleanParams,
+    CompareParams,
+    Mesh,
+    MeshError,
+    ReplayParams,
+    SimplifyParams,
+    UsageError,
+)
 from stages.params import check, param
 from stages.regions import parse_region
 from stages.render import write_png
@@ -52,6 +62,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("simplify", rich_help_panel="One stage at a time")(with_options(simplify))
     app.command("replay", rich_help_panel="One stage at a time")(with_options(replay))
     app.command("compare", rich_help_panel="Look and measure")(with_options(compare))
+    app.command("certify", rich_help_panel="Look and measure")(with_options(certify))
     app.command("render", rich_help_panel="Look and measure")(with_options(render))
 
 
@@ -80,8 +91,8 @@ def simplify(
         typer.Option(
             metavar="REGION",
             help='A place to take care of: "sphere x y z radius" or "box x y z x y z" (lowest, then highest '
-            "corner), in m, followed by an importance (factor of the squared error there), by lock (nothing "
-            "moves there), or by both. Can be given several times.",
+            "corner), in m, followed by an importance (factor of the squared error there, or divisor of the "
+            "bounds), by lock (nothing moves there), or by both. Can be given several times.",
             show_default=False,
         ),
     ] = None,
@@ -97,7 +108,7 @@ def simplify(
         bool, typer.Option("--partial", help="Ctrl-C writes what there is by then, instead of nothing.")
     ] = False,
 ) -> None:
-    """Make a mesh light: collapse edges to a number of triangles, or within bounds on shape and texture.
+    """Make a mesh light: collapse edges to a number of triangles, or within bounds on shape and colour.
 
     The input must be a manifold mesh; run `scanloom clean` on it first when it is not.
 
@@ -105,7 +116,7 @@ def simplify(
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1 --region "sphere 0 0 1.2 0.3 20"
 
-    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 200
+    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 20
     """
     require_new_file(target, MESH_SUFFIXES)
     if save_record is not None:
@@ -125,7 +136,9 @@ def simplify(
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
-    out.result({"output": str(target), **simplified.figures()})
+    figures = {"output": str(target), **simplified.figures()}
+    said = simplified.method == "certified" and not out.as_json
+    out.result(figures, f"{lines_of(figures)}\n\n{_proof_text(figures)}" if said else None)
 
 
 def replay(
@@ -167,6 +180,32 @@ def compare(
     mesh_a, mesh_b = _read(reference, out), _read(other, out)
     figures = stages.compare(mesh_a, mesh_b, params).figures()
     out.result(figures, None if out.as_json else _comparison_text(figures))
+
+
+def certify(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Mesh file to prove something of.", show_default=False)
+    ],
+    original: Annotated[
+        Path, typer.Argument(metavar="ORIGINAL", help="Mesh file it came from.", show_default=False)
+    ],
+    params: CertifyParams,
+    out: Output,
+) -> None:
+    """Prove how far a mesh is from its original at most, in shape (both ways) and in colour, at any point.
+
+    With --max-shape or --max-color it is only found out whether they are kept; the exit code is 1 if that is
+    not proven.
+
+    Example: scanloom certify simplified.ply clean.ply --max-shape 0.005 --max-color 20
+    """
+    mesh, reference = _read(result, out), _read(original, out)
+    with out.progress("certify", "pieces") as progress:
+        found = stages.certify(mesh, reference, params, progress=progress)
+    figures = found.figures()
+    out.result(figures, None if out.as_json else _certificate_text(figures))
+    if found.within_limits is False:
+        raise typer.Exit(STAGE_FAILED)
 
 
 def render(
@@ -222,6 +261,34 @@ def _write(path: Path, mesh: Mesh, out: Output) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)
     out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
+
+
+def _proof_text(figures: Mapping[str, Any]) -> str:
+    """Say what is proven of a simplified mesh, and whether that is what was asked for."""
+    most = f"{figures['shape_bound_m']:.4g} m"
+    if figures["color_bound_levels"] is not None:
+        most += f" and {figures['color_bound_levels']:.4g} levels"
+    text = f"Proven: no point is more than {most} off."
+    if figures["proven"]:
+        return text
+    own, original = figures["unproven_triangles"]
+    return (
+        f"{text}\nNot proven: the bounds that were asked for, at {own:,} triangles of the result and "
+        f"{original:,} of the original."
+    )
+
+
+def _certificate_text(figures: Mapping[str, Any]) -> str:
+    rows = [["", "found", "proven to be at most"]]
+    measures = (("distance m", "shape", "m"), ("colour difference levels", "color", "levels"))
+    for name, key, unit in measures:
+        found, bound = (figures[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
+        if found is not None:
+            rows.append([name, f"{found:.4g}", "no bound" if bound is None else f"{bound:.4g}"])
+    text = table_of(rows)
+    if figures["within_limits"] is not None:
+        text += f"\n\nLimits {'are kept' if figures['within_limits'] else 'are not proven to be kept'}."
+    return f"{text}\n\n{figures['slack_m']:.3g} m of that are for searches in single precision."
 
 
 def _comparison_text(figures: Mapping[str, Any]) -> str:

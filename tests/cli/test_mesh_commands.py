@@ -1,8 +1,9 @@
-"""clean, simplify, compare and render on files: figures, files, and what bad input is told."""
+"""clean, simplify, compare, certify and render on files: figures, files, and what bad input is told."""
 
 from __future__ import annotations
 
 import json
+import re
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -35,11 +36,51 @@ def test_clean_removes_the_speck_and_keeps_the_colours(scanloom: Run, ball: Path
 def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
     scanloom("clean", ball, clean)
-    ran = scanloom("simplify", clean, light, "--max-shape", 0.05, "--triangles", 300)
+    ran = scanloom("simplify", clean, light, "--method", "jia01", "--max-shape", 0.05, "--triangles", 300)
     assert ran.exit_code == 0, ran.stderr
     figures = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
     assert figures["distance"]["symmetric"]["maximum_m"] <= 0.05
     assert 4 <= len(read_mesh(light).triangles) < 1280
+
+
+def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
+    scanloom("clean", ball, clean)
+    bounds = ("--max-shape", 0.05, "--max-texture", 20)
+    ran = scanloom("simplify", clean, light, *bounds)
+    assert ran.exit_code == 0, ran.stderr
+    assert re.search(r"^Proven: no point is more than 0\.0\d+ m and [\d.]+ levels off\.$", ran.stdout, re.M)
+    figures = scanloom("simplify", clean, light, *bounds, "--json").json
+    assert figures["proven"] is True
+    assert figures["shape_bound_m"] <= 0.05
+    assert figures["color_bound_levels"] <= 20
+    assert len(read_mesh(light).triangles) < 0.7 * 1280
+
+    measured = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
+    again = scanloom("certify", light, clean, "--json")
+    assert again.exit_code == 0
+    assert measured["distance"]["symmetric"]["maximum_m"] <= again.json["shape_bound_m"] <= 0.05
+    assert measured["color"]["symmetric"]["maximum_levels"] <= again.json["color_bound_levels"] <= 20.2
+    text = scanloom("certify", light, clean).stdout
+    assert "proven to be at most" in text
+    assert "colour difference levels" in text
+
+    kept = scanloom("certify", light, clean, "--max-shape", 0.05, "--max-color", 20)
+    assert (kept.exit_code, kept.stderr) == (0, "")
+    assert "Limits are kept." in kept.stdout
+    broken = scanloom("certify", light, clean, "--max-shape", 0.9 * again.json["shape_attained_m"], "--json")
+    assert (broken.exit_code, broken.json["within_limits"]) == (1, False)
+
+
+def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_path: Path) -> None:
+    # Where a black and a white sheet touch, nobody can say which colour is the nearest.
+    source = tmp_path / "sheets.ply"
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] * 2, float)
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
+    write_ply(source, Mesh(corners, triangles, np.repeat([[0] * 3, [255] * 3], 4, axis=0).astype(np.uint8)))
+    ran = scanloom("simplify", source, tmp_path / "light.ply", "--max-texture", 20)
+    assert ran.exit_code == 0, ran.stderr
+    assert "Not proven: the bounds that were asked for, at 4 triangles of the result and 4 of" in ran.stdout
 
 
 def test_simplify_to_a_count_and_back(scanloom: Run, ball: Path, tmp_path: Path) -> None:
@@ -150,6 +191,9 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
             2,
             "keeps no record",
         ),
+        (("simplify", "ball.ply", "out.ply", "--max-shape", "1", "--ratio", "0.5"), 2, "leave out ratio"),
+        (("certify", "ball.ply", "missing.ply"), 3, "missing.ply: there is no such file."),
+        (("certify", "ball.ply", "ball.ply", "--effort", "-1"), 2, "--effort is -1"),
         (("replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or no record of collapses."),
         (("replay", "missing.npz", "out.ply"), 3, "missing.npz: there is no such file."),
         (("replay", "ball.ply", "out.ply", "--ratio", "0.5", "--collapses", "3"), 2, "give one of them"),
