@@ -18,6 +18,9 @@ from stages.progress import Progress, silent
 
 PATCH_TRIANGLES = 8192
 
+# The bound on shape where only colours have one.
+_SHAPE_PER_DIAGONAL = 0.005
+
 # Common bounds leave about an eighth of a scan; the weight of colour is found for triangles of that size.
 _REDUCTION = 8
 
@@ -46,7 +49,7 @@ class CertifiedResult:
     unproven : how many triangles of result and input had no proof, each time.
     collapses, attempts : of the last time.
 
-    Colour bounds are None unless the mesh has colours and `max_color` was given.
+    Colour bounds are None for a mesh without colours.
     """
 
     mesh: Mesh
@@ -90,6 +93,10 @@ class CertifiedResult:
         }
 
 
+def _diagonal(mesh: Mesh) -> float:
+    return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
+
+
 def simplify_certified(
     mesh: Mesh,
     *,
@@ -99,6 +106,7 @@ def simplify_certified(
     importance: NDArray[np.float64] | None = None,
     weight: float | None = None,
     share: float = 0.9,
+    close: bool = False,
     threads: int = 0,
     partial: bool = False,
     progress: Progress = silent,
@@ -113,7 +121,7 @@ def simplify_certified(
     Parameters
     ----------
     mesh : an oriented manifold, as for `simplify`.
-    max_shape : metres; None for no bound.
+    max_shape : metres; None for 0.5 % of the bounding box's diagonal: colours alone do not hold a shape.
     max_color : 8-bit levels, Euclidean norm over the channels; None for no bound.
     fixed : (n,) bool, vertices that stay where they are; None or empty for none.
     importance : (n,) float64, at least 1: multiplies the error around a vertex and divides its part of the
@@ -121,6 +129,9 @@ def simplify_certified(
     weight : metres that count as much as one level of colour when a vertex is placed; None for one that
         follows from the mesh.
     share : part of the bounds that vertices may use; what is left is for the points between them.
+    close : bound every triangle about as closely as can be, in about twice the time. Otherwise a triangle's
+        bounds may be as large as those that were asked for. Always so for a mesh with colours and no
+        `max_color`, whose colour bound is found this way.
     threads : 0 for one for each core.
     partial : on Ctrl-C, or when `progress` returns False, give out what there is, with its bounds.
     progress : called about ten times a second; raising from it stops the work.
@@ -138,7 +149,9 @@ def simplify_certified(
     Scopigno, "Multiresolution decimation based on global error", 1997, for watching the input's vertices.
     """
     _check(mesh, max_shape, max_color, fixed, importance)
-    shape, color = (math.inf if bound is None else float(bound) for bound in (max_shape, max_color))
+    if max_shape is None:
+        max_shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh)
+    shape, color = float(max_shape), math.inf if max_color is None else float(max_color)
     if weight is None:
         weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION)
     try:
@@ -153,6 +166,7 @@ def simplify_certified(
             share=share,
             tolerance=(0.05, 0.05),
             effort=16.0,
+            close=close or (mesh.colors is not None and max_color is None),
             wanted_threads=threads,
             patch_triangles=PATCH_TRIANGLES,
             partial=partial,
@@ -160,7 +174,7 @@ def simplify_certified(
         )
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
-    bounds_color = mesh.colors is not None and max_color is not None
+    bounds_color = mesh.colors is not None
     stopped_by = "bounds" if result.proven else "unproven"
     light = as_result(
         mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"

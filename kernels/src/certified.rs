@@ -28,7 +28,7 @@ const SHARE: f64 = 0.9;
 const TIGHTER: f32 = 0.6;
 
 /// Proofs that may fail before it is asked whether they can succeed at all.
-const HOPE: usize = 3;
+const HOPE: usize = 6;
 
 /// Proofs that may fail before nothing is simplified any more.
 const PATIENCE: usize = 20;
@@ -42,15 +42,24 @@ pub struct Options {
     pub weight: f64,
     /// By vertex: multiplies the error there, and divides what a sample may use of the bounds; empty for 1.
     pub importance: Vec<f64>,
-    /// How close the final certificate is to come; its limit is not used.
+    /// How the proof is made; its limit is not used.
     pub proof: certify::Options,
+    /// Whether to bound each triangle as closely as `proof` says, and not only by the bounds that were asked for.
+    pub close: bool,
     /// What samples may use of a bound, so that the points between them have some left.
     pub share: f64,
 }
 
 impl Options {
     pub fn new(bounds: Deviation) -> Self {
-        Self { bounds, weight: 0.0, importance: vec![], proof: certify::Options::default(), share: SHARE }
+        Self {
+            bounds,
+            weight: 0.0,
+            importance: vec![],
+            proof: certify::Options::default(),
+            close: true,
+            share: SHARE,
+        }
     }
 }
 
@@ -106,8 +115,8 @@ pub fn simplify<const D: usize, const K: usize>(
         color: options.share * (bounds.color - 0.5 * least.color),
         factors: (0..original.points.len()).map(|v| 1.0 / importance(v)).collect(),
     };
-    let proof = certify::Options { limit: None, threads: goal.threads, ..options.proof };
-    let decision = certify::Options { limit: Some(bounds), ..proof };
+    let decision = certify::Options { limit: Some(bounds), threads: goal.threads, ..options.proof };
+    let proof = options.close.then_some(certify::Options { limit: None, ..decision });
     let mut passes = vec![];
     let mut hopeless = vec![];
     loop {
@@ -143,7 +152,12 @@ pub fn simplify<const D: usize, const K: usize>(
         ];
         let settled = open.iter().all(Vec::is_empty) && (proven || passes.len() > HOPE);
         if settled || outcome.stop == Stop::Enough || outcome.merges.is_empty() {
-            let certificate = closer(certify::certify(&result, &surface, &proof, progress)?, &verdict);
+            let certificate = match proof {
+                Some(proof) => {
+                    closer(certify::certify(&result, &surface, &proof, progress)?, &verdict, bounds)
+                }
+                None => verdict,
+            };
             mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
             return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, held });
         }
@@ -178,13 +192,17 @@ fn beyond(all: &[Deviation], bounds: Deviation) -> Vec<u32> {
     (0..all.len() as u32).filter(|&t| !all[t as usize].within(bounds)).collect()
 }
 
-/// Two proofs at once: each bound is the lesser one.
-fn closer(mut a: Certificate, b: &Certificate) -> Certificate {
-    let both = |a: &mut [Deviation], b: &[Deviation]| a.iter_mut().zip(b).for_each(|(a, b)| *a = a.min(*b));
+/// Two proofs at once: each bound is the lesser one. The decision `b` on `bounds` says nothing of colours without a
+/// bound on them.
+fn closer(mut a: Certificate, b: &Certificate, bounds: Deviation) -> Certificate {
+    let said =
+        |d: Deviation| if bounds.color < f64::INFINITY { d } else { Deviation { color: f64::INFINITY, ..d } };
+    let both =
+        |a: &mut [Deviation], b: &[Deviation]| a.iter_mut().zip(b).for_each(|(a, b)| *a = a.min(said(*b)));
     both(&mut a.result, &b.result);
     both(&mut a.own, &b.own);
     both(&mut a.original, &b.original);
-    a.bound = a.bound.min(b.bound);
+    a.bound = a.bound.min(said(b.bound));
     a.attained = a.attained.max(b.attained);
     a
 }

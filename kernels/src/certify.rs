@@ -39,6 +39,8 @@ const CHUNK: usize = 256;
 pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
 const FIRST_PIECES: usize = 64;
+/// The same for a decision: what fails is found early, and what does not would have to begin again.
+const DECISION_PIECES: usize = 4096;
 /// Small meshes may cost as much as one of so many triangles.
 const AT_LEAST: usize = 4096;
 /// Each round allows so many times the pieces of the one before.
@@ -141,7 +143,7 @@ pub fn certify(
             pieces: FIRST_PIECES,
             decide: false,
         },
-        |limit| Goal::decision(limit, FIRST_PIECES),
+        |limit| Goal::decision(limit, DECISION_PIECES),
     );
     let keep = options.limit.unwrap_or_else(|| worth_all(attained(&sides), options.tolerance, absolute));
     for side in &mut sides {
@@ -346,7 +348,8 @@ impl Run<'_, '_> {
         let all = (sides[0].mesh.len() + sides[1].mesh.len() + AT_LEAST) as f64;
         let absolute = options.absolute_tolerance;
         let budget = self.pieces + (options.effort * all) as u64;
-        let mut pieces = FIRST_PIECES;
+        let first = if options.limit.is_some() { DECISION_PIECES } else { FIRST_PIECES };
+        let mut pieces = first;
         loop {
             let attained = sides[0].attained.max(sides[1].attained);
             let at_most = options.limit.unwrap_or_else(|| worth_all(attained, options.tolerance, absolute));
@@ -354,7 +357,7 @@ impl Run<'_, '_> {
             // One that did not use up its pieces cannot be bounded better; the first look was content with less.
             let settled = |outcome: &Outcome| {
                 outcome.bound.within(at_most)
-                    || pieces > FIRST_PIECES && outcome.pieces < pieces
+                    || pieces > first && outcome.pieces < pieces
                     || decide && !outcome.attained.within(at_most)
             };
             sides.iter_mut().for_each(|side| side.settle(settled));

@@ -38,7 +38,7 @@ pub struct Proven {
 
 /// Simplify within bounds that are proven to hold everywhere; infinite for none.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, bounds, weight, share, tolerance, effort,
+#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, bounds, weight, share, tolerance, effort, close,
                     wanted_threads, patch_triangles, partial, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_certified(
@@ -53,6 +53,7 @@ pub fn simplify_certified(
     share: f64,
     tolerance: (f64, f64),
     effort: f64,
+    close: bool,
     wanted_threads: usize,
     patch_triangles: usize,
     partial: bool,
@@ -76,6 +77,7 @@ pub fn simplify_certified(
         weight,
         importance,
         share,
+        close,
         proof: certify::Options { tolerance, effort, ..certify::Options::default() },
         ..Options::new(Deviation { shape: bounds.0, color: bounds.1 })
     };
