@@ -203,7 +203,7 @@ class Simplified:
     record : all collapses, if that was asked for.
     shape_bound, color_bound : certified: (q,) float64, metres and levels, proven for each triangle, both
         ways: for its points, and for points of the input whose nearest point is on it. `color_bound` is None
-        unless colour was bounded.
+        for a mesh without colours.
     shape_bound_m, color_bound_levels : certified: the greatest of all, input and result.
     shape_attained_m, color_attained_levels : certified: the greatest found at a point; the true maximum is
         between that and the bound.
