@@ -41,6 +41,7 @@ class CertifiedResult:
         the least that can be proven, and is used in place of smaller bounds.
     proven : whether the bounds that were asked for are proven. If not, the work was stopped, or they do not
         even hold between the input and itself, as where sheets of different colours touch.
+    max_shape_m : the bound on shape that was used.
     stopped_by : "bounds", "request" when the caller stopped it, or else "unproven".
     weight : metres that counted as much as one level of colour.
     refused : edges of the result by the rule that refused them last: "shape" and "color" are the bounds,
@@ -64,6 +65,7 @@ class CertifiedResult:
     slack_m: float
     color_slack_levels: float
     proven: bool
+    max_shape_m: float
     stopped_by: str
     weight: float
     refused: dict[str, int]
@@ -84,6 +86,7 @@ class CertifiedResult:
             "slack_m": self.slack_m,
             "color_slack_levels": self.color_slack_levels,
             "proven": self.proven,
+            "max_shape_m": self.max_shape_m,
             "stopped_by": self.stopped_by,
             "weight_m_per_level": self.weight,
             "refused_edges": dict(self.refused),
@@ -194,6 +197,7 @@ def simplify_certified(
         slack_m=result.slack,
         color_slack_levels=result.color_slack,
         proven=result.proven,
+        max_shape_m=shape,
         stopped_by="request" if result.stopped_by == "request" else stopped_by,
         weight=weight,
         refused=result.standing,

@@ -99,9 +99,9 @@ class SimplifyParams:
     )
     max_shape: float | None = param(
         None,
-        "certified: largest distance of any point of either surface from the other one; no bound if not "
-        "given. jia01: largest shape change, summed over the collapses around an edge; default: 0.1 of the "
-        "resolution, but at most 0.5 % of the bounding box's diagonal.",
+        "certified: largest distance of any point of either surface from the other; default: 0.5 % of the "
+        "bounding box's diagonal. jia01: largest shape change, summed over the collapses around an edge; "
+        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal.",
         unit="m",
         low=0,
         low_open=True,
@@ -203,7 +203,8 @@ class Simplified:
     record : all collapses, if that was asked for.
     shape_bound, color_bound : certified: (q,) float64, metres and levels, proven for each triangle, both
         ways: for its points, and for points of the input whose nearest point is on it. `color_bound` is None
-        for a mesh without colours.
+        for a mesh without colours. They may be as large as `max_shape` and `max_texture` though less would
+        be true; `certify` comes closer.
     shape_bound_m, color_bound_levels : certified: the greatest of all, input and result.
     shape_attained_m, color_attained_levels : certified: the greatest found at a point; the true maximum is
         between that and the bound.
@@ -212,7 +213,8 @@ class Simplified:
         within max_shape and max_texture.
     iterations : certified: how often the mesh was simplified and what came out looked at.
     largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
-    resolution_m, max_shape_m, max_texture_levels : jia01, and the latter two certified: what was used.
+    resolution_m : jia01: what was used.
+    max_shape_m, max_texture_levels : jia01 and certified: what was used; None for no bound.
     bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
     """
 
@@ -439,7 +441,7 @@ def _by_proof(
         proven=found.proven,
         unproven_triangles=found.unproven[-1],
         iterations=found.iterations,
-        max_shape_m=params.max_shape,
+        max_shape_m=found.max_shape_m,
         max_texture_levels=params.max_texture,
     )
 

@@ -76,7 +76,10 @@ def test_no_point_exceeds_what_is_proven(shape: float | None, color: float | Non
     assert (result.proven, result.stopped_by) == (True, "bounds")
     assert len(result.mesh.triangles) < 0.5 * len(mesh.triangles)
     assert topology(result.mesh).boundary_loops == 1
-    assert shape is None or (result.shape_bound_m or 0) <= shape
+    # Colours alone do not hold a shape together.
+    diagonal = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    assert result.max_shape_m == pytest.approx(0.005 * diagonal if shape is None else shape)
+    assert (result.shape_bound_m or np.inf) <= (result.max_shape_m or 0)
     assert color is None or (result.color_bound_levels or 0) <= color
     assert result.mesh.notes == ()
     assert_bounds_hold(result, mesh)
