@@ -265,7 +265,7 @@ def simplify_certified(
 ) -> Proven:
     """Simplify within bounds that are proven to hold everywhere; infinite for none.
 
-    `share` is the part of the bounds that samples may use; `tolerance` and `effort` are those of `certify`, whose
-    bounds for single triangles are close only if `close` says so.
+    `share` is the part of the bounds that samples may use; `tolerance` and `effort` are those of `certify`,
+    whose bounds for single triangles are close only if `close` says so.
     Raises InvalidMeshError for a mesh it cannot work on.
     """
