@@ -74,8 +74,13 @@ def _default_shape(mesh: Mesh, resolution: float) -> float:
 
 def _default_resolution(mesh: Mesh) -> float:
     """So many mean edge lengths, or more if that would split too many edges."""
-    corners = mesh.vertices[mesh.triangles]
-    lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel()
+    # One side at a time: all corners of all triangles at once would be the largest arrays of the whole run.
+    sides = np.empty(mesh.triangles.shape)
+    for side in range(3):
+        along = mesh.vertices[mesh.triangles[:, side]]
+        along -= mesh.vertices[mesh.triangles[:, side - 1]]
+        sides[:, side] = np.linalg.norm(along, axis=1)
+    lengths = sides.ravel()
     resolution = EDGES_PER_RESOLUTION * float(lengths.mean()) if len(lengths) else 0.0
     if not resolution > 0:
         return 1.0  # no edge has a length; any will do
