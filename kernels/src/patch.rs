@@ -302,7 +302,7 @@ impl<const D: usize, B: Copy, R> Piece<D, B, R> {
 impl<const D: usize, B: Copy> Whole<D, B> {
     /// Put the pieces of all patches together. Vertices of the rim come first.
     pub fn join<R: Records<D>>(
-        self,
+        mut self,
         rim: &[bool],
         records: R,
         pieces: Vec<Piece<D, B, R::Piece>>,
@@ -312,6 +312,8 @@ impl<const D: usize, B: Copy> Whole<D, B> {
         for (number, &v) in rim_vertices.iter().enumerate() {
             rim_number[v as usize] = number as u32;
         }
+        // The pieces have their own.
+        (self.triangles, self.held) = (vec![], vec![]);
         let vertices = rim_vertices.len() + pieces.iter().map(|p| p.points.len()).sum::<usize>();
         let triangles = pieces.iter().map(|p| p.triangles.len()).sum();
         let mut next = Self {

@@ -129,6 +129,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
             pieces = work(&|p| limits[p], &histogram_of_round)?;
         }
         let enough = progress.is_enough();
+        drop(partition);
         gather_merges(&mesh.vertex_source, &mut pieces, &mut merges, &mut path);
         (mesh, records) = mesh.join(&rim, records, pieces);
         histogram = Some(histogram_of_round);
@@ -296,6 +297,7 @@ fn gather_merges<const D: usize, B: Copy, R>(
     for (p, piece) in pieces.iter().enumerate() {
         order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
     }
+    merges.reserve(order.len());
     let recorded = pieces.iter().any(|piece| piece.path.is_some());
     if recorded {
         order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
@@ -308,6 +310,8 @@ fn gather_merges<const D: usize, B: Copy, R>(
             path.push(points[i as usize]);
         }
     }
+    // They are not needed twice.
+    pieces.iter_mut().for_each(|piece| (piece.merges, piece.path) = (vec![], None));
 }
 
 /// Check the manifold around vertices of the rim, whose triangles no patch has all.
