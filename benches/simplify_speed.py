@@ -12,6 +12,16 @@ result count, the input does not. "1 thread" and "2 threads" are elapsed seconds
 the bytes of their arrays, and a difference is an error. Seconds are the least of the repeats. "n log n" is
 the time for each removed triangle over log n, against the smallest size of the same kind: at most 1 is growth
 no faster than n log n.
+
+How far from the floor "count" is, for hills of a million triangles on one thread (`perf stat`, one run):
+451,000 collapses, the colour weight and the fit took 7.5 G cycles and 21 G instructions, 2.8 a cycle; so it
+computes, and does not wait. 36 M cache misses are 80 a collapse, 2.3 GB, some tenths of a second at the
+memory's pace. What has to be touched, the input once and the result once, is 30 MB or some milliseconds: the
+time is a few hundred times that floor, and goes into 47 thousand instructions a collapse. By `perf record`, a
+sixth of the processor time of the collapses is making quadrics of changed triangles, a seventh the best
+places of merged vertices, a tenth the queue, a tenth gathering stars and checking that nothing folds; cutting
+patches and connecting them is a tenth, and the fit a sixth on top. Fewer evaluations would help, faster
+memory would not.
 """
 
 from __future__ import annotations
