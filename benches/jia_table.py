@@ -180,9 +180,9 @@ def shown(length: float | None) -> str:
 WHY = """\
 Where this differs from the paper. What is measured here, and what is only supposed:
 
-- S_max. Measured: over the *input's* edges, 0.1 stops even a globe of one colour below the paper's smaller
-  figure; no T_max reaches either. We conclude that "0.1 of the resolution" means the wanted resolution L, a
-  few edges of the input.
+- S_max. Measured: over the *input's* edges, 0.1 stops even a globe of one colour at about the paper's smaller
+  figure, and with colours no T_max reaches either. We conclude that "0.1 of the resolution" means the wanted
+  resolution L, a few edges of the input.
 - T_max on flat colours. Measured: an edge within a class has no contrast, one across a border more than 100
   levels, so that 4 and 16 refuse the same edges and give the same mesh. At 3 e its size is about the paper's
   for T_max 4. Why the paper gained eight points from 4 to 16 we do not know. Its globe may have had contrasts
