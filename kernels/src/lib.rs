@@ -9,6 +9,10 @@
 //! | [`queue`], [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
 //! | [`split`] | splitting long edges |
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
+//! | [`partition`], [`patch`], [`rounds`], [`parallel`] | the loop over a mesh of any size, patch by patch, on all threads |
+//! | [`quadric`], [`qem`], [`balance`] | attribute quadrics, the measure that uses them, and how much a colour counts |
+//! | [`fit`] | fitting a result to its input by least squares |
+//! | [`certified`], [`tracked`], [`original`], [`fan`] | simplification within proven bounds; samples of the input that steer it |
 //! | [`certify`], [`bvh`] | proven bounds between two surfaces; the tree they search |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 

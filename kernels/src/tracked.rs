@@ -11,7 +11,7 @@
 use crate::certify::NEEDLE;
 use crate::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::fan::Fan;
-use crate::geometry::{Vec3, distance2, position};
+use crate::geometry::{distance2, position};
 use crate::ids::EdgeId;
 use crate::legality::keeps_triangles;
 use crate::mesh::Mesh;
@@ -319,10 +319,4 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         let qem = <QemRecords<K> as Records<D>>::join(self.qem, rim, importance);
         Self { qem, starts, samples, ..self }
     }
-}
-
-/// Used by tests and by [`crate::certified`]: how far each sample is from its triangle.
-pub fn sample_distance<const D: usize>(sample: &[f64; D], triangle: &[[f64; D]; 3]) -> f64 {
-    let [a, b, c]: [Vec3; 3] = triangle.each_ref().map(position);
-    crate::geometry::nearest_on_triangle(&position(sample), [&a, &b, &c]).1.sqrt()
 }
