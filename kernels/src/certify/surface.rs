@@ -20,6 +20,8 @@ pub struct Surface {
     pub bvh: Bvh,
     /// Triangle of the input in each slot.
     pub order: Vec<u32>,
+    /// Slot of each triangle of the input.
+    pub slots: Vec<u32>,
     pub corners: Vec<[Vec3; 3]>,
     /// Attributes of the corners; empty where there are none. Single precision holds 8-bit levels exactly.
     pub colors: Vec<[[f32; 3]; 3]>,
@@ -58,6 +60,8 @@ impl Surface {
             })
             .collect();
         let (bvh, order) = Bvh::new(&boxes);
+        let mut slots = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
         let vertices: Vec<[u32; 3]> = order.iter().map(|&t| triangles[t as usize]).collect();
         let corners: Vec<[Vec3; 3]> = vertices.iter().map(|t| t.map(corner)).collect();
         let color = |v: u32| [0, 1, 2].map(|i| points[v as usize].get(3 + i).copied().unwrap_or(0.0) as f32);
@@ -76,6 +80,7 @@ impl Surface {
         Ok(Self {
             bvh,
             order,
+            slots,
             corners,
             colors,
             color_boxes,
@@ -100,6 +105,28 @@ impl Surface {
         let distance2 = |slot: u32| self.distance2(slot, p);
         let (slot, least) = self.bvh.nearest(p, (hint, distance2(hint)), distance2);
         Found { slot, distance: least.sqrt() }
+    }
+
+    /// Visit every triangle, by its number in the input, whose own box meets the box `low`–`high`.
+    pub fn triangles_meeting(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32)) {
+        self.bvh.meeting(
+            low,
+            high,
+            |_, _| false,
+            |slot| {
+                if self.meets(slot, low, high) {
+                    visit(self.order[slot as usize]);
+                }
+                true
+            },
+        );
+    }
+
+    /// Whether the box around the triangle in `slot` meets another one.
+    #[inline]
+    pub fn meets(&self, slot: u32, low: &Vec3, high: &Vec3) -> bool {
+        let [a, b, c] = &self.corners[slot as usize];
+        (0..3).all(|i| a[i].min(b[i]).min(c[i]) <= high[i] && a[i].max(b[i]).max(c[i]) >= low[i])
     }
 
     #[inline]
