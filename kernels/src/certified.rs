@@ -135,9 +135,10 @@ pub fn simplify<const D: usize, const K: usize>(
     let goal = Goal { record: true, ..*goal };
 
     let mut history = History::new(&original);
-    let mut ledger = Ledger::new(&surface, decision);
+    let mut ledger = Ledger::new(&original, &surface, decision);
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
+    let mut failures = vec![0u8; original.points.len()];
     let mut mesh = Whole::new(original.points.clone(), original.triangles.clone(), fixed.clone())?;
     let mut lists = Lists::of_input(&original);
     loop {
@@ -147,7 +148,7 @@ pub fn simplify<const D: usize, const K: usize>(
         (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
         history.append(outcome.merges, outcome.path);
-        let unproven = ledger.look(&mesh, &history, progress)?;
+        let unproven = ledger.look(&mesh, progress)?;
         passes.push(Pass {
             triangles: mesh.triangles.len(),
             unproven,
@@ -177,7 +178,8 @@ pub fn simplify<const D: usize, const K: usize>(
         let mut retreat = Retreat::new(&original, history, watched);
         let around = retreat.samples_around(&mesh, &open);
         around.iter().for_each(|&v| limits.factors[v as usize] *= TIGHTER);
-        retreat.take_back(&mesh, &open, passes.len());
+        retreat.take_back(&open, &failures);
+        around.iter().for_each(|&v| failures[v as usize] = failures[v as usize].saturating_add(1));
         let for_good: Vec<u32> = match passes.len() {
             END.. => (0..original.points.len() as u32).collect(),
             PATIENCE.. => around,

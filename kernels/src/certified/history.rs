@@ -36,8 +36,6 @@ pub struct History<'a, const D: usize> {
     root: Vec<u32>,
     /// By vertex of the current mesh: the last collapse it survived.
     last: Vec<u32>,
-    /// By vertex of the input: whether it is a vertex whose triangles have changed, or was one.
-    changed: Vec<bool>,
 }
 
 impl<'a, const D: usize> History<'a, D> {
@@ -51,7 +49,6 @@ impl<'a, const D: usize> History<'a, D> {
             points: vec![],
             root: (0..vertices as u32).collect(),
             last: vec![NONE; vertices],
-            changed: vec![false; vertices],
         }
     }
 
@@ -72,8 +69,6 @@ impl<'a, const D: usize> History<'a, D> {
                 self.collapses[child as usize].above = number;
             }
             self.last[survivor as usize] = number;
-            self.changed[survivor as usize] = true;
-            self.changed[removed as usize] = true;
             self.collapses.push(Collapse { survivor, removed, below, above: NONE });
         }
         if self.points.is_empty() {
@@ -81,16 +76,6 @@ impl<'a, const D: usize> History<'a, D> {
         } else {
             self.points.extend(path);
         }
-    }
-
-    /// From now on nothing has changed.
-    pub fn settle(&mut self) {
-        self.changed.fill(false);
-    }
-
-    /// Whether a triangle, given by vertices that were or are of the current mesh, is not the same any more.
-    pub fn has_changed(&self, corners: &[u32; 3]) -> bool {
-        corners.iter().any(|&v| self.changed[v as usize])
     }
 
     /// The vertex of the current mesh that a vertex of the input is part of.
@@ -168,7 +153,6 @@ impl<'a, const D: usize> History<'a, D> {
             members.into_iter().for_each(|member| self.root[member as usize] = removed);
             for (v, child) in [survivor, removed].into_iter().zip(below) {
                 self.last[v as usize] = child;
-                self.changed[v as usize] = true;
                 if child != NONE {
                     self.collapses[child as usize].above = NONE;
                 }

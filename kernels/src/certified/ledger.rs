@@ -1,20 +1,18 @@
 //! What is proven of the current mesh and of the input, and what has to be looked at again after a change.
 
-use super::history::History;
 use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
 use crate::error::KernelError;
-use crate::geometry::{Vec3, position};
+use crate::geometry::{Vec3, norm2, position, sub, triangle_distance2};
+use crate::original::Original;
 use crate::patch::Whole;
 use crate::progress::Progress;
 use crate::tracked::Bound;
 
 /// A triangle of the mesh as it was looked at last.
-struct Known {
+struct Known<const D: usize> {
     /// Triangle of the input.
     source: u32,
-    /// Vertices of the input.
-    corners: [u32; 3],
-    places: [Vec3; 3],
+    corners: [[f64; D]; 3],
     verdict: Verdict,
 }
 
@@ -24,11 +22,20 @@ const UNKNOWN: Verdict = Verdict {
     attained: Deviation { shape: 0.0, color: 0.0 },
 };
 
+/// A triangle of the input without a proof.
+struct Failing {
+    triangle: u32,
+    /// Triangles of the mesh it may be nearest to, by their sources.
+    within_reach: Vec<u32>,
+}
+
 /// Triangles without a proof where there may be one.
 pub struct Open {
-    /// Places in the mesh.
+    /// Triangles of the mesh, by the number of that of the input they are what is left of.
     pub of_result: Vec<u32>,
     pub of_input: Vec<u32>,
+    /// The triangles of the mesh that each of those of the input may be nearest to, named alike.
+    pub within_reach: Vec<Vec<u32>>,
 }
 
 impl Open {
@@ -37,32 +44,31 @@ impl Open {
     }
 }
 
-pub struct Ledger<'a> {
+pub struct Ledger<'a, const D: usize> {
+    original: &'a Original<D>,
     surface: &'a Surface,
     /// With a limit.
     decision: certify::Options,
     bounds: Deviation,
     /// In the order of their sources; none before the first look.
-    result: Vec<Known>,
-    /// Places of those in the mesh.
-    places: Vec<u32>,
+    result: Vec<Known<D>>,
     /// The greatest deviation seen in each triangle of the input.
     attained: Vec<[f32; 2]>,
     /// Triangles of the input without a proof.
-    failing: Vec<u32>,
+    failing: Vec<Failing>,
     /// Triangles of the input that not even the input is within the bounds of, in order.
     pub hopeless: Vec<u32>,
 }
 
-impl<'a> Ledger<'a> {
-    pub fn new(surface: &'a Surface, decision: certify::Options) -> Self {
+impl<'a, const D: usize> Ledger<'a, D> {
+    pub fn new(original: &'a Original<D>, surface: &'a Surface, decision: certify::Options) -> Self {
         let bounds = decision.limit.unwrap_or_default();
         Self {
+            original,
             surface,
             decision,
             bounds,
             result: vec![],
-            places: vec![],
             attained: vec![],
             failing: vec![],
             hopeless: vec![],
@@ -74,17 +80,13 @@ impl<'a> Ledger<'a> {
     ///
     /// What is proven of a triangle of the mesh stays as long as it does. What is proven of one of the input says
     /// that nothing counts but what is within the bound on shape of it, and stays as long as all of that does.
-    pub fn look<const D: usize>(
+    pub fn look(
         &mut self,
         mesh: &Whole<D, Bound>,
-        history: &History<'_, D>,
         progress: &mut Progress,
     ) -> Result<[usize; 2], KernelError> {
         let is_first = self.attained.is_empty();
         let mut near = vec![is_first; self.surface.len()];
-        for known in self.result.iter().filter(|known| history.has_changed(&known.corners)) {
-            self.mark_within_reach(&known.places, &mut near);
-        }
         let mut places: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
         places.sort_unstable_by_key(|&i| mesh.triangle_source[i as usize]);
         let mut before = std::mem::take(&mut self.result).into_iter().peekable();
@@ -92,34 +94,35 @@ impl<'a> Ledger<'a> {
         let (mut asked, mut asked_known) = (vec![], vec![]);
         for (number, &i) in places.iter().enumerate() {
             let source = mesh.triangle_source[i as usize];
-            let vertices = mesh.triangles[i as usize];
-            let corners = vertices.map(|v| mesh.vertex_source[v as usize]);
-            let changed = is_first || history.has_changed(&corners);
-            while before.peek().is_some_and(|known| known.source < source) {
-                before.next();
+            let corners = mesh.triangles[i as usize].map(|v| mesh.points[v as usize]);
+            while let Some(gone) = before.next_if(|known| known.source < source) {
+                self.mark_within_reach(&gone.corners, &mut near);
             }
-            let known = before.next_if(|known| known.source == source && !changed);
-            match known {
-                Some(known) if known.verdict.bound.within(self.bounds) => result.push(known),
-                _ => {
-                    let places = vertices.map(|v| position(&mesh.points[v as usize]));
+            let known = before.next_if(|known| known.source == source);
+            let same = known.as_ref().is_some_and(|known| known.corners == corners);
+            let verdict = match known {
+                Some(known) if same => known.verdict,
+                known => {
+                    known.iter().for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
                     if !is_first {
-                        self.mark_within_reach(&places, &mut near);
+                        self.mark_within_reach(&corners, &mut near);
                     }
                     asked.push(i);
                     asked_known.push(number);
-                    result.push(Known { source, corners, places, verdict: UNKNOWN });
+                    UNKNOWN
                 }
-            }
+            };
+            result.push(Known { source, corners, verdict });
         }
-        self.failing.iter().for_each(|&t| near[t as usize] = true);
+        before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
+        self.failing.iter().for_each(|failing| near[failing.triangle as usize] = true);
         let asked_input: Vec<u32> = (0..near.len() as u32).filter(|&t| near[t as usize]).collect();
 
         let target = Surface::new(&mesh.points, &mesh.triangles)?;
         let [own, of_input] =
             decide(&target, self.surface, &self.decision, [&asked, &asked_input], progress)?;
         asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
-        (self.result, self.places) = (result, places);
+        self.result = result;
         self.attained.resize(self.surface.len(), [0.0; 2]);
         self.failing.clear();
         for (t, verdict) in asked_input.into_iter().zip(of_input) {
@@ -127,7 +130,12 @@ impl<'a> Ledger<'a> {
             let single = |x: f64| (x as f32).next_down().max(0.0);
             self.attained[t as usize] = [single(verdict.attained.shape), single(verdict.attained.color)];
             if !verdict.bound.within(self.bounds) {
-                self.failing.push(t);
+                let corners = self.original.triangles[t as usize].map(|v| self.original.points[v as usize]);
+                let [low, high] = box_around(&corners, self.bounds.shape);
+                let mut within_reach = vec![];
+                target
+                    .triangles_meeting(&low, &high, |i| within_reach.push(mesh.triangle_source[i as usize]));
+                self.failing.push(Failing { triangle: t, within_reach });
             }
         }
         Ok([self.failing_of_result().count(), self.failing.len()])
@@ -138,20 +146,27 @@ impl<'a> Ledger<'a> {
         (0..self.result.len()).filter(|&i| !self.result[i].verdict.bound.within(self.bounds))
     }
 
-    /// Triangles of the input that a triangle at `places` may be nearest to a point of, within the bounds.
-    fn mark_within_reach(&self, places: &[Vec3; 3], near: &mut [bool]) {
-        let margin = self.bounds.shape * (1.0 + 1e-9);
-        let [a, b, c] = places;
-        let low = [0, 1, 2].map(|i| a[i].min(b[i]).min(c[i]) - margin);
-        let high = [0, 1, 2].map(|i| a[i].max(b[i]).max(c[i]) + margin);
-        self.surface.triangles_meeting(&low, &high, |t| near[t as usize] = true);
+    /// Mark the triangles of the input that a triangle of the mesh may be nearest to a point of, within the bounds.
+    fn mark_within_reach(&self, corners: &[[f64; D]; 3], near: &mut [bool]) {
+        let reach = self.bounds.shape * (1.0 + 1e-9);
+        let [low, high] = box_around(corners, reach);
+        let places = corners.map(|c| position(&c));
+        self.surface.triangles_meeting(&low, &high, |t| {
+            let [a, b, c] =
+                self.original.triangles[t as usize].map(|v| position(&self.original.points[v as usize]));
+            let centre = [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0);
+            let radius2 = [a, b, c].iter().map(|p| norm2(&sub(p, &centre))).fold(0.0, f64::max);
+            let far = (1.0 + 1e-9) * (reach + radius2.sqrt());
+            near[t as usize] |= triangle_distance2(&centre, places.each_ref()) <= far * far;
+        });
     }
 
     /// Find out which of the triangles without a proof can have none: their bounds do not hold between the input
     /// and itself. Returns how many more there are now.
     pub fn look_for_hopeless(&mut self, progress: &mut Progress) -> Result<usize, KernelError> {
         let sources = self.failing_of_result().map(|i| self.result[i].source);
-        let mut asked: Vec<u32> = sources.chain(self.failing.iter().copied()).collect();
+        let mut asked: Vec<u32> =
+            sources.chain(self.failing.iter().map(|failing| failing.triangle)).collect();
         asked.sort_unstable();
         asked.dedup();
         asked.retain(|t| self.hopeless.binary_search(t).is_err());
@@ -165,15 +180,11 @@ impl<'a> Ledger<'a> {
 
     /// Triangles without a proof that are not hopeless.
     pub fn open(&self) -> Open {
-        let hope = |t: u32| self.hopeless.binary_search(&t).is_err();
-        Open {
-            of_result: self
-                .failing_of_result()
-                .filter(|&i| hope(self.result[i].source))
-                .map(|i| self.places[i])
-                .collect(),
-            of_input: self.failing.iter().copied().filter(|&t| hope(t)).collect(),
-        }
+        let hope = |t: &u32| self.hopeless.binary_search(t).is_err();
+        let of_input = self.failing.iter().filter(|failing| hope(&failing.triangle));
+        let (of_input, within_reach) = of_input.map(|f| (f.triangle, f.within_reach.clone())).unzip();
+        let of_result = self.failing_of_result().map(|i| self.result[i].source).filter(hope).collect();
+        Open { of_result, of_input, within_reach }
     }
 
     /// The proof of all bounds, where none was looked at more closely. The mesh has `triangles`.
@@ -210,4 +221,10 @@ impl<'a> Ledger<'a> {
         other.attained = other.attained.max(this.attained);
         other
     }
+}
+
+/// The box around three corners, with a margin.
+fn box_around<const D: usize>([a, b, c]: &[[f64; D]; 3], margin: f64) -> [Vec3; 2] {
+    let low = [0, 1, 2].map(|i| a[i].min(b[i]).min(c[i]) - margin);
+    [low, [0, 1, 2].map(|i| a[i].max(b[i]).max(c[i]) + margin)]
 }

@@ -8,9 +8,6 @@ use crate::original::Original;
 use crate::patch::{Held, Whole};
 use crate::tracked::{Bound, Lists};
 
-/// Collapses of a vertex that are taken back at most in one turn, unless they are all.
-const DEEPEST: usize = 8;
-
 pub struct Retreat<'a, const D: usize> {
     original: &'a Original<D>,
     history: History<'a, D>,
@@ -20,8 +17,7 @@ pub struct Retreat<'a, const D: usize> {
 }
 
 impl<'a, const D: usize> Retreat<'a, D> {
-    pub fn new(original: &'a Original<D>, mut history: History<'a, D>, watched: Watched) -> Self {
-        history.settle();
+    pub fn new(original: &'a Original<D>, history: History<'a, D>, watched: Watched) -> Self {
         Self { original, history, watched, touched: vec![] }
     }
 
@@ -31,19 +27,19 @@ impl<'a, const D: usize> Retreat<'a, D> {
         let mut around: Vec<u32> =
             open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]).collect();
         let mut bare = vec![];
-        for &i in &open.of_result {
+        for &t in &open.of_result {
             let before = around.len();
-            around.extend(self.watched.of(mesh.triangle_source[i as usize]));
+            around.extend(self.watched.of(t));
             if around.len() == before {
-                bare.extend(mesh.triangles[i as usize]);
+                bare.extend(self.history.corners(t).into_iter().flatten());
             }
         }
         if !bare.is_empty() {
-            let mut is_bare = vec![false; mesh.points.len()];
+            let mut is_bare = vec![false; self.original.points.len()];
             bare.into_iter().for_each(|v| is_bare[v as usize] = true);
-            for (corners, &source) in mesh.triangles.iter().zip(&mesh.triangle_source) {
-                if corners.iter().any(|&v| is_bare[v as usize]) {
-                    around.extend(self.watched.of(source));
+            for (corners, &t) in mesh.triangles.iter().zip(&mesh.triangle_source) {
+                if corners.iter().any(|&v| is_bare[mesh.vertex_source[v as usize] as usize]) {
+                    around.extend(self.watched.of(t));
                 }
             }
         }
@@ -52,25 +48,23 @@ impl<'a, const D: usize> Retreat<'a, D> {
         around
     }
 
-    /// Take back what made the triangles without a proof, and the triangles that the input's lie at; more in a later turn.
-    pub fn take_back(&mut self, mesh: &Whole<D, Bound>, open: &Open, turn: usize) {
-        let of_result = open.of_result.iter().map(|&i| mesh.triangle_source[i as usize]);
-        let corners = open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]);
-        let mut made: Vec<u32> = of_result.chain(corners.filter_map(|v| self.watched.owner(v))).collect();
-        made.sort_unstable();
-        made.dedup();
-        let made: Vec<[u32; 3]> = made.into_iter().filter_map(|t| self.history.corners(t)).collect();
-        for corners in &made {
-            if let Some(collapse) = self.history.latest(corners) {
-                self.undo(collapse);
+    /// Take back the collapse that made each triangle without a proof, and one of those that made what a triangle of
+    /// the input lies at: the last one, since least depends on it. Where it has failed before, as `failures` says by
+    /// vertex of the input, take back all that made what is within reach.
+    pub fn take_back(&mut self, open: &Open, failures: &[u8]) {
+        let latest = |t: &u32| self.history.corners(*t).and_then(|corners| self.history.latest(&corners));
+        let mut collapses: Vec<u32> = open.of_result.iter().filter_map(latest).collect();
+        for (t, within_reach) in open.of_input.iter().zip(&open.within_reach) {
+            let corners = self.original.triangles[*t as usize];
+            let owners = corners.iter().filter_map(|&v| self.watched.owner(v));
+            collapses.extend(owners.filter_map(|t| latest(&t)).max());
+            if corners.iter().any(|&v| failures[v as usize] > 1) {
+                collapses.extend(within_reach.iter().filter_map(latest));
             }
         }
-        for &v in made.iter().flatten() {
-            for _ in 1..turn.min(DEEPEST) {
-                let Some(collapse) = self.history.last(v) else { break };
-                self.undo(collapse);
-            }
-        }
+        collapses.sort_unstable();
+        collapses.dedup();
+        collapses.into_iter().rev().for_each(|collapse| self.undo(collapse));
     }
 
     /// Bring vertices of the input back and hold them there.

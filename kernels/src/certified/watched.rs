@@ -1,8 +1,8 @@
 //! Which triangle of the current mesh each sample of the input belongs to. Samples are vertices of the input; triangles
 //! have its numbers too.
 
-use crate::geometry::{position, triangle_distance2};
 use super::history::History;
+use crate::geometry::{position, triangle_distance2};
 use crate::original::Original;
 use crate::tracked::Lists;
 
@@ -59,7 +59,8 @@ impl Watched {
             .collect();
         for v in samples {
             let p = position(&original.points[v as usize]);
-            let distances = placed.iter().map(|(t, corners)| (triangle_distance2(&p, corners.each_ref()), *t));
+            let distances =
+                placed.iter().map(|(t, corners)| (triangle_distance2(&p, corners.each_ref()), *t));
             let nearest = distances.min_by(|a, b| a.0.total_cmp(&b.0));
             self.give(v, nearest.map_or(after[0], |(_, t)| t));
         }
