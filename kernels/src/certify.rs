@@ -274,14 +274,14 @@ impl<'a> Side<'a> {
     }
 
     fn corners(&self, slot: u32) -> [Corner; 3] {
-        let (at, colors) = (self.mesh.corners[slot as usize], self.mesh.corner_colors(slot));
+        let (at, colors) = (self.mesh.corners(slot), self.mesh.corner_colors(slot));
         [0, 1, 2].map(|i| Corner { at: at[i], color: colors[i], reach: f64::INFINITY })
     }
 
     /// Vertices are where simplified surfaces stray most; and the search for a triangle starts from a corner's end.
     fn look_at_vertices(&mut self, slots: &[u32], run: &mut Run<'_, '_>) -> Result<(), KernelError> {
         let mut first_use = vec![];
-        let mut seen = vec![false; self.mesh.vertex_count];
+        let mut seen = vec![false; self.mesh.points.len()];
         for &slot in slots {
             for (i, &v) in self.mesh.vertices[slot as usize].iter().enumerate() {
                 if !std::mem::replace(&mut seen[v as usize], true) {
@@ -302,7 +302,7 @@ impl<'a> Side<'a> {
             found.collect::<Vec<_>>()
         };
         let found = run.chunks(first_use.len().div_ceil(CHUNK), CHUNK, || (), |chunk, (), _| look(chunk))?.0;
-        self.vertices = vec![(0, Deviation::default()); self.mesh.vertex_count];
+        self.vertices = vec![(0, Deviation::default()); self.mesh.points.len()];
         for (&(slot, i), found) in first_use.iter().zip(found.into_iter().flatten()) {
             self.vertices[self.mesh.vertices[slot as usize][usize::from(i)] as usize] = found;
             self.attained = self.attained.max(found.1);
@@ -412,7 +412,7 @@ impl Start {
         match self.block {
             Some((known, hint)) if known == block => hint,
             _ => {
-                let first = side.mesh.corners[(block * BLOCK) as usize][0];
+                let first = side.mesh.corners(block * BLOCK)[0];
                 let hint = side.against.target.nearest(&first, 0).slot;
                 self.block = Some((block, hint));
                 hint
