@@ -16,6 +16,7 @@ __all__ = [
     "certify",
     "fit",
     "residuals",
+    "side_lengths",
     "simplify",
     "simplify_by_quadrics",
     "simplify_certified",
@@ -119,6 +120,11 @@ class Simplified:
     def survivor(self) -> NDArray[np.int32]: ...
     @property
     def path(self) -> NDArray[np.float64]: ...
+
+def side_lengths(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
+) -> NDArray[np.float64]:
+    """Return the lengths (m, 3) of the sides: entry k is that from corner k − 1 to corner k."""
 
 def simplify(
     vertices: NDArray[np.float64],

@@ -547,6 +547,7 @@ def _by_jia01(
         params.max_texture,
         params.attribute_scale,
         only_given=params.has_count,
+        threads=running.threads,
     )
     try:
         result = _kernels.simplify(

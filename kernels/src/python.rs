@@ -19,11 +19,12 @@ use crate::connect::check_indices;
 use crate::engine::{Merge, Refusal, Stop};
 use crate::error::KernelError;
 use crate::fit::Input;
+use crate::geometry::distance2;
 use crate::ids::VertexId;
 use crate::jia01::{self, Limits, Options, Standing};
 use crate::legality::Illegal;
 use crate::mesh::check_points;
-use crate::parallel::threads;
+use crate::parallel::{fill, threads};
 use crate::patch::Whole;
 use crate::progress::{Control, Progress};
 use crate::qem::QemRecords;
@@ -326,6 +327,39 @@ fn residuals_of_points<const D: usize>(
     Ok(py.detach(|| balance::residuals(&points, &triangles, target)))
 }
 
+/// Lengths (m, 3) of the sides of triangles: entry k is the side from corner k − 1 to corner k. The arrays are read where
+/// they are, and so the GIL stays held for the few milliseconds this takes.
+#[pyfunction]
+#[pyo3(signature = (vertices, triangles, *, wanted_threads))]
+fn side_lengths(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    wanted_threads: usize,
+) -> PyResult<Py<PyArray2<f64>>> {
+    let (vertices, triangles) = (vertices.as_array(), triangles.as_array());
+    if vertices.ncols() != 3 || triangles.ncols() != 3 {
+        return Err(PyValueError::new_err("vertices are n × 3 and triangles m × 3"));
+    }
+    let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());
+    let (points, corners) = (vertices.as_slice().unwrap_or_default(), triangles.as_standard_layout());
+    let corners = corners.as_slice().unwrap_or_default();
+    if let Some(place) = corners.iter().position(|&v| v as u32 as usize >= count) {
+        let (triangle, vertex) = (place / 3, corners[place].into());
+        return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices: count }.into());
+    }
+    let point = |corner: usize| -> [f64; 3] {
+        let first = 3 * corners[corner] as usize;
+        [points[first], points[first + 1], points[first + 2]]
+    };
+    let mut lengths = vec![[0.0; 3]; triangles.nrows()];
+    fill(&mut lengths, threads(wanted_threads), |t| {
+        let [a, b, c] = [0, 1, 2].map(|k| point(3 * t + k));
+        [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
+    });
+    Ok(PyArray1::from_vec(py, lengths.into_flattened()).reshape([triangles.nrows(), 3])?.unbind())
+}
+
 /// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
 fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
     let mut became = vec![-1; vertices];
@@ -559,5 +593,6 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(simplify_by_quadrics, module)?)?;
     module.add_function(wrap_pyfunction!(fit, module)?)?;
     module.add_function(wrap_pyfunction!(residuals, module)?)?;
+    module.add_function(wrap_pyfunction!(side_lengths, module)?)?;
     module.add_function(wrap_pyfunction!(simplify, module)?)
 }
