@@ -30,7 +30,7 @@ use refine::{Goal, Outcome, Workspace, refine};
 use surface::around;
 
 use crate::error::KernelError;
-use crate::geometry::{norm2, sub};
+use crate::geometry::{Vec3, norm2, sub};
 use crate::progress::Progress;
 
 /// Triangles a thread takes at a time.
@@ -117,7 +117,8 @@ pub fn certify(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    let slack = slack([result, original], options.slack);
+    let slack =
+        slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
     // A bound contains the slack, and what is attained does not.
     let least = Deviation { shape: 2.0 * slack, color: 0.0 };
     let limit = options.limit.map(without_slack);
@@ -228,7 +229,8 @@ fn both_sides<'a>(
     let with_color = !result.colors.is_empty()
         && !original.colors.is_empty()
         && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
-    let slack = slack([result, original], options.slack);
+    let slack =
+        slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
     let color_range = color_range(result, original);
     let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
     [Side::new(result, against(original, Wanted::None)), Side::new(original, against(result, wanted))]
@@ -514,9 +516,9 @@ fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
 }
 
 /// Vertices rounded to single precision move by half a step of the largest coordinate, and a search in single precision
-/// is wrong by a few steps of the sizes it works with.
-pub fn slack(surfaces: [&Surface; 2], wanted: Option<f64>) -> f64 {
-    let [low, high] = around(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds));
+/// is wrong by a few steps of the sizes it works with. `places` are corners of the surfaces, or of boxes around them.
+pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
+    let [low, high] = around(places);
     let largest = (0..3).map(|i| low[i].abs().max(high[i].abs())).fold(0.0, f64::max);
     if largest == f64::INFINITY {
         return 0.0;
