@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from stages.mesh import Mesh
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.regions import Region, resolve_control
+from stages.spatial_order import is_scattered, ordered, with_rows
 
 VERSION = 5
 
@@ -393,7 +394,9 @@ def simplify(
     )
     try:
         if method == "quadric":
-            return _by_quadrics(mesh, params, locked, factors, running, progress)
+            # A record names the vertices of the input all along.
+            run = _by_quadrics_in_order if not record and is_scattered(mesh) else _by_quadrics
+            return run(mesh, params, locked, factors, running, progress)
         return _by_jia01(mesh, params, locked, running, progress)
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
@@ -446,6 +449,32 @@ def _by_proof(
     )
 
 
+def _by_quadrics_in_order(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    """Simplify a scattered mesh in an order that suits the caches; the result is in that of the input."""
+    order = ordered(mesh)
+    factors = importance[order.vertices] if len(importance) else importance
+    try:
+        found = _by_quadrics(order.mesh, params, lock[order.vertices], factors, running, progress)
+    except _kernels.InvalidMeshError:
+        # The message has to name what is wrong as the caller knows it.
+        return _by_quadrics(mesh, params, lock, importance, running, progress)
+    sources = order.vertices[found.vertex_source], order.triangles[found.triangle_source]
+    vertices, triangles = (np.argsort(source) for source in sources)
+    return replace(
+        found,
+        mesh=with_rows(found.mesh, vertices, triangles),
+        vertex_source=sources[0][vertices].astype(np.int32),
+        triangle_source=sources[1][triangles].astype(np.int32),
+    )
+
+
 def _by_quadrics(
     mesh: Mesh,
     params: SimplifyParams,
@@ -457,7 +486,7 @@ def _by_quadrics(
     given = centred(mesh)
     weight = params.attribute_scale
     if weight is None:
-        weight = color_weight(mesh, running.target_triangles)
+        weight = color_weight(mesh, running.target_triangles, running.threads)
     result = _kernels.simplify_by_quadrics(
         given.vertices,
         given.attributes,

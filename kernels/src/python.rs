@@ -298,20 +298,21 @@ fn quadric_points<const D: usize, const K: usize>(
 /// Errors of shape and of the attributes that a result of `target` triangles has to be expected to make; None where
 /// the mesh is too small to tell or has no attributes.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, target))]
+#[pyo3(signature = (vertices, attributes, triangles, *, target, wanted_threads))]
 fn residuals(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
     target: usize,
+    wanted_threads: usize,
 ) -> PyResult<Option<(f64, f64)>> {
     let fixed = PyArray1::from_vec(py, vec![]).readonly();
     let inputs = Inputs { vertices, attributes, triangles, fixed };
     match inputs.attributes.as_array().ncols() {
         0 => Ok(None),
-        1 => residuals_of_points::<4>(py, &inputs, target),
-        3 => residuals_of_points::<6>(py, &inputs, target),
+        1 => residuals_of_points::<4>(py, &inputs, target, wanted_threads),
+        3 => residuals_of_points::<6>(py, &inputs, target, wanted_threads),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -320,11 +321,12 @@ fn residuals_of_points<const D: usize>(
     py: Python<'_>,
     inputs: &Inputs<'_>,
     target: usize,
+    wanted_threads: usize,
 ) -> PyResult<Option<(f64, f64)>> {
     let (points, triangles, _) = inputs.copied::<D>()?;
     check_points(&points)?;
     check_indices(points.len(), &triangles)?;
-    Ok(py.detach(|| balance::residuals(&points, &triangles, target)))
+    Ok(py.detach(|| balance::residuals(&points, &triangles, target, threads(wanted_threads))))
 }
 
 /// Lengths (m, 3) of the sides of triangles: entry k is the side from corner k − 1 to corner k. The arrays are read where
@@ -358,6 +360,24 @@ fn side_lengths(
         [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
     });
     Ok(PyArray1::from_vec(py, lengths.into_flattened()).reshape([triangles.nrows(), 3])?.unbind())
+}
+
+type Rows = Py<PyArray1<u32>>;
+
+/// Vertices (n,) and triangles (m,) in an order in which neighbours in space are neighbours in memory.
+#[pyfunction]
+fn spatial_order(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+) -> PyResult<(Rows, Rows)> {
+    let none = PyArray2::zeros(py, [vertices.as_array().nrows(), 0], false).readonly();
+    let points = points_from::<3>(&vertices, &none)?;
+    let triangles = triangles_from(&triangles, points.len())?;
+    check_points(&points)?;
+    check_indices(points.len(), &triangles)?;
+    let (vertices, triangles) = py.detach(|| crate::spatial::spatial_order(&points, &triangles));
+    Ok((PyArray1::from_vec(py, vertices).unbind(), PyArray1::from_vec(py, triangles).unbind()))
 }
 
 /// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
@@ -594,5 +614,6 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(fit, module)?)?;
     module.add_function(wrap_pyfunction!(residuals, module)?)?;
     module.add_function(wrap_pyfunction!(side_lengths, module)?)?;
+    module.add_function(wrap_pyfunction!(spatial_order, module)?)?;
     module.add_function(wrap_pyfunction!(simplify, module)?)
 }
