@@ -84,8 +84,8 @@ impl<'a, const D: usize> Ledger<'a, D> {
     /// Look at what has changed since the last time. Returns how many triangles of the mesh and of the input have no
     /// proof now.
     ///
-    /// What is proven of a triangle of the mesh stays as long as it does. What is proven of one of the input says
-    /// that nothing counts but what is within the bound on shape of it, and stays as long as all of that does.
+    /// What is found of a triangle of the mesh stays as long as it does. For one of the input nothing counts but what is
+    /// within the bound on shape of it, and what is found stays as long as all of that does.
     pub fn look(
         &mut self,
         mesh: &Whole<D, Bound>,
@@ -121,7 +121,6 @@ impl<'a, const D: usize> Ledger<'a, D> {
             result.push(Known { source, corners, verdict });
         }
         before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
-        self.failing.iter().for_each(|failing| near[failing.triangle as usize] = true);
         let asked_input: Vec<u32> = (0..near.len() as u32).filter(|&t| near[t as usize]).collect();
 
         let target = Surface::new(&mesh.points, &mesh.triangles)?;
@@ -129,7 +128,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
         self.result = result;
         self.attained.resize(self.surface.len(), [0.0; 2]);
-        self.failing.clear();
+        self.failing.retain(|failing| !near[failing.triangle as usize]);
         for asked in asked_input.chunks(AT_ONCE) {
             let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], asked], progress)?;
             for (&t, verdict) in asked.iter().zip(verdicts) {
@@ -141,6 +140,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
                 }
             }
         }
+        self.failing.sort_unstable_by_key(|failing| failing.triangle);
         Ok([self.failing_of_result().count(), self.failing.len()])
     }
 
