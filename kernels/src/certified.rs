@@ -132,7 +132,8 @@ pub fn simplify<const D: usize, const K: usize>(
         color: options.share * (bounds.color - 0.5 * least.color),
         factors: (0..original.points.len()).map(|v| 1.0 / factor(v)).collect(),
     };
-    let decision = certify::Options { limit: Some(bounds), threads: goal.threads, ..options.proof };
+    let decision =
+        certify::Options { limit: Some(bounds), threads: goal.threads, effort: 0.0, ..options.proof };
     let goal = Goal { record: true, ..*goal };
 
     let mut history = History::new(&original);
