@@ -49,6 +49,4 @@ pub mod validate;
 #[cfg(feature = "python")]
 mod python;
 #[cfg(feature = "python")]
-mod python_certified;
-#[cfg(feature = "python")]
 mod python_certify;

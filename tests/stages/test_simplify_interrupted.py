@@ -134,7 +134,6 @@ def test_other_answers_of_progress_mean_nothing() -> None:
 
 
 def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = sys.modules["stages.simplify"]  # under its name, `stages` has the function
     mesh = hills(40)
     plain = simplify(mesh, ratio=0.1, fit=False)
 
@@ -151,11 +150,11 @@ def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.
         told.append((done, total))
         return False
 
-    monkeypatch.setattr(module, "fitted", ctrl_c)
+    monkeypatch.setattr("stages.quadric.fitted", ctrl_c)
     with pytest.raises(KeyboardInterrupt):
         simplify(mesh, ratio=0.1)
     results = [simplify(mesh, ratio=0.1, partial=True)]
-    monkeypatch.setattr(module, "fitted", asks)
+    monkeypatch.setattr("stages.quadric.fitted", asks)
     results.append(simplify(mesh, ratio=0.1, progress=stop))
     assert told[-1] == (2880, 2880)
     for result in results:
