@@ -3,6 +3,9 @@
 //! Median splits along the longest axis of the centres, so that the depth is known and the tree depends on
 //! nothing but the input. The shapes themselves stay with the caller, who puts them in the tree's `order`;
 //! a *slot* is a place in that order, and neighbouring slots are neighbours in space.
+//!
+//! Boxes are in single precision, rounded outwards, and relative to the box around everything: they are as good
+//! far from the origin, and for any unit of length.
 
 use crate::geometry::Vec3;
 
@@ -10,12 +13,17 @@ use crate::geometry::Vec3;
 const LEAF: usize = 4;
 /// Both children of a node wait while one is looked at: one entry a level, and a level halves the shapes.
 const STACK: usize = 64;
+/// Squares of lengths, in any unit, stay far from the ends of double precision.
+const LEAST_EXPONENT: i32 = 250;
+const NOTHING: [Vec3; 2] = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+
+/// Lowest and highest corner, in the tree's own unit.
+type Box = [[f32; 3]; 2];
 
 /// A range of slots, or a node; with the box around it.
 #[derive(Clone, Copy, Debug)]
 struct Branch {
-    low: Vec3,
-    high: Vec3,
+    around: Box,
     /// First slot, or the node's number if `count` is 0.
     start: u32,
     count: u32,
@@ -25,15 +33,42 @@ struct Branch {
 pub struct Bvh {
     root: Option<Branch>,
     nodes: Vec<[Branch; 2]>,
+    /// What is 0 in the tree's own unit, and how many of them make one of the caller's: a power of two.
+    origin: Vec3,
+    scale: f64,
 }
 
 impl Bvh {
-    /// The tree, and the order (shape number of each slot) it asks for. `boxes` are lowest and highest corners.
-    pub fn new(boxes: &[[Vec3; 2]]) -> (Self, Vec<u32>) {
-        let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
-        let mut nodes = Vec::with_capacity(boxes.len() / (LEAF / 2));
-        let root = (!order.is_empty()).then(|| build(boxes, &mut order, 0, &mut nodes));
-        (Self { root, nodes }, order)
+    /// The tree over so many shapes, and the order (shape number of each slot) it asks for. `around` gives the lowest
+    /// and highest corner of each box.
+    pub fn new(count: usize, around: impl Fn(usize) -> [Vec3; 2]) -> (Self, Vec<u32>) {
+        let [low, high] = (0..count).map(&around).fold(NOTHING, |all, one| {
+            [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
+        });
+        let mut tree = Self { root: None, nodes: vec![], origin: [0.0; 3], scale: 1.0 };
+        let mut order: Vec<u32> = (0..count as u32).collect();
+        if count > 0 {
+            tree.origin = [0, 1, 2].map(|i| 0.5 * (low[i] + high[i]));
+            let extent = (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max);
+            let exponent = (extent.to_bits() >> 52) as i32 - 1023;
+            tree.scale = 2f64.powi(-exponent.clamp(-LEAST_EXPONENT, LEAST_EXPONENT));
+            let boxes: Vec<Box> = (0..count).map(|i| tree.outside(around(i))).collect();
+            tree.nodes.reserve_exact(count / (LEAF / 2));
+            tree.root = Some(build(&boxes, &mut order, 0, &mut tree.nodes));
+            tree.nodes.shrink_to_fit();
+        }
+        (tree, order)
+    }
+
+    #[inline]
+    fn local(&self, p: &Vec3) -> Vec3 {
+        [0, 1, 2].map(|i| (p[i] - self.origin[i]) * self.scale)
+    }
+
+    /// A box in the tree's own unit that is never smaller.
+    #[inline]
+    fn outside(&self, [low, high]: [Vec3; 2]) -> Box {
+        [self.local(&low).map(down), self.local(&high).map(|x| -down(-x))]
     }
 
     /// The slot nearest to `p` among those nearer than `best` (slot, squared distance), or `best` itself.
@@ -41,13 +76,15 @@ impl Bvh {
     pub fn nearest(&self, p: &Vec3, best: (u32, f64), distance2: impl Fn(u32) -> f64) -> (u32, f64) {
         let (mut slot, mut least) = best;
         let Some(root) = self.root else { return best };
+        let (local, unit2) = (self.local(p), self.scale * self.scale);
+        let mut far = least * unit2;
         let mut stack = [(0.0, 0, 0); STACK];
-        stack[0] = (box_distance2(p, &root), root.start, root.count);
+        stack[0] = (box_distance2(&local, &root.around), root.start, root.count);
         let mut height = 1;
         while height > 0 {
             height -= 1;
             let (distance, start, count) = stack[height];
-            if distance >= least {
+            if distance >= far {
                 continue;
             }
             if count > 0 {
@@ -55,16 +92,17 @@ impl Bvh {
                     let d = distance2(s);
                     if d < least {
                         (slot, least) = (s, d);
+                        far = least * unit2;
                     }
                 }
                 continue;
             }
             let both = &self.nodes[start as usize];
-            let d = both.each_ref().map(|child| box_distance2(p, child));
+            let d = both.each_ref().map(|child| box_distance2(&local, &child.around));
             // The nearer one on top.
             let first = usize::from(d[0] > d[1]);
             for child in [1 - first, first] {
-                if d[child] < least {
+                if d[child] < far {
                     stack[height] = (d[child], both[child].start, both[child].count);
                     height += 1;
                 }
@@ -83,7 +121,8 @@ impl Bvh {
         mut skip: impl FnMut(u32, usize) -> bool,
         mut visit: impl FnMut(u32) -> bool,
     ) {
-        let meets = |b: &Branch| (0..3).all(|i| b.low[i] <= high[i] && b.high[i] >= low[i]);
+        let [low, high] = self.outside([*low, *high]);
+        let meets = |b: &Branch| (0..3).all(|i| b.around[0][i] <= high[i] && b.around[1][i] >= low[i]);
         let Some(root) = self.root.filter(meets) else { return };
         let mut stack = [(0, 0); STACK];
         stack[0] = (root.start, root.count);
@@ -132,38 +171,44 @@ impl Bvh {
     }
 }
 
-fn build(boxes: &[[Vec3; 2]], order: &mut [u32], offset: usize, nodes: &mut Vec<[Branch; 2]>) -> Branch {
+fn build(boxes: &[Box], order: &mut [u32], offset: usize, nodes: &mut Vec<[Branch; 2]>) -> Branch {
     if order.len() <= LEAF {
-        let (low, high) = around(order.iter().map(|&i| boxes[i as usize]));
-        return Branch { low, high, start: offset as u32, count: order.len() as u32 };
+        let around = join(order.iter().map(|&i| boxes[i as usize]));
+        return Branch { around, start: offset as u32, count: order.len() as u32 };
     }
     // Twice the centre; halving it would change nothing.
     let centre = |i: u32, axis: usize| boxes[i as usize][0][axis] + boxes[i as usize][1][axis];
-    let (low, high) = around(order.iter().map(|&i| [[0, 1, 2].map(|axis| centre(i, axis)); 2]));
+    let [low, high] = join(order.iter().map(|&i| [[0, 1, 2].map(|axis| centre(i, axis)); 2]));
     let axis = (0..3).max_by(|&i, &j| (high[i] - low[i]).total_cmp(&(high[j] - low[j]))).unwrap_or(0);
     let middle = order.len() / 2;
     // Equal centres are told apart by number: the result is then one and the same set, however it is found.
     order
         .select_nth_unstable_by(middle, |&i, &j| centre(i, axis).total_cmp(&centre(j, axis)).then(i.cmp(&j)));
     let node = nodes.len();
-    let leaf = Branch { low, high, start: 0, count: 0 };
-    nodes.push([leaf; 2]);
+    let unknown = Branch { around: [low, high], start: 0, count: 0 };
+    nodes.push([unknown; 2]);
     let (left, right) = order.split_at_mut(middle);
     let children = [build(boxes, left, offset, nodes), build(boxes, right, offset + middle, nodes)];
     nodes[node] = children;
-    let (low, high) = around(children.iter().map(|b| [b.low, b.high]));
-    Branch { low, high, start: node as u32, count: 0 }
+    Branch { around: join(children.iter().map(|b| b.around)), start: node as u32, count: 0 }
 }
 
-fn around(boxes: impl Iterator<Item = [Vec3; 2]>) -> (Vec3, Vec3) {
-    boxes.fold(([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]), |(low, high), b| {
-        ([0, 1, 2].map(|i| low[i].min(b[0][i])), [0, 1, 2].map(|i| high[i].max(b[1][i])))
+fn join(boxes: impl Iterator<Item = Box>) -> Box {
+    boxes.fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |all, one| {
+        [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
     })
 }
 
+/// The greatest number in single precision that is not above `x`.
 #[inline]
-fn box_distance2(p: &Vec3, b: &Branch) -> f64 {
-    let gap = |i: usize| (b.low[i] - p[i]).max(p[i] - b.high[i]).max(0.0);
+fn down(x: f64) -> f32 {
+    let near = x as f32;
+    if f64::from(near) > x { near.next_down() } else { near }
+}
+
+#[inline]
+fn box_distance2(p: &Vec3, [low, high]: &Box) -> f64 {
+    let gap = |i: usize| (f64::from(low[i]) - p[i]).max(p[i] - f64::from(high[i])).max(0.0);
     let (x, y, z) = (gap(0), gap(1), gap(2));
     x * x + y * y + z * z
 }
@@ -185,8 +230,7 @@ mod tests {
     fn finds_the_nearest_point_and_those_in_a_box() {
         for count in [0, 1, 4, 5, 300] {
             let points = cloud(count);
-            let boxes: Vec<_> = points.iter().map(|&p| [p, p]).collect();
-            let (bvh, order) = Bvh::new(&boxes);
+            let (bvh, order) = Bvh::new(points.len(), |i| [points[i]; 2]);
             for query in [[3.2, 1.7, 5.1], [-4.0, 9.0, 2.0]] {
                 let d = |slot: u32| distance2(&query, &points[order[slot as usize] as usize]);
                 let (_, found) = bvh.nearest(&query, (0, f64::INFINITY), d);

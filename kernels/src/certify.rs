@@ -33,8 +33,10 @@ use crate::error::KernelError;
 use crate::geometry::{norm2, sub};
 use crate::progress::Progress;
 
-/// Triangles a thread takes at a time. Fixed, since the search in one triangle starts from the one before.
+/// Triangles a thread takes at a time.
 const CHUNK: usize = 256;
+/// Neighbouring slots whose vertices are searched for from one place.
+const BLOCK: u32 = 64;
 /// What colours lose on their way: measured, interpolated and compared in single precision.
 pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
@@ -49,6 +51,9 @@ const GROWTH: usize = 8;
 const TRIANGLE_EXCESS: f64 = 0.2;
 /// or below this share of the greatest deviation: nobody looks there.
 const UNIMPORTANT: f64 = 0.02;
+
+/// Nothing is beyond this.
+const EVERYTHING: Deviation = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
 
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
@@ -112,27 +117,22 @@ pub fn certify(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    let with_color = !result.colors.is_empty()
-        && !original.colors.is_empty()
-        && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
     let slack = slack([result, original], options.slack);
     // A bound contains the slack, and what is attained does not.
     let least = Deviation { shape: 2.0 * slack, color: 0.0 };
-    let limit = options.limit.map(|limit| Deviation { color: limit.color - COLOR_SLACK, ..limit });
+    let limit = options.limit.map(without_slack);
     let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
     let absolute = options.absolute_tolerance;
-    let color_range = color_range(result, original);
-    let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
-    let both_ways = limit.map_or(Wanted::All, Wanted::Beyond);
-    let mut sides =
-        [Side::new(result, against(original, Wanted::None)), Side::new(original, against(result, both_ways))];
+    let mut sides = both_sides(result, original, options, limit.map_or(Wanted::All, Wanted::Beyond));
     let mut run = Run { threads: thread_count(options.threads), progress, done: 0, total: 0, pieces: 0 };
     if result.is_empty() || original.is_empty() {
         return Ok(one_sided(&sides, slack));
     }
-    run.total = (2 * (result.len() + original.len())) as u64;
-    for side in &mut sides {
-        side.look_at_vertices(&mut run)?;
+    let everything = sides.each_ref().map(|side| (0..side.mesh.len() as u32).collect::<Vec<u32>>());
+    let all = result.len() + original.len();
+    run.total = (2 * all) as u64;
+    for (side, slots) in sides.iter_mut().zip(&everything) {
+        side.look_at_vertices(slots, &mut run)?;
     }
     let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
     let first = options.limit.map_or_else(
@@ -146,12 +146,92 @@ pub fn certify(
         |limit| Goal::decision(limit, DECISION_PIECES),
     );
     let keep = options.limit.unwrap_or_else(|| worth_all(attained(&sides), options.tolerance, absolute));
-    for side in &mut sides {
-        let everything: Vec<u32> = (0..side.mesh.len() as u32).collect();
-        side.bound(&everything, &first, keep, CHUNK, &mut run)?;
+    for (side, slots) in sides.iter_mut().zip(&everything) {
+        side.bound(slots, &first, keep, CHUNK, &mut run)?;
     }
-    run.tighten(&mut sides, options)?;
+    run.tighten(&mut sides, options, all)?;
     Ok(finished(&sides, attained(&sides), slack, limit, run.pieces))
+}
+
+/// What a decision found of one triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Verdict {
+    /// The limit itself where the triangle is proven to stay within it, and more where it is not.
+    pub bound: Deviation,
+    /// The greatest deviation at a point that was looked at.
+    pub attained: Deviation,
+}
+
+/// Which of the triangles `asked` (of the result, of the original; numbers in the order of the input) stay within
+/// `options.limit`, in the order asked. The cost follows the number asked, and each is decided as if asked alone.
+///
+/// # Errors
+/// [`KernelError::Interrupted`] when the caller wants to stop.
+pub fn decide(
+    result: &Surface,
+    original: &Surface,
+    options: &Options,
+    asked: [&[u32]; 2],
+    progress: &mut Progress,
+) -> Result<[Vec<Verdict>; 2], KernelError> {
+    let within = options.limit.unwrap_or(EVERYTHING);
+    let limit = without_slack(within);
+    let options = &Options { limit: Some(limit), ..*options };
+    if result.is_empty() || original.is_empty() {
+        return Ok(asked.map(|asked| vec![Verdict { bound: EVERYTHING, attained: EVERYTHING }; asked.len()]));
+    }
+    let mut sides = both_sides(result, original, options, Wanted::None);
+    let mut run = Run { threads: thread_count(options.threads), progress, done: 0, total: 0, pieces: 0 };
+    let all = asked[0].len() + asked[1].len();
+    run.total = (2 * all) as u64;
+    // In the order of the slots neighbours follow each other, and each is looked at once.
+    let slots = [0, 1].map(|i| {
+        let mut slots: Vec<u32> = asked[i].iter().map(|&t| sides[i].mesh.slots[t as usize]).collect();
+        slots.sort_unstable();
+        slots.dedup();
+        slots
+    });
+    for (side, slots) in sides.iter_mut().zip(&slots) {
+        side.look_at_vertices(slots, &mut run)?;
+        side.bound(slots, &Goal::decision(limit, DECISION_PIECES), limit, CHUNK, &mut run)?;
+    }
+    run.tighten(&mut sides, options, all)?;
+    let with_color = sides[0].against.with_color;
+    let verdict = |side: &Side<'_>, slot: u32| {
+        let bound = side.bounds[slot as usize];
+        let color = if with_color { bound.color + COLOR_SLACK } else { 0.0 };
+        let color_within = if with_color { within.color } else { 0.0 };
+        let bound = Deviation {
+            shape: bound.shape.max(within.shape),
+            color: if bound.color <= limit.color { color_within } else { color },
+        };
+        Verdict { bound, attained: side.attained_at[slot as usize] }
+    };
+    Ok([0, 1].map(|i| {
+        let side = &sides[i];
+        asked[i].iter().map(|&t| verdict(side, side.mesh.slots[t as usize])).collect()
+    }))
+}
+
+/// What colours lose on their way is not left to the search.
+fn without_slack(limit: Deviation) -> Deviation {
+    Deviation { color: limit.color - COLOR_SLACK, ..limit }
+}
+
+/// The two directions; of the second it is `wanted` what falls on the result.
+fn both_sides<'a>(
+    result: &'a Surface,
+    original: &'a Surface,
+    options: &Options,
+    wanted: Wanted,
+) -> [Side<'a>; 2] {
+    let with_color = !result.colors.is_empty()
+        && !original.colors.is_empty()
+        && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
+    let slack = slack([result, original], options.slack);
+    let color_range = color_range(result, original);
+    let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
+    [Side::new(result, against(original, Wanted::None)), Side::new(original, against(result, wanted))]
 }
 
 /// One direction: the triangles of `mesh` against the other surface. By slot of `mesh` unless said otherwise.
@@ -161,6 +241,7 @@ struct Side<'a> {
     /// By vertex: the nearest slot of the target, and the deviation there.
     vertices: Vec<(u32, Deviation)>,
     bounds: Vec<Deviation>,
+    attained_at: Vec<Deviation>,
     /// By slot of the target: what falls on it.
     on_target: Vec<Deviation>,
     /// Triangles whose bound is not close enough yet.
@@ -185,6 +266,7 @@ impl<'a> Side<'a> {
             against,
             vertices: vec![],
             bounds: vec![Deviation::default(); mesh.len()],
+            attained_at: vec![Deviation::default(); mesh.len()],
             on_target,
             pending: vec![],
             attained: Deviation::default(),
@@ -192,35 +274,35 @@ impl<'a> Side<'a> {
     }
 
     fn corners(&self, slot: u32) -> [Corner; 3] {
-        let (at, colors) = (self.mesh.corners[slot as usize], self.mesh.corner_colors(slot));
+        let (at, colors) = (self.mesh.corners(slot), self.mesh.corner_colors(slot));
         [0, 1, 2].map(|i| Corner { at: at[i], color: colors[i], reach: f64::INFINITY })
     }
 
     /// Vertices are where simplified surfaces stray most; and the search for a triangle starts from a corner's end.
-    fn look_at_vertices(&mut self, run: &mut Run<'_, '_>) -> Result<(), KernelError> {
+    fn look_at_vertices(&mut self, slots: &[u32], run: &mut Run<'_, '_>) -> Result<(), KernelError> {
         let mut first_use = vec![];
-        let mut seen = vec![false; self.mesh.vertex_count];
-        for (slot, vertices) in self.mesh.vertices.iter().enumerate() {
-            for (i, &v) in vertices.iter().enumerate() {
+        let mut seen = vec![false; self.mesh.points.len()];
+        for &slot in slots {
+            for (i, &v) in self.mesh.vertices[slot as usize].iter().enumerate() {
                 if !std::mem::replace(&mut seen[v as usize], true) {
-                    first_use.push((slot as u32, i as u8));
+                    first_use.push((slot, i as u8));
                 }
             }
         }
         let this = &*self;
         let look = |chunk: usize| {
-            let mut hint = 0;
+            let mut start = Start::default();
             let uses = &first_use[chunk * CHUNK..first_use.len().min((chunk + 1) * CHUNK)];
             let found = uses.iter().map(|&(slot, i)| {
                 let corner = this.corners(slot)[usize::from(i)];
+                let hint = start.near(this, slot);
                 let found = this.against.target.nearest(&corner.at, hint);
-                hint = found.slot;
                 (found.slot, this.against.deviation(&corner, found.slot, found.distance))
             });
             found.collect::<Vec<_>>()
         };
         let found = run.chunks(first_use.len().div_ceil(CHUNK), CHUNK, || (), |chunk, (), _| look(chunk))?.0;
-        self.vertices = vec![(0, Deviation::default()); self.mesh.vertex_count];
+        self.vertices = vec![(0, Deviation::default()); self.mesh.points.len()];
         for (&(slot, i), found) in first_use.iter().zip(found.into_iter().flatten()) {
             self.vertices[self.mesh.vertices[slot as usize][usize::from(i)] as usize] = found;
             self.attained = self.attained.max(found.1);
@@ -260,7 +342,7 @@ impl<'a> Side<'a> {
                 );
                 pieces += outcome.pieces as u64;
                 attained = attained.max(outcome.attained);
-                bounds.push(outcome.bound);
+                bounds.push((outcome.bound, outcome.attained));
                 if outcome.bound.within(keep) {
                     receive(on_target, &outcome.shares);
                 } else {
@@ -272,8 +354,9 @@ impl<'a> Side<'a> {
         let (chunks, states) = run.chunks(slots.len().div_ceil(chunk_size), chunk_size, state, work)?;
         let mut at = slots.iter();
         for (bounds, pending, pieces, attained) in chunks {
-            for (bound, &slot) in bounds.into_iter().zip(&mut at) {
+            for ((bound, attained), &slot) in bounds.into_iter().zip(&mut at) {
                 self.bounds[slot as usize] = bound;
+                self.attained_at[slot as usize] = attained;
             }
             self.pending.extend(pending);
             run.pieces += pieces;
@@ -297,6 +380,7 @@ impl<'a> Side<'a> {
             now.attained = now.attained.max(before.attained);
             now.shares = common(&now.shares, &before.shares);
             self.bounds[*slot as usize] = now.bound;
+            self.attained_at[*slot as usize] = now.attained;
         }
         Ok(())
     }
@@ -311,6 +395,29 @@ impl<'a> Side<'a> {
             }
             !done
         });
+    }
+}
+
+/// Where the search for a vertex starts: near the block its slot is in. What is found then does not depend on which
+/// others are asked for.
+#[derive(Default)]
+struct Start {
+    /// A block, and the nearest slot of the target; none at first.
+    block: Option<(u32, u32)>,
+}
+
+impl Start {
+    fn near(&mut self, side: &Side<'_>, slot: u32) -> u32 {
+        let block = slot / BLOCK;
+        match self.block {
+            Some((known, hint)) if known == block => hint,
+            _ => {
+                let first = side.mesh.corners(block * BLOCK)[0];
+                let hint = side.against.target.nearest(&first, 0).slot;
+                self.block = Some((block, hint));
+                hint
+            }
+        }
     }
 }
 
@@ -344,10 +451,14 @@ impl Run<'_, '_> {
     }
 
     /// Spend pieces on the triangles that keep the greatest bound from the greatest deviation seen.
-    fn tighten(&mut self, sides: &mut [Side<'_>; 2], options: &Options) -> Result<(), KernelError> {
-        let all = (sides[0].mesh.len() + sides[1].mesh.len() + AT_LEAST) as f64;
+    fn tighten(
+        &mut self,
+        sides: &mut [Side<'_>; 2],
+        options: &Options,
+        triangles: usize,
+    ) -> Result<(), KernelError> {
         let absolute = options.absolute_tolerance;
-        let budget = self.pieces + (options.effort * all) as u64;
+        let budget = self.pieces + (options.effort * (triangles + AT_LEAST) as f64) as u64;
         let first = if options.limit.is_some() { DECISION_PIECES } else { FIRST_PIECES };
         let mut pieces = first;
         loop {
@@ -428,9 +539,8 @@ fn color_range(a: &Surface, b: &Surface) -> f64 {
 }
 
 fn one_sided(sides: &[Side<'_>; 2], slack: f64) -> Certificate {
-    let infinite = Deviation { shape: f64::INFINITY, color: f64::INFINITY };
-    let all = |side: &Side<'_>| vec![infinite; side.mesh.len()];
-    let bound = if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { infinite };
+    let all = |side: &Side<'_>| vec![EVERYTHING; side.mesh.len()];
+    let bound = if sides.iter().all(|s| s.mesh.is_empty()) { Deviation::default() } else { EVERYTHING };
     Certificate {
         result: all(&sides[0]),
         own: all(&sides[0]),

@@ -224,19 +224,16 @@ impl<const D: usize, const K: usize> Measure<D> for Tracked<'_, D, K> {
     }
 }
 
-/// Which samples belong to which triangle of the whole mesh.
-pub struct TrackedRecords<'a, const D: usize, const K: usize> {
-    qem: QemRecords<K>,
-    original: &'a Original<D>,
-    limits: &'a Limits,
-    /// Samples of triangle t: `samples[starts[t]..starts[t + 1]]`, vertices of the input.
+/// Samples by triangle of the whole mesh. Samples are vertices of the input.
+pub struct Lists {
+    /// Samples of triangle t: `samples[starts[t]..starts[t + 1]]`.
     pub starts: Vec<u32>,
     pub samples: Vec<u32>,
 }
 
-impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
-    /// Records of the input itself, whose triangles are `original`'s.
-    pub fn new(original: &'a Original<D>, limits: &'a Limits, weight: f64, importance: Vec<f64>) -> Self {
+impl Lists {
+    /// Those of the input itself: each vertex belongs to the first triangle that has it.
+    pub fn of_input<const D: usize>(original: &Original<D>) -> Self {
         let mut owned = vec![false; original.points.len()];
         let mut starts = Vec::with_capacity(original.triangles.len() + 1);
         let mut samples = Vec::with_capacity(original.points.len());
@@ -249,7 +246,32 @@ impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
             }
             starts.push(samples.len() as u32);
         }
-        Self { qem: QemRecords { weight, importance }, original, limits, starts, samples }
+        Self { starts, samples }
+    }
+
+    pub fn of(&self, triangle: usize) -> &[u32] {
+        &self.samples[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
+    }
+}
+
+/// Which samples belong to which triangle of the whole mesh, and what they may do.
+pub struct TrackedRecords<'a, const D: usize, const K: usize> {
+    qem: QemRecords<K>,
+    original: &'a Original<D>,
+    limits: &'a Limits,
+    pub lists: Lists,
+}
+
+impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
+    /// Records of a mesh with the importance of its vertices, or none.
+    pub fn new(
+        original: &'a Original<D>,
+        limits: &'a Limits,
+        weight: f64,
+        importance: Vec<f64>,
+        lists: Lists,
+    ) -> Self {
+        Self { qem: QemRecords { weight, importance }, original, limits, lists }
     }
 }
 
@@ -269,9 +291,7 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         let mut samples = vec![];
         for &t in &patch.triangle_source {
             let mut head = NONE;
-            for &vertex in
-                &self.samples[self.starts[t as usize] as usize..self.starts[t as usize + 1] as usize]
-            {
+            for &vertex in self.lists.of(t as usize) {
                 let point = self.original.points[vertex as usize];
                 let factor = self.limits.factors[vertex as usize];
                 samples.push(Sample { point, factor, vertex, next: head });
@@ -306,7 +326,7 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
 
     fn join(self, rim: &[u32], pieces: Vec<TrackedPiece>) -> Self {
         let mut starts = Vec::with_capacity(1 + pieces.iter().map(|p| p.counts.len()).sum::<usize>());
-        let mut samples = Vec::with_capacity(self.samples.len());
+        let mut samples = Vec::with_capacity(self.lists.samples.len());
         let mut importance = Vec::with_capacity(pieces.len());
         starts.push(0);
         for piece in pieces {
@@ -317,6 +337,6 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
             importance.push(piece.importance);
         }
         let qem = <QemRecords<K> as Records<D>>::join(self.qem, rim, importance);
-        Self { qem, starts, samples, ..self }
+        Self { qem, lists: Lists { starts, samples }, ..self }
     }
 }

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Noise, coloured, gallery, sheet};
-use scanloom_kernels::certify::{Certificate, Deviation, Options, Surface, certify};
+use scanloom_kernels::certify::{Certificate, Deviation, Options, Surface, Verdict, certify, decide};
 use scanloom_kernels::error::KernelError;
 use scanloom_kernels::geometry::{position, triangle_distance2};
 use scanloom_kernels::progress::{Control, Progress};
@@ -89,6 +89,60 @@ fn a_decision_agrees_with_the_bounds() {
         assert!(!passes(times(1.01)), "{name}");
         assert!(passes(Deviation { shape: 0.9 * full.attained.shape, color: f64::INFINITY }), "{name}");
     }
+}
+
+#[test]
+fn a_part_of_the_triangles_is_decided_as_the_whole() {
+    for (name, result, original) in pairs() {
+        let full = bounds(&result, &original, &Options::default());
+        for (shape, color) in [(0.2, 0.2), (0.5, 0.7), (0.9, f64::INFINITY), (1.01, 1.01)] {
+            let limit = Deviation { shape: shape * full.bound.shape, color: color * full.bound.color };
+            let options = Options { limit: Some(limit), ..Options::default() };
+            let whole = bounds(&result, &original, &options);
+            let surfaces = [surface(&result).unwrap(), surface(&original).unwrap()];
+            let ask = |asked: &[Vec<u32>; 2], threads| {
+                let options = Options { threads, ..options };
+                let control = Control::default();
+                let [one, other] = &surfaces;
+                let asked = asked.each_ref().map(Vec::as_slice);
+                decide(one, other, &options, asked, &mut Progress::new(&control)).unwrap()
+            };
+            let everything = [&result, &original].map(|(_, triangles)| (0..triangles.len() as u32).collect());
+            let all = ask(&everything, 1);
+            assert_eq!(all, ask(&everything, 3), "{name}");
+            for (found, bounds) in all.iter().zip([&whole.own, &whole.original]) {
+                for (verdict, bound) in found.iter().zip(bounds) {
+                    assert_eq!(verdict.bound.within(limit), bound.within(limit), "{name}");
+                    assert!(verdict.bound.shape >= limit.shape && verdict.attained.within(whole.attained));
+                }
+            }
+            for step in [2, 7] {
+                let some: [Vec<u32>; 2] =
+                    everything.each_ref().map(|all| all.iter().rev().step_by(step).copied().collect());
+                let expected: [Vec<Verdict>; 2] =
+                    [0, 1].map(|i| some[i].iter().map(|&t| all[i][t as usize]).collect());
+                assert_eq!(ask(&some, 2), expected, "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_triangle_whose_box_meets_is_visited() {
+    let (points, triangles) = sheet(9, 4);
+    let one = Surface::new(&points, &triangles).unwrap();
+    let (low, high) = ([2.0, 1.5, -1.0], [4.5, 1.5, 1.0]);
+    let mut found = vec![];
+    one.triangles_meeting(&low, &high, |t| found.push(t));
+    found.sort_unstable();
+    let meets = |corners: &[u32; 3]| {
+        (0..3).all(|i| {
+            let at = corners.map(|v| points[v as usize][i]);
+            at.iter().any(|x| *x <= high[i]) && at.iter().any(|x| *x >= low[i])
+        })
+    };
+    let expected: Vec<u32> = (0..triangles.len() as u32).filter(|&t| meets(&triangles[t as usize])).collect();
+    assert_eq!(found, expected);
 }
 
 /// A power of two changes no digit, so the same pieces must follow.

@@ -184,17 +184,14 @@ impl Against<'_> {
         let reach = farthest(polygon).reach + self.slack;
         let [low, high] = polygon.bounding_box();
         let (low, high) = (low.map(|x| x - reach), high.map(|x| x + reach));
-        self.target.bvh.meeting(&low, &high, skip, |slot| {
-            let [a, b, c] = &self.target.corners[slot as usize];
-            let meets =
-                (0..3).all(|i| a[i].min(b[i]).min(c[i]) <= high[i] && a[i].max(b[i]).max(c[i]) >= low[i]);
-            !meets || visit(slot)
-        });
+        self.target
+            .bvh
+            .meeting(&low, &high, skip, |slot| !self.target.meets(slot, &low, &high) || visit(slot));
     }
 
     /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`.
     fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
-        let corners = &self.target.corners[slot as usize];
+        let corners = &self.target.corners(slot);
         let facet = Facet::new(corners);
         let (part, outside) = match &facet {
             Some(facet) => facet.part(polygon, self.slack)?,

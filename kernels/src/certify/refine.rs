@@ -170,7 +170,7 @@ fn merge(shares: &mut Vec<Share>) {
 fn split(against: &Against<'_>, piece: &Piece, wanted: f64) -> Vec<Polygon> {
     let polygon = &piece.polygon;
     if polygon.len() <= MANY {
-        if let Some(facet) = Facet::new(&against.target.corners[piece.slot as usize]) {
+        if let Some(facet) = Facet::new(&against.target.corners(piece.slot)) {
             let height = polygon.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
             let margin = (wanted * wanted - height * height).max(0.0).sqrt();
             // What may be left uncut must still be within the margin, if there is one.

@@ -1,5 +1,7 @@
 //! A triangle soup ready to be asked for nearest points.
 
+use std::ops::Range;
+
 use super::facet::{Nearest, nearest};
 use crate::bvh::Bvh;
 use crate::error::KernelError;
@@ -20,14 +22,16 @@ pub struct Surface {
     pub bvh: Bvh,
     /// Triangle of the input in each slot.
     pub order: Vec<u32>,
-    pub corners: Vec<[Vec3; 3]>,
-    /// Attributes of the corners; empty where there are none. Single precision holds 8-bit levels exactly.
-    pub colors: Vec<[[f32; 3]; 3]>,
+    /// Slot of each triangle of the input.
+    pub slots: Vec<u32>,
+    /// Vertices at the corners of the triangle in each slot, numbered by first use: neighbours are close in memory.
+    pub vertices: Vec<[u32; 3]>,
+    /// By vertex. Those that no triangle uses are left out.
+    pub points: Vec<Vec3>,
+    /// Attributes by vertex; empty where there are none. Single precision holds 8-bit levels exactly.
+    pub colors: Vec<[f32; 3]>,
     /// The box around the colours below both branches of each node of the tree.
     pub color_boxes: Vec<[[[f32; 3]; 2]; 2]>,
-    /// Vertices of the input at the corners.
-    pub vertices: Vec<[u32; 3]>,
-    pub vertex_count: usize,
     /// Lowest and highest corner of everything, and of the colours.
     pub bounds: [Vec3; 2],
     pub color_bounds: [Vec3; 2],
@@ -49,41 +53,34 @@ impl Surface {
     pub fn new<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
         const { assert!(D >= 3 && D <= 6, "a point has three coordinates and up to three attributes") };
         check(points, triangles)?;
-        let corner = |v: u32| position(&points[v as usize]);
-        let boxes: Vec<[Vec3; 2]> = triangles
-            .iter()
-            .map(|t| {
-                let [a, b, c] = t.map(corner);
-                [[0, 1, 2].map(|i| a[i].min(b[i]).min(c[i])), [0, 1, 2].map(|i| a[i].max(b[i]).max(c[i]))]
-            })
-            .collect();
-        let (bvh, order) = Bvh::new(&boxes);
-        let vertices: Vec<[u32; 3]> = order.iter().map(|&t| triangles[t as usize]).collect();
-        let corners: Vec<[Vec3; 3]> = vertices.iter().map(|t| t.map(corner)).collect();
-        let color = |v: u32| [0, 1, 2].map(|i| points[v as usize].get(3 + i).copied().unwrap_or(0.0) as f32);
-        let colors: Vec<[[f32; 3]; 3]> =
-            if D == 3 { vec![] } else { vertices.iter().map(|t| t.map(color)).collect() };
-        let color_boxes = if D == 3 {
-            vec![]
-        } else {
-            bvh.gathered(
-                |slots| color_box(colors[slots].iter().flatten()),
-                |[a, b], [c, d]| color_box(&[a, b, c, d]),
-            )
-        };
-        let bounds = around(corners.iter().flatten().copied());
-        let color_bounds = around(colors.iter().flatten().map(|c| c.map(f64::from)));
-        Ok(Self {
+        let (bvh, order) = Bvh::new(triangles.len(), |t| {
+            around(triangles[t].iter().map(|&v| position(&points[v as usize])))
+        });
+        let mut slots = vec![0; order.len()];
+        order.iter().enumerate().for_each(|(slot, &t)| slots[t as usize] = slot as u32);
+        let (vertices, source) = numbered_by_use(order.iter().map(|&t| triangles[t as usize]), points.len());
+        let color =
+            |v: &u32| [0, 1, 2].map(|i| points[*v as usize].get(3 + i).copied().unwrap_or(0.0) as f32);
+        let mut surface = Self {
             bvh,
             order,
-            corners,
-            colors,
-            color_boxes,
+            slots,
             vertices,
-            vertex_count: points.len(),
-            bounds,
-            color_bounds,
-        })
+            points: source.iter().map(|&v| position(&points[v as usize])).collect(),
+            colors: if D == 3 { vec![] } else { source.iter().map(color).collect() },
+            color_boxes: vec![],
+            bounds: around([].into_iter()),
+            color_bounds: around([].into_iter()),
+        };
+        surface.bounds = around(surface.points.iter().copied());
+        surface.color_bounds = around(surface.colors.iter().map(|c| c.map(f64::from)));
+        if D > 3 {
+            let below = |slots: Range<usize>| {
+                color_box(surface.vertices[slots].iter().flatten().map(|&v| &surface.colors[v as usize]))
+            };
+            surface.color_boxes = surface.bvh.gathered(below, |[a, b], [c, d]| color_box(&[a, b, c, d]));
+        }
+        Ok(surface)
     }
 
     pub fn len(&self) -> usize {
@@ -94,6 +91,12 @@ impl Surface {
         self.order.is_empty()
     }
 
+    /// Corners of the triangle in `slot`.
+    #[inline]
+    pub fn corners(&self, slot: u32) -> [Vec3; 3] {
+        self.vertices[slot as usize].map(|v| self.points[v as usize])
+    }
+
     /// The nearest point to `p`; `hint` is a slot likely near it, which makes the search short.
     #[inline]
     pub fn nearest(&self, p: &Vec3, hint: u32) -> Found {
@@ -102,9 +105,31 @@ impl Surface {
         Found { slot, distance: least.sqrt() }
     }
 
+    /// Visit every triangle, by its number in the input, whose own box meets the box `low`–`high`.
+    pub fn triangles_meeting(&self, low: &Vec3, high: &Vec3, mut visit: impl FnMut(u32)) {
+        self.bvh.meeting(
+            low,
+            high,
+            |_, _| false,
+            |slot| {
+                if self.meets(slot, low, high) {
+                    visit(self.order[slot as usize]);
+                }
+                true
+            },
+        );
+    }
+
+    /// Whether the box around the triangle in `slot` meets another one.
+    #[inline]
+    pub fn meets(&self, slot: u32, low: &Vec3, high: &Vec3) -> bool {
+        let [a, b, c] = &self.corners(slot);
+        (0..3).all(|i| a[i].min(b[i]).min(c[i]) <= high[i] && a[i].max(b[i]).max(c[i]) >= low[i])
+    }
+
     #[inline]
     pub fn distance2(&self, slot: u32, p: &Vec3) -> f64 {
-        nearest(p, &self.corners[slot as usize]).distance2
+        nearest(p, &self.corners(slot)).distance2
     }
 
     /// A convex function that is nowhere less than the distance to the surface: that to the triangle in `slot`.
@@ -112,7 +137,7 @@ impl Surface {
     /// A search in single precision overlooks needles and finds what is beside them: of those only the longest
     /// side counts.
     pub fn reach(&self, slot: u32) -> impl Fn(&Vec3) -> f64 {
-        let [a, b, c] = self.corners[slot as usize];
+        let [a, b, c] = self.corners(slot);
         let sides = [[a, b], [b, c], [c, a]];
         let longest = sides.into_iter().max_by(|s, t| length2(s).total_cmp(&length2(t))).unwrap_or([a, b]);
         let area2 = norm2(&cross(&sub(&b, &a), &sub(&c, &a)));
@@ -130,12 +155,17 @@ impl Surface {
     /// Colours at the corners; black where there are none.
     #[inline]
     pub fn corner_colors(&self, slot: u32) -> [Vec3; 3] {
-        self.colors.get(slot as usize).map_or([[0.0; 3]; 3], |corners| corners.map(|c| c.map(f64::from)))
+        self.vertices[slot as usize].map(|v| self.vertex_color(v))
+    }
+
+    #[inline]
+    pub fn vertex_color(&self, v: u32) -> Vec3 {
+        self.colors.get(v as usize).map_or([0.0; 3], |c| c.map(f64::from))
     }
 
     /// Colour at the point of a slot's triangle nearest to `p`.
     pub fn color(&self, slot: u32, p: &Vec3) -> Vec3 {
-        blend(&nearest(p, &self.corners[slot as usize]), &self.corner_colors(slot))
+        blend(&nearest(p, &self.corners(slot)), &self.corner_colors(slot))
     }
 }
 
@@ -152,6 +182,22 @@ pub fn combine(weights: &Vec3, values: &[Vec3; 3]) -> Vec3 {
 #[inline]
 pub fn difference(a: &Vec3, b: &Vec3) -> f64 {
     norm2(&sub(a, b)).sqrt()
+}
+
+/// Triangles in numbers that follow their first use, and what the numbers stand for.
+fn numbered_by_use(triangles: impl Iterator<Item = [u32; 3]>, vertices: usize) -> (Vec<[u32; 3]>, Vec<u32>) {
+    let mut number = vec![u32::MAX; vertices];
+    let mut source = vec![];
+    let mut numbered = |v: u32| {
+        let number = &mut number[v as usize];
+        if *number == u32::MAX {
+            *number = source.len() as u32;
+            source.push(v);
+        }
+        *number
+    };
+    let triangles = triangles.map(|t| t.map(&mut numbered)).collect();
+    (triangles, source)
 }
 
 fn length2([a, b]: &[Vec3; 2]) -> f64 {
