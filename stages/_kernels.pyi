@@ -19,6 +19,7 @@ __all__ = [
     "certify",
     "fit",
     "residuals",
+    "side_lengths",
     "simplify",
     "simplify_by_quadrics",
     "simplify_certified",
@@ -117,6 +118,11 @@ class BySums(Simplified):
     def largest_shape_change(self) -> float: ...
     @property
     def largest_texture_change(self) -> float: ...
+
+def side_lengths(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
+) -> NDArray[np.float64]:
+    """Return the lengths (m, 3) of the sides: entry k is that from corner k − 1 to corner k."""
 
 def simplify(
     vertices: NDArray[np.float64],

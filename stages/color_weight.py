@@ -34,7 +34,9 @@ def color_weight(mesh: Mesh, triangles: int) -> float:
     """
     if mesh.colors is None:
         return 0.0
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
+    # A column at a time: reducing over rows of three is several times slower.
+    extent = [np.ptp(column) for column in mesh.vertices.T] if len(mesh.vertices) else [0.0]
+    diagonal = float(np.linalg.norm(extent))
     errors = _kernels.residuals(
         mesh.vertices, mesh.colors.astype(np.float64), mesh.triangles, target=max(triangles, 1)
     )

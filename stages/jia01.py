@@ -52,6 +52,7 @@ def by_sums(
         params.max_texture,
         params.attribute_scale,
         only_given=params.has_count,
+        threads=running.threads,
     )
     try:
         result = _kernels.simplify(

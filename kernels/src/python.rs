@@ -55,6 +55,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(certified::simplify_certified, module)?)?;
     module.add_class::<jia01::BySums>()?;
     module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
+    module.add_function(wrap_pyfunction!(jia01::side_lengths, module)?)?;
     module.add_class::<crate::python_certify::Certified>()?;
     module.add_function(wrap_pyfunction!(crate::python_certify::certify, module)?)
 }

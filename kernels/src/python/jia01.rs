@@ -1,13 +1,16 @@
-//! `stages._kernels.simplify`.
+//! `stages._kernels.simplify` and `side_lengths`, which its default resolution is made from.
 
-use numpy::{PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use super::arrays::{Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
+use crate::error::KernelError;
+use crate::geometry::distance2;
 use crate::jia01::{self, Limits, Options, Standing};
+use crate::parallel::{fill, threads};
 use crate::patch::Whole;
 
 /// A mesh simplified with JIA01, and the sums that came up.
@@ -94,4 +97,37 @@ fn simplify_points<const D: usize>(
         largest_texture_change: result.largest_texture_change,
     };
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(sums))
+}
+
+/// Lengths (m, 3) of the sides of triangles: entry k is the side from corner k − 1 to corner k. The arrays are read where
+/// they are, and so the GIL stays held for the few milliseconds this takes.
+#[pyfunction]
+#[pyo3(signature = (vertices, triangles, *, wanted_threads))]
+pub fn side_lengths(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    wanted_threads: usize,
+) -> PyResult<Py<PyArray2<f64>>> {
+    let (vertices, triangles) = (vertices.as_array(), triangles.as_array());
+    if vertices.ncols() != 3 || triangles.ncols() != 3 {
+        return Err(PyValueError::new_err("vertices are n × 3 and triangles m × 3"));
+    }
+    let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());
+    let (points, corners) = (vertices.as_slice().unwrap_or_default(), triangles.as_standard_layout());
+    let corners = corners.as_slice().unwrap_or_default();
+    if let Some(place) = corners.iter().position(|&v| v as u32 as usize >= count) {
+        let (triangle, vertex) = (place / 3, corners[place].into());
+        return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices: count }.into());
+    }
+    let point = |corner: usize| -> [f64; 3] {
+        let first = 3 * corners[corner] as usize;
+        [points[first], points[first + 1], points[first + 2]]
+    };
+    let mut lengths = vec![[0.0; 3]; triangles.nrows()];
+    fill(&mut lengths, threads(wanted_threads), |t| {
+        let [a, b, c] = [0, 1, 2].map(|k| point(3 * t + k));
+        [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
+    });
+    Ok(PyArray1::from_vec(py, lengths.into_flattened()).reshape([triangles.nrows(), 3])?.unbind())
 }
