@@ -23,6 +23,7 @@ __all__ = [
     "simplify",
     "simplify_by_quadrics",
     "simplify_certified",
+    "spatial_order",
 ]
 
 class InvalidMeshError(ValueError):
@@ -204,6 +205,7 @@ def residuals(
     triangles: NDArray[np.int32],
     *,
     target: int,
+    wanted_threads: int,
 ) -> tuple[float, float] | None:
     """Return the RMS errors of shape and attributes to expect of a result with `target` triangles.
 
@@ -275,4 +277,12 @@ def simplify_certified(
     `share` is the part of the bounds that samples may use; `tolerance` and `effort` are those of `certify`,
     whose bounds for single triangles are close only if `close` says so.
     Raises InvalidMeshError for a mesh it cannot work on.
+    """
+
+def spatial_order(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Return vertices and triangles in an order in which neighbours in space are neighbours in memory.
+
+    Raises InvalidMeshError for an index out of range or a value that is not finite.
     """

@@ -88,7 +88,7 @@ def simplify_certified(
         max_shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh)
     shape, color = float(max_shape), math.inf if max_color is None else float(max_color)
     if weight is None:
-        weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION)
+        weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION, threads)
     running = _kernels.Running(
         target_triangles=triangles, threads=threads, patch_triangles=PATCH_TRIANGLES, partial=partial
     )

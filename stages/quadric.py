@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from stages.mesh import Mesh
 from stages.progress import Progress
 from stages.simplified import Simplified
 from stages.simplify_params import SimplifyParams
+from stages.spatial_order import is_scattered, ordered, with_rows
 
 # Triangles worked on at a time: small enough for the caches.
 PATCH_TRIANGLES = 8192
@@ -39,10 +42,49 @@ def by_quadrics(
     _kernels.InvalidMeshError
         For a mesh that is not an oriented manifold.
     """
+    # A record names the vertices of the input all along.
+    run = _in_order if not running.record and is_scattered(mesh) else _as_it_is
+    return run(mesh, params, lock, importance, running, progress)
+
+
+def _in_order(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    """Simplify a scattered mesh in an order that suits the caches; the result is in that of the input."""
+    order = ordered(mesh)
+    factors = importance[order.vertices] if len(importance) else importance
+    try:
+        found = _as_it_is(order.mesh, params, lock[order.vertices], factors, running, progress)
+    except _kernels.InvalidMeshError:
+        # The message has to name what is wrong as the caller knows it.
+        return _as_it_is(mesh, params, lock, importance, running, progress)
+    sources = order.vertices[found.vertex_source], order.triangles[found.triangle_source]
+    vertices, triangles = (np.argsort(source) for source in sources)
+    return replace(
+        found,
+        mesh=with_rows(found.mesh, vertices, triangles),
+        vertex_source=sources[0][vertices].astype(np.int32),
+        triangle_source=sources[1][triangles].astype(np.int32),
+    )
+
+
+def _as_it_is(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: NDArray[np.float64],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
     given = centred(mesh)
     weight = params.attribute_scale
     if weight is None:
-        weight = color_weight(mesh, running.target_triangles)
+        weight = color_weight(mesh, running.target_triangles, running.threads)
     result = _kernels.simplify_by_quadrics(
         given.vertices,
         given.attributes,

@@ -21,6 +21,7 @@ mod watched;
 use crate::certify::{self, Certificate, Deviation, Surface};
 use crate::engine::{Refusal, Stop};
 use crate::error::KernelError;
+use crate::geometry::position;
 use crate::mesh::Compact;
 use crate::original::Original;
 use crate::patch::Whole;
@@ -51,7 +52,7 @@ const END: usize = 2 * PATIENCE;
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Two-sided distance in metres and difference of colour in levels, infinite for none. What is less than
-    /// [`least_bounds`] counts as that.
+    /// can be proven in single precision counts as that.
     pub bounds: Deviation,
     /// Length that counts as much as one level when a vertex is placed.
     pub weight: f64,
@@ -103,8 +104,9 @@ pub struct Certified<const D: usize> {
 }
 
 /// The least bounds that can be proven for surfaces of this size: a proof spends the slack of single precision.
-pub fn least_bounds(surface: &Surface, options: &certify::Options) -> Deviation {
-    Deviation { shape: 2.0 * certify::slack([surface; 2], options.slack), color: 2.0 * certify::COLOR_SLACK }
+fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
+    let corners = original.triangles.iter().flatten().map(|&v| position(&original.points[v as usize]));
+    Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: 2.0 * certify::COLOR_SLACK }
 }
 
 /// Simplify as far as the bounds can be proven to hold for every point of both surfaces.
@@ -124,9 +126,7 @@ pub fn simplify<const D: usize, const K: usize>(
     progress.check()?;
     let original = Original::new(whole.points, whole.triangles);
     progress.check()?;
-    let surface = Surface::new(&original.points, &original.triangles)?;
-    progress.check()?;
-    let least = least_bounds(&surface, &options.proof);
+    let least = least_bounds(&original, &options.proof);
     let bounds = options.bounds.max(least);
     let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
     let mut limits = Limits {
@@ -138,7 +138,7 @@ pub fn simplify<const D: usize, const K: usize>(
     let goal = Goal { record: true, ..*goal };
 
     let mut history = History::new(&original);
-    let mut ledger = Ledger::new(&original, &surface, decision);
+    let mut ledger = None;
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
     let mut failures = vec![0u8; original.points.len()];
@@ -152,6 +152,10 @@ pub fn simplify<const D: usize, const K: usize>(
         (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
         history.append(outcome.merges, outcome.path);
+        let ledger = match &mut ledger {
+            Some(ledger) => ledger,
+            none => none.insert(Ledger::new(&original, decision)?),
+        };
         let unproven = ledger.look(&mesh, progress)?;
         passes.push(Pass {
             triangles: mesh.triangles.len(),
@@ -172,7 +176,7 @@ pub fn simplify<const D: usize, const K: usize>(
                 let result = Surface::new(&mesh.points, &mesh.triangles)?;
                 let limit = (!options.close).then_some(bounds);
                 let proof = certify::Options { limit, ..decision };
-                let close = certify::certify(&result, &surface, &proof, progress)?;
+                let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
                 if proven { ledger.closer(close) } else { close }
             };
             mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);

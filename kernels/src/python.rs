@@ -7,6 +7,7 @@ mod certified;
 mod detached;
 mod fit;
 mod jia01;
+mod order;
 mod quadric;
 mod simplified;
 
@@ -51,6 +52,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(quadric::simplify_by_quadrics, module)?)?;
     module.add_function(wrap_pyfunction!(quadric::residuals, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
+    module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;
     module.add_class::<certified::Proven>()?;
     module.add_function(wrap_pyfunction!(certified::simplify_certified, module)?)?;
     module.add_class::<jia01::BySums>()?;

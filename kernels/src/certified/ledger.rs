@@ -16,6 +16,9 @@ struct Known<const D: usize> {
     verdict: Verdict,
 }
 
+/// Triangles of the input that are looked at together: what is found of them takes memory.
+const AT_ONCE: usize = 1 << 17;
+
 /// Until it is looked at.
 const UNKNOWN: Verdict = Verdict {
     bound: Deviation { shape: f64::INFINITY, color: f64::INFINITY },
@@ -46,7 +49,8 @@ impl Open {
 
 pub struct Ledger<'a, const D: usize> {
     original: &'a Original<D>,
-    surface: &'a Surface,
+    /// The input's.
+    pub surface: Surface,
     /// With a limit.
     decision: certify::Options,
     bounds: Deviation,
@@ -61,25 +65,27 @@ pub struct Ledger<'a, const D: usize> {
 }
 
 impl<'a, const D: usize> Ledger<'a, D> {
-    pub fn new(original: &'a Original<D>, surface: &'a Surface, decision: certify::Options) -> Self {
+    /// # Errors
+    /// As [`Surface::new`].
+    pub fn new(original: &'a Original<D>, decision: certify::Options) -> Result<Self, KernelError> {
         let bounds = decision.limit.unwrap_or_default();
-        Self {
+        Ok(Self {
             original,
-            surface,
+            surface: Surface::new(&original.points, &original.triangles)?,
             decision,
             bounds,
             result: vec![],
             attained: vec![],
             failing: vec![],
             hopeless: vec![],
-        }
+        })
     }
 
     /// Look at what has changed since the last time. Returns how many triangles of the mesh and of the input have no
     /// proof now.
     ///
-    /// What is proven of a triangle of the mesh stays as long as it does. What is proven of one of the input says
-    /// that nothing counts but what is within the bound on shape of it, and stays as long as all of that does.
+    /// What is found of a triangle of the mesh stays as long as it does. For one of the input nothing counts but what is
+    /// within the bound on shape of it, and what is found stays as long as all of that does.
     pub fn look(
         &mut self,
         mesh: &Whole<D, Bound>,
@@ -115,30 +121,35 @@ impl<'a, const D: usize> Ledger<'a, D> {
             result.push(Known { source, corners, verdict });
         }
         before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
-        self.failing.iter().for_each(|failing| near[failing.triangle as usize] = true);
         let asked_input: Vec<u32> = (0..near.len() as u32).filter(|&t| near[t as usize]).collect();
 
         let target = Surface::new(&mesh.points, &mesh.triangles)?;
-        let [own, of_input] =
-            decide(&target, self.surface, &self.decision, [&asked, &asked_input], progress)?;
+        let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], progress)?;
         asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
         self.result = result;
         self.attained.resize(self.surface.len(), [0.0; 2]);
-        self.failing.clear();
-        for (t, verdict) in asked_input.into_iter().zip(of_input) {
-            // Never more than what is attained.
-            let single = |x: f64| (x as f32).next_down().max(0.0);
-            self.attained[t as usize] = [single(verdict.attained.shape), single(verdict.attained.color)];
-            if !verdict.bound.within(self.bounds) {
-                let corners = self.original.triangles[t as usize].map(|v| self.original.points[v as usize]);
-                let [low, high] = box_around(&corners, self.bounds.shape);
-                let mut within_reach = vec![];
-                target
-                    .triangles_meeting(&low, &high, |i| within_reach.push(mesh.triangle_source[i as usize]));
-                self.failing.push(Failing { triangle: t, within_reach });
+        self.failing.retain(|failing| !near[failing.triangle as usize]);
+        for asked in asked_input.chunks(AT_ONCE) {
+            let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], asked], progress)?;
+            for (&t, verdict) in asked.iter().zip(verdicts) {
+                // Never more than what is attained.
+                let single = |x: f64| (x as f32).next_down().max(0.0);
+                self.attained[t as usize] = [single(verdict.attained.shape), single(verdict.attained.color)];
+                if !verdict.bound.within(self.bounds) {
+                    self.failing.push(self.failing(t, &target, mesh));
+                }
             }
         }
+        self.failing.sort_unstable_by_key(|failing| failing.triangle);
         Ok([self.failing_of_result().count(), self.failing.len()])
+    }
+
+    fn failing(&self, triangle: u32, target: &Surface, mesh: &Whole<D, Bound>) -> Failing {
+        let corners = self.original.triangles[triangle as usize].map(|v| self.original.points[v as usize]);
+        let [low, high] = box_around(&corners, self.bounds.shape);
+        let mut within_reach = vec![];
+        target.triangles_meeting(&low, &high, |i| within_reach.push(mesh.triangle_source[i as usize]));
+        Failing { triangle, within_reach }
     }
 
     /// Triangles of the mesh without a proof, by their number in `result`.
@@ -170,7 +181,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         asked.sort_unstable();
         asked.dedup();
         asked.retain(|t| self.hopeless.binary_search(t).is_err());
-        let [_, verdicts] = decide(self.surface, self.surface, &self.decision, [&[], &asked], progress)?;
+        let [_, verdicts] = decide(&self.surface, &self.surface, &self.decision, [&[], &asked], progress)?;
         let before = self.hopeless.len();
         let found = asked.iter().zip(verdicts).filter(|(_, verdict)| !verdict.bound.within(self.bounds));
         self.hopeless.extend(found.map(|(&t, _)| t));
@@ -199,7 +210,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             original: vec![bound; self.surface.len()],
             bound,
             attained: of_input.chain(of_result).fold(Deviation::default(), Deviation::max),
-            slack: certify::slack([self.surface; 2], self.decision.slack),
+            slack: certify::slack(self.surface.bounds.into_iter(), self.decision.slack),
             color_slack: certify::COLOR_SLACK,
             pieces: 0,
         }

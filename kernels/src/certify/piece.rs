@@ -190,7 +190,7 @@ impl Against<'_> {
     }
 
     /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`.
-    fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
+    pub fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
         let corners = &self.target.corners(slot);
         let facet = Facet::new(corners);
         let (part, outside) = match &facet {

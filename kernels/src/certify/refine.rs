@@ -7,17 +7,16 @@ use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 use super::facet::Facet;
-use super::parallel::GoOn;
 use super::piece::{Against, Deviation, Piece, Share, Wanted};
 use super::polygon::{Corner, MOST, Polygon};
+use crate::error::KernelError;
 use crate::geometry::{Vec3, dot, sub};
+use crate::progress::Progress;
 
 /// A polygon with more corners is halved, not cut along an outline: three cuts may add three.
 const MANY: usize = MOST / 2;
 /// Share of a piece's radius that is too thin to be cut off.
 const SLIVER: f64 = 0.02;
-/// Pieces between two questions whether to go on.
-const STRIDE: usize = 64;
 
 /// When a bound is good enough.
 #[derive(Clone, Copy, Debug)]
@@ -76,6 +75,9 @@ struct Waiting {
 }
 
 /// Bound one triangle, of which some points are known to attain `attained`.
+///
+/// # Errors
+/// [`KernelError::Interrupted`] when the caller wants to stop.
 pub fn refine(
     against: &Against<'_>,
     triangle: [Corner; 3],
@@ -83,8 +85,8 @@ pub fn refine(
     attained: Deviation,
     goal: &Goal,
     workspace: &mut Workspace,
-    go_on: GoOn<'_>,
-) -> Outcome {
+    progress: &mut Progress,
+) -> Result<Outcome, KernelError> {
     let Workspace { waiting, shares } = workspace;
     waiting.clear();
     shares.clear();
@@ -95,6 +97,7 @@ pub fn refine(
     let mut parent = everything;
     loop {
         for (polygon, near) in parts.drain(..) {
+            progress.check_now_and_then()?;
             let so_far = outcome.attained;
             let wanted = |at_centre| goal.level(so_far.max(at_centre));
             let (piece, at_centre) = against.piece(polygon, near, parent, wanted, shares);
@@ -111,8 +114,7 @@ pub fn refine(
             }
         }
         let passed = goal.decide && !outcome.attained.within(goal.at_most);
-        let stopped = outcome.pieces % STRIDE == 0 && !go_on();
-        if passed || stopped || outcome.pieces >= goal.pieces {
+        if passed || outcome.pieces >= goal.pieces {
             break;
         }
         let Some(Waiting { piece, .. }) = waiting.pop() else { break };
@@ -133,7 +135,7 @@ pub fn refine(
         finish(against, &piece, shares, &mut outcome);
     }
     merge(&mut outcome.shares);
-    outcome
+    Ok(outcome)
 }
 
 fn excess(bound: Deviation, level: Deviation) -> f64 {

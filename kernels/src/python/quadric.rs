@@ -12,6 +12,7 @@ use crate::connect::check_indices;
 use crate::engine::{Merge, Refusal};
 use crate::legality::Illegal;
 use crate::mesh::check_points;
+use crate::parallel::threads;
 use crate::patch::Whole;
 use crate::qem::QemRecords;
 use crate::rounds::collapse;
@@ -110,19 +111,20 @@ fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
 /// Errors of shape and of the attributes that a result of `target` triangles has to be expected to make; None where
 /// the mesh is too small to tell or has no attributes.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, target))]
+#[pyo3(signature = (vertices, attributes, triangles, *, target, wanted_threads))]
 pub fn residuals(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
     target: usize,
+    wanted_threads: usize,
 ) -> PyResult<Option<(f64, f64)>> {
     let inputs = Inputs { vertices, attributes, triangles };
     match inputs.attribute_count() {
         0 => Ok(None),
-        1 => residuals_of_points::<4>(py, &inputs, target),
-        3 => residuals_of_points::<6>(py, &inputs, target),
+        1 => residuals_of_points::<4>(py, &inputs, target, wanted_threads),
+        3 => residuals_of_points::<6>(py, &inputs, target, wanted_threads),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -131,9 +133,10 @@ fn residuals_of_points<const D: usize>(
     py: Python<'_>,
     inputs: &Inputs<'_>,
     target: usize,
+    wanted_threads: usize,
 ) -> PyResult<Option<(f64, f64)>> {
     let (points, triangles) = inputs.copied::<D>()?;
     check_points(&points)?;
     check_indices(points.len(), &triangles)?;
-    Ok(py.detach(|| balance::residuals(&points, &triangles, target)))
+    Ok(py.detach(|| balance::residuals(&points, &triangles, target, threads(wanted_threads))))
 }

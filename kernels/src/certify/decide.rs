@@ -1,0 +1,108 @@
+//! Does one triangle stay within a limit? The quick proof first, for all of it or for parts; what is left is for `refine`.
+
+use super::cover::Cover;
+use super::piece::{Against, Deviation};
+use super::polygon::Corner;
+use super::refine::{Goal, Outcome, Workspace, refine};
+use crate::error::KernelError;
+use crate::geometry::{distance2, midpoint};
+use crate::progress::Progress;
+
+/// With no more triangles than this near a part, splitting it costs as much as looking at its pieces.
+const FEW: usize = 8;
+/// Parts of one triangle. Where the quick proof is of no use they would become ever smaller.
+const PARTS: usize = 1024;
+
+/// Memory that the next triangle can use again.
+#[derive(Default)]
+pub struct Scratch {
+    pub workspace: Workspace,
+    cover: Cover,
+    parts: Vec<Part>,
+}
+
+/// A triangle and the slots nearest to its corners.
+#[derive(Clone, Copy)]
+struct Part {
+    corners: [Corner; 3],
+    near: [u32; 3],
+}
+
+/// Decide on `goal.at_most`, given the slots nearest to the corners and what they attain.
+pub fn decide(
+    against: &Against<'_>,
+    corners: [Corner; 3],
+    near: [u32; 3],
+    attained: Deviation,
+    goal: &Goal,
+    scratch: &mut Scratch,
+    progress: &mut Progress,
+) -> Result<Outcome, KernelError> {
+    let mut seen = Outcome { bound: Deviation::default(), attained, pieces: 0, shares: vec![] };
+    if attained.within(goal.at_most)
+        && parts_proven(against, Part { corners, near }, goal, &mut seen, scratch, progress)?
+    {
+        return Ok(Outcome { bound: goal.at_most, ..seen });
+    }
+    let mut hint = near[0];
+    let Scratch { workspace, .. } = scratch;
+    let whole = refine(against, corners, &mut hint, seen.attained, goal, workspace, progress)?;
+    Ok(Outcome { pieces: whole.pieces + seen.pieces, ..whole })
+}
+
+/// Whether every part is proven to stay within the limit; `seen` gathers what is found on the way.
+fn parts_proven(
+    against: &Against<'_>,
+    whole: Part,
+    goal: &Goal,
+    seen: &mut Outcome,
+    Scratch { workspace, cover, parts }: &mut Scratch,
+    progress: &mut Progress,
+) -> Result<bool, KernelError> {
+    parts.clear();
+    parts.push(whole);
+    let mut halved = 0;
+    while let Some(part) = parts.pop() {
+        progress.check_now_and_then()?;
+        seen.pieces += 1;
+        if cover.proves(against, &part.corners, part.near, goal.at_most) {
+            continue;
+        }
+        if cover.crowd() > FEW && halved < PARTS {
+            halved += 1;
+            parts.extend(halves(against, &part, seen));
+        } else {
+            let mut hint = part.near[0];
+            let outcome = refine(against, part.corners, &mut hint, seen.attained, goal, workspace, progress)?;
+            seen.pieces += outcome.pieces;
+            seen.attained = outcome.attained;
+            if !outcome.bound.within(goal.at_most) {
+                return Ok(false);
+            }
+        }
+        if !seen.attained.within(goal.at_most) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Both sides of the line from the middle of the longest side to the corner opposite.
+fn halves(against: &Against<'_>, part: &Part, seen: &mut Outcome) -> [Part; 2] {
+    let Part { corners, near } = part;
+    let length2 = |i: usize| distance2(&corners[i].at, &corners[(i + 1) % 3].at);
+    let i = (0..3).max_by(|&i, &j| length2(i).total_cmp(&length2(j))).unwrap_or(0);
+    let j = (i + 1) % 3;
+    let middle = Corner {
+        at: midpoint(&corners[i].at, &corners[j].at),
+        color: midpoint(&corners[i].color, &corners[j].color),
+        reach: f64::INFINITY,
+    };
+    let found = against.target.nearest(&middle.at, near[i]);
+    seen.attained = seen.attained.max(against.deviation(&middle, found.slot, found.distance));
+    [i, j].map(|moved| {
+        let mut half = *part;
+        (half.corners[moved], half.near[moved]) = (middle, found.slot);
+        half
+    })
+}

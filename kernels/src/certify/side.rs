@@ -1,0 +1,247 @@
+//! All triangles of one surface against the other one: on several threads, round after round.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use super::decide::{Scratch, decide};
+use super::piece::{Against, Deviation, Share, Wanted};
+use super::polygon::Corner;
+use super::refine::{Goal, Outcome, refine};
+use super::surface::Surface;
+use crate::error::KernelError;
+use crate::parallel;
+use crate::progress::Progress;
+
+/// Triangles or vertices that a thread takes at a time.
+pub const CHUNK: usize = 256;
+/// Neighbouring vertices whose search starts at one place.
+const BLOCK: usize = 32;
+
+/// What was found of one triangle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Verdict {
+    pub bound: Deviation,
+    /// The greatest deviation at a point that was looked at.
+    pub attained: Deviation,
+}
+
+/// One direction: the triangles of `mesh` against the other surface. By slot of `mesh` unless said otherwise.
+pub struct Side<'a> {
+    pub mesh: &'a Surface,
+    pub against: Against<'a>,
+    pub found: Vec<Verdict>,
+    /// Of all triangles.
+    pub attained: Deviation,
+    /// Triangles whose bound is not close enough yet.
+    pub pending: Vec<(u32, Outcome)>,
+    /// By vertex: the nearest slot of the target, and the deviation there.
+    vertices: Vec<(u32, Deviation)>,
+    on_target: OnTarget,
+}
+
+/// What all rounds have in common.
+pub struct Run<'a> {
+    threads: usize,
+    progress: Progress<'a>,
+    done: AtomicU64,
+    total: u64,
+    pub pieces: u64,
+}
+
+impl<'a> Side<'a> {
+    pub fn new(mesh: &'a Surface, against: Against<'a>) -> Self {
+        let on_target = OnTarget::new(if against.wanted == Wanted::None { 0 } else { against.target.len() });
+        Self {
+            mesh,
+            against,
+            found: vec![Verdict::default(); mesh.len()],
+            attained: Deviation::default(),
+            pending: vec![],
+            vertices: vec![],
+            on_target,
+        }
+    }
+
+    /// Look at the corners of the triangles in `slots`: vertices are where simplified surfaces stray most.
+    ///
+    /// What is found does not depend on which others are asked for.
+    pub fn look_at_vertices(&mut self, slots: &[u32], run: &Run<'_>) -> Result<(), KernelError> {
+        let mut used = vec![false; self.mesh.points.len()];
+        slots.iter().flat_map(|&s| self.mesh.vertices[s as usize]).for_each(|v| used[v as usize] = true);
+        let asked: Vec<u32> = (0..used.len() as u32).filter(|&v| used[v as usize]).collect();
+        let (mesh, against) = (self.mesh, &self.against);
+        let look = |range: Range<usize>| {
+            // A block, and where the search for its vertices starts.
+            let mut start = (usize::MAX, 0);
+            let found = asked[range].iter().map(|&v| {
+                let block = v as usize / BLOCK;
+                if start.0 != block {
+                    start = (block, against.target.nearest(&mesh.points[block * BLOCK], 0).slot);
+                }
+                let corner = corner(mesh, v);
+                let found = against.target.nearest(&corner.at, start.1);
+                (found.slot, against.deviation(&corner, found.slot, found.distance))
+            });
+            found.collect::<Vec<_>>()
+        };
+        let found = run.chunks(asked.len(), CHUNK, || (), |range, (), _| Ok(look(range)))?;
+        self.vertices = vec![(0, Deviation::default()); self.mesh.points.len()];
+        for (&v, found) in asked.iter().zip(found.into_iter().flatten()) {
+            self.vertices[v as usize] = found;
+            self.attained = self.attained.max(found.1);
+        }
+        Ok(())
+    }
+
+    /// Bound the triangles in `slots`; those not within `keep` are left pending.
+    pub fn bound(
+        &mut self,
+        slots: &[u32],
+        goal: &Goal,
+        keep: Deviation,
+        chunk: usize,
+        run: &mut Run<'_>,
+    ) -> Result<(), KernelError> {
+        let this = &*self;
+        let work = |range: Range<usize>, scratch: &mut Scratch, progress: &mut Progress<'_>| {
+            let mut found = Vec::with_capacity(range.len());
+            let (mut pending, mut pieces) = (vec![], 0);
+            for &slot in &slots[range] {
+                let outcome = this.look_at(slot, goal, scratch, progress)?;
+                pieces += outcome.pieces as u64;
+                found.push(Verdict { bound: outcome.bound, attained: outcome.attained });
+                if outcome.bound.within(keep) {
+                    this.on_target.receive(&outcome.shares);
+                } else {
+                    pending.push((slot, outcome));
+                }
+            }
+            Ok((found, pending, pieces))
+        };
+        let chunks = run.chunks(slots.len(), chunk, Scratch::default, work)?;
+        let mut at = slots.iter();
+        for (found, pending, pieces) in chunks {
+            for (found, &slot) in found.into_iter().zip(&mut at) {
+                self.attained = self.attained.max(found.attained);
+                self.found[slot as usize] = found;
+            }
+            self.pending.extend(pending);
+            run.pieces += pieces;
+        }
+        Ok(())
+    }
+
+    fn look_at(
+        &self,
+        slot: u32,
+        goal: &Goal,
+        scratch: &mut Scratch,
+        progress: &mut Progress<'_>,
+    ) -> Result<Outcome, KernelError> {
+        let vertices = self.mesh.vertices[slot as usize];
+        let at_corners = vertices.map(|v| self.vertices[v as usize]);
+        let so_far = at_corners.iter().fold(Deviation::default(), |most, c| most.max(c.1));
+        let corners = vertices.map(|v| corner(self.mesh, v));
+        let near = at_corners.map(|(slot, _)| slot);
+        if goal.decide {
+            return decide(&self.against, corners, near, so_far, goal, scratch, progress);
+        }
+        let mut hint = near[0];
+        refine(&self.against, corners, &mut hint, so_far, goal, &mut scratch.workspace, progress)
+    }
+
+    /// Look again at the pending triangles, with more pieces; what was proven before stays.
+    pub fn tighten(&mut self, goal: &Goal, run: &mut Run<'_>) -> Result<(), KernelError> {
+        let mut before = std::mem::take(&mut self.pending);
+        let slots: Vec<u32> = before.iter().map(|(slot, _)| *slot).collect();
+        // Nothing is within this: all stay pending, and are told apart when the greatest deviation is known.
+        let nothing = Deviation { shape: -1.0, color: -1.0 };
+        self.bound(&slots, goal, nothing, 1, run)?;
+        for ((slot, now), (_, before)) in self.pending.iter_mut().zip(&mut before) {
+            now.bound = now.bound.min(before.bound);
+            now.attained = now.attained.max(before.attained);
+            now.shares = common(&now.shares, &before.shares);
+            self.found[*slot as usize] = Verdict { bound: now.bound, attained: now.attained };
+        }
+        Ok(())
+    }
+
+    /// Let go of the pending triangles that `done` is true of.
+    pub fn settle(&mut self, done: impl Fn(&Outcome) -> bool) {
+        let on_target = &self.on_target;
+        self.pending.retain(|(_, outcome)| {
+            let done = done(outcome);
+            if done {
+                on_target.receive(&outcome.shares);
+            }
+            !done
+        });
+    }
+
+    /// The greatest deviation of what falls on a slot of the target.
+    pub fn on_target(&self, slot: usize) -> Deviation {
+        self.on_target.at(slot)
+    }
+}
+
+fn corner(mesh: &Surface, v: u32) -> Corner {
+    Corner { at: mesh.points[v as usize], color: mesh.vertex_color(v), reach: f64::INFINITY }
+}
+
+/// By slot of the target: the greatest shape and colour that fall on it, whichever thread finds them first.
+struct OnTarget(Vec<[AtomicU64; 2]>);
+
+impl OnTarget {
+    fn new(slots: usize) -> Self {
+        Self((0..slots).map(|_| [0, 0].map(AtomicU64::new)).collect())
+    }
+
+    fn receive(&self, shares: &[Share]) {
+        for share in shares {
+            let there = &self.0[share.slot as usize];
+            // Numbers that are not negative are in the order of their bits.
+            for (most, value) in there.iter().zip([share.deviation.shape, share.deviation.color]) {
+                most.fetch_max(value.max(0.0).to_bits(), Relaxed);
+            }
+        }
+    }
+
+    fn at(&self, slot: usize) -> Deviation {
+        let [shape, color] = self.0[slot].each_ref().map(|bits| f64::from_bits(bits.load(Relaxed)));
+        Deviation { shape, color }
+    }
+}
+
+/// Two proofs at once: what falls on a slot is bounded by both, and is nothing if one of them excludes it.
+fn common(a: &[Share], b: &[Share]) -> Vec<Share> {
+    let other = |share: &Share| b.binary_search_by_key(&share.slot, |s| s.slot).ok().map(|i| b[i].deviation);
+    a.iter()
+        .filter_map(|share| Some(Share { slot: share.slot, deviation: share.deviation.min(other(share)?) }))
+        .collect()
+}
+
+impl<'a> Run<'a> {
+    /// So many triangles in all, and as many vertices.
+    pub fn new(threads: usize, triangles: usize, progress: &Progress<'a>) -> Self {
+        let (threads, progress) = (parallel::threads(threads), progress.clone());
+        Self { threads, progress, done: AtomicU64::new(0), total: 2 * triangles as u64, pieces: 0 }
+    }
+
+    /// `work` on so many items, in ranges of `size`; the results in this order.
+    fn chunks<S, R: Send>(
+        &self,
+        items: usize,
+        size: usize,
+        scratch: impl Fn() -> S + Sync,
+        work: impl Fn(Range<usize>, &mut S, &mut Progress<'_>) -> Result<R, KernelError> + Sync,
+    ) -> Result<Vec<R>, KernelError> {
+        let one = |(scratch, progress): &mut (S, Progress<'_>), chunk: usize| {
+            let range = chunk * size..items.min((chunk + 1) * size);
+            let done = self.done.fetch_add(range.len() as u64, Relaxed);
+            progress.tell(done.min(self.total), self.total)?;
+            work(range, scratch, progress)
+        };
+        let scratch = || (scratch(), self.progress.clone());
+        parallel::map(items.div_ceil(size), self.threads, scratch, one).into_iter().collect()
+    }
+}
