@@ -123,7 +123,9 @@ pub fn simplify<const D: usize, const K: usize>(
 ) -> Result<Certified<D>, KernelError> {
     let whole = Whole::<D, Bound>::new(points, triangles, fixed)?;
     let (proper, mut fixed) = (whole.triangle_source, whole.fixed);
+    progress.check()?;
     let original = Original::new(whole.points, whole.triangles);
+    progress.check()?;
     let least = least_bounds(&original, &options.proof);
     let bounds = options.bounds.max(least);
     let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
@@ -141,6 +143,7 @@ pub fn simplify<const D: usize, const K: usize>(
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
     let mut failures = vec![0u8; original.points.len()];
+    progress.check()?;
     let mut mesh = Whole::new(original.points.clone(), original.triangles.clone(), fixed.clone())?;
     let mut lists = Lists::of_input(&original);
     loop {
@@ -180,6 +183,7 @@ pub fn simplify<const D: usize, const K: usize>(
             mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
             return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, held });
         }
+        progress.check()?;
         let watched = Watched::new(&original, &mesh.triangle_source, &lists);
         let mut retreat = Retreat::new(&original, history, watched);
         let around = retreat.samples_around(&mesh, &open);

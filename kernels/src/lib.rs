@@ -51,6 +51,4 @@ pub mod validate;
 #[cfg(feature = "python")]
 mod python;
 #[cfg(feature = "python")]
-mod python_certified;
-#[cfg(feature = "python")]
 mod python_certify;
