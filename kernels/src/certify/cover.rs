@@ -53,7 +53,8 @@ pub struct Cover {
 }
 
 impl Cover {
-    /// Whether all of `triangle` is proven to be within `limit`. `near` are slots nearest to its corners.
+    /// Whether all of `triangle` is proven to be within `limit`. `near` are slots nearest to its corners, and
+    /// their `reach` is the distance there.
     pub fn proves(
         &mut self,
         against: &Against<'_>,
@@ -68,10 +69,21 @@ impl Cover {
         }
         self.seen.clear();
         let Some(view) = View::new(triangle) else { return false };
-        let seen_within = by_one.unwrap_or(most) + against.slack;
-        self.look(against, triangle, &view, seen_within);
-        let Some(reach) = by_one.or_else(|| self.hidden(against, &view, most)) else { return false };
-        !against.with_color || self.color_within(against, triangle, &view, reach, limit.color)
+        let color_within =
+            |cover: &Self, reach| cover.color_within(against, triangle, &view, reach, limit.color);
+        if let Some(reach) = by_one {
+            let colors = around(triangle.iter().map(|c| c.color));
+            let close = |node, branch| against.target.colors_apart(node, branch, &colors) <= limit.color;
+            self.look(against, triangle, &view, reach + against.slack, close);
+            if color_within(self, reach) {
+                return true;
+            }
+        }
+        // Several triangles may be nearer than one is: fewer then have a colour that matters.
+        let most = by_one.unwrap_or(most);
+        self.look(against, triangle, &view, most + against.slack, |_, _| false);
+        let reach = self.hidden(against, &view, most);
+        reach.is_some_and(|reach| !against.with_color || color_within(self, reach))
     }
 
     /// How many triangles were near the one looked at last.
@@ -79,24 +91,32 @@ impl Cover {
         self.seen.len()
     }
 
-    /// Find every triangle that may be within `reach` of the one viewed.
-    fn look(&mut self, against: &Against<'_>, triangle: &[Corner; 3], view: &View, reach: f64) {
+    /// Find every triangle that may be within `reach` of the one viewed, but for those in branches to `skip`.
+    fn look(
+        &mut self,
+        against: &Against<'_>,
+        triangle: &[Corner; 3],
+        view: &View,
+        reach: f64,
+        skip: impl Fn(u32, usize) -> bool,
+    ) {
         let [low, high] = around(triangle.iter().map(|c| c.at));
         let (low, high) = (low.map(|x| x - reach), high.map(|x| x + reach));
         let seen = &mut self.seen;
         seen.clear();
-        against.target.bvh.meeting(
-            &low,
-            &high,
-            |_, _| false,
-            |slot| {
-                let at = against.target.corners(slot).map(|p| view.at(&p));
-                if !view.apart(&at, reach) {
-                    seen.push(Seen { slot, at });
-                }
-                true
-            },
-        );
+        against.target.bvh.meeting(&low, &high, skip, |slot| {
+            let corners = against.target.corners(slot);
+            let heights = corners.map(|p| view.height(&p));
+            // Most are out of reach by their height alone.
+            if heights.iter().all(|&h| h > reach) || heights.iter().all(|&h| h < -reach) {
+                return true;
+            }
+            let at = corners.map(|p| view.at(&p));
+            if !view.apart(&at, reach) {
+                seen.push(Seen { slot, at });
+            }
+            true
+        });
     }
 
     /// The greatest height of what hides all of the triangle, if that is at most `most`.
@@ -110,11 +130,12 @@ impl Cover {
                 continue;
             }
             // Not part of the cover: where others end at it there is a border then.
-            let needle = needle_height(&seen.at);
-            let mut height = needle + seen.at.iter().map(|p| p[2].abs()).fold(0.0, f64::max);
-            if height > most {
-                height = needle + view.height(&seen.at);
+            let mut height = seen.at.iter().map(|p| p[2].abs()).fold(0.0, f64::max);
+            // Beside the triangle it may be as high as it likes.
+            if height > highest && outside != [0; 3] {
+                height = view.height_over(&seen.at);
             }
+            height += needle_height(&seen.at);
             if height > most {
                 continue;
             }
@@ -169,16 +190,15 @@ impl Cover {
 /// The greatest distance of the corners from one triangle, which no point between them passes.
 fn one_triangle(against: &Against<'_>, triangle: &[Corner; 3], near: [u32; 3], most: f64) -> Option<f64> {
     (0..3).filter(|&i| !near[..i].contains(&near[i])).find_map(|i| {
-        let reach = against.target.reach(near[i]);
-        let mut farthest = 0.0f64;
-        // The corner this triangle is nearest to is the last one to be too far from it.
-        for k in [(i + 1) % 3, (i + 2) % 3, i] {
-            farthest = farthest.max(reach(&triangle[k].at));
-            if farthest > most {
-                return None;
-            }
+        if near == [near[0]; 3] && !is_needle(area_and_length(&against.target.corners(near[0]))) {
+            return Some(triangle.iter().map(|c| c.reach).fold(0.0, f64::max)).filter(|&far| far <= most);
         }
-        Some(farthest)
+        let reach = against.target.reach(near[i]);
+        // The corner this triangle is nearest to is the last one to be too far from it.
+        [(i + 1) % 3, (i + 2) % 3, i].into_iter().try_fold(0.0f64, |far, k| {
+            let far = far.max(reach(&triangle[k].at));
+            (far <= most).then_some(far)
+        })
     })
 }
 
@@ -217,7 +237,7 @@ impl View {
         let sides = [0, 1, 2].map(|opposite| {
             let (from, to) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
             let (along, across) = (to[0] - from[0], to[1] - from[1]);
-            let length = along.hypot(across);
+            let length = (along * along + across * across).sqrt();
             let inward = [-across / length, along / length];
             [inward[0], inward[1], -(inward[0] * from[0] + inward[1] * from[1])]
         });
@@ -244,10 +264,14 @@ impl View {
         x * p[0] + y * p[1] + offset
     }
 
-    /// Whether no point of this triangle is within `reach` of the other one.
+    #[inline]
+    fn height(&self, p: &Vec3) -> f64 {
+        dot(&self.axes[2], &sub(p, &self.origin))
+    }
+
+    /// Whether no point of this triangle is within `reach`, which contains the slack, of the other one.
     #[inline]
     fn apart(&self, other: &[Vec3; 3], reach: f64) -> bool {
-        let reach = reach + ROUNDING * (self.size + extent(other));
         other.iter().all(|p| p[2] > reach)
             || other.iter().all(|p| p[2] < -reach)
             || (0..3).any(|side| other.iter().all(|p| self.depth(side, p) < -reach))
@@ -266,7 +290,7 @@ impl View {
     }
 
     /// The greatest height that another triangle has over this one.
-    fn height(&self, other: &[Vec3; 3]) -> f64 {
+    fn height_over(&self, other: &[Vec3; 3]) -> f64 {
         let margin = other.iter().map(|p| self.rounding(p)).fold(0.0, f64::max);
         let corner = |at: Vec3| Corner { at, color: [0.0; 3], reach: 0.0 };
         let part = (0..3).fold(Polygon::new(other.map(corner)), |part, side| {

@@ -21,7 +21,7 @@ pub struct Scratch {
     parts: Vec<Part>,
 }
 
-/// A triangle and the slots nearest to its corners.
+/// A triangle, the slots nearest to its corners, and in `reach` how far these are.
 #[derive(Clone, Copy)]
 struct Part {
     corners: [Corner; 3],
@@ -93,12 +93,13 @@ fn halves(against: &Against<'_>, part: &Part, seen: &mut Outcome) -> [Part; 2] {
     let length2 = |i: usize| distance2(&corners[i].at, &corners[(i + 1) % 3].at);
     let i = (0..3).max_by(|&i, &j| length2(i).total_cmp(&length2(j))).unwrap_or(0);
     let j = (i + 1) % 3;
-    let middle = Corner {
+    let mut middle = Corner {
         at: midpoint(&corners[i].at, &corners[j].at),
         color: midpoint(&corners[i].color, &corners[j].color),
         reach: f64::INFINITY,
     };
     let found = against.target.nearest(&middle.at, near[i]);
+    middle.reach = found.distance;
     seen.attained = seen.attained.max(against.deviation(&middle, found.slot, found.distance));
     [i, j].map(|moved| {
         let mut half = *part;

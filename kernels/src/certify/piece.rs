@@ -128,7 +128,7 @@ impl Against<'_> {
         let mut close = 0.0;
         let skip = |node: u32, branch: usize| {
             colors.is_some_and(|colors| {
-                let range = farthest_apart(&colors, &self.target.color_boxes[node as usize][branch]);
+                let range = self.target.colors_apart(node, branch, &colors);
                 let skip = range <= level;
                 if skip {
                     close = range.max(close);
@@ -255,12 +255,6 @@ impl Against<'_> {
         };
         ((most + slope * self.slack).min(range), exact.1)
     }
-}
-
-/// The most two colours of two boxes can differ.
-fn farthest_apart([low, high]: &[Vec3; 2], [from, to]: &[[f32; 3]; 2]) -> f64 {
-    let most = |i: usize| (high[i] - f64::from(from[i])).max(f64::from(to[i]) - low[i]);
-    norm2(&[0, 1, 2].map(most)).sqrt()
 }
 
 fn farthest(polygon: &Polygon) -> Corner {

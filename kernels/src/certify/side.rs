@@ -141,7 +141,8 @@ impl<'a> Side<'a> {
         let vertices = self.mesh.vertices[slot as usize];
         let at_corners = vertices.map(|v| self.vertices[v as usize]);
         let so_far = at_corners.iter().fold(Deviation::default(), |most, c| most.max(c.1));
-        let corners = vertices.map(|v| corner(self.mesh, v));
+        let corners =
+            [0, 1, 2].map(|i| Corner { reach: at_corners[i].1.shape, ..corner(self.mesh, vertices[i]) });
         let near = at_corners.map(|(slot, _)| slot);
         if goal.decide {
             return decide(&self.against, corners, near, so_far, goal, scratch, progress);

@@ -163,6 +163,14 @@ impl Surface {
         self.colors.get(v as usize).map_or([0.0; 3], |c| c.map(f64::from))
     }
 
+    /// The most that colours in a box differ from those below a branch of the tree.
+    #[inline]
+    pub fn colors_apart(&self, node: u32, branch: usize, [low, high]: &[Vec3; 2]) -> f64 {
+        let [from, to] = &self.color_boxes[node as usize][branch];
+        let most = |i: usize| (high[i] - f64::from(from[i])).max(f64::from(to[i]) - low[i]);
+        norm2(&[0, 1, 2].map(most)).sqrt()
+    }
+
     /// Colour at the point of a slot's triangle nearest to `p`.
     pub fn color(&self, slot: u32, p: &Vec3) -> Vec3 {
         blend(&nearest(p, &self.corners(slot)), &self.corner_colors(slot))
