@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
 import stages
 from cli.errors import STAGE_FAILED
 from cli.options import with_options
-from cli.output import Output, lines_of, table_of
+from cli.output import Output, at_least, at_most, lines_of, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
 from stages import (
     CertifyParams,
@@ -25,6 +27,7 @@ from stages import (
     SimplifyParams,
     UsageError,
 )
+from stages.formats.ply import write_ply
 from stages.params import check, param
 from stages.regions import parse_region
 from stages.render import write_png
@@ -36,6 +39,16 @@ NewMesh = Annotated[
     Path,
     typer.Argument(
         metavar="OUT", help="Mesh file to write (.ply, .obj, .off, .stl, .glb).", show_default=False
+    ),
+]
+
+SaveBounds = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="PLY file for the mesh with what is proven of each triangle, as properties of its face: "
+        "shape_bound in m, color_bound in 8-bit levels. It may be the mesh file itself.",
+        show_default=False,
     ),
 ]
 
@@ -104,23 +117,44 @@ def simplify(
             show_default=False,
         ),
     ] = None,
+    save_bounds: SaveBounds = None,
     partial: Annotated[
-        bool, typer.Option("--partial", help="Ctrl-C writes what there is by then, instead of nothing.")
+        bool,
+        typer.Option(
+            "--partial",
+            help="Ctrl-C writes what there is by then, instead of nothing; where bounds were given, after "
+            "proving how far that is from IN.",
+        ),
     ] = False,
 ) -> None:
     """Make a mesh light: collapse edges to a number of triangles, or within bounds on shape and colour.
 
-    The input must be a manifold mesh; run `scanloom clean` on it first when it is not.
+    With --triangles or --ratio: to that number, with the least error.
+    With --max-shape, --max-texture or both: as far as these are proven to hold at every point.
+    With a number and bounds: down to the number, never beyond the bounds; "stopped by" says which came first.
+    With neither: within the default bounds of --method jia01.
+
+    --save-record goes with a number alone, --close-bounds and --save-bounds with bounds. The input must be a
+    manifold mesh; run `scanloom clean` on it first when it is not.
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1 --region "sphere 0 0 1.2 0.3 20"
 
     Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 20
+
+    Example: scanloom simplify clean.ply light.ply --triangles 20000 --max-shape 0.005
     """
     require_new_file(target, MESH_SUFFIXES)
     if save_record is not None:
         require_new_file(save_record, (".npz",))
+    if save_bounds is not None:
+        require_new_file(save_bounds, (".ply",))
+        if params.chosen() != "certified":
+            raise UsageError(
+                "--save-bounds is for bounds that are proven; give --max-shape or --max-texture, and what "
+                "leads to no other method than certified."
+            )
     regions = [parse_region(text) for text in region or ()]
     mesh = _read(source, out)
     with _about(source), out.progress("simplify", "triangles") as progress:
@@ -136,6 +170,8 @@ def simplify(
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
+    if save_bounds is not None:
+        _write_bounds(save_bounds, simplified.mesh, simplified.shape_bound, simplified.color_bound, out)
     figures = {"output": str(target), **simplified.figures()}
     said = simplified.method == "certified" and not out.as_json
     out.result(figures, f"{lines_of(figures)}\n\n{_proof_text(figures)}" if said else None)
@@ -191,6 +227,7 @@ def certify(
     ],
     params: CertifyParams,
     out: Output,
+    save_bounds: SaveBounds = None,
 ) -> None:
     """Prove how far a mesh is from its original at most, in shape (both ways) and in colour, at any point.
 
@@ -199,9 +236,13 @@ def certify(
 
     Example: scanloom certify simplified.ply clean.ply --max-shape 0.005 --max-color 20
     """
+    if save_bounds is not None:
+        require_new_file(save_bounds, (".ply",))
     mesh, reference = _read(result, out), _read(original, out)
     with out.progress("certify", "pieces") as progress:
         found = stages.certify(mesh, reference, params, progress=progress)
+    if save_bounds is not None:
+        _write_bounds(save_bounds, mesh, found.shape_bound, found.color_bound, out)
     figures = found.figures()
     out.result(figures, None if out.as_json else _certificate_text(figures))
     if found.within_limits is False:
@@ -263,11 +304,24 @@ def _write(path: Path, mesh: Mesh, out: Output) -> None:
     out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
 
 
+def _write_bounds(
+    path: Path,
+    mesh: Mesh,
+    shape_bound: NDArray[np.float64] | None,
+    color_bound: NDArray[np.float64] | None,
+    out: Output,
+) -> None:
+    bounds = {"shape_bound": shape_bound, "color_bound": color_bound}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_ply(path, mesh, {name: values for name, values in bounds.items() if values is not None})
+    out.remark(f"{path}: bounds of {len(mesh.triangles):,} triangles")
+
+
 def _proof_text(figures: Mapping[str, Any]) -> str:
     """Say what is proven of a simplified mesh, and whether that is what was asked for."""
-    most = f"{figures['shape_bound_m']:.4g} m"
+    most = f"{at_most(figures['shape_bound_m'])} m"
     if figures["color_bound_levels"] is not None:
-        most += f" and {figures['color_bound_levels']:.4g} levels"
+        most += f" and {at_most(figures['color_bound_levels'])} levels"
     text = f"Proven: no point is more than {most} off."
     if figures["proven"]:
         return text
@@ -284,7 +338,7 @@ def _certificate_text(figures: Mapping[str, Any]) -> str:
     for name, key, unit in measures:
         found, bound = (figures[f"{key}_{which}_{unit}"] for which in ("attained", "bound"))
         if found is not None:
-            rows.append([name, f"{found:.4g}", "no bound" if bound is None else f"{bound:.4g}"])
+            rows.append([name, at_least(found), "no bound" if bound is None else at_most(bound)])
     text = table_of(rows)
     if figures["within_limits"] is not None:
         text += f"\n\nLimits {'are kept' if figures['within_limits'] else 'are not proven to be kept'}."

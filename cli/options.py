@@ -171,7 +171,7 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str) ->
             metavar="|".join(about.choices) or None,
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
-            rich_help_panel=f"{panel} parameters",
+            rich_help_panel=about.group or f"{panel} parameters",
         ),
     ]
 

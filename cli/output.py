@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from stages.progress import Progress, silent
+from stages.rounding import DIGITS, rounded_down, rounded_up
 
 # Ends of figure names, longest first, and the unit a person reads instead.
 _UNITS = {
@@ -116,7 +117,20 @@ def name_and_value(key: str, value: Any) -> tuple[str, str]:
         return name, _shown(value)
     if end == "_share" and isinstance(value, float):
         value = 100 * value
-    return name, f"{_shown(value)} {_UNITS[end]}"
+    text = _shown(value)
+    if isinstance(value, float) and name.endswith((" bound", " attained")):
+        text = at_most(value) if name.endswith(" bound") else at_least(value)
+    return name, f"{text} {_UNITS[end]}"
+
+
+def at_most(value: float) -> str:
+    """Return a bound as a person reads it: rounded up, so that it stays true."""
+    return f"{rounded_up(value):.{DIGITS}g}"
+
+
+def at_least(value: float) -> str:
+    """Return what was found as a person reads it: rounded down, so that it was found."""
+    return f"{rounded_down(value):.{DIGITS}g}"
 
 
 def _is_nested(value: Any) -> bool:

@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from cli.options import as_typed
-from cli.output import Output
+from cli.output import Output, at_most
 from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
 from stages.progress import Progress
 
@@ -27,7 +27,7 @@ _HEADLINES = {
     "simplify quadric": "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "
     "{attribute_scale_m_per_level:.3g} m",
     "simplify certified": "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
-    "{shape_bound_m:.3g} m and {color_bound_levels:.3g} levels off",
+    "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off",
     "report": "{pictures} pictures",
 }
 
@@ -118,4 +118,6 @@ class _Figures(string.Formatter):
         return len(value) if isinstance(value, list) else value
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        return "–" if value is None else format(value, format_spec)
+        if value is None:
+            return "–"
+        return at_most(value) if format_spec == "at_most" else format(value, format_spec)

@@ -5,8 +5,11 @@ from typing import TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import disjoint_base
 
 __all__ = [
+    "ByQuadrics",
+    "BySums",
     "Certified",
     "InvalidMeshError",
     "LimitError",
@@ -16,9 +19,11 @@ __all__ = [
     "certify",
     "fit",
     "residuals",
+    "side_lengths",
     "simplify",
     "simplify_by_quadrics",
     "simplify_certified",
+    "spatial_order",
 ]
 
 class InvalidMeshError(ValueError):
@@ -81,7 +86,7 @@ class Certified:
     @property
     def pieces(self) -> int: ...
 
-@final
+@disjoint_base
 class Simplified:
     """A simplified mesh and how it came about. `standing` counts the edges each rule holds at the end."""
 
@@ -100,25 +105,25 @@ class Simplified:
     @property
     def standing(self) -> dict[str, int]: ...
     @property
-    def splits(self) -> int: ...
-    @property
-    def split_triangles(self) -> int: ...
-    @property
     def collapses(self) -> int: ...
     @property
     def attempts(self) -> int: ...
+
+@final
+class BySums(Simplified):
+    """A mesh simplified with JIA01, and the sums that came up."""
+
+    @property
+    def splits(self) -> int: ...
     @property
     def largest_shape_change(self) -> float: ...
     @property
     def largest_texture_change(self) -> float: ...
-    @property
-    def became(self) -> NDArray[np.int32]: ...
-    @property
-    def removed(self) -> NDArray[np.int32]: ...
-    @property
-    def survivor(self) -> NDArray[np.int32]: ...
-    @property
-    def path(self) -> NDArray[np.float64]: ...
+
+def side_lengths(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
+) -> NDArray[np.float64]:
+    """Return the lengths (m, 3) of the sides: entry k is that from corner k − 1 to corner k."""
 
 def simplify(
     vertices: NDArray[np.float64],
@@ -133,12 +138,30 @@ def simplify(
     triangle_limit: int,
     running: Running,
     progress: Callable[[int, int], object],
-) -> Simplified:
+) -> BySums:
     """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound.
 
     Raises InvalidMeshError for a mesh it cannot work on, LimitError when splitting would pass
     `triangle_limit`.
     """
+
+@final
+class ByQuadrics(Simplified):
+    """A mesh simplified by attribute quadrics, and the way there.
+
+    `became` holds, for each vertex of the input, the one of the result it became part of, -1 for none;
+    `removed`, `survivor` and `path`, for each collapse, the vertex that vanished, the one it became part of
+    and where that went, if that was asked for.
+    """
+
+    @property
+    def became(self) -> NDArray[np.int32]: ...
+    @property
+    def removed(self) -> NDArray[np.int32]: ...
+    @property
+    def survivor(self) -> NDArray[np.int32]: ...
+    @property
+    def path(self) -> NDArray[np.float64]: ...
 
 def simplify_by_quadrics(
     vertices: NDArray[np.float64],
@@ -150,7 +173,7 @@ def simplify_by_quadrics(
     weight: float,
     running: Running,
     progress: Callable[[int, int], object],
-) -> Simplified:
+) -> ByQuadrics:
     """Simplify by attribute quadrics; `weight` is the length that counts as one level of an attribute.
 
     `fixed` and `importance` have one value a vertex, or none at all. Raises InvalidMeshError for a mesh it
@@ -182,6 +205,7 @@ def residuals(
     triangles: NDArray[np.int32],
     *,
     target: int,
+    wanted_threads: int,
 ) -> tuple[float, float] | None:
     """Return the RMS errors of shape and attributes to expect of a result with `target` triangles.
 
@@ -207,27 +231,12 @@ def certify(
     """
 
 @final
-class Proven:
+class Proven(Simplified):
     """A simplified mesh and what is proven of it; pairs are (shape in metres, colour in levels).
 
-    `passes` holds, for each turn: triangles left, those of result and input without a proof, collapses and
-    attempts.
+    `unproven` counts the triangles of the result, and of the input, without a proof.
     """
 
-    @property
-    def vertices(self) -> NDArray[np.float64]: ...
-    @property
-    def attributes(self) -> NDArray[np.float64]: ...
-    @property
-    def triangles(self) -> NDArray[np.int32]: ...
-    @property
-    def vertex_source(self) -> NDArray[np.int32]: ...
-    @property
-    def triangle_source(self) -> NDArray[np.int32]: ...
-    @property
-    def stopped_by(self) -> str: ...
-    @property
-    def standing(self) -> dict[str, int]: ...
     @property
     def shape_bound(self) -> NDArray[np.float64]: ...
     @property
@@ -243,7 +252,9 @@ class Proven:
     @property
     def proven(self) -> bool: ...
     @property
-    def passes(self) -> list[tuple[int, int, int, int, int]]: ...
+    def iterations(self) -> int: ...
+    @property
+    def unproven(self) -> tuple[int, int]: ...
 
 def simplify_certified(
     vertices: NDArray[np.float64],
@@ -258,9 +269,7 @@ def simplify_certified(
     tolerance: tuple[float, float],
     effort: float,
     close: bool,
-    wanted_threads: int,
-    patch_triangles: int,
-    partial: bool,
+    running: Running,
     progress: Callable[[int, int], object],
 ) -> Proven:
     """Simplify within bounds that are proven to hold everywhere; infinite for none.
@@ -268,4 +277,12 @@ def simplify_certified(
     `share` is the part of the bounds that samples may use; `tolerance` and `effort` are those of `certify`,
     whose bounds for single triangles are close only if `close` says so.
     Raises InvalidMeshError for a mesh it cannot work on.
+    """
+
+def spatial_order(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Return vertices and triangles in an order in which neighbours in space are neighbours in memory.
+
+    Raises InvalidMeshError for an index out of range or a value that is not finite.
     """

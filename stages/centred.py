@@ -38,8 +38,8 @@ class Centred:
 
         A point that is still where its `source` vertex (p,) was gets that vertex's coordinates to the bit.
         """
-        moved = (points != self.vertices[source]).any(axis=1, keepdims=True)
-        return np.where(moved, points + self.origin, self.mesh.vertices[source])
+        moved = (points != self.vertices.take(source, axis=0)).any(axis=1, keepdims=True)
+        return np.where(moved, points + self.origin, self.mesh.vertices.take(source, axis=0))
 
 
 def centred(mesh: Mesh) -> Centred:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,85 +13,17 @@ from stages.color_weight import color_weight
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.progress import Progress, silent
+from stages.rounding import rounded_up
+from stages.simplified import Simplified
 
 PATCH_TRIANGLES = 8192
 
 # The bound on shape where only colours have one.
 _SHAPE_PER_DIAGONAL = 0.005
 
-# Common bounds leave about an eighth of a scan; the weight of colour is found for triangles of that size.
+# Common bounds leave about an eighth of a scan; the weight of colour is found for triangles of that size,
+# also where more are wanted: smaller ones tell the same.
 _REDUCTION = 8
-
-
-@dataclass(frozen=True, eq=False)
-class CertifiedResult:
-    """A simplified mesh and what is proven of it.
-
-    Attributes
-    ----------
-    mesh : Mesh, with colours if the input has them.
-    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
-    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    shape_bound, color_bound : (q,) float64, metres and levels, for each triangle, both ways; see `certify`.
-    shape_bound_m, color_bound_levels : the greatest of all; no more than what was asked for if `proven`.
-    shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between.
-    slack_m, color_slack_levels : contained in the bounds, for searches in single precision. Twice as much is
-        the least that can be proven, and is used in place of smaller bounds.
-    proven : whether the bounds that were asked for are proven. If not, the work was stopped, or they do not
-        even hold between the input and itself, as where sheets of different colours touch.
-    max_shape_m : the bound on shape that was used.
-    stopped_by : "bounds", "request" when the caller stopped it, or else "unproven".
-    weight : metres that counted as much as one level of colour.
-    refused : edges of the result by the rule that refused them last: "shape" and "color" are the bounds,
-        "needle" a triangle too thin for a proof, the others as in `Simplified`.
-    iterations : how often the mesh was simplified and its bounds looked at.
-    unproven : how many triangles of result and input had no proof, each time.
-    collapses, attempts : of the last time.
-
-    Colour bounds are None for a mesh without colours.
-    """
-
-    mesh: Mesh
-    vertex_source: NDArray[np.int32]
-    triangle_source: NDArray[np.int32]
-    shape_bound: NDArray[np.float64]
-    color_bound: NDArray[np.float64] | None
-    shape_bound_m: float
-    color_bound_levels: float | None
-    shape_attained_m: float
-    color_attained_levels: float | None
-    slack_m: float
-    color_slack_levels: float
-    proven: bool
-    max_shape_m: float
-    stopped_by: str
-    weight: float
-    refused: dict[str, int]
-    iterations: int
-    unproven: tuple[tuple[int, int], ...]
-    collapses: int
-    attempts: int
-
-    def figures(self) -> dict[str, Any]:
-        """Everything but the arrays, ready for JSON."""
-        return {
-            "triangles": len(self.mesh.triangles),
-            "vertices": len(self.mesh.vertices),
-            "shape_bound_m": self.shape_bound_m,
-            "shape_attained_m": self.shape_attained_m,
-            "color_bound_levels": self.color_bound_levels,
-            "color_attained_levels": self.color_attained_levels,
-            "slack_m": self.slack_m,
-            "color_slack_levels": self.color_slack_levels,
-            "proven": self.proven,
-            "max_shape_m": self.max_shape_m,
-            "stopped_by": self.stopped_by,
-            "weight_m_per_level": self.weight,
-            "refused_edges": dict(self.refused),
-            "iterations": self.iterations,
-            "collapses": self.collapses,
-            "attempts": self.attempts,
-        }
 
 
 def _diagonal(mesh: Mesh) -> float:
@@ -105,6 +35,7 @@ def simplify_certified(
     *,
     max_shape: float | None = None,
     max_color: float | None = None,
+    triangles: int = 0,
     fixed: NDArray[np.bool_] | None = None,
     importance: NDArray[np.float64] | None = None,
     weight: float | None = None,
@@ -113,8 +44,8 @@ def simplify_certified(
     threads: int = 0,
     partial: bool = False,
     progress: Progress = silent,
-) -> CertifiedResult:
-    """Collapse edges as far as the bounds can be proven to hold.
+) -> Simplified:
+    """Collapse edges to a number of triangles, or as far as the bounds can be proven to hold.
 
     Every point of either surface is within `max_shape` of the other, and its colour within `max_color` of the
     colour at every nearest point there. Vertices of the input are watched while edges collapse; then the
@@ -126,6 +57,7 @@ def simplify_certified(
     mesh : an oriented manifold, as for `simplify`.
     max_shape : metres; None for 0.5 % of the bounding box's diagonal: colours alone do not hold a shape.
     max_color : 8-bit levels, Euclidean norm over the channels; None for no bound.
+    triangles : stop when at most this many are left.
     fixed : (n,) bool, vertices that stay where they are; None or empty for none.
     importance : (n,) float64, at least 1: multiplies the error around a vertex and divides its part of the
         bounds; None or empty for 1.
@@ -156,7 +88,10 @@ def simplify_certified(
         max_shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh)
     shape, color = float(max_shape), math.inf if max_color is None else float(max_color)
     if weight is None:
-        weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION)
+        weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION, threads)
+    running = _kernels.Running(
+        target_triangles=triangles, threads=threads, patch_triangles=PATCH_TRIANGLES, partial=partial
+    )
     try:
         result = _kernels.simplify_certified(
             mesh.vertices,
@@ -170,41 +105,45 @@ def simplify_certified(
             tolerance=(0.05, 0.05),
             effort=16.0,
             close=close or (mesh.colors is not None and max_color is None),
-            wanted_threads=threads,
-            patch_triangles=PATCH_TRIANGLES,
-            partial=partial,
+            running=running,
             progress=progress,
         )
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
-    bounds_color = mesh.colors is not None
-    stopped_by = "bounds" if result.proven else "unproven"
     light = as_result(
         mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
     )
+    with_color = mesh.colors is not None
+    # Where no number is wanted, even no triangles at all are what the bounds led to.
+    stopped_by = result.stopped_by if triangles or result.stopped_by == "request" else "bounds"
     if not result.proven:
-        light = light.with_(notes=(*light.notes, _not_proven(result, bounds_color)))
-    return CertifiedResult(
+        light = light.with_(notes=(*light.notes, _not_proven(result.bound, with_color)))
+        stopped_by = "request" if stopped_by == "request" else "unproven"
+    return Simplified(
         mesh=light,
         vertex_source=result.vertex_source,
         triangle_source=result.triangle_source,
+        method="certified",
+        stopped_by=stopped_by,
+        refused=result.standing,
+        attribute_scale_m_per_level=weight,
+        splits=0,
+        collapses=result.collapses,
+        attempts=result.attempts,
+        triangles_before=len(mesh.triangles),
         shape_bound=result.shape_bound,
-        color_bound=result.color_bound if bounds_color else None,
+        color_bound=result.color_bound if with_color else None,
         shape_bound_m=result.bound[0],
-        color_bound_levels=result.bound[1] if bounds_color else None,
+        color_bound_levels=result.bound[1] if with_color else None,
         shape_attained_m=result.attained[0],
-        color_attained_levels=result.attained[1] if bounds_color else None,
+        color_attained_levels=result.attained[1] if with_color else None,
         slack_m=result.slack,
         color_slack_levels=result.color_slack,
         proven=result.proven,
+        unproven_triangles=result.unproven,
+        iterations=result.iterations,
         max_shape_m=shape,
-        stopped_by="request" if result.stopped_by == "request" else stopped_by,
-        weight=weight,
-        refused=result.standing,
-        iterations=len(result.passes),
-        unproven=tuple((a, b) for _, a, b, _, _ in result.passes),
-        collapses=result.passes[-1][3],
-        attempts=result.passes[-1][4],
+        max_texture_levels=max_color,
     )
 
 
@@ -226,11 +165,13 @@ def _check(
         if values is not None and values.shape not in ((0,), (len(mesh.vertices),)):
             raise UsageError(f"{name} has shape {values.shape}; expected ({len(mesh.vertices)},) or none.")
     if importance is not None and not (np.isfinite(importance).all() and (importance >= 1).all()):
-        raise UsageError("importance has values below 1 or not finite; expected 1 or more.")
+        raise UsageError(
+            "importance has values below 1 or not finite; bounds are divided by it, and never grow."
+        )
 
 
-def _not_proven(result: _kernels.Proven, with_color: bool) -> str:
+def _not_proven(bound: tuple[float, float], with_color: bool) -> str:
     """Say what is proven instead of what was asked for."""
-    shape, color = result.bound
-    levels = f" and {color:.4g} levels" if with_color else ""
-    return f"simplify could not prove the bounds that were asked for; proven are {shape:.4g} m{levels}."
+    shape, color = (f"{rounded_up(most):.4g}" for most in bound)
+    levels = f" and {color} levels" if with_color else ""
+    return f"simplify could not prove the bounds that were asked for; proven are {shape} m{levels}."

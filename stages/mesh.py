@@ -118,8 +118,8 @@ def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
         raise MeshError(f"triangles have shape {array.shape}; m × 3 is expected.", where)
     if array.dtype.kind not in "iu":
         raise MeshError(f"triangles are {array.dtype}; whole numbers are expected.", where)
-    bad = np.flatnonzero(((array < 0) | (array >= vertex_count)).any(axis=1))
-    if len(bad):
+    if array.min() < 0 or array.max() >= vertex_count:
+        bad = np.flatnonzero(((array < 0) | (array >= vertex_count)).any(axis=1))
         row = array[bad[0]].tolist()
         raise MeshError(
             f"triangle {bad[0]} uses vertices {row}, but there are only {vertex_count} "
@@ -130,8 +130,8 @@ def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
 
 
 def _require_finite(vertices: Vertices, name: str, where: str) -> None:
-    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-    if len(bad):
+    if not np.isfinite(vertices).all():
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         raise MeshError(
             f"{name} {bad[0]} is {vertices[bad[0]].tolist()}, not finite ({len(bad)} such); "
             "remove or repair these before processing.",

@@ -26,6 +26,7 @@ class Described:
     low_open: bool
     choices: tuple[str, ...]
     invalidates: bool
+    group: str
 
 
 def param(
@@ -38,15 +39,18 @@ def param(
     low_open: bool = False,
     choices: tuple[str, ...] = (),
     invalidates: bool = True,
+    group: str = "",
 ) -> Any:
     """Declare a field of a parameter class.
 
     `None` as a default means "derived from the data"; `text` then says how. `low` and `high` are the
     allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
-    change the result (threads, previews), so that the cache ignores it.
+    change the result (threads, previews), so that the cache ignores it. `group` is a heading for those that
+    belong together, in a help that has many.
     """
     return field(
-        default=default, metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates)}
+        default=default,
+        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group)},
     )
 
 

@@ -165,7 +165,7 @@ def _without_slivers(mesh: Mesh) -> Triangles:
 
 def bounding_box(*meshes: Mesh) -> Floats:
     """Return the lowest and the highest corner, (2, 3), of the box around the triangles of all meshes."""
-    corners = [mesh.vertices[is_used(mesh)] for mesh in meshes]
+    corners = [mesh.vertices.compress(is_used(mesh), axis=0) for mesh in meshes]
     # A column at a time: reducing over rows of three is several times slower.
     low = [min(points[:, axis].min() for points in corners) for axis in range(3)]
     high = [max(points[:, axis].max() for points in corners) for axis in range(3)]

@@ -5,6 +5,7 @@
 //! colour. A weight that makes both equal follows the data; one relative to the mesh's extent does not.
 
 use crate::geometry::{Vec3, cross, norm2, position, sub};
+use crate::parallel::fill;
 
 /// A cell needs this many triangles for a plane and a linear fit to say something.
 const LEAST_TRIANGLES: usize = 12;
@@ -24,6 +25,7 @@ pub fn residuals<const D: usize>(
     points: &[[f64; D]],
     triangles: &[[u32; 3]],
     target: usize,
+    threads: usize,
 ) -> Option<(f64, f64)> {
     if D == 3 || triangles.is_empty() {
         return None;
@@ -33,7 +35,10 @@ pub fn residuals<const D: usize>(
         let [a, b, c] = corner(t).map(position);
         cross(&sub(&b, &a), &sub(&c, &a)).map(|x| 0.5 * x)
     };
-    let area: f64 = triangles.iter().map(|t| norm2(&normal(t)).sqrt()).sum();
+    // What is added up, or looked at, in the order of the triangles is the same for any number of threads.
+    let mut areas = vec![0.0; triangles.len()];
+    fill(&mut areas, threads, |t| norm2(&normal(&triangles[t])).sqrt());
+    let area: f64 = areas.into_iter().sum();
     let pieces = target.clamp(1, (triangles.len() / LEAST_TRIANGLES).max(1));
     let side = (area / pieces as f64).sqrt();
     if side <= 0.0 {
@@ -41,12 +46,10 @@ pub fn residuals<const D: usize>(
     }
     let low: Vec3 = std::array::from_fn(|i| points.iter().map(|p| p[i]).fold(f64::INFINITY, f64::min));
     let stride = (triangles.len() / SAMPLE).max(1) as u64;
-    let mut chosen: Vec<(u64, u32)> = triangles
-        .iter()
-        .zip(0..)
-        .map(|(t, number)| (cell(corner(t), &low, side), number))
-        .filter(|(cell, _)| scrambled(*cell) % stride == 0)
-        .collect();
+    let mut cells = vec![0; triangles.len()];
+    fill(&mut cells, threads, |t| cell(corner(&triangles[t]), &low, side));
+    let mut chosen: Vec<(u64, u32)> =
+        cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell) % stride == 0).collect();
     chosen.sort_unstable();
     let (mut areas, mut shape, mut colour) = (0.0, 0.0, 0.0);
     for cell in chosen.chunk_by(|a, b| a.0 == b.0).filter(|cell| cell.len() >= LEAST_TRIANGLES) {
@@ -162,7 +165,7 @@ mod tests {
     #[test]
     fn ramps_and_planes_leave_nothing() {
         let (points, triangles) = ramp(0.0, 0.0);
-        let (shape, colour) = residuals(&points, &triangles, 72).unwrap();
+        let (shape, colour) = residuals(&points, &triangles, 72, 1).unwrap();
         assert!(shape < 1e-6 && colour == LEAST_LEVELS, "{shape} {colour}");
     }
 
@@ -170,7 +173,7 @@ mod tests {
     fn each_residual_grows_with_its_own_cause() {
         let of = |bump, stripes| {
             let (points, triangles) = ramp(bump, stripes);
-            residuals(&points, &triangles, 72).unwrap()
+            residuals(&points, &triangles, 72, 1).unwrap()
         };
         let (shape, colour) = of(0.01, 30.0);
         let (higher, same) = of(0.02, 30.0);
@@ -182,8 +185,8 @@ mod tests {
     #[test]
     fn nothing_to_weigh() {
         let (points, triangles) = ramp(0.1, 10.0);
-        assert_eq!(residuals(&points, &triangles[..5], 1), None);
+        assert_eq!(residuals(&points, &triangles[..5], 1, 1), None);
         let bare: Vec<[f64; 3]> = points.iter().map(|p| [p[0], p[1], p[2]]).collect();
-        assert_eq!(residuals(&bare, &triangles, 72), None);
+        assert_eq!(residuals(&bare, &triangles, 72, 1), None);
     }
 }

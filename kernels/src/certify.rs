@@ -32,7 +32,7 @@ use side::{Run, Side};
 use surface::around;
 
 use crate::error::KernelError;
-use crate::geometry::{norm2, sub};
+use crate::geometry::{Vec3, norm2, sub};
 use crate::progress::Progress;
 
 /// What colours lose on their way: measured, interpolated and compared in single precision.
@@ -40,7 +40,7 @@ pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
 const FIRST_PIECES: usize = 64;
 /// The same for a decision: what fails is found early, and what does not would have to begin again.
-const DECISION_PIECES: usize = 4096;
+const DECISION_PIECES: usize = 128;
 /// Small meshes may cost as much as one of so many triangles.
 const AT_LEAST: usize = 4096;
 /// Each round allows so many times the pieces of the one before.
@@ -115,7 +115,8 @@ pub fn certify(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    let slack = slack([result, original], options.slack);
+    let slack =
+        slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
     // A bound contains the slack, and what is attained does not.
     let least = Deviation { shape: 2.0 * slack, color: 0.0 };
     let limit = options.limit.map(without_slack);
@@ -215,7 +216,8 @@ fn both_sides<'a>(
     let with_color = !result.colors.is_empty()
         && !original.colors.is_empty()
         && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
-    let slack = slack([result, original], options.slack);
+    let slack =
+        slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
     let color_range = color_range(result, original);
     let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
     [
@@ -287,9 +289,9 @@ fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
 }
 
 /// Vertices rounded to single precision move by half a step of the largest coordinate, and a search in single precision
-/// is wrong by a few steps of the sizes it works with.
-pub fn slack(surfaces: [&Surface; 2], wanted: Option<f64>) -> f64 {
-    let [low, high] = around(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds));
+/// is wrong by a few steps of the sizes it works with. `places` are corners of the surfaces, or of boxes around them.
+pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
+    let [low, high] = around(places);
     let largest = (0..3).map(|i| low[i].abs().max(high[i].abs())).fold(0.0, f64::max);
     if largest == f64::INFINITY {
         return 0.0;

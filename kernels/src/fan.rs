@@ -79,6 +79,20 @@ impl<const D: usize> Fan<D> {
         })
     }
 
+    /// The point of one triangle that is straight above or below `p`, if there is one.
+    pub fn straight(&self, p: &Vec3, wing: u32) -> Option<FanFoot<D>> {
+        let tip = self.tip.as_ref()?;
+        let blade = &self.blades[wing as usize];
+        let q = sub(p, &position(tip));
+        let (u, v) = (dot(&blade.at_from, &q), dot(&blade.at_to, &q));
+        let is_inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && blade.heights2[0] > 0.0;
+        is_inside.then(|| {
+            let height = dot(&blade.normal, &q);
+            let point = blend(&[1.0 - u - v, u, v], [tip, &blade.from, &blade.to]);
+            FanFoot { wing, distance2: height * height, point }
+        })
+    }
+
     /// The point of the fan nearest to `p`; none if the fan has no triangle.
     pub fn nearest(&self, p: &Vec3) -> Option<FanFoot<D>> {
         let tip = self.tip.as_ref()?;

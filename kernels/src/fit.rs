@@ -12,7 +12,7 @@ use crate::error::KernelError;
 use crate::geometry::{Vec3, add_scaled, cross, dot, nearest_on_triangle, norm2, position, sub};
 use crate::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::{Mesh, Pin};
-use crate::parallel::{fill, map};
+use crate::parallel::{each, fill};
 use crate::progress::Progress;
 
 /// Strength of the spring that holds every unknown, as a share of the samples' weight at a vertex: without it
@@ -144,18 +144,17 @@ pub fn fit<const D: usize>(
 ) -> Result<(), KernelError> {
     let with_vertices = input.triangles.len() < ENOUGH_CENTRES * mesh.connectivity.triangle_count();
     let samples = Samples::new(input, with_vertices);
-    let count = samples.len();
-    let find = |(): &mut (), chunk: usize| -> Result<Vec<Option<Hit>>, KernelError> {
-        progress.check()?;
-        let chunk = CHUNK * chunk..(CHUNK * (chunk + 1)).min(count);
-        let one = |i| {
+    let find = |(chunk, hits): (usize, &mut [Option<Hit>])| {
+        if progress.check().is_err() {
+            return;
+        }
+        for (i, hit) in (CHUNK * chunk..).zip(hits) {
             let (point, near) = samples.get(i);
-            if near.is_none() { None } else { nearest(mesh, &position(&point), near) }
-        };
-        Ok(chunk.map(one).collect())
+            *hit = if near.is_none() { None } else { nearest(mesh, &position(&point), near) };
+        }
     };
-    let hits = map(count.div_ceil(CHUNK), threads, || (), find).into_iter().collect::<Result<Vec<_>, _>>()?;
-    let hits = hits.concat();
+    let mut hits = vec![None; samples.len()];
+    each(hits.chunks_mut(CHUNK).enumerate().collect(), threads, find);
     progress.check()?;
     let normals = vertex_normals(mesh);
     let system = System::new(mesh, &samples, &hits, &normals, threads);

@@ -10,6 +10,7 @@
 //! | [`split`] | splitting long edges |
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
 //! | [`partition`], [`patch`], [`rounds`], [`parallel`] | the loop over a mesh of any size, patch by patch, on all threads |
+//! | [`spatial`] | an order in which neighbours in space are neighbours in memory |
 //! | [`quadric`], [`qem`], [`balance`] | attribute quadrics, the measure that uses them, and how much a colour counts |
 //! | [`fit`] | fitting a result to its input by least squares |
 //! | [`certified`], [`tracked`], [`original`], [`fan`] | simplification within proven bounds; samples of the input that steer it |
@@ -41,6 +42,7 @@ pub mod quadric;
 pub mod queue;
 pub mod rounds;
 pub mod shape;
+pub mod spatial;
 pub mod split;
 pub mod star;
 pub mod tracked;
@@ -48,7 +50,5 @@ pub mod validate;
 
 #[cfg(feature = "python")]
 mod python;
-#[cfg(feature = "python")]
-mod python_certified;
 #[cfg(feature = "python")]
 mod python_certify;

@@ -53,24 +53,9 @@ impl<const D: usize> Original<D> {
         loop {
             let before = best.map_or(f64::INFINITY, |b| b.distance2);
             for &t in self.around(from) {
-                let corners = self.triangles[t as usize];
-                let points = corners.map(|v| &self.points[v as usize]);
-                let places = points.map(position);
-                let (at, distance2) = nearest_on_triangle(p, places.each_ref());
-                if best.is_none_or(|b| distance2 < b.distance2) {
-                    let heaviest = if at[0] >= at[1] && at[0] >= at[2] {
-                        0
-                    } else if at[1] >= at[2] {
-                        1
-                    } else {
-                        2
-                    };
-                    best = Some(Foot {
-                        distance2,
-                        point: blend(&at, points),
-                        triangle: t,
-                        vertex: corners[heaviest],
-                    });
+                let foot = self.foot(p, t);
+                if best.is_none_or(|b| foot.distance2 < b.distance2) {
+                    best = Some(foot);
                 }
             }
             let foot = best?;
@@ -81,9 +66,9 @@ impl<const D: usize> Original<D> {
         }
     }
 
-    /// How far along the line from `a` (0) to `b` (1) its points, after `from`, are above or below a triangle: beyond 1 if
-    /// they are to the end.
-    pub fn leaves(&self, triangle: u32, a: &Vec3, b: &Vec3, from: f64) -> f64 {
+    /// How far along the line from `a` (0) to `b` (1) its points, after `from`, are above or below a triangle, beyond 1 if
+    /// they are to the end; and across which side they leave it, by the corner opposite.
+    pub fn leaves(&self, triangle: u32, a: &Vec3, b: &Vec3, from: f64) -> (f64, usize) {
         let [p, q, r] = self.triangles[triangle as usize].map(|v| position(&self.points[v as usize]));
         let (u, v) = (sub(&q, &p), sub(&r, &p));
         let normal = cross(&u, &v);
@@ -96,15 +81,42 @@ impl<const D: usize> Original<D> {
             [area2 - at_q - at_r, at_q, at_r]
         };
         let (start, end) = (weights(a), weights(b));
-        let mut least = 2.0;
+        let mut least = (2.0, 0);
         for i in 0..3 {
             let fall = start[i] - end[i];
             if fall > 0.0 {
-                let t = start[i] / fall;
-                least = f64::min(least, t.max(from));
+                let t = (start[i] / fall).max(from);
+                if t < least.0 {
+                    least = (t, i);
+                }
             }
         }
         least
+    }
+
+    /// The triangle beyond the side opposite a corner; any of them, where there are more.
+    pub fn across(&self, triangle: u32, opposite: usize) -> Option<u32> {
+        let corners = self.triangles[triangle as usize];
+        let (u, v) = (corners[(opposite + 1) % 3], corners[(opposite + 2) % 3]);
+        let mut around = self.around(u).iter().copied();
+        around.find(|&t| t != triangle && self.triangles[t as usize].contains(&v))
+    }
+
+    /// The point of one triangle that is nearest to `p`.
+    #[inline]
+    pub fn foot(&self, p: &Vec3, triangle: u32) -> Foot<D> {
+        let corners = self.triangles[triangle as usize];
+        let points = corners.map(|v| &self.points[v as usize]);
+        let places = points.map(position);
+        let (at, distance2) = nearest_on_triangle(p, places.each_ref());
+        let heaviest = if at[0] >= at[1] && at[0] >= at[2] {
+            0
+        } else if at[1] >= at[2] {
+            1
+        } else {
+            2
+        };
+        Foot { distance2, point: blend(&at, points), triangle, vertex: corners[heaviest] }
     }
 }
 

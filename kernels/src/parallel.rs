@@ -1,5 +1,6 @@
 //! The same work on many parts, on several threads, with results that do not depend on how many.
 
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::thread;
 
@@ -60,6 +61,22 @@ pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> 
             scope.spawn(move || run(other));
         }
         own.into_iter().for_each(run);
+    });
+}
+
+/// `work` on each of some parts, which it takes with it.
+pub fn each<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
+    let threads = threads.min(parts.len());
+    let parts = Mutex::new(parts.into_iter());
+    let next = || parts.lock().ok().and_then(|mut parts| parts.next());
+    let run = || {
+        while let Some(part) = next() {
+            work(part);
+        }
+    };
+    thread::scope(|scope| {
+        (1..threads).for_each(|_| drop(scope.spawn(run)));
+        run();
     });
 }
 

@@ -10,9 +10,20 @@ pub struct Partition {
 
 #[derive(Clone, Copy, Default)]
 struct Item {
-    /// The triangle's centre in the turned frame; single precision is enough to sort by.
-    centre: [f32; 3],
+    /// The triangle's centre in the turned frame, as numbers in the same order: single precision is enough to sort by.
+    centre: [u32; 3],
     triangle: u32,
+}
+
+/// A number that is larger for a larger `x`. Whole numbers are compared without a branch.
+fn rank(x: f32) -> u32 {
+    let bits = x.to_bits();
+    if bits >> 31 == 0 { bits | 1 << 31 } else { !bits }
+}
+
+/// What [`rank`] was made from.
+fn ranked(rank: u32) -> f32 {
+    f32::from_bits(if rank >> 31 == 1 { rank & !(1 << 31) } else { !rank })
 }
 
 impl Partition {
@@ -36,7 +47,8 @@ impl Partition {
         fill(&mut items, threads, |t| {
             let sum: [f64; 3] =
                 std::array::from_fn(|i| triangles[t].iter().map(|&v| points[v as usize][i]).sum());
-            let along = |axis: &[f64; 3]| (axis[0] * sum[0] + axis[1] * sum[1] + axis[2] * sum[2]) as f32;
+            let along =
+                |axis: &[f64; 3]| rank((axis[0] * sum[0] + axis[1] * sum[1] + axis[2] * sum[2]) as f32);
             Item { centre: [along(&frame[0]), along(&frame[1]), along(&frame[2])], triangle: t as u32 }
         });
         let mut starts = vec![0];
@@ -79,8 +91,8 @@ fn halve(items: &mut [Item], patches: usize, threads: usize) {
         return;
     }
     let axis = longest_side(items);
-    items.select_nth_unstable_by(first, |a, b| {
-        a.centre[axis].total_cmp(&b.centre[axis]).then(a.triangle.cmp(&b.triangle))
+    items.select_nth_unstable_by_key(first, |item| {
+        u64::from(item.centre[axis]) << 32 | u64::from(item.triangle)
     });
     let (near, far) = items.split_at_mut(first);
     both(
@@ -91,15 +103,14 @@ fn halve(items: &mut [Item], patches: usize, threads: usize) {
 }
 
 fn longest_side(items: &[Item]) -> usize {
-    let mut low = [f32::INFINITY; 3];
-    let mut high = [f32::NEG_INFINITY; 3];
+    let (mut low, mut high) = ([u32::MAX; 3], [0; 3]);
     for item in items {
         for i in 0..3 {
             low[i] = low[i].min(item.centre[i]);
             high[i] = high[i].max(item.centre[i]);
         }
     }
-    let side = |i: usize| high[i] - low[i];
+    let side = |i: usize| ranked(high[i]) - ranked(low[i]);
     (1..3).fold(0, |longest, i| if side(i) > side(longest) { i } else { longest })
 }
 
@@ -130,6 +141,13 @@ mod tests {
             let sizes: Vec<usize> = one.starts.windows(2).map(|w| w[1] - w[0]).collect();
             assert!(sizes.iter().max().unwrap() - sizes.iter().min().unwrap() <= 2, "{sizes:?}");
         }
+    }
+
+    #[test]
+    fn ranks_are_in_the_order_of_the_numbers() {
+        let numbers = [f32::NEG_INFINITY, -2.5, -1e-40, -0.0, 0.0, 1e-40, 3.0, f32::INFINITY];
+        assert!(numbers.windows(2).all(|w| rank(w[0]) < rank(w[1])));
+        assert!(numbers.iter().all(|&x| ranked(rank(x)).to_bits() == x.to_bits()));
     }
 
     #[test]

@@ -12,7 +12,7 @@ use crate::engine::{Measure, Merge, Refusal, Refusals};
 use crate::error::KernelError;
 use crate::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::{Compact, Mesh, Pin, Sources, check_points};
-use crate::parallel::map;
+use crate::parallel::{each, map};
 use crate::partition::Partition;
 
 /// Why the edge at each corner of a triangle stands.
@@ -36,6 +36,9 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
     type Measure: Measure<D>;
     /// What is left of a patch's records.
     type Piece: Send;
+
+    /// Whether all merges of a run are kept.
+    const KEEPS_MERGES: bool = true;
 
     /// A measure for a patch, whose sources are numbers of the whole mesh.
     fn load(&self, patch: &Mesh<D>) -> Self::Measure;
@@ -244,11 +247,14 @@ pub struct Piece<const D: usize, B, R> {
     /// Vertices that are not on the rim.
     points: Vec<[f64; D]>,
     vertex_source: Vec<u32>,
+    /// Empty if the whole mesh has no fixed vertices.
+    fixed: Vec<bool>,
     /// A vertex of the rim by its number in the whole mesh, `ON_RIM` added; another by its place in `points`.
     triangles: Vec<[u32; 3]>,
     triangle_source: Vec<u32>,
     held: Vec<Held<B>>,
-    records: R,
+    /// Until they are joined.
+    records: Option<R>,
     /// In numbers of the whole mesh.
     pub merges: Vec<Merge>,
     pub path: Option<Vec<[f64; D]>>,
@@ -262,90 +268,155 @@ impl<const D: usize, B: Copy, R> Piece<D, B, R> {
         self.triangles.len()
     }
 
+    /// What is left of a patch of `whole`.
     pub fn new(
         mesh: &Mesh<D>,
+        whole: &Whole<D, B>,
         refusal: impl Fn(EdgeId) -> Option<Refusal<B>>,
         merges: &[Merge],
         path: Option<Vec<[f64; D]>>,
         records: R,
     ) -> Self {
         let connectivity = &mesh.connectivity;
+        let inside = connectivity.vertices().filter(|&v| mesh.pin(v) != Pin::Rim).count();
         let mut number = vec![0; connectivity.vertex_slots()];
-        let (mut points, mut vertex_source) = (vec![], vec![]);
+        let mut points = Vec::with_capacity(inside);
+        let mut vertex_source = Vec::with_capacity(inside);
+        let mut fixed = Vec::with_capacity(if whole.fixed.is_empty() { 0 } else { inside });
         for v in connectivity.vertices() {
-            let source = mesh.vertex_source[v.index()];
+            let here = mesh.vertex_source[v.index()];
             if mesh.pin(v) == Pin::Rim {
-                number[v.index()] = source | ON_RIM;
+                number[v.index()] = here | ON_RIM;
             } else {
                 number[v.index()] = points.len() as u32;
                 points.push(*mesh.point(v));
-                vertex_source.push(source);
+                vertex_source.push(whole.vertex_source[here as usize]);
+                fixed.extend(whole.fixed.get(here as usize));
             }
         }
-        let (mut triangles, mut triangle_source, mut held) = (vec![], vec![], vec![]);
+        let left = connectivity.triangle_count();
+        let mut triangles = Vec::with_capacity(left);
+        let mut triangle_source = Vec::with_capacity(left);
+        let mut held = Vec::with_capacity(left);
         for t in connectivity.triangles() {
             triangles.push(connectivity.corners(t).map(|v| number[v.index()]));
-            triangle_source.push(mesh.triangle_source[t.index()]);
+            triangle_source.push(whole.triangle_source[mesh.triangle_source[t.index()] as usize]);
             held.push(std::array::from_fn(|corner| {
                 refusal(connectivity.edge(HalfedgeId(3 * t.0 + corner as u32)))
             }));
         }
-        let whole = |v: VertexId| VertexId(mesh.vertex_source[v.index()]);
+        let here = |v: VertexId| VertexId(mesh.vertex_source[v.index()]);
         let merges = merges
             .iter()
-            .map(|m| Merge { removed: whole(m.removed), survivor: whole(m.survivor), ..*m })
+            .map(|m| Merge { removed: here(m.removed), survivor: here(m.survivor), ..*m })
             .collect();
-        Self { points, vertex_source, triangles, triangle_source, held, records, merges, path }
+        let records = Some(records);
+        Self { points, vertex_source, fixed, triangles, triangle_source, held, records, merges, path }
     }
 }
 
-impl<const D: usize, B: Copy> Whole<D, B> {
-    /// Put the pieces of all patches together. Vertices of the rim come first.
+/// Where a piece goes in the next whole mesh.
+struct Place<'a, const D: usize, B> {
+    /// Number of its first vertex.
+    first: u32,
+    points: &'a mut [[f64; D]],
+    vertex_source: &'a mut [u32],
+    fixed: &'a mut [bool],
+    triangles: &'a mut [[u32; 3]],
+    triangle_source: &'a mut [u32],
+    held: &'a mut [Held<B>],
+}
+
+impl<const D: usize, B: Copy> Place<'_, D, B> {
+    fn take<R>(self, piece: Piece<D, B, R>, rim_number: &[u32]) {
+        self.points.copy_from_slice(&piece.points);
+        self.vertex_source.copy_from_slice(&piece.vertex_source);
+        self.fixed.copy_from_slice(&piece.fixed);
+        self.triangle_source.copy_from_slice(&piece.triangle_source);
+        self.held.copy_from_slice(&piece.held);
+        let number = |v: u32| {
+            if v & ON_RIM != 0 { rim_number[(v & !ON_RIM) as usize] } else { self.first + v }
+        };
+        for (corners, own) in self.triangles.iter_mut().zip(&piece.triangles) {
+            *corners = own.map(number);
+        }
+    }
+}
+
+impl<const D: usize, B: Copy + Send> Whole<D, B> {
+    /// Put the pieces of all patches together, in the memory of this mesh, which is never smaller. Vertices of
+    /// the rim come first.
     pub fn join<R: Records<D>>(
         mut self,
         rim: &[bool],
         records: R,
-        pieces: Vec<Piece<D, B, R::Piece>>,
+        mut pieces: Vec<Piece<D, B, R::Piece>>,
+        threads: usize,
     ) -> (Self, R) {
         let rim_vertices: Vec<u32> = (0..rim.len() as u32).filter(|&v| rim[v as usize]).collect();
         let mut rim_number = vec![NOBODY; rim.len()];
-        for (number, &v) in rim_vertices.iter().enumerate() {
-            rim_number[v as usize] = number as u32;
+        for (number, &v) in (0..).zip(&rim_vertices) {
+            rim_number[v as usize] = number;
+            // No number is larger than the one it replaces.
+            let (number, v) = (number as usize, v as usize);
+            self.points[number] = self.points[v];
+            self.vertex_source[number] = self.vertex_source[v];
+            if !self.fixed.is_empty() {
+                self.fixed[number] = self.fixed[v];
+            }
         }
-        // The pieces have their own.
-        (self.triangles, self.held) = (vec![], vec![]);
         let vertices = rim_vertices.len() + pieces.iter().map(|p| p.points.len()).sum::<usize>();
         let triangles = pieces.iter().map(|p| p.triangles.len()).sum();
-        let mut next = Self {
-            points: Vec::with_capacity(vertices),
-            triangles: Vec::with_capacity(triangles),
-            vertex_source: Vec::with_capacity(vertices),
-            triangle_source: Vec::with_capacity(triangles),
-            fixed: vec![],
-            held: Vec::with_capacity(triangles),
-        };
-        next.points.extend(rim_vertices.iter().map(|&v| self.points[v as usize]));
-        let mut from: Vec<u32> = rim_vertices.clone();
-        from.reserve(vertices - from.len());
-        let mut kept = Vec::with_capacity(pieces.len());
-        for piece in pieces {
-            let first = next.points.len() as u32;
-            next.points.extend_from_slice(&piece.points);
-            from.extend_from_slice(&piece.vertex_source);
-            let place = |v: u32| {
-                if v & ON_RIM != 0 { rim_number[(v & !ON_RIM) as usize] } else { first + v }
-            };
-            next.triangles.extend(piece.triangles.iter().map(|t| t.map(place)));
-            next.triangle_source
-                .extend(piece.triangle_source.iter().map(|&t| self.triangle_source[t as usize]));
-            next.held.extend_from_slice(&piece.held);
-            kept.push(piece.records);
-        }
-        next.vertex_source.extend(from.iter().map(|&v| self.vertex_source[v as usize]));
-        if !self.fixed.is_empty() {
-            next.fixed = from.iter().map(|&v| self.fixed[v as usize]).collect();
-        }
+        shorten(&mut self.points, vertices);
+        shorten(&mut self.vertex_source, vertices);
+        shorten(&mut self.fixed, vertices);
+        shorten(&mut self.triangles, triangles);
+        shorten(&mut self.triangle_source, triangles);
+        self.held.resize(triangles, [None; 3]);
+        let kept = pieces.iter_mut().filter_map(|piece| piece.records.take()).collect();
+        let places = self.places(rim_vertices.len(), &pieces);
+        let parts: Vec<_> = places.into_iter().zip(pieces).collect();
+        each(parts, threads, |(place, piece)| place.take(piece, &rim_number));
         let records = records.join(&rim_vertices, kept);
-        (next, records)
+        (self, records)
     }
+
+    /// One place after the other, the first after the vertices of the rim.
+    fn places<R>(&mut self, rim: usize, pieces: &[Piece<D, B, R>]) -> Vec<Place<'_, D, B>> {
+        let mut points = &mut self.points[rim..];
+        let mut vertex_source = &mut self.vertex_source[rim..];
+        let mut fixed = if self.fixed.is_empty() { &mut [][..] } else { &mut self.fixed[rim..] };
+        let mut triangles = &mut self.triangles[..];
+        let mut triangle_source = &mut self.triangle_source[..];
+        let mut held = &mut self.held[..];
+        let mut first = rim as u32;
+        let mut places = Vec::with_capacity(pieces.len());
+        for piece in pieces {
+            let (vertices, count) = (piece.points.len(), piece.triangles.len());
+            places.push(Place {
+                first,
+                points: split_off(&mut points, vertices),
+                vertex_source: split_off(&mut vertex_source, vertices),
+                fixed: split_off(&mut fixed, piece.fixed.len()),
+                triangles: split_off(&mut triangles, count),
+                triangle_source: split_off(&mut triangle_source, count),
+                held: split_off(&mut held, count),
+            });
+            first += vertices as u32;
+        }
+        places
+    }
+}
+
+/// Give back what is no longer needed.
+fn shorten<T>(values: &mut Vec<T>, length: usize) {
+    values.truncate(length);
+    values.shrink_to_fit();
+}
+
+/// The first `count` of `rest`, which keeps the others.
+fn split_off<'a, T>(rest: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+    let (first, others) = std::mem::take(rest).split_at_mut(count);
+    *rest = others;
+    first
 }

@@ -49,7 +49,9 @@ pub struct Outcome<const D: usize, R: Records<D>> {
     pub mesh: Whole<D, Bound<D, R>>,
     pub records: R,
     pub stop: Stop,
-    /// All collapses in an order in which they can be repeated, in numbers of the vertices at the start.
+    pub collapses: usize,
+    /// All collapses in an order in which they can be repeated, in numbers of the vertices at the start; empty if the
+    /// records keep none.
     pub merges: Vec<Merge>,
     /// Where their survivors went; empty unless asked for.
     pub path: Vec<[f64; D]>,
@@ -67,7 +69,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
     progress: &mut Progress,
 ) -> Result<Outcome<D, R>, KernelError> {
     let at_start = mesh.triangles.len();
-    let (mut merges, mut path) = (vec![], vec![]);
+    let (mut collapses, mut merges, mut path) = (0, vec![], vec![]);
     let attempts = AtomicU64::new(0);
     let mut histogram: Option<Histogram> = None;
     let mut idle: u32 = 0;
@@ -130,8 +132,13 @@ pub fn collapse<const D: usize, R: Records<D>>(
         }
         let enough = progress.is_enough();
         drop(partition);
-        gather_merges(&mesh.vertex_source, &mut pieces, &mut merges, &mut path);
-        (mesh, records) = mesh.join(&rim, records, pieces);
+        collapses += pieces.iter().map(|piece| piece.merges.len()).sum::<usize>();
+        if R::KEEPS_MERGES {
+            gather_merges(&mesh.vertex_source, &pieces, &mut merges, &mut path);
+        }
+        // They are not needed twice.
+        pieces.iter_mut().for_each(|piece| (piece.merges, piece.path) = (vec![], None));
+        (mesh, records) = mesh.join(&rim, records, pieces, goal.threads);
         histogram = Some(histogram_of_round);
         round += 1;
         if enough {
@@ -147,7 +154,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
         }
         idle = if collapsed == 0 && priority == f64::INFINITY { idle + 1 } else { 0 };
     };
-    Ok(Outcome { mesh, records, stop, merges, path, attempts: attempts.into_inner() })
+    Ok(Outcome { mesh, records, stop, collapses, merges, path, attempts: attempts.into_inner() })
 }
 
 /// Collapses to ask of a round. The last rounds aim a little short, then too far, and are cut to the goal.
@@ -202,7 +209,7 @@ impl<const D: usize, R: Records<D>> Run<'_, D, R> {
         attempts.fetch_add(engine.attempts(), Relaxed);
         let (mesh, measure, refusals, merges, path) = engine.into_parts();
         let records = R::unload(measure, &mesh);
-        Ok(Piece::new(&mesh, |edge| refusals[edge.index()], &merges, path, records))
+        Ok(Piece::new(&mesh, self.mesh, |edge| refusals[edge.index()], &merges, path, records))
     }
 
     /// The priorities in some of the patches, before the first round.
@@ -263,19 +270,24 @@ impl Histogram {
     }
 }
 
+/// Piece and number of all merges, those of least priority first.
+fn in_order<const D: usize, B: Copy, R>(pieces: &[Piece<D, B, R>]) -> impl Iterator<Item = (u32, u32)> {
+    let mut order: Vec<(f64, u32, u32)> = vec![];
+    for (p, piece) in pieces.iter().enumerate() {
+        order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
+    }
+    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    order.into_iter().map(|(_, p, i)| (p, i))
+}
+
 /// How many merges of each patch to keep so that `triangles` are left: those of least priority.
 fn first_merges<const D: usize, B: Copy, R>(
     pieces: &[Piece<D, B, R>],
     triangles: usize,
     mut count: usize,
 ) -> Vec<usize> {
-    let mut order: Vec<(f64, u32, u32)> = vec![];
-    for (p, piece) in pieces.iter().enumerate() {
-        order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
-    }
-    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     let mut limits = vec![0; pieces.len()];
-    for (_, p, i) in order {
+    for (p, i) in in_order(pieces) {
         if count <= triangles {
             break;
         }
@@ -285,33 +297,25 @@ fn first_merges<const D: usize, B: Copy, R>(
     limits
 }
 
-/// Append the merges of a round, those of least priority first.
+/// Append the merges of a round; those of least priority first, if it is recorded where their survivors went.
 fn gather_merges<const D: usize, B: Copy, R>(
     source: &[u32],
-    pieces: &mut [Piece<D, B, R>],
+    pieces: &[Piece<D, B, R>],
     merges: &mut Vec<Merge>,
     path: &mut Vec<[f64; D]>,
 ) {
     let at_start = |v: VertexId| VertexId(source[v.index()]);
-    let mut order: Vec<(f64, u32, u32)> = vec![];
-    for (p, piece) in pieces.iter().enumerate() {
-        order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
+    let named = |m: &Merge| Merge { removed: at_start(m.removed), survivor: at_start(m.survivor), ..*m };
+    if pieces.iter().all(|piece| piece.path.is_none()) {
+        // Any order will do in which a patch's merges follow each other.
+        merges.reserve_exact(pieces.iter().map(|piece| piece.merges.len()).sum());
+        return merges.extend(pieces.iter().flat_map(|piece| &piece.merges).map(named));
     }
-    merges.reserve(order.len());
-    let recorded = pieces.iter().any(|piece| piece.path.is_some());
-    if recorded {
-        order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    }
-    for (_, p, i) in order {
+    for (p, i) in in_order(pieces) {
         let piece = &pieces[p as usize];
-        let m = piece.merges[i as usize];
-        merges.push(Merge { removed: at_start(m.removed), survivor: at_start(m.survivor), ..m });
-        if let Some(points) = &piece.path {
-            path.push(points[i as usize]);
-        }
+        merges.push(named(&piece.merges[i as usize]));
+        path.extend(piece.path.iter().map(|points| points[i as usize]));
     }
-    // They are not needed twice.
-    pieces.iter_mut().for_each(|piece| (piece.merges, piece.path) = (vec![], None));
 }
 
 /// Check the manifold around vertices of the rim, whose triangles no patch has all.

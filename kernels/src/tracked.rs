@@ -10,7 +10,7 @@
 
 use crate::certify::NEEDLE;
 use crate::engine::{Collapsed, Measure, Proposal, Reach};
-use crate::fan::Fan;
+use crate::fan::{Fan, FanFoot};
 use crate::geometry::{distance2, position};
 use crate::ids::EdgeId;
 use crate::legality::keeps_triangles;
@@ -80,7 +80,10 @@ impl<const D: usize, const K: usize> Tracked<'_, D, K> {
     fn gather(&mut self, star: &Star<D>) {
         let mut inside = std::mem::take(&mut self.inside);
         inside.clear();
-        for triangle in star.wings.iter().map(|w| w.triangle).chain(star.vanishing.iter().map(|v| v.0)) {
+        for (wing, triangle) in star.wings.iter().map(|w| w.triangle).enumerate() {
+            inside.extend(self.samples_of(triangle.index()).map(|s| (s, wing as u32)));
+        }
+        for (triangle, ..) in &star.vanishing {
             inside.extend(self.samples_of(triangle.index()).map(|s| (s, 0)));
         }
         self.inside = inside;
@@ -94,8 +97,15 @@ impl<const D: usize, const K: usize> Tracked<'_, D, K> {
         }
         for i in 0..self.inside.len() {
             let sample = &self.samples[self.inside[i].0 as usize];
-            let Some(foot) = self.fan.nearest(&position(&sample.point)) else { return Err(Bound::Shape) };
-            let within = self.within(sample.factor, foot.distance2, &sample.point, &foot.point);
+            // What is above the triangle it belonged to mostly stays there, and then need not be the nearest.
+            let place = position(&sample.point);
+            let is_within =
+                |foot: &FanFoot<D>| self.within(sample.factor, foot.distance2, &sample.point, &foot.point);
+            if self.fan.straight(&place, self.inside[i].1).is_some_and(|foot| is_within(&foot).is_ok()) {
+                continue;
+            }
+            let Some(foot) = self.fan.nearest(&place) else { return Err(Bound::Shape) };
+            let within = is_within(&foot);
             self.inside[i].1 = foot.wing;
             if let Err(bound) = within {
                 // Who refuses now is likely to refuse the next place too.
@@ -126,13 +136,19 @@ impl<const D: usize, const K: usize> Tracked<'_, D, K> {
         let (a, b) = (position(tip), position(to));
         let (mut t, mut foot) = (0.0, start);
         loop {
-            let next = self.original.leaves(foot.triangle, &a, &b, t) + BEYOND;
-            t = next.clamp(t + LEAST_STEP, t + LARGEST_STEP);
+            let (end, side) = self.original.leaves(foot.triangle, &a, &b, t);
+            t = (end + BEYOND).clamp(t + LEAST_STEP, t + LARGEST_STEP);
             if t >= 1.0 {
                 return Ok(());
             }
             let point = std::array::from_fn(|i| tip[i] + t * (to[i] - tip[i]));
-            foot = self.near_original(&point, foot.vertex)?;
+            // Most often the next triangle will do; if not, there may be a nearer one.
+            let next = self.original.across(foot.triangle, side).unwrap_or(foot.triangle);
+            let beside = self.original.foot(&position(&point), next);
+            foot = match self.foot_within(&point, beside) {
+                Ok(()) => beside,
+                Err(_) => self.near_original(&point, foot.vertex)?,
+            };
         }
     }
 
@@ -152,9 +168,13 @@ impl<const D: usize, const K: usize> Tracked<'_, D, K> {
     /// Whether a point of the new surface is within the limits of the input, which is searched from the vertex `start`.
     fn near_original(&self, point: &[f64; D], start: u32) -> Result<Foot<D>, Bound> {
         let Some(foot) = self.original.walk(&position(point), start) else { return Err(Bound::Shape) };
-        let factor = self.limits.factors[foot.vertex as usize];
-        self.within(factor, foot.distance2, point, &foot.point)?;
-        Ok(foot)
+        self.foot_within(point, foot).map(|()| foot)
+    }
+
+    /// Whether a point of the new surface is within the limits of one of the input.
+    #[inline]
+    fn foot_within(&self, point: &[f64; D], foot: Foot<D>) -> Result<(), Bound> {
+        self.within(self.limits.factors[foot.vertex as usize], foot.distance2, point, &foot.point)
     }
 
     #[inline]
@@ -224,19 +244,16 @@ impl<const D: usize, const K: usize> Measure<D> for Tracked<'_, D, K> {
     }
 }
 
-/// Which samples belong to which triangle of the whole mesh.
-pub struct TrackedRecords<'a, const D: usize, const K: usize> {
-    qem: QemRecords<K>,
-    original: &'a Original<D>,
-    limits: &'a Limits,
-    /// Samples of triangle t: `samples[starts[t]..starts[t + 1]]`, vertices of the input.
+/// Samples by triangle of the whole mesh. Samples are vertices of the input.
+pub struct Lists {
+    /// Samples of triangle t: `samples[starts[t]..starts[t + 1]]`.
     pub starts: Vec<u32>,
     pub samples: Vec<u32>,
 }
 
-impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
-    /// Records of the input itself, whose triangles are `original`'s.
-    pub fn new(original: &'a Original<D>, limits: &'a Limits, weight: f64, importance: Vec<f64>) -> Self {
+impl Lists {
+    /// Those of the input itself: each vertex belongs to the first triangle that has it.
+    pub fn of_input<const D: usize>(original: &Original<D>) -> Self {
         let mut owned = vec![false; original.points.len()];
         let mut starts = Vec::with_capacity(original.triangles.len() + 1);
         let mut samples = Vec::with_capacity(original.points.len());
@@ -249,7 +266,32 @@ impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
             }
             starts.push(samples.len() as u32);
         }
-        Self { qem: QemRecords { weight, importance }, original, limits, starts, samples }
+        Self { starts, samples }
+    }
+
+    pub fn of(&self, triangle: usize) -> &[u32] {
+        &self.samples[self.starts[triangle] as usize..self.starts[triangle + 1] as usize]
+    }
+}
+
+/// Which samples belong to which triangle of the whole mesh, and what they may do.
+pub struct TrackedRecords<'a, const D: usize, const K: usize> {
+    qem: QemRecords<K>,
+    original: &'a Original<D>,
+    limits: &'a Limits,
+    pub lists: Lists,
+}
+
+impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
+    /// Records of a mesh with the importance of its vertices, or none.
+    pub fn new(
+        original: &'a Original<D>,
+        limits: &'a Limits,
+        weight: f64,
+        importance: Vec<f64>,
+        lists: Lists,
+    ) -> Self {
+        Self { qem: QemRecords { weight, importance }, original, limits, lists }
     }
 }
 
@@ -269,9 +311,7 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         let mut samples = vec![];
         for &t in &patch.triangle_source {
             let mut head = NONE;
-            for &vertex in
-                &self.samples[self.starts[t as usize] as usize..self.starts[t as usize + 1] as usize]
-            {
+            for &vertex in self.lists.of(t as usize) {
                 let point = self.original.points[vertex as usize];
                 let factor = self.limits.factors[vertex as usize];
                 samples.push(Sample { point, factor, vertex, next: head });
@@ -306,7 +346,7 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
 
     fn join(self, rim: &[u32], pieces: Vec<TrackedPiece>) -> Self {
         let mut starts = Vec::with_capacity(1 + pieces.iter().map(|p| p.counts.len()).sum::<usize>());
-        let mut samples = Vec::with_capacity(self.samples.len());
+        let mut samples = Vec::with_capacity(self.lists.samples.len());
         let mut importance = Vec::with_capacity(pieces.len());
         starts.push(0);
         for piece in pieces {
@@ -317,6 +357,6 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
             importance.push(piece.importance);
         }
         let qem = <QemRecords<K> as Records<D>>::join(self.qem, rim, importance);
-        Self { qem, starts, samples, ..self }
+        Self { qem, lists: Lists { starts, samples }, ..self }
     }
 }

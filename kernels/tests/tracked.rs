@@ -12,7 +12,7 @@ use scanloom_kernels::original::Original;
 use scanloom_kernels::patch::{Records, Whole};
 use scanloom_kernels::progress::{Control, Progress};
 use scanloom_kernels::rounds::Goal;
-use scanloom_kernels::tracked::{Limits, TrackedRecords};
+use scanloom_kernels::tracked::{Limits, Lists, TrackedRecords};
 
 fn goal(threads: usize, patch: usize) -> Goal {
     Goal { triangles: 0, threads, patch, record: false }
@@ -56,7 +56,8 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
         let mut factors = vec![1.0; points.len()];
         factors[0] = 0.25;
         let limits = Limits { shape: 0.2, color: 60.0, factors };
-        let records = TrackedRecords::<4, 1>::new(&original, &limits, 0.01, vec![]);
+        let records =
+            TrackedRecords::<4, 1>::new(&original, &limits, 0.01, vec![], Lists::of_input(&original));
         let mesh =
             Whole::<4, ()>::new(points.clone(), triangles.clone(), vec![]).unwrap().connected().unwrap();
         let before = mesh.connectivity.vertices().count();

@@ -5,6 +5,7 @@ Files from outside are parsed here and not by Open3D, whose reader crashes on so
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -172,12 +173,15 @@ def _corner_uvs(
     return None
 
 
-def write_ply(path: Path | str, mesh: Mesh) -> None:
+def write_ply(
+    path: Path | str, mesh: Mesh, face_values: Mapping[str, NDArray[np.float64]] | None = None
+) -> None:
     """Write a mesh as binary little-endian PLY; what is read back is equal to the bit.
 
-    Positions and normals are stored as 32-bit floats where that loses nothing (meshes from fusion), else
-    as doubles, which MeshLab, Blender, CloudCompare, Open3D and trimesh read as well. A texture's images
-    are written beside as NAME_0.png, NAME_1.png, …. The file appears whole or not at all.
+    `face_values`, (m,) each, become properties of the faces under their names; `read_ply` passes them over.
+    All numbers are stored as 32-bit floats where that loses nothing (meshes from fusion), else as doubles,
+    which MeshLab, Blender, CloudCompare, Open3D and trimesh read as well. A texture's images are written
+    beside as NAME_0.png, NAME_1.png, …. The file appears whole or not at all.
 
     Raises
     ------
@@ -194,6 +198,7 @@ def write_ply(path: Path | str, mesh: Mesh) -> None:
             file = path.with_name(f"{path.stem}_{number}.png")
             write_texture(file, image)
             comments.append(f"{_TEXTURE_COMMENT} {file.name}")
+    face += [(name, _narrowed(values)) for name, values in (face_values or {}).items()]
     vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
     _write(path, comments, {"vertex": vertex, "face": face})
 

@@ -72,6 +72,46 @@ def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tm
     assert (broken.exit_code, broken.json["within_limits"]) == (1, False)
 
 
+def test_down_to_a_number_within_bounds(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
+    scanloom("clean", ball, clean)
+    ran = scanloom("simplify", clean, light, "--ratio", 0.7, "--max-shape", 0.05, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert (ran.json["method"], ran.json["stopped_by"], ran.json["triangles"]) == (
+        "certified",
+        "triangles",
+        896,
+    )
+    assert ran.json["shape_bound_m"] <= 0.05
+    ran = scanloom("simplify", clean, light, "--triangles", 5, "--max-shape", 0.05, "--json")
+    assert (ran.json["stopped_by"], ran.json["proven"]) == ("bounds", True)
+    assert ran.json["triangles"] > 5
+
+
+def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    import trimesh
+
+    clean, light, again = (tmp_path / f"{name}.ply" for name in ("clean", "light", "again"))
+    scanloom("clean", ball, clean)
+    bounds = ("--max-shape", 0.05, "--max-texture", 20)
+    ran = scanloom("simplify", clean, light, *bounds, "--close-bounds", "--save-bounds", light, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    plain = tmp_path / "plain.ply"
+    scanloom("simplify", clean, plain, *bounds)
+    np.testing.assert_array_equal(read_mesh(light).vertices, read_mesh(plain).vertices)
+    face = trimesh.load(light).metadata["_ply_raw"]["face"]["data"]
+    assert face["shape_bound"].max() <= ran.json["shape_bound_m"] <= 0.05
+    assert face["color_bound"].max() <= ran.json["color_bound_levels"] <= 20
+    assert len(np.unique(face["shape_bound"])) > 10
+
+    ran = scanloom("certify", light, clean, "--save-bounds", again)
+    assert ran.exit_code == 0, ran.stderr
+    assert "bounds of" in ran.stderr
+    certified = trimesh.load(again).metadata["_ply_raw"]["face"]["data"]
+    assert certified["shape_bound"].shape == face["shape_bound"].shape
+    np.testing.assert_array_equal(read_mesh(again).triangles, read_mesh(light).triangles)
+
+
 def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_path: Path) -> None:
     # Where a black and a white sheet touch, nobody can say which colour is the nearest.
     source = tmp_path / "sheets.ply"
@@ -191,7 +231,17 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
             2,
             "keeps no record",
         ),
-        (("simplify", "ball.ply", "out.ply", "--max-shape", "1", "--ratio", "0.5"), 2, "leave out ratio"),
+        (
+            ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--close-bounds"),
+            2,
+            "needs max_shape or max_te",
+        ),
+        (
+            ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--save-bounds", "b.ply"),
+            2,
+            "give --max-shape",
+        ),
+        (("simplify", "ball.ply", "out.ply", "--max-shape", "1", "--save-bounds", "b.npz"), 2, "use .ply"),
         (("certify", "ball.ply", "missing.ply"), 3, "missing.ply: there is no such file."),
         (("certify", "ball.ply", "ball.ply", "--effort", "-1"), 2, "--effort is -1"),
         (("replay", "ball.ply", "out.ply"), 3, "ball.ply: is damaged, or no record of collapses."),

@@ -33,6 +33,23 @@ def test_json_holds_only_what_every_reader_takes() -> None:
     }
 
 
+def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
+    figures = {
+        "shape_bound_m": 0.00500001,
+        "shape_attained_m": 0.00499999,
+        "color_bound_levels": 19.9991,
+        "max_shape_m": 0.00500001,
+        "color_attained_levels": None,
+    }
+    assert lines_of(figures).splitlines() == [
+        "shape bound     0.005001 m",
+        "shape attained  0.004999 m",
+        "color bound     20 levels of 255",
+        "max shape       0.005 m",
+        "color attained  –",
+    ]
+
+
 def test_lines_for_a_person_carry_units() -> None:
     figures = {
         "voxel_size_m": 0.0123456,

@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from stages.certified import CertifiedResult, simplify_certified
+from stages.certified import simplify_certified
 from stages.clean import clean
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.mesh_files import read_mesh
 from stages.raycasting import Surface, interpolated
+from stages.simplified import Simplified
 from stages.topology import topology
 
 
@@ -42,9 +43,10 @@ def points_on(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[NDArray
     return places, np.einsum("kc,kcx->kx", weights, mesh.colors[corners[of]].astype(np.float64))
 
 
-def attack(result: CertifiedResult, mesh: Mesh, count: int = 20_000) -> None:
+def attack(result: Simplified, mesh: Mesh, count: int = 20_000) -> None:
     """Look for a point of either surface that breaks the bounds."""
     rng = np.random.default_rng(7)
+    assert result.shape_bound_m is not None
     for one, other in ((result.mesh, mesh), (mesh, result.mesh)):
         places, colors = points_on(one, count, rng)
         found = Surface(other).closest(places)

@@ -57,6 +57,8 @@ def assert_bounds_hold(result: Simplified, mesh: Mesh, samples: int = 100_000) -
         ({"max_shape": 0.01}, "certified"),
         ({"max_texture": 9.0}, "certified"),
         ({"max_shape": 0.01, "max_texture": 9.0}, "certified"),
+        ({"max_shape": 0.01, "ratio": 0.5}, "certified"),
+        ({"max_texture": 9.0, "triangles": 50}, "certified"),
         ({"max_shape": 0.01, "resolution": 1.0}, "jia01"),
         ({"max_texture": 9.0, "paper_rule": True}, "jia01"),
         ({"method": "jia01", "max_shape": 0.01, "ratio": 0.5}, "jia01"),
@@ -64,7 +66,7 @@ def assert_bounds_hold(result: Simplified, mesh: Mesh, samples: int = 100_000) -
         ({}, "jia01"),
     ],
 )
-def test_bounds_alone_are_proven_ones(given: dict[str, float], method: str) -> None:
+def test_bounds_are_proven_ones_unless_jia01_is_wanted(given: dict[str, float], method: str) -> None:
     assert SimplifyParams(**given).chosen() == method  # type: ignore[arg-type]
     assert simplify(hills(8), **given).method == method
 
@@ -106,6 +108,51 @@ def test_each_triangle_has_its_own_bounds() -> None:
     assert (nearest.distances <= shape[of]).all()
     there = interpolated(mesh.colors, mesh, nearest)
     assert (np.linalg.norm(levels - there, axis=1) <= color[of]).all()
+
+
+def test_down_to_a_number_of_triangles_but_never_beyond_the_bounds() -> None:
+    mesh = hills()
+    bounds = {"max_shape": 0.003, "max_texture": 12.0}
+    alone = simplify(mesh, **bounds)
+    left = len(alone.mesh.triangles)
+    few = simplify(mesh, triangles=left // 2, **bounds)
+    assert (few.method, few.stopped_by, few.proven) == ("certified", "bounds", True)
+    assert left // 2 < len(few.mesh.triangles) < 1.1 * left
+
+    for many in (
+        simplify(mesh, triangles=2 * left, **bounds),
+        simplify(mesh, ratio=2 * left / 3200, **bounds),
+    ):
+        assert (many.method, many.stopped_by, many.proven) == ("certified", "triangles", True)
+        assert 2 * left - 2 < len(many.mesh.triangles) <= 2 * left
+        assert_bounds_hold(many, mesh)
+    nothing = simplify(mesh, ratio=1.0, **bounds)
+    assert (nothing.stopped_by, nothing.collapses, len(nothing.mesh.triangles)) == ("triangles", 0, 3200)
+
+
+def test_a_number_with_bounds_has_the_same_bytes_on_any_number_of_threads() -> None:
+    mesh = hills(120)
+    one, two = (simplify(mesh, ratio=0.3, max_shape=0.01, threads=threads) for threads in (1, 2))
+    assert one.stopped_by == "triangles"
+    assert one.mesh.vertices.tobytes() == two.mesh.vertices.tobytes()
+    assert one.mesh.triangles.tobytes() == two.mesh.triangles.tobytes()
+
+
+def test_bounds_of_triangles_are_close_if_asked_for() -> None:
+    mesh = hills()
+    bounds = {"max_shape": 0.01, "max_texture": 30.0}
+    loose, close = (simplify(mesh, close_bounds=close, **bounds) for close in (False, True))
+    assert close.mesh.vertices.tobytes() == loose.mesh.vertices.tobytes()
+    assert loose.shape_bound is not None
+    assert close.shape_bound is not None
+    assert close.color_bound is not None
+    assert close.shape_bound.mean() < 0.95 * loose.shape_bound.mean()
+    assert (close.shape_bound.max(), close.color_bound.max()) <= (
+        close.shape_bound_m,
+        close.color_bound_levels,
+    )
+    assert (close.shape_bound_m or 1) <= 1.06 * (close.shape_attained_m or 0)
+    assert_bounds_hold(close, mesh)
 
 
 def test_a_flat_sheet_of_one_colour_keeps_little_more_than_its_corners() -> None:

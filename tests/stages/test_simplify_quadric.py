@@ -448,8 +448,14 @@ def test_regions_stand_for_their_vertices() -> None:
         ({"max_shape": 0.1, "record": True}, "certified keeps no record"),
         ({"max_shape": 0.1, "importance": np.full(36, 0.5)}, "importance has values below 1"),
         ({"method": "certified"}, "certified needs a bound"),
-        ({"max_shape": 0.1, "ratio": 0.5}, "as far as the bounds allow; leave out ratio, or choose jia01"),
-        ({"max_texture": 9.0, "triangles": 5}, "leave out triangles"),
+        (
+            {"ratio": 0.5, "close_bounds": True},
+            "close_bounds is for method certified, which needs max_shape or",
+        ),
+        (
+            {"method": "jia01", "max_shape": 0.1, "close_bounds": True},
+            "close_bounds has no meaning for method jia01; leave one of them out",
+        ),
         (
             {"method": "certified", "max_shape": 0.1, "resolution": 1.0},
             "resolution has no meaning for method certified",

@@ -1,0 +1,183 @@
+//! Which collapses made a mesh what it is, and how to take some of them back.
+//!
+//! Each collapse joins two trees of vertices of the input, so that the collapses that stand form a forest and each
+//! vertex of the current mesh is the root of a tree. A triangle of the input is still there while its corners belong to
+//! three trees.
+//!
+//! A collapse changed the triangles around its survivor. It can be taken back, and the mesh there be what it was,
+//! if none of these has been changed since; a later collapse that changed one is taken back first.
+//! Such dependencies between collapses: Xia and Varshney, "Dynamic view-dependent simplification for polygonal models",
+//! 1996.
+
+use crate::engine::Merge;
+use crate::original::Original;
+
+/// No collapse.
+const NONE: u32 = u32::MAX;
+
+#[derive(Clone, Copy)]
+struct Collapse {
+    survivor: u32,
+    removed: u32,
+    /// The collapses that survivor and removed vertex had come from.
+    below: [u32; 2],
+    /// The collapse that one of them went into.
+    above: u32,
+}
+
+pub struct History<'a, const D: usize> {
+    original: &'a Original<D>,
+    /// In the order of time. Those taken back are not reached from any vertex any more.
+    collapses: Vec<Collapse>,
+    standing: usize,
+    /// Where each one's survivor went.
+    points: Vec<[f64; D]>,
+    /// By vertex of the input: the vertex of the current mesh it is part of.
+    root: Vec<u32>,
+    /// By vertex of the current mesh: the last collapse it survived.
+    last: Vec<u32>,
+}
+
+impl<'a, const D: usize> History<'a, D> {
+    /// The history of the input itself: nothing has happened.
+    pub fn new(original: &'a Original<D>) -> Self {
+        let vertices = original.points.len();
+        Self {
+            original,
+            collapses: vec![],
+            standing: 0,
+            points: vec![],
+            root: (0..vertices as u32).collect(),
+            last: vec![NONE; vertices],
+        }
+    }
+
+    /// More collapses, in numbers of the input, and where their survivors went.
+    pub fn append(&mut self, merges: Vec<Merge>, path: Vec<[f64; D]>) {
+        self.collapses.reserve(merges.len());
+        self.standing += merges.len();
+        let mut into: Vec<u32> = (0..self.root.len() as u32).collect();
+        for merge in merges.iter().rev() {
+            into[merge.removed.index()] = into[merge.survivor.index()];
+        }
+        self.root.iter_mut().for_each(|root| *root = into[*root as usize]);
+        for merge in merges {
+            let number = self.collapses.len() as u32;
+            let (survivor, removed) = (merge.survivor.0, merge.removed.0);
+            let below = [survivor, removed].map(|v| self.last[v as usize]);
+            for child in below.into_iter().filter(|&child| child != NONE) {
+                self.collapses[child as usize].above = number;
+            }
+            self.last[survivor as usize] = number;
+            self.collapses.push(Collapse { survivor, removed, below, above: NONE });
+        }
+        if self.points.is_empty() {
+            self.points = path;
+        } else {
+            self.points.extend(path);
+        }
+    }
+
+    /// The vertex of the current mesh that a vertex of the input is part of.
+    pub fn root(&self, v: u32) -> u32 {
+        self.root[v as usize]
+    }
+
+    /// Collapses that were not taken back.
+    pub fn standing(&self) -> usize {
+        self.standing
+    }
+
+    /// Where a vertex of the current mesh is.
+    pub fn point(&self, v: u32) -> [f64; D] {
+        match self.last[v as usize] {
+            NONE => self.original.points[v as usize],
+            last => self.points[last as usize],
+        }
+    }
+
+    /// What a triangle of the input is in the current mesh, if it is still there.
+    pub fn corners(&self, triangle: u32) -> Option<[u32; 3]> {
+        let [a, b, c] = self.original.triangles[triangle as usize].map(|v| self.root[v as usize]);
+        (a != b && b != c && c != a).then_some([a, b, c])
+    }
+
+    /// Visit every vertex of the input that is part of a vertex of the current mesh.
+    pub fn visit_members(&self, v: u32, visit: impl FnMut(u32)) {
+        self.visit_tree(self.last[v as usize], v, visit);
+    }
+
+    /// The triangles around a vertex of the current mesh, each once.
+    fn star(&self, v: u32, star: &mut Vec<u32>) {
+        self.visit_members(v, |member| {
+            star.extend(self.original.around(member).iter().filter(|&&t| self.corners(t).is_some()));
+        });
+    }
+
+    /// The last collapse that changed a triangle of the current mesh.
+    pub fn latest(&self, corners: &[u32; 3]) -> Option<u32> {
+        let last = corners.iter().map(|&v| self.last[v as usize]).filter(|&last| last != NONE);
+        last.max()
+    }
+
+    /// The last collapse that a vertex of the current mesh survived.
+    pub fn last(&self, v: u32) -> Option<u32> {
+        Some(self.last[v as usize]).filter(|&last| last != NONE)
+    }
+
+    /// Take a collapse back, and before it all that need the mesh it made. `split` hears of each of them, with the
+    /// triangles around its survivor before and those around both vertices after.
+    pub fn undo(&mut self, collapse: u32, split: &mut impl FnMut(&Self, &[u32], &[u32])) {
+        let (mut before, mut after) = (vec![], vec![]);
+        let mut first = vec![collapse];
+        while let Some(&number) = first.last() {
+            let Collapse { survivor, removed, below, above } = self.collapses[number as usize];
+            if above != NONE {
+                first.push(above);
+                continue;
+            }
+            if self.last[survivor as usize] != number {
+                // Something else has taken it back already.
+                first.pop();
+                continue;
+            }
+            before.clear();
+            self.star(survivor, &mut before);
+            let later = before.iter().filter_map(|&t| self.latest(&self.corners(t)?)).max();
+            if let Some(later) = later.filter(|&later| later > number) {
+                first.push(later);
+                continue;
+            }
+            let mut members = vec![];
+            self.visit_tree(below[1], removed, |member| members.push(member));
+            members.into_iter().for_each(|member| self.root[member as usize] = removed);
+            for (v, child) in [survivor, removed].into_iter().zip(below) {
+                self.last[v as usize] = child;
+                if child != NONE {
+                    self.collapses[child as usize].above = NONE;
+                }
+            }
+            after.clear();
+            self.star(survivor, &mut after);
+            self.star(removed, &mut after);
+            after.sort_unstable();
+            after.dedup();
+            self.standing -= 1;
+            split(self, &before, &after);
+            first.pop();
+        }
+    }
+
+    /// Every vertex of the input below a collapse, or below none: `v` alone.
+    fn visit_tree(&self, collapse: u32, v: u32, mut visit: impl FnMut(u32)) {
+        let mut open = vec![(collapse, v)];
+        while let Some((collapse, v)) = open.pop() {
+            if collapse == NONE {
+                visit(v);
+                continue;
+            }
+            let Collapse { survivor, removed, below, .. } = self.collapses[collapse as usize];
+            open.extend([(below[0], survivor), (below[1], removed)]);
+        }
+    }
+}

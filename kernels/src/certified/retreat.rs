@@ -1,0 +1,146 @@
+//! Going back to where a proof may succeed: collapses around its failures are undone, and the mesh that is left is made
+//! ready to be simplified again.
+
+use super::history::History;
+use super::ledger::Open;
+use super::watched::Watched;
+use crate::original::Original;
+use crate::patch::{Held, Whole};
+use crate::tracked::{Bound, Lists};
+
+pub struct Retreat<'a, const D: usize> {
+    original: &'a Original<D>,
+    history: History<'a, D>,
+    watched: Watched,
+    /// Triangles that are not what they were, or not there any more.
+    touched: Vec<u32>,
+}
+
+impl<'a, const D: usize> Retreat<'a, D> {
+    pub fn new(original: &'a Original<D>, history: History<'a, D>, watched: Watched) -> Self {
+        Self { original, history, watched, touched: vec![] }
+    }
+
+    /// Samples of the triangles of the result without a proof, or of those beside one that has none, and corners of
+    /// those of the input; each once.
+    pub fn samples_around(&self, mesh: &Whole<D, Bound>, open: &Open) -> Vec<u32> {
+        let mut around: Vec<u32> =
+            open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]).collect();
+        let mut bare = vec![];
+        for &t in &open.of_result {
+            let before = around.len();
+            around.extend(self.watched.of(t));
+            if around.len() == before {
+                bare.extend(self.history.corners(t).into_iter().flatten());
+            }
+        }
+        if !bare.is_empty() {
+            let mut is_bare = vec![false; self.original.points.len()];
+            bare.into_iter().for_each(|v| is_bare[v as usize] = true);
+            for (corners, &t) in mesh.triangles.iter().zip(&mesh.triangle_source) {
+                if corners.iter().any(|&v| is_bare[mesh.vertex_source[v as usize] as usize]) {
+                    around.extend(self.watched.of(t));
+                }
+            }
+        }
+        around.sort_unstable();
+        around.dedup();
+        around
+    }
+
+    /// Take back the collapse that made each triangle without a proof, and one of those that made what a triangle of
+    /// the input lies at: the last one, since least depends on it. Where it has failed before, as `failures` says by
+    /// vertex of the input, take back all that made what is within reach.
+    pub fn take_back(&mut self, open: &Open, failures: &[u8]) {
+        let latest = |t: &u32| self.history.corners(*t).and_then(|corners| self.history.latest(&corners));
+        let mut collapses: Vec<u32> = open.of_result.iter().filter_map(latest).collect();
+        for (t, within_reach) in open.of_input.iter().zip(&open.within_reach) {
+            let corners = self.original.triangles[*t as usize];
+            let owners = corners.iter().filter_map(|&v| self.watched.owner(v));
+            collapses.extend(owners.filter_map(|t| latest(&t)).max());
+            if corners.iter().any(|&v| failures[v as usize] > 1) {
+                collapses.extend(within_reach.iter().filter_map(latest));
+            }
+        }
+        collapses.sort_unstable();
+        collapses.dedup();
+        collapses.into_iter().rev().for_each(|collapse| self.undo(collapse));
+    }
+
+    /// Bring vertices of the input back and hold them there.
+    pub fn hold(&mut self, vertices: &[u32], fixed: &mut Vec<bool>) {
+        if vertices.is_empty() {
+            return;
+        }
+        fixed.resize(self.original.points.len(), false);
+        for &v in vertices {
+            fixed[v as usize] = true;
+            while let Some(collapse) = self.history.last(self.history.root(v)) {
+                self.undo(collapse);
+            }
+        }
+    }
+
+    fn undo(&mut self, collapse: u32) {
+        let Self { original, history, watched, touched } = self;
+        history.undo(collapse, &mut |history, before, after| {
+            watched.share_out(original, history, before, after);
+            touched.extend_from_slice(before);
+            touched.extend_from_slice(after);
+        });
+    }
+
+    /// The mesh there is now, the samples of its triangles, and what led to it. `before` is what it was.
+    pub fn mesh(
+        mut self,
+        before: Whole<D, Bound>,
+        fixed: &[bool],
+    ) -> (Whole<D, Bound>, Lists, History<'a, D>) {
+        self.touched.sort_unstable();
+        self.touched.dedup();
+        let corners = |t: u32| self.history.corners(t).map(|corners| (t, corners));
+        let new: Vec<(u32, [u32; 3])> = self.touched.iter().filter_map(|&t| corners(t)).collect();
+        // What was refused may be allowed beside them.
+        let mut near = vec![false; self.original.points.len()];
+        new.iter().flat_map(|(_, corners)| corners).for_each(|&v| near[v as usize] = true);
+
+        let Whole { triangles, triangle_source, vertex_source, held, .. } = before;
+        let known = held.len() == triangles.len();
+        let mut next = Whole {
+            points: vec![],
+            triangles: Vec::with_capacity(triangles.len() + new.len()),
+            triangle_source: Vec::with_capacity(triangles.len() + new.len()),
+            vertex_source: vec![],
+            fixed: vec![],
+            held: Vec::with_capacity(triangles.len() + new.len()),
+        };
+        for (i, (corners, source)) in triangles.into_iter().zip(triangle_source).enumerate() {
+            if self.touched.binary_search(&source).is_ok() {
+                continue;
+            }
+            let corners = corners.map(|v| vertex_source[v as usize]);
+            let open = |side: usize| near[corners[side] as usize] || near[corners[(side + 1) % 3] as usize];
+            let held: Held<Bound> = if known { held[i] } else { [None; 3] };
+            next.held.push(std::array::from_fn(|side| held[side].filter(|_| !open(side))));
+            next.triangles.push(corners);
+            next.triangle_source.push(source);
+        }
+        for (source, corners) in new {
+            next.held.push([None; 3]);
+            next.triangles.push(corners);
+            next.triangle_source.push(source);
+        }
+        next.vertex_source = next.triangles.iter().flatten().copied().collect();
+        next.vertex_source.sort_unstable();
+        next.vertex_source.dedup();
+        let mut number = vec![0; self.original.points.len()];
+        next.vertex_source.iter().zip(0..).for_each(|(&v, i)| number[v as usize] = i);
+        next.triangles.iter_mut().flatten().for_each(|v| *v = number[*v as usize]);
+        next.points = next.vertex_source.iter().map(|&v| self.history.point(v)).collect();
+        if !fixed.is_empty() {
+            next.fixed = next.vertex_source.iter().map(|&v| fixed[v as usize]).collect();
+        }
+        let lists = self.watched.lists(&next.triangle_source);
+        (next, lists, self.history)
+    }
+}

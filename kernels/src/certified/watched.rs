@@ -1,0 +1,84 @@
+//! Which triangle of the current mesh each sample of the input belongs to. Samples are vertices of the input; triangles
+//! have its numbers too.
+
+use super::history::History;
+use crate::geometry::{position, triangle_distance2};
+use crate::original::Original;
+use crate::tracked::Lists;
+
+/// No sample, or no triangle.
+const NONE: u32 = u32::MAX;
+
+/// Lists of samples, threaded through one array.
+pub struct Watched {
+    /// By triangle.
+    first: Vec<u32>,
+    /// By sample.
+    next: Vec<u32>,
+    owner: Vec<u32>,
+}
+
+impl Watched {
+    /// From the lists of `triangles`.
+    pub fn new<const D: usize>(original: &Original<D>, triangles: &[u32], lists: &Lists) -> Self {
+        let mut watched = Self {
+            first: vec![NONE; original.triangles.len()],
+            next: vec![NONE; original.points.len()],
+            owner: vec![NONE; original.points.len()],
+        };
+        for (i, &t) in triangles.iter().enumerate() {
+            lists.of(i).iter().for_each(|&v| watched.give(v, t));
+        }
+        watched
+    }
+
+    /// Samples of a triangle.
+    pub fn of(&self, triangle: u32) -> impl Iterator<Item = u32> + '_ {
+        let some = |v: u32| (v != NONE).then_some(v);
+        std::iter::successors(some(self.first[triangle as usize]), move |&v| some(self.next[v as usize]))
+    }
+
+    /// The triangle a sample belongs to.
+    pub fn owner(&self, sample: u32) -> Option<u32> {
+        Some(self.owner[sample as usize]).filter(|&t| t != NONE)
+    }
+
+    /// The triangles `before` have become those `after`, as `history` knows them: each sample goes to the nearest.
+    pub fn share_out<const D: usize>(
+        &mut self,
+        original: &Original<D>,
+        history: &History<'_, D>,
+        before: &[u32],
+        after: &[u32],
+    ) {
+        let samples: Vec<u32> = before.iter().flat_map(|&t| self.of(t)).collect();
+        before.iter().for_each(|&t| self.first[t as usize] = NONE);
+        let placed: Vec<_> = after
+            .iter()
+            .filter_map(|&t| Some((t, history.corners(t)?.map(|v| position(&history.point(v))))))
+            .collect();
+        for v in samples {
+            let p = position(&original.points[v as usize]);
+            let distances =
+                placed.iter().map(|(t, corners)| (triangle_distance2(&p, corners.each_ref()), *t));
+            let nearest = distances.min_by(|a, b| a.0.total_cmp(&b.0));
+            self.give(v, nearest.map_or(after[0], |(_, t)| t));
+        }
+    }
+
+    /// The lists of `triangles`.
+    pub fn lists(&self, triangles: &[u32]) -> Lists {
+        let (mut starts, mut samples) = (Vec::with_capacity(triangles.len() + 1), vec![]);
+        starts.push(0);
+        for &t in triangles {
+            samples.extend(self.of(t));
+            starts.push(samples.len() as u32);
+        }
+        Lists { starts, samples }
+    }
+
+    fn give(&mut self, sample: u32, triangle: u32) {
+        self.next[sample as usize] = std::mem::replace(&mut self.first[triangle as usize], sample);
+        self.owner[sample as usize] = triangle;
+    }
+}

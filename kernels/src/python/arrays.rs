@@ -1,0 +1,108 @@
+//! Meshes from NumPy arrays, and arrays from what became of them.
+
+use std::ops::Range;
+
+use numpy::{Element, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use crate::error::KernelError;
+
+/// Points with their attributes, and triangles.
+type PointsAndTriangles<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
+
+/// The arrays of a mesh as Python gives them.
+pub struct Inputs<'py> {
+    pub vertices: PyReadonlyArray2<'py, f64>,
+    pub attributes: PyReadonlyArray2<'py, f64>,
+    pub triangles: PyReadonlyArray2<'py, i32>,
+}
+
+impl Inputs<'_> {
+    /// Attributes a vertex: 0, 1 (intensity) or 3 (RGB), else [`unknown_attributes`].
+    pub fn attribute_count(&self) -> usize {
+        self.attributes.as_array().ncols()
+    }
+
+    pub fn copied<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
+        let points = points_from::<D>(&self.vertices, &self.attributes)?;
+        let triangles = triangles_from(&self.triangles, points.len())?;
+        Ok((points, triangles))
+    }
+
+    /// One value for each vertex, or none at all.
+    pub fn by_vertex<T: Element + Copy>(
+        &self,
+        name: &str,
+        values: &PyReadonlyArray1<'_, T>,
+    ) -> PyResult<Vec<T>> {
+        let values = values.as_array().to_vec();
+        if values.is_empty() || values.len() == self.vertices.as_array().nrows() {
+            return Ok(values);
+        }
+        Err(PyValueError::new_err(format!("{name} needs one value a vertex")))
+    }
+}
+
+pub fn unknown_attributes(k: usize) -> PyErr {
+    PyValueError::new_err(format!("{k} attributes a vertex; 0, 1 (intensity) or 3 (RGB) are known"))
+}
+
+pub fn points_from<const D: usize>(
+    vertices: &PyReadonlyArray2<'_, f64>,
+    attributes: &PyReadonlyArray2<'_, f64>,
+) -> PyResult<Vec<[f64; D]>> {
+    let (vertices, attributes) = (vertices.as_array(), attributes.as_array());
+    if vertices.ncols() != 3 || attributes.nrows() != vertices.nrows() {
+        return Err(PyValueError::new_err(format!(
+            "vertices are {:?} and attributes {:?}; n × 3 and n × k are expected",
+            vertices.shape(),
+            attributes.shape()
+        )));
+    }
+    let (vertices, attributes) = (vertices.as_standard_layout(), attributes.as_standard_layout());
+    let places = vertices.as_slice().unwrap_or_default().chunks_exact(3);
+    let k = D - 3;
+    let values = attributes.as_slice().unwrap_or_default();
+    let point = |(v, place): (usize, &[f64])| {
+        std::array::from_fn(|i| if i < 3 { place[i] } else { values[k * v + i - 3] })
+    };
+    Ok(places.enumerate().map(point).collect())
+}
+
+pub fn triangles_from(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<[u32; 3]>> {
+    let triangles = triangles.as_array();
+    if triangles.ncols() != 3 {
+        return Err(PyValueError::new_err(format!(
+            "triangles are {:?}; m × 3 is expected",
+            triangles.shape()
+        )));
+    }
+    let triangles = triangles.as_standard_layout();
+    let values = triangles.as_slice().unwrap_or_default();
+    if let Some(place) = values.iter().position(|&v| v < 0) {
+        let (triangle, vertex) = (place / 3, values[place].into());
+        return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices }.into());
+    }
+    Ok(values.chunks_exact(3).map(|t| [t[0] as u32, t[1] as u32, t[2] as u32]).collect())
+}
+
+/// Some of the columns of a table: of points, 0..3 are their places, and the attributes follow.
+pub fn columns<const D: usize>(
+    py: Python<'_>,
+    rows: &[[f64; D]],
+    columns: Range<usize>,
+) -> PyResult<Py<PyArray2<f64>>> {
+    let shape = [rows.len(), columns.len()];
+    let values: Vec<f64> = rows.iter().flat_map(|row| &row[columns.clone()]).copied().collect();
+    Ok(PyArray1::from_vec(py, values).reshape(shape)?.unbind())
+}
+
+pub fn triangle_array(py: Python<'_>, triangles: &[[u32; 3]]) -> PyResult<Py<PyArray2<i32>>> {
+    let values: Vec<i32> = triangles.iter().flatten().map(|&v| v as i32).collect();
+    Ok(PyArray1::from_vec(py, values).reshape([triangles.len(), 3])?.unbind())
+}
+
+pub fn id_array(py: Python<'_>, ids: impl Iterator<Item = u32>) -> Py<PyArray1<i32>> {
+    PyArray1::from_vec(py, ids.map(|id| id as i32).collect()).unbind()
+}

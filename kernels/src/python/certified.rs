@@ -1,0 +1,120 @@
+//! `stages._kernels.simplify_certified`.
+
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{Inputs, unknown_attributes};
+use super::detached::detached;
+use super::simplified::{Running, Simplified};
+use crate::certified::{Options, simplify};
+use crate::certify::{self, Deviation};
+use crate::engine::Refusal;
+use crate::legality::Illegal;
+use crate::tracked::Bound;
+
+/// A simplified mesh and what is proven of it. Pairs are (shape in metres, colour in levels).
+#[pyclass(frozen, get_all, extends = Simplified)]
+pub struct Proven {
+    shape_bound: Py<PyArray1<f64>>,
+    color_bound: Py<PyArray1<f64>>,
+    bound: (f64, f64),
+    attained: (f64, f64),
+    slack: f64,
+    color_slack: f64,
+    proven: bool,
+    iterations: usize,
+    /// Triangles of the result, and of the input, without a proof.
+    unproven: (usize, usize),
+}
+
+/// Simplify within bounds that are proven to hold everywhere; infinite for none.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, bounds, weight, share, tolerance, effort, close,
+                    running, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn simplify_certified(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    importance: PyReadonlyArray1<'_, f64>,
+    bounds: (f64, f64),
+    weight: f64,
+    share: f64,
+    tolerance: (f64, f64),
+    effort: f64,
+    close: bool,
+    running: PyRef<'_, Running>,
+    progress: Py<PyAny>,
+) -> PyResult<Py<Proven>> {
+    let all = [bounds.0, bounds.1, weight, tolerance.0, tolerance.1, effort];
+    if !(all.iter().all(|x| *x >= 0.0) && weight.is_finite() && share > 0.0 && share <= 1.0) {
+        return Err(PyValueError::new_err(
+            "bounds, weight, tolerance and effort must not be negative, and share be up to 1",
+        ));
+    }
+    let inputs = Inputs { vertices, attributes, triangles };
+    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
+    let options = Options {
+        weight,
+        importance: inputs.by_vertex("importance", &importance)?,
+        share,
+        close,
+        proof: certify::Options { tolerance, effort, ..certify::Options::default() },
+        ..Options::new(Deviation { shape: bounds.0, color: bounds.1 })
+    };
+    match inputs.attribute_count() {
+        0 => simplify_points::<3, 0>(py, &inputs, fixed, &options, &running, &progress),
+        1 => simplify_points::<4, 1>(py, &inputs, fixed, &options, &running, &progress),
+        3 => simplify_points::<6, 3>(py, &inputs, fixed, &options, &running, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn simplify_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    fixed: Vec<bool>,
+    options: &Options,
+    running: &Running,
+    progress: &Py<PyAny>,
+) -> PyResult<Py<Proven>> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    let result = detached(py, progress, running.partial, |progress| {
+        simplify::<D, K>(points, triangles, fixed, options, &running.goal(), progress)
+    })?;
+    let count = |wanted| result.held.iter().filter(|r| **r == wanted).count();
+    let standing = [
+        ("shape", count(Refusal::Bound(Bound::Shape))),
+        ("color", count(Refusal::Bound(Bound::Color))),
+        ("needle", count(Refusal::Bound(Bound::Needle))),
+        ("topology", count(Refusal::Illegal(Illegal::Topology))),
+        ("bridge", count(Refusal::Illegal(Illegal::Bridge))),
+        ("pinned", count(Refusal::Illegal(Illegal::Pinned))),
+        ("fold", count(Refusal::Illegal(Illegal::Fold))),
+    ];
+    // The loop has at least one turn; the last one is that of the result.
+    let ([own, original], collapses, attempts) =
+        result.passes.last().map_or(([0, 0], 0, 0), |p| (p.unproven, p.collapses as u64, p.attempts));
+    let certificate = &result.certificate;
+    let bounds = |of: fn(&Deviation) -> f64| {
+        PyArray1::from_vec(py, certificate.result.iter().map(of).collect()).unbind()
+    };
+    let pair = |d: Deviation| (d.shape, d.color);
+    let proven = Proven {
+        shape_bound: bounds(|d| d.shape),
+        color_bound: bounds(|d| d.color),
+        bound: pair(certificate.bound),
+        attained: pair(certificate.attained),
+        slack: certificate.slack,
+        color_slack: certificate.color_slack,
+        proven: result.proven,
+        iterations: result.passes.len(),
+        unproven: (own, original),
+    };
+    let simplified = Simplified::new(py, &result.mesh, result.stop, standing, collapses, attempts)?;
+    Py::new(py, PyClassInitializer::from(simplified).add_subclass(proven))
+}

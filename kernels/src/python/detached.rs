@@ -1,0 +1,73 @@
+//! Work without the GIL that still sees Ctrl-C and tells how far it is.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::Duration;
+
+use pyo3::exceptions::PyRuntimeError;
+use pyo3::prelude::*;
+use pyo3::types::PyBool;
+
+use crate::error::KernelError;
+use crate::progress::{Control, Progress};
+
+/// How often the waiting thread looks for Ctrl-C, and every how many looks it reports progress.
+const LOOK: Duration = Duration::from_millis(40);
+const LOOKS_A_REPORT: u32 = 3;
+
+/// Run `work` without the GIL on a thread of its own, while this one waits. Progress reaches the Python function
+/// `progress(done, total)`. An exception there, or Ctrl-C, stops the work and comes back from here; so does False,
+/// with what there is. With `partial`, Ctrl-C does the same as False. A panic becomes a RuntimeError.
+pub fn detached<R: Send>(
+    py: Python<'_>,
+    progress: &Py<PyAny>,
+    partial: bool,
+    work: impl FnOnce(&mut Progress) -> Result<R, KernelError> + Send,
+) -> PyResult<R> {
+    let control = Control::default();
+    let mut raised: Option<PyErr> = None;
+    let outcome = py.detach(|| {
+        std::thread::scope(|scope| {
+            let (ended, end) = std::sync::mpsc::channel();
+            let control = &control;
+            let worker = scope.spawn(move || {
+                let outcome = catch_unwind(AssertUnwindSafe(|| work(&mut Progress::new(control))));
+                // Nobody waits any more once an exception was raised.
+                let _ = ended.send(());
+                outcome
+            });
+            let mut looks = 0;
+            while end.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
+                looks += 1;
+                let looked = Python::attach(|py| {
+                    if let Err(interrupt) = py.check_signals() {
+                        if !partial {
+                            return Err(interrupt);
+                        }
+                        control.enough();
+                    }
+                    if looks % LOOKS_A_REPORT == 0 {
+                        let (done, total) = control.done();
+                        if progress.call1(py, (done, total))?.bind(py).is(PyBool::new(py, false)) {
+                            control.enough();
+                        }
+                    }
+                    Ok(())
+                });
+                if let Err(error) = looked {
+                    raised = Some(error);
+                    control.abort();
+                    break;
+                }
+            }
+            worker.join()
+        })
+    });
+    if let Some(error) = raised {
+        return Err(error);
+    }
+    match outcome {
+        Ok(Ok(result)) => result.map_err(PyErr::from),
+        _ => Err(PyRuntimeError::new_err("the mesh kernels failed; please report the mesh that shows it")),
+    }
+}

@@ -1,0 +1,133 @@
+//! `stages._kernels.simplify` and `side_lengths`, which its default resolution is made from.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{Inputs, unknown_attributes};
+use super::detached::detached;
+use super::simplified::{Running, Simplified};
+use crate::error::KernelError;
+use crate::geometry::distance2;
+use crate::jia01::{self, Limits, Options, Standing};
+use crate::parallel::{fill, threads};
+use crate::patch::Whole;
+
+/// A mesh simplified with JIA01, and the sums that came up.
+#[pyclass(frozen, get_all, extends = Simplified)]
+pub struct BySums {
+    splits: u64,
+    largest_shape_change: f64,
+    largest_texture_change: f64,
+}
+
+/// Simplify a mesh with JIA01. Bounds are infinite where there is none.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, *, bounds, scales, attribute_scale, paper_rule,
+                    triangle_limit, running, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn simplify(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    bounds: (f64, f64, f64),
+    scales: (f64, f64, f64),
+    attribute_scale: f64,
+    paper_rule: bool,
+    triangle_limit: usize,
+    running: PyRef<'_, Running>,
+    progress: Py<PyAny>,
+) -> PyResult<Py<BySums>> {
+    let limits = |(length, shape, texture)| Limits { length, shape, texture };
+    let options = Options {
+        bounds: limits(bounds),
+        scales: limits(scales),
+        attribute_scale,
+        paper_rule,
+        triangle_limit,
+    };
+    let positive = |x: &f64| *x > 0.0 && x.is_finite();
+    if ![scales.0, scales.1, scales.2].iter().all(positive) {
+        return Err(PyValueError::new_err("scales must be positive and finite"));
+    }
+    if ![bounds.0, bounds.1, bounds.2, attribute_scale].iter().all(|x| *x >= 0.0) || bounds.0 == 0.0 {
+        return Err(PyValueError::new_err(
+            "bounds and attribute_scale must not be negative, nor the length 0",
+        ));
+    }
+    let inputs = Inputs { vertices, attributes, triangles };
+    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    match inputs.attribute_count() {
+        0 => simplify_points::<3>(py, &inputs, fixed, &options, &running, &progress),
+        1 => simplify_points::<4>(py, &inputs, fixed, &options, &running, &progress),
+        3 => simplify_points::<6>(py, &inputs, fixed, &options, &running, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn simplify_points<const D: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    fixed: Vec<bool>,
+    options: &Options,
+    running: &Running,
+    progress: &Py<PyAny>,
+) -> PyResult<Py<BySums>> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    let result = detached(py, progress, running.partial, |progress| {
+        jia01::simplify(Whole::new(points, triangles, fixed)?, options, &running.goal(), progress)
+    })?;
+    let Standing { length, shape, texture, topology, bridge, pinned, fold } = result.standing;
+    let standing = [
+        ("length", length),
+        ("shape", shape),
+        ("texture", texture),
+        ("topology", topology),
+        ("bridge", bridge),
+        ("pinned", pinned),
+        ("fold", fold),
+    ];
+    let simplified =
+        Simplified::new(py, &result.mesh, result.stop, standing, result.collapses, result.attempts)?;
+    let sums = BySums {
+        splits: result.splits,
+        largest_shape_change: result.largest_shape_change,
+        largest_texture_change: result.largest_texture_change,
+    };
+    Py::new(py, PyClassInitializer::from(simplified).add_subclass(sums))
+}
+
+/// Lengths (m, 3) of the sides of triangles: entry k is the side from corner k − 1 to corner k. The arrays are read where
+/// they are, and so the GIL stays held for the few milliseconds this takes.
+#[pyfunction]
+#[pyo3(signature = (vertices, triangles, *, wanted_threads))]
+pub fn side_lengths(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    wanted_threads: usize,
+) -> PyResult<Py<PyArray2<f64>>> {
+    let (vertices, triangles) = (vertices.as_array(), triangles.as_array());
+    if vertices.ncols() != 3 || triangles.ncols() != 3 {
+        return Err(PyValueError::new_err("vertices are n × 3 and triangles m × 3"));
+    }
+    let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());
+    let (points, corners) = (vertices.as_slice().unwrap_or_default(), triangles.as_standard_layout());
+    let corners = corners.as_slice().unwrap_or_default();
+    if let Some(place) = corners.iter().position(|&v| v as u32 as usize >= count) {
+        let (triangle, vertex) = (place / 3, corners[place].into());
+        return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices: count }.into());
+    }
+    let point = |corner: usize| -> [f64; 3] {
+        let first = 3 * corners[corner] as usize;
+        [points[first], points[first + 1], points[first + 2]]
+    };
+    let mut lengths = vec![[0.0; 3]; triangles.nrows()];
+    fill(&mut lengths, threads(wanted_threads), |t| {
+        let [a, b, c] = [0, 1, 2].map(|k| point(3 * t + k));
+        [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
+    });
+    Ok(PyArray1::from_vec(py, lengths.into_flattened()).reshape([triangles.nrows(), 3])?.unbind())
+}

@@ -1,0 +1,26 @@
+//! `stages._kernels.spatial_order`.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
+use pyo3::prelude::*;
+
+use super::arrays::Inputs;
+use crate::connect::check_indices;
+use crate::mesh::check_points;
+use crate::spatial;
+
+type Rows = Py<PyArray1<u32>>;
+
+/// Vertices (n,) and triangles (m,) in an order in which neighbours in space are neighbours in memory.
+#[pyfunction]
+pub fn spatial_order(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+) -> PyResult<(Rows, Rows)> {
+    let attributes = PyArray2::zeros(py, [vertices.as_array().nrows(), 0], false).readonly();
+    let (points, triangles) = Inputs { vertices, attributes, triangles }.copied::<3>()?;
+    check_points(&points)?;
+    check_indices(points.len(), &triangles)?;
+    let (vertices, triangles) = py.detach(|| spatial::spatial_order(&points, &triangles));
+    Ok((PyArray1::from_vec(py, vertices).unbind(), PyArray1::from_vec(py, triangles).unbind()))
+}

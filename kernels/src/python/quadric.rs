@@ -1,0 +1,142 @@
+//! `stages._kernels.simplify_by_quadrics` and `residuals`.
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{Inputs, columns, id_array, unknown_attributes};
+use super::detached::detached;
+use super::simplified::{Running, Simplified};
+use crate::balance;
+use crate::connect::check_indices;
+use crate::engine::{Merge, Refusal};
+use crate::legality::Illegal;
+use crate::mesh::check_points;
+use crate::parallel::threads;
+use crate::patch::Whole;
+use crate::qem::QemRecords;
+use crate::rounds::collapse;
+
+/// A mesh simplified by attribute quadrics, and the way there.
+#[pyclass(frozen, get_all, extends = Simplified)]
+pub struct ByQuadrics {
+    /// For each vertex of the input the vertex of the result it became part of, −1 for none.
+    became: Py<PyArray1<i32>>,
+    /// For each collapse, if that was asked for: the vertex that vanished, the one it became part of, and where
+    /// that went.
+    removed: Py<PyArray1<i32>>,
+    survivor: Py<PyArray1<i32>>,
+    path: Py<PyArray2<f64>>,
+}
+
+/// Simplify a mesh by attribute quadrics to a number of triangles. `weight` is the length that counts as much as one
+/// level of an attribute; `importance` multiplies the error around a vertex (empty for 1 everywhere).
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, weight, running, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn simplify_by_quadrics(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    importance: PyReadonlyArray1<'_, f64>,
+    weight: f64,
+    running: PyRef<'_, Running>,
+    progress: Py<PyAny>,
+) -> PyResult<Py<ByQuadrics>> {
+    if !(weight >= 0.0 && weight.is_finite()) {
+        return Err(PyValueError::new_err("the weight must not be negative"));
+    }
+    let inputs = Inputs { vertices, attributes, triangles };
+    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let importance = inputs.by_vertex("importance", &importance)?;
+    match inputs.attribute_count() {
+        0 => simplify_points::<3, 0>(py, &inputs, fixed, importance, weight, &running, &progress),
+        1 => simplify_points::<4, 1>(py, &inputs, fixed, importance, weight, &running, &progress),
+        3 => simplify_points::<6, 3>(py, &inputs, fixed, importance, weight, &running, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn simplify_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    fixed: Vec<bool>,
+    importance: Vec<f64>,
+    weight: f64,
+    running: &Running,
+    progress: &Py<PyAny>,
+) -> PyResult<Py<ByQuadrics>> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    let vertices = points.len();
+    let (mesh, standing, stop, merges, path, attempts) =
+        detached(py, progress, running.partial, |progress| {
+            let whole = Whole::new(points, triangles, fixed)?;
+            let records = QemRecords::<K> { weight, importance };
+            let outcome = collapse(whole, records, &running.goal(), progress)?;
+            let held = outcome.mesh.held_edges();
+            let count = |wanted| held.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
+            let standing = [
+                ("topology", count(Illegal::Topology)),
+                ("bridge", count(Illegal::Bridge)),
+                ("pinned", count(Illegal::Pinned)),
+                ("fold", count(Illegal::Fold)),
+            ];
+            let mesh = outcome.mesh.into_compact();
+            Ok((mesh, standing, outcome.stop, outcome.merges, outcome.path, outcome.attempts))
+        })?;
+    let way = ByQuadrics {
+        became: PyArray1::from_vec(py, follow(vertices, &mesh.vertex_source, &merges)).unbind(),
+        removed: id_array(py, merges.iter().take(path.len()).map(|m| m.removed.0)),
+        survivor: id_array(py, merges.iter().take(path.len()).map(|m| m.survivor.0)),
+        path: columns(py, &path, 0..D)?,
+    };
+    let simplified = Simplified::new(py, &mesh, stop, standing, merges.len() as u64, attempts)?;
+    Py::new(py, PyClassInitializer::from(simplified).add_subclass(way))
+}
+
+/// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
+fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
+    let mut became = vec![-1; vertices];
+    for (new, &v) in left.iter().enumerate() {
+        became[v as usize] = new as i32;
+    }
+    for merge in merges.iter().rev() {
+        became[merge.removed.index()] = became[merge.survivor.index()];
+    }
+    became
+}
+
+/// Errors of shape and of the attributes that a result of `target` triangles has to be expected to make; None where
+/// the mesh is too small to tell or has no attributes.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, *, target, wanted_threads))]
+pub fn residuals(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    target: usize,
+    wanted_threads: usize,
+) -> PyResult<Option<(f64, f64)>> {
+    let inputs = Inputs { vertices, attributes, triangles };
+    match inputs.attribute_count() {
+        0 => Ok(None),
+        1 => residuals_of_points::<4>(py, &inputs, target, wanted_threads),
+        3 => residuals_of_points::<6>(py, &inputs, target, wanted_threads),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn residuals_of_points<const D: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    target: usize,
+    wanted_threads: usize,
+) -> PyResult<Option<(f64, f64)>> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    check_points(&points)?;
+    check_indices(points.len(), &triangles)?;
+    Ok(py.detach(|| balance::residuals(&points, &triangles, target, threads(wanted_threads))))
+}

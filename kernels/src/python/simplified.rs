@@ -1,0 +1,91 @@
+//! What all simplifiers are told, and what all of them return.
+
+use std::collections::BTreeMap;
+
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+
+use super::arrays::{columns, id_array, triangle_array};
+use crate::engine::Stop;
+use crate::mesh::Compact;
+use crate::parallel::threads;
+use crate::rounds::{Goal, PATCH};
+
+/// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in patches of how many
+/// triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
+#[pyclass(frozen, get_all)]
+pub struct Running {
+    target_triangles: usize,
+    threads: usize,
+    patch_triangles: usize,
+    record: bool,
+    pub partial: bool,
+}
+
+#[pymethods]
+impl Running {
+    #[new]
+    #[pyo3(signature = (*, target_triangles = 0, threads = 0, patch_triangles = PATCH, record = false, partial = false))]
+    fn new(
+        target_triangles: usize,
+        threads: usize,
+        patch_triangles: usize,
+        record: bool,
+        partial: bool,
+    ) -> Self {
+        Self { target_triangles, threads, patch_triangles, record, partial }
+    }
+}
+
+impl Running {
+    pub fn goal(&self) -> Goal {
+        Goal {
+            triangles: self.target_triangles,
+            threads: threads(self.threads),
+            patch: self.patch_triangles.max(1),
+            record: self.record,
+        }
+    }
+}
+
+/// A simplified mesh and how it came about.
+#[pyclass(frozen, get_all, subclass)]
+pub struct Simplified {
+    vertices: Py<PyArray2<f64>>,
+    attributes: Py<PyArray2<f64>>,
+    triangles: Py<PyArray2<i32>>,
+    vertex_source: Py<PyArray1<i32>>,
+    triangle_source: Py<PyArray1<i32>>,
+    stopped_by: &'static str,
+    /// How many edges each rule holds at the end.
+    standing: BTreeMap<&'static str, usize>,
+    collapses: u64,
+    attempts: u64,
+}
+
+impl Simplified {
+    pub fn new<const D: usize, const RULES: usize>(
+        py: Python<'_>,
+        mesh: &Compact<D>,
+        stop: Stop,
+        standing: [(&'static str, usize); RULES],
+        collapses: u64,
+        attempts: u64,
+    ) -> PyResult<Self> {
+        Ok(Self {
+            vertices: columns(py, &mesh.points, 0..3)?,
+            attributes: columns(py, &mesh.points, 3..D)?,
+            triangles: triangle_array(py, &mesh.triangles)?,
+            vertex_source: id_array(py, mesh.vertex_source.iter().copied()),
+            triangle_source: id_array(py, mesh.triangle_source.iter().copied()),
+            stopped_by: match stop {
+                Stop::Exhausted => "bounds",
+                Stop::Target => "triangles",
+                Stop::Enough => "request",
+            },
+            standing: standing.into(),
+            collapses,
+            attempts,
+        })
+    }
+}

@@ -1,0 +1,140 @@
+"""What `simplify` returns, whatever the method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.collapse_record import CollapseRecord
+from stages.mesh import Mesh
+
+# What only one of the methods has to tell.
+_FIGURES = {
+    "quadric": ("fitted",),
+    "certified": (
+        "shape_bound_m",
+        "shape_attained_m",
+        "color_bound_levels",
+        "color_attained_levels",
+        "slack_m",
+        "color_slack_levels",
+        "proven",
+        "unproven_triangles",
+        "iterations",
+        "max_shape_m",
+        "max_texture_levels",
+    ),
+    "jia01": (
+        "largest_shape_change_m",
+        "largest_texture_change_levels",
+        "resolution_m",
+        "max_shape_m",
+        "max_texture_levels",
+        "bounded",
+        "splits",
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Simplified:
+    """A simplified mesh, where its parts came from, and what limited it.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
+    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
+    method : "quadric", "certified" or "jia01".
+    stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
+        "request" when the caller was content with less, "unproven" when the bounds cannot be proven: they do
+        not even hold between the input and itself, as where sheets of different colours touch.
+    refused : edges of the result by the rule that refused them last: "length", "shape", "texture" and "color"
+        are bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
+        between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
+        for a proof, "pinned" for an edge between two vertices that must stay. Edges whose turn had not come
+        are not counted.
+    attribute_scale_m_per_level : what was used.
+    splits, collapses, attempts : edges split and collapsed; edges whose turn came, some repeatedly.
+    triangles_before : triangles of the input.
+    fitted : whether vertices and colours were moved to fit the input at the end.
+    record : all collapses, if that was asked for.
+    shape_bound, color_bound : certified: (q,) float64, metres and levels, proven for each triangle, both
+        ways: for its points, and for points of the input whose nearest point is on it. `color_bound` is None
+        for a mesh without colours. They may be as large as `max_shape` and `max_texture` though less is true,
+        unless `close_bounds` is set.
+    shape_bound_m, color_bound_levels : certified: the greatest of all, input and result.
+    shape_attained_m, color_attained_levels : certified: the greatest found at a point; the true maximum is
+        between that and the bound.
+    slack_m, color_slack_levels : certified: contained in the bounds, for searches in single precision. Twice
+        as much is the least that can be proven, and is used in place of smaller bounds.
+    proven : certified: whether max_shape and max_texture are proven. The bounds above hold anyway.
+    unproven_triangles : certified: triangles of the result and of the input that are not proven to stay
+        within max_shape and max_texture.
+    iterations : certified: how often the mesh was simplified and its bounds looked at.
+    largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
+    resolution_m : jia01: what was used.
+    max_shape_m, max_texture_levels : jia01 and certified: what was used; None for no bound.
+    bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
+    """
+
+    mesh: Mesh
+    vertex_source: NDArray[np.int32]
+    triangle_source: NDArray[np.int32]
+    method: str
+    stopped_by: str
+    refused: dict[str, int]
+    attribute_scale_m_per_level: float
+    splits: int
+    collapses: int
+    attempts: int
+    triangles_before: int
+    fitted: bool = False
+    record: CollapseRecord | None = None
+    shape_bound: NDArray[np.float64] | None = None
+    color_bound: NDArray[np.float64] | None = None
+    shape_bound_m: float | None = None
+    color_bound_levels: float | None = None
+    shape_attained_m: float | None = None
+    color_attained_levels: float | None = None
+    slack_m: float | None = None
+    color_slack_levels: float | None = None
+    proven: bool | None = None
+    unproven_triangles: tuple[int, int] | None = None
+    iterations: int | None = None
+    largest_shape_change_m: float | None = None
+    largest_texture_change_levels: float | None = None
+    resolution_m: float | None = None
+    max_shape_m: float | None = None
+    max_texture_levels: float | None = None
+    bounded: dict[str, bool] = field(default_factory=dict)
+
+    def follow(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
+        return values[self.vertex_source]
+
+    def figures(self) -> dict[str, Any]:
+        """Everything but the arrays, ready for JSON; what the method has no figure for is left out."""
+        triangles = len(self.mesh.triangles)
+        figures: dict[str, Any] = {
+            "method": self.method,
+            "triangles_before": self.triangles_before,
+            "triangles": triangles,
+            "vertices": len(self.mesh.vertices),
+            "reduction": 1 - triangles / self.triangles_before if self.triangles_before else 0.0,
+            "stopped_by": self.stopped_by,
+            "refused_edges": dict(self.refused),
+            "attribute_scale_m_per_level": self.attribute_scale_m_per_level,
+            "collapses": self.collapses,
+            "attempts": self.attempts,
+        }
+        return figures | {name: _plain(getattr(self, name)) for name in _FIGURES[self.method]}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return dict(value)
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,168 @@
+"""How far `simplify` goes, and by which method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from stages.errors import UsageError
+from stages.params import check, param
+
+# Headings of the command's help.
+_HOW_FAR = "How far: a number, bounds or both"
+_HOW = "How"
+_ONE_METHOD = "For one method only"
+
+# Parameters that only some of the methods know.
+_ONLY_FOR = {
+    "max_shape": ("certified", "jia01"),
+    "max_texture": ("certified", "jia01"),
+    "close_bounds": ("certified",),
+    "resolution": ("jia01",),
+    "paper_rule": ("jia01",),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimplifyParams:
+    """How, and how far, `simplify` goes.
+
+    Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends the work.
+    For jia01 with one of these, a bound that is not given does not limit; its default then only helps to say
+    which edges go first.
+    """
+
+    triangles: int | None = param(
+        None, "Stop when at most this many triangles are left.", group=_HOW_FAR, low=1
+    )
+    ratio: float | None = param(
+        None,
+        "Stop when at most this share of the input's triangles is left.",
+        group=_HOW_FAR,
+        low=0,
+        high=1,
+        low_open=True,
+    )
+    max_shape: float | None = param(
+        None,
+        "certified: largest distance of any point of either surface from the other; default: 0.5 % of the "
+        "bounding box's diagonal. jia01: largest shape change, summed over the collapses around an edge; "
+        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal.",
+        group=_HOW_FAR,
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    max_texture: float | None = param(
+        None,
+        "certified: largest difference, Euclidean over the channels, between the colour at any point of "
+        "either surface and that at any nearest point of the other; no bound if not given. jia01: the "
+        "strongest contrast in the neighbourhood of a collapse, summed over the collapses around an edge, "
+        "which far exceeds the colour error that results; default: 400.",
+        group=_HOW_FAR,
+        unit="8-bit levels",
+        low=0,
+    )
+    method: str = param(
+        "auto",
+        "quadric: to a number of triangles, with the least squared error of shape and colour. certified: as "
+        "far as bounds on the distance and on the difference of colour are proven for every point, or to a "
+        "number of triangles within them. jia01: within bounds on the summed change of shape and texture. "
+        "auto: jia01 with resolution or paper_rule, else certified with max_shape or max_texture, else "
+        "quadric with triangles or ratio, else jia01.",
+        group=_HOW,
+        choices=("auto", "quadric", "certified", "jia01"),
+    )
+    attribute_scale: float | None = param(
+        None,
+        "Length that weighs as much as one level of colour. Default: quadric derives it from the mesh and "
+        "the number of triangles, certified from the mesh; jia01 takes max_shape / max_texture.",
+        group=_HOW,
+        unit="m per level",
+        low=0,
+    )
+    threads: int | None = param(
+        None,
+        "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
+        group=_HOW,
+        low=1,
+        high=256,
+        invalidates=False,
+    )
+    fit: bool = param(
+        True,
+        "quadric: move vertices and colours to fit the input by least squares at the end; boundaries stay.",
+        group=_ONE_METHOD,
+    )
+    close_bounds: bool = param(
+        False,
+        "certified: bound each triangle as closely as can be, in about twice the time. Otherwise the bounds "
+        "of a triangle may be as large as max_shape and max_texture though less is true.",
+        group=_ONE_METHOD,
+    )
+    resolution: float | None = param(
+        None,
+        "jia01: wanted edge length: longer edges are split first, and do not collapse. Default: 36 times the "
+        "mean edge length, more where splitting would add over 5 % of triangles.",
+        group=_ONE_METHOD,
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    paper_rule: bool = param(
+        False,
+        "jia01: follow the paper: check the bounds after each collapse, so that the last one may overshoot, "
+        "and measure shape at vertices only. Default: check before, and between vertices too; bounds then "
+        "hold.",
+        group=_ONE_METHOD,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        for name in ("resolution", "max_shape", "max_texture", "attribute_scale"):
+            if getattr(self, name) == math.inf:
+                raise UsageError(f"{name} is infinite; leave it out, and give triangles or ratio instead.")
+        if self.triangles is not None and self.ratio is not None:
+            raise UsageError("triangles and ratio are both given; give one of them.")
+
+    @property
+    def has_count(self) -> bool:
+        """Whether a number of triangles is wanted."""
+        return self.triangles is not None or self.ratio is not None
+
+    def target(self, triangles: int) -> int:
+        """Return how many of so many triangles are wanted; 0 if there is no such wish."""
+        return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles or 0
+
+    def chosen(self) -> str:
+        """Return the method that `auto` stands for here, or the one that is given.
+
+        Raises
+        ------
+        UsageError
+            If the parameters do not suit the method.
+        """
+        has_bound = self.max_shape is not None or self.max_texture is not None
+        method = self.method
+        if method == "auto":
+            if self.resolution is not None or self.paper_rule:
+                method = "jia01"
+            elif has_bound:
+                method = "certified"
+            else:
+                method = "quadric" if self.has_count else "jia01"
+        self._require_suited(method)
+        if method == "quadric" and not self.has_count:
+            raise UsageError("method quadric needs a number of triangles; give triangles or ratio.")
+        if method == "certified" and not has_bound:
+            raise UsageError("method certified needs a bound; give max_shape, max_texture or both.")
+        return method
+
+    def _require_suited(self, method: str) -> None:
+        for name, methods in _ONLY_FOR.items():
+            # By default, none of these is set.
+            if method in methods or getattr(self, name) in (None, False):
+                continue
+            if self.method == "auto":
+                raise UsageError(f"{name} is for method {methods[0]}, which needs max_shape or max_texture.")
+            raise UsageError(f"{name} has no meaning for method {method}; leave one of them out.")

@@ -1,0 +1,32 @@
+"""Rounded numbers stay true: bounds are never below, what was found never above."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stages.rounding import rounded_down, rounded_up
+
+
+@pytest.mark.parametrize(
+    ("value", "down", "up"),
+    [
+        (0.0050001, 0.005, 0.005001),
+        (19.999, 19.99, 20.0),
+        (123456.0, 123400.0, 123500.0),
+        (0.0, 0.0, 0.0),
+        (float("inf"), float("inf"), float("inf")),
+    ],
+)
+def test_to_four_digits(value: float, down: float, up: float) -> None:
+    assert (rounded_down(value), rounded_up(value)) == (down, up)
+
+
+@given(st.floats(0, 1e12, allow_subnormal=False), st.integers(1, 6))
+def test_the_number_that_is_read_is_on_the_right_side(value: float, digits: int) -> None:
+    low, high = (f"{one(value, digits):.{digits}g}" for one in (rounded_down, rounded_up))
+    assert Fraction(low) <= Fraction(value) <= Fraction(high)
+    assert Fraction(high) - Fraction(low) <= Fraction(value) / 10 ** (digits - 1)
