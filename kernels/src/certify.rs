@@ -28,7 +28,7 @@ pub use surface::{NEEDLE, Surface};
 
 use piece::{Against, Wanted};
 use refine::{Goal, Outcome};
-use side::{CHUNK, Run, Side};
+use side::{Run, Side};
 use surface::around;
 
 use crate::error::KernelError;
@@ -122,15 +122,16 @@ pub fn certify(
     let limit = options.limit.map(without_slack);
     let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
     let absolute = options.absolute_tolerance;
-    let mut sides = both_sides(result, original, options, limit.map_or(Wanted::All, Wanted::Beyond));
+    let everything = [result, original].map(|surface| (0..surface.len() as u32).collect());
+    let wanted = limit.map_or(Wanted::All, Wanted::Beyond);
+    let mut sides = both_sides(result, original, everything, options, wanted);
     if result.is_empty() || original.is_empty() {
         return Ok(one_sided(&sides, slack));
     }
-    let everything = sides.each_ref().map(|side| (0..side.mesh.len() as u32).collect::<Vec<u32>>());
     let all = result.len() + original.len();
     let mut run = Run::new(options.threads, all, progress);
-    for (side, slots) in sides.iter_mut().zip(&everything) {
-        side.look_at_vertices(slots, &run)?;
+    for side in &mut sides {
+        side.look_at_vertices(&run)?;
     }
     let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
     let first = options.limit.map_or_else(
@@ -144,8 +145,8 @@ pub fn certify(
         |limit| Goal::decision(limit, DECISION_PIECES),
     );
     let keep = options.limit.unwrap_or_else(|| worth_all(attained(&sides), options.tolerance, absolute));
-    for (side, slots) in sides.iter_mut().zip(&everything) {
-        side.bound(slots, &first, keep, CHUNK, &mut run)?;
+    for side in &mut sides {
+        side.bound(&first, keep, &mut run)?;
     }
     tighten(&mut sides, options, all, &mut run)?;
     Ok(finished(&sides, attained(&sides), slack, limit, run.pieces))
@@ -169,19 +170,19 @@ pub fn decide(
     if result.is_empty() || original.is_empty() {
         return Ok(asked.map(|asked| vec![Verdict { bound: EVERYTHING, attained: EVERYTHING }; asked.len()]));
     }
-    let mut sides = both_sides(result, original, options, Wanted::None);
-    let all = asked[0].len() + asked[1].len();
-    let mut run = Run::new(options.threads, all, progress);
     // In the order of the slots neighbours follow each other, and each is looked at once.
-    let slots = [0, 1].map(|i| {
-        let mut slots: Vec<u32> = asked[i].iter().map(|&t| sides[i].mesh.slots[t as usize]).collect();
+    let slots = [(result, asked[0]), (original, asked[1])].map(|(surface, asked)| {
+        let mut slots: Vec<u32> = asked.iter().map(|&t| surface.slots[t as usize]).collect();
         slots.sort_unstable();
         slots.dedup();
         slots
     });
-    for (side, slots) in sides.iter_mut().zip(&slots) {
-        side.look_at_vertices(slots, &run)?;
-        side.bound(slots, &Goal::decision(limit, DECISION_PIECES), limit, CHUNK, &mut run)?;
+    let mut sides = both_sides(result, original, slots, options, Wanted::None);
+    let all = asked[0].len() + asked[1].len();
+    let mut run = Run::new(options.threads, all, progress);
+    for side in &mut sides {
+        side.look_at_vertices(&run)?;
+        side.bound(&Goal::decision(limit, DECISION_PIECES), limit, &mut run)?;
     }
     tighten(&mut sides, options, all, &mut run)?;
     let with_color = sides[0].against.with_color;
@@ -192,7 +193,7 @@ pub fn decide(
         false => 0.0,
     };
     let verdict = |side: &Side<'_>, t: u32| {
-        let Verdict { bound, attained } = side.found[side.mesh.slots[t as usize] as usize];
+        let Verdict { bound, attained } = side.found_in(side.mesh.slots[t as usize]);
         let bound = Deviation { shape: bound.shape.max(within.shape), color: color(bound.color) };
         Verdict { bound, attained }
     };
@@ -204,10 +205,11 @@ fn without_slack(limit: Deviation) -> Deviation {
     Deviation { color: limit.color - COLOR_SLACK, ..limit }
 }
 
-/// The two directions; of the second it is `wanted` what falls on the result.
+/// The two directions, for the triangles in these slots; of the second it is `wanted` what falls on the result.
 fn both_sides<'a>(
     result: &'a Surface,
     original: &'a Surface,
+    [of_result, of_original]: [Vec<u32>; 2],
     options: &Options,
     wanted: Wanted,
 ) -> [Side<'a>; 2] {
@@ -218,7 +220,10 @@ fn both_sides<'a>(
         slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
     let color_range = color_range(result, original);
     let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
-    [Side::new(result, against(original, Wanted::None)), Side::new(original, against(result, wanted))]
+    [
+        Side::new(result, of_result, against(original, Wanted::None)),
+        Side::new(original, of_original, against(result, wanted)),
+    ]
 }
 
 /// Spend pieces on the triangles that keep the greatest bound from the greatest deviation seen.

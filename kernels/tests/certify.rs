@@ -5,7 +5,7 @@ mod common;
 use common::{Noise, coloured, gallery, sheet};
 use scanloom_kernels::certify::{Certificate, Deviation, Options, Surface, Verdict, certify, decide};
 use scanloom_kernels::error::KernelError;
-use scanloom_kernels::geometry::{position, triangle_distance2};
+use scanloom_kernels::geometry::{nearest_on_triangle, position, triangle_distance2};
 use scanloom_kernels::progress::{Control, Progress};
 
 type Soup<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
@@ -124,6 +124,104 @@ fn a_part_of_the_triangles_is_decided_as_the_whole() {
                 assert_eq!(ask(&some, 2), expected, "{name}");
             }
         }
+    }
+}
+
+/// A sheet over 12 × 12 with bumps, as fine as asked for; its colours follow the place.
+fn bumps(squares: u32, noise: &mut Noise, by: f64) -> Soup<6> {
+    let (points, triangles) = sheet(squares, squares);
+    let step = 12.0 / f64::from(squares);
+    let points = points.iter().map(|p| {
+        let (x, y) = (step * p[0], step * p[1]);
+        let mut shaken = |at: f64| at + by * (noise.next() - 0.5);
+        let z = 0.4 * (0.9 * x).sin() * (0.7 * y).cos();
+        let colors = [120.0 + 60.0 * (0.5 * x).sin(), 10.0 * x, 9.0 * y + 4.0 * x];
+        let at = [shaken(x), shaken(y), shaken(z)];
+        [at[0], at[1], at[2], colors[0] + 20.0 * by * noise.next(), colors[1], colors[2]]
+    });
+    (points.collect(), triangles)
+}
+
+/// The point of a triangle that takes so much of each corner.
+fn blended(weights: [f64; 3], corners: [[f64; 6]; 3]) -> [f64; 6] {
+    std::array::from_fn(|i| (0..3).map(|k| weights[k] * corners[k][i]).sum())
+}
+
+/// Distance to the nearest point of a soup, and the difference to its colour.
+fn deviation(p: &[f64; 6], (points, triangles): &Soup<6>) -> Deviation {
+    let mut nearest = Deviation { shape: f64::INFINITY, color: 0.0 };
+    for t in triangles {
+        let corners = t.map(|v| points[v as usize]);
+        let at = corners.map(|c| position(&c));
+        let (weights, distance2) = nearest_on_triangle(&position(p), at.each_ref());
+        if distance2 < nearest.shape {
+            let there = blended(weights, corners);
+            let color = (3..6).map(|i| (p[i] - there[i]).powi(2)).sum::<f64>().sqrt();
+            nearest = Deviation { shape: distance2, color };
+        }
+    }
+    Deviation { shape: nearest.shape.sqrt(), ..nearest }
+}
+
+/// Large triangles over many small ones and the other way round, with a hole, and with a tear along an edge.
+#[test]
+fn no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it() {
+    let mut noise = Noise(8);
+    for (squares, by) in [(2, 0.0), (3, 0.1), (4, 0.3), (12, 0.05)] {
+        let original = bumps(12, &mut noise, by);
+        let mut holed = original.clone();
+        holed.1.drain(150..154);
+        let mut torn = original.clone();
+        for t in &mut torn.1[100..120] {
+            *t = t.map(|v| {
+                torn.0.push(torn.0[v as usize].map(|x| x + 0.02));
+                torn.0.len() as u32 - 1
+            });
+        }
+        let result = bumps(squares, &mut noise, by);
+        for original in [&original, &holed, &torn] {
+            let full = bounds(&result, original, &Options::default());
+            for share in [0.2, 0.5, 0.8] {
+                let limit = Deviation { shape: share * full.bound.shape, color: share * full.bound.color };
+                let found = bounds(&result, original, &Options { limit: Some(limit), ..Options::default() });
+                let mut proven = 0;
+                for (mesh, other, of) in
+                    [(&result, original, &found.own), (original, &result, &found.original)]
+                {
+                    for (t, _) in of.iter().enumerate().filter(|(_, bound)| bound.within(limit)) {
+                        proven += 1;
+                        for i in 0..4 {
+                            let (u, v) = (noise.next(), noise.next());
+                            let inside = [u * (1.0 - v), u * v, 1.0 - u];
+                            let weights = if i == 0 { [u, 1.0 - u, 0.0] } else { inside };
+                            let p = blended(weights, mesh.1[t].map(|v| mesh.0[v as usize]));
+                            let here = deviation(&p, other);
+                            assert!(here.within(limit), "{squares} {by} {share} {t}: {here:?} > {limit:?}");
+                        }
+                    }
+                }
+                assert!(share < 0.5 || proven > 20, "{squares} {by} {share}: {proven}");
+            }
+        }
+    }
+}
+
+/// A square of the sheet is missing: its middle is half a square from what is left.
+#[test]
+fn a_hole_under_a_large_triangle_is_seen() {
+    let (points, mut triangles) = sheet(12, 12);
+    let corner = |x: f64, y: f64| [x, y, 0.1];
+    let result: Soup<3> = (
+        vec![corner(0.0, 0.0), corner(12.0, 0.0), corner(12.0, 12.0), corner(0.0, 12.0)],
+        vec![[0, 1, 2], [0, 2, 3]],
+    );
+    // Column 8 of row 3 is under the first triangle.
+    triangles.drain(2 * (3 * 12 + 8)..2 * (3 * 12 + 9));
+    let original = (points, triangles);
+    for (limit, proven) in [(0.45, [false, true]), (0.55, [true, true]), (0.09, [false, false])] {
+        let limit = Deviation { shape: limit, color: f64::INFINITY };
+        let found = bounds(&result, &original, &Options { limit: Some(limit), ..Options::default() });
+        assert_eq!([0, 1].map(|t| found.own[t].within(limit)), proven, "{limit:?}");
     }
 }
 

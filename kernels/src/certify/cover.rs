@@ -50,6 +50,8 @@ pub struct Cover {
     seen: Vec<Seen>,
     /// Sides that may cross the triangle: their vertices in order, and in which direction they are run through.
     sides: Vec<([u32; 2], bool)>,
+    /// Where a colour differs too much, as far as the proof can tell.
+    pub doubt: Option<Corner>,
 }
 
 impl Cover {
@@ -68,9 +70,10 @@ impl Cover {
             return true;
         }
         self.seen.clear();
+        self.doubt = None;
         let Some(view) = View::new(triangle) else { return false };
         let color_within =
-            |cover: &Self, reach| cover.color_within(against, triangle, &view, reach, limit.color);
+            |cover: &mut Self, reach| cover.color_within(against, triangle, &view, reach, limit.color);
         if let Some(reach) = by_one {
             let colors = around(triangle.iter().map(|c| c.color));
             let close = |node, branch| against.target.colors_apart(node, branch, &colors) <= limit.color;
@@ -166,7 +169,7 @@ impl Cover {
     /// Whether no point of the triangle differs in colour by more than `level` from any point that may be nearest to it,
     /// where those are not farther than `reach`.
     fn color_within(
-        &self,
+        &mut self,
         against: &Against<'_>,
         triangle: &[Corner; 3],
         view: &View,
@@ -175,15 +178,22 @@ impl Cover {
     ) -> bool {
         let polygon = Polygon::new(triangle.map(|c| Corner { reach, ..c }));
         let around = reach + against.slack;
-        self.seen.iter().filter(|seen| !view.apart(&seen.at, around)).all(|seen| {
+        for seen in self.seen.iter().filter(|seen| !view.apart(&seen.at, around)) {
             let quick = if extent(&seen.at) < view.size {
                 view.smaller_differs(against, seen, around)
             } else {
                 larger_differs(against, triangle, seen.slot, around)
             };
-            quick.is_some_and(|most| most <= level)
-                || against.share(&polygon, seen.slot).is_none_or(|(most, _)| most.color <= level)
-        })
+            if quick.is_none_or(|most| most > level) {
+                if let Some((most, worst)) = against.share(&polygon, seen.slot) {
+                    if most.color > level {
+                        self.doubt = Some(worst);
+                        return false;
+                    }
+                }
+            }
+        }
+        true
     }
 }
 

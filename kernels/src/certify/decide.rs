@@ -8,7 +8,8 @@ use crate::error::KernelError;
 use crate::geometry::{distance2, midpoint};
 use crate::progress::Progress;
 
-/// With no more triangles than this near a part, splitting it costs as much as looking at its pieces.
+/// With no more triangles than this near a part, or all of them within reach, splitting it helps no more than looking at
+/// its pieces.
 const FEW: usize = 8;
 /// Parts of one triangle. Where the quick proof is of no use they would become ever smaller.
 const PARTS: usize = 1024;
@@ -26,6 +27,13 @@ pub struct Scratch {
 struct Part {
     corners: [Corner; 3],
     near: [u32; 3],
+}
+
+impl Part {
+    fn is_longer_than(&self, length: f64) -> bool {
+        let [a, b, c] = self.corners.each_ref().map(|c| c.at);
+        [(a, b), (b, c), (c, a)].iter().any(|(a, b)| distance2(a, b) > length * length)
+    }
 }
 
 /// Decide on `goal.at_most`, given the slots nearest to the corners and what they attain.
@@ -68,7 +76,14 @@ fn parts_proven(
         if cover.proves(against, &part.corners, part.near, goal.at_most) {
             continue;
         }
-        if cover.crowd() > FEW && halved < PARTS {
+        if let Some(doubt) = cover.doubt {
+            let found = against.target.nearest(&doubt.at, part.near[0]);
+            seen.attained = seen.attained.max(against.deviation(&doubt, found.slot, found.distance));
+            if !seen.attained.within(goal.at_most) {
+                return Ok(false);
+            }
+        }
+        if cover.crowd() > FEW && halved < PARTS && part.is_longer_than(goal.at_most.shape) {
             halved += 1;
             parts.extend(halves(against, &part, seen));
         } else {

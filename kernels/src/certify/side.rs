@@ -13,7 +13,9 @@ use crate::parallel;
 use crate::progress::Progress;
 
 /// Triangles or vertices that a thread takes at a time.
-pub const CHUNK: usize = 256;
+const CHUNK: usize = 256;
+/// Triangles whose results wait to be put in their places.
+const WAVE: usize = 1 << 16;
 /// Neighbouring vertices whose search starts at one place.
 const BLOCK: usize = 32;
 
@@ -25,14 +27,16 @@ pub struct Verdict {
     pub attained: Deviation,
 }
 
-/// One direction: the triangles of `mesh` against the other surface. By slot of `mesh` unless said otherwise.
+/// One direction: triangles of `mesh` against the other surface.
 pub struct Side<'a> {
     pub mesh: &'a Surface,
     pub against: Against<'a>,
+    /// Slots of the triangles asked for, in order, and what was found of each.
+    slots: Vec<u32>,
     pub found: Vec<Verdict>,
     /// Of all triangles.
     pub attained: Deviation,
-    /// Triangles whose bound is not close enough yet.
+    /// Triangles, by their place in `slots`, whose bound is not close enough yet.
     pub pending: Vec<(u32, Outcome)>,
     /// By vertex: the nearest slot of the target, and the deviation there.
     vertices: Vec<(u32, Deviation)>,
@@ -49,12 +53,14 @@ pub struct Run<'a> {
 }
 
 impl<'a> Side<'a> {
-    pub fn new(mesh: &'a Surface, against: Against<'a>) -> Self {
+    /// `slots` come in order, each once.
+    pub fn new(mesh: &'a Surface, slots: Vec<u32>, against: Against<'a>) -> Self {
         let on_target = OnTarget::new(if against.wanted == Wanted::None { 0 } else { against.target.len() });
         Self {
             mesh,
             against,
-            found: vec![Verdict::default(); mesh.len()],
+            found: vec![Verdict::default(); slots.len()],
+            slots,
             attained: Deviation::default(),
             pending: vec![],
             vertices: vec![],
@@ -62,18 +68,21 @@ impl<'a> Side<'a> {
         }
     }
 
-    /// Look at the corners of the triangles in `slots`: vertices are where simplified surfaces stray most.
+    /// Look at the corners of the triangles: vertices are where simplified surfaces stray most.
     ///
     /// What is found does not depend on which others are asked for.
-    pub fn look_at_vertices(&mut self, slots: &[u32], run: &Run<'_>) -> Result<(), KernelError> {
+    pub fn look_at_vertices(&mut self, run: &Run<'_>) -> Result<(), KernelError> {
+        if self.slots.is_empty() {
+            return Ok(());
+        }
         let mut used = vec![false; self.mesh.points.len()];
-        slots.iter().flat_map(|&s| self.mesh.vertices[s as usize]).for_each(|v| used[v as usize] = true);
+        self.slots.iter().flat_map(|&s| self.mesh.vertices[s as usize]).for_each(|v| used[v as usize] = true);
         let asked: Vec<u32> = (0..used.len() as u32).filter(|&v| used[v as usize]).collect();
         let (mesh, against) = (self.mesh, &self.against);
-        let look = |range: Range<usize>| {
+        let look = |vertices: &[u32]| {
             // A block, and where the search for its vertices starts.
             let mut start = (usize::MAX, 0);
-            let found = asked[range].iter().map(|&v| {
+            let found = vertices.iter().map(|&v| {
                 let block = v as usize / BLOCK;
                 if start.0 != block {
                     start = (block, against.target.nearest(&mesh.points[block * BLOCK], 0).slot);
@@ -84,19 +93,39 @@ impl<'a> Side<'a> {
             });
             found.collect::<Vec<_>>()
         };
-        let found = run.chunks(asked.len(), CHUNK, || (), |range, (), _| Ok(look(range)))?;
-        self.vertices = vec![(0, Deviation::default()); self.mesh.points.len()];
-        for (&v, found) in asked.iter().zip(found.into_iter().flatten()) {
-            self.vertices[v as usize] = found;
-            self.attained = self.attained.max(found.1);
+        let mut vertices = vec![(0, Deviation::default()); mesh.points.len()];
+        for wave in asked.chunks(WAVE) {
+            let found = run.chunks(wave.len(), CHUNK, || (), |range, (), _| Ok(look(&wave[range])))?;
+            for (&v, found) in wave.iter().zip(found.into_iter().flatten()) {
+                vertices[v as usize] = found;
+                self.attained = self.attained.max(found.1);
+            }
         }
+        self.vertices = vertices;
         Ok(())
     }
 
-    /// Bound the triangles in `slots`; those not within `keep` are left pending.
-    pub fn bound(
+    /// Bound all triangles; those not within `keep` are left pending.
+    pub fn bound(&mut self, goal: &Goal, keep: Deviation, run: &mut Run<'_>) -> Result<(), KernelError> {
+        let all: Vec<u32> = (0..self.slots.len() as u32).collect();
+        self.bound_some(&all, goal, keep, CHUNK, run)
+    }
+
+    /// Bound the triangles in `places` of `slots`.
+    fn bound_some(
         &mut self,
-        slots: &[u32],
+        places: &[u32],
+        goal: &Goal,
+        keep: Deviation,
+        chunk: usize,
+        run: &mut Run<'_>,
+    ) -> Result<(), KernelError> {
+        places.chunks(WAVE).try_for_each(|wave| self.bound_wave(wave, goal, keep, chunk, run))
+    }
+
+    fn bound_wave(
+        &mut self,
+        places: &[u32],
         goal: &Goal,
         keep: Deviation,
         chunk: usize,
@@ -106,24 +135,24 @@ impl<'a> Side<'a> {
         let work = |range: Range<usize>, scratch: &mut Scratch, progress: &mut Progress<'_>| {
             let mut found = Vec::with_capacity(range.len());
             let (mut pending, mut pieces) = (vec![], 0);
-            for &slot in &slots[range] {
-                let outcome = this.look_at(slot, goal, scratch, progress)?;
+            for &place in &places[range] {
+                let outcome = this.look_at(this.slots[place as usize], goal, scratch, progress)?;
                 pieces += outcome.pieces as u64;
                 found.push(Verdict { bound: outcome.bound, attained: outcome.attained });
                 if outcome.bound.within(keep) {
                     this.on_target.receive(&outcome.shares);
                 } else {
-                    pending.push((slot, outcome));
+                    pending.push((place, outcome));
                 }
             }
             Ok((found, pending, pieces))
         };
-        let chunks = run.chunks(slots.len(), chunk, Scratch::default, work)?;
-        let mut at = slots.iter();
+        let chunks = run.chunks(places.len(), chunk, Scratch::default, work)?;
+        let mut at = places.iter();
         for (found, pending, pieces) in chunks {
-            for (found, &slot) in found.into_iter().zip(&mut at) {
+            for (found, &place) in found.into_iter().zip(&mut at) {
                 self.attained = self.attained.max(found.attained);
-                self.found[slot as usize] = found;
+                self.found[place as usize] = found;
             }
             self.pending.extend(pending);
             run.pieces += pieces;
@@ -154,15 +183,15 @@ impl<'a> Side<'a> {
     /// Look again at the pending triangles, with more pieces; what was proven before stays.
     pub fn tighten(&mut self, goal: &Goal, run: &mut Run<'_>) -> Result<(), KernelError> {
         let mut before = std::mem::take(&mut self.pending);
-        let slots: Vec<u32> = before.iter().map(|(slot, _)| *slot).collect();
+        let places: Vec<u32> = before.iter().map(|(place, _)| *place).collect();
         // Nothing is within this: all stay pending, and are told apart when the greatest deviation is known.
         let nothing = Deviation { shape: -1.0, color: -1.0 };
-        self.bound(&slots, goal, nothing, 1, run)?;
-        for ((slot, now), (_, before)) in self.pending.iter_mut().zip(&mut before) {
+        self.bound_some(&places, goal, nothing, 1, run)?;
+        for ((place, now), (_, before)) in self.pending.iter_mut().zip(&mut before) {
             now.bound = now.bound.min(before.bound);
             now.attained = now.attained.max(before.attained);
             now.shares = common(&now.shares, &before.shares);
-            self.found[*slot as usize] = Verdict { bound: now.bound, attained: now.attained };
+            self.found[*place as usize] = Verdict { bound: now.bound, attained: now.attained };
         }
         Ok(())
     }
@@ -177,6 +206,16 @@ impl<'a> Side<'a> {
             }
             !done
         });
+    }
+
+    /// What was found of the triangle in `slot`, which must be one of those asked for.
+    pub fn found_in(&self, slot: u32) -> Verdict {
+        let place = if self.slots.len() == self.mesh.len() {
+            slot as usize
+        } else {
+            self.slots.partition_point(|&s| s < slot)
+        };
+        self.found[place]
     }
 
     /// The greatest deviation of what falls on a slot of the target.
