@@ -8,13 +8,16 @@
 //! far from the origin, and for any unit of length.
 
 use crate::geometry::Vec3;
+use crate::parallel::both;
 
 /// Shapes in a leaf: their distances cost about as much as those of the boxes that would part them.
-const LEAF: usize = 4;
+const LEAF: usize = 8;
 /// Both children of a node wait while one is looked at: one entry a level, and a level halves the shapes.
 const STACK: usize = 64;
 /// Squares of lengths, in any unit, stay far from the ends of double precision.
 const LEAST_EXPONENT: i32 = 250;
+/// Fewer shapes are not worth another thread.
+const ALONE: usize = 1 << 13;
 const NOTHING: [Vec3; 2] = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
 
 /// Lowest and highest corner, in the tree's own unit.
@@ -40,8 +43,8 @@ pub struct Bvh {
 
 impl Bvh {
     /// The tree over so many shapes, and the order (shape number of each slot) it asks for. `around` gives the lowest
-    /// and highest corner of each box.
-    pub fn new(count: usize, around: impl Fn(usize) -> [Vec3; 2]) -> (Self, Vec<u32>) {
+    /// and highest corner of each box. It is the same for any number of threads.
+    pub fn new(count: usize, threads: usize, around: impl Fn(usize) -> [Vec3; 2]) -> (Self, Vec<u32>) {
         let [low, high] = (0..count).map(&around).fold(NOTHING, |all, one| {
             [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
         });
@@ -54,7 +57,7 @@ impl Bvh {
             tree.scale = 2f64.powi(-exponent.clamp(-LEAST_EXPONENT, LEAST_EXPONENT));
             let boxes: Vec<Box> = (0..count).map(|i| tree.outside(around(i))).collect();
             tree.nodes.reserve_exact(count / (LEAF / 2));
-            tree.root = Some(build(&boxes, &mut order, 0, &mut tree.nodes));
+            tree.root = Some(build(&boxes, &mut order, 0, &mut tree.nodes, threads));
             tree.nodes.shrink_to_fit();
         }
         (tree, order)
@@ -171,7 +174,13 @@ impl Bvh {
     }
 }
 
-fn build(boxes: &[Box], order: &mut [u32], offset: usize, nodes: &mut Vec<[Branch; 2]>) -> Branch {
+fn build(
+    boxes: &[Box],
+    order: &mut [u32],
+    offset: usize,
+    nodes: &mut Vec<[Branch; 2]>,
+    threads: usize,
+) -> Branch {
     if order.len() <= LEAF {
         let around = join(order.iter().map(|&i| boxes[i as usize]));
         return Branch { around, start: offset as u32, count: order.len() as u32 };
@@ -188,7 +197,21 @@ fn build(boxes: &[Box], order: &mut [u32], offset: usize, nodes: &mut Vec<[Branc
     let unknown = Branch { around: [low, high], start: 0, count: 0 };
     nodes.push([unknown; 2]);
     let (left, right) = order.split_at_mut(middle);
-    let children = [build(boxes, left, offset, nodes), build(boxes, right, offset + middle, nodes)];
+    let children = if threads > 1 && middle > ALONE {
+        let mut beyond = vec![];
+        let (mut first, mut second) = (unknown, unknown);
+        both(
+            threads,
+            || second = build(boxes, right, offset + middle, &mut beyond, threads / 2),
+            || first = build(boxes, left, offset, nodes, threads - threads / 2),
+        );
+        let before = nodes.len() as u32;
+        let moved = |b: Branch| if b.count > 0 { b } else { Branch { start: b.start + before, ..b } };
+        nodes.extend(beyond.iter().map(|children| children.map(moved)));
+        [first, moved(second)]
+    } else {
+        [build(boxes, left, offset, nodes, 1), build(boxes, right, offset + middle, nodes, 1)]
+    };
     nodes[node] = children;
     Branch { around: join(children.iter().map(|b| b.around)), start: node as u32, count: 0 }
 }
@@ -230,7 +253,7 @@ mod tests {
     fn finds_the_nearest_point_and_those_in_a_box() {
         for count in [0, 1, 4, 5, 300] {
             let points = cloud(count);
-            let (bvh, order) = Bvh::new(points.len(), |i| [points[i]; 2]);
+            let (bvh, order) = Bvh::new(points.len(), 1, |i| [points[i]; 2]);
             for query in [[3.2, 1.7, 5.1], [-4.0, 9.0, 2.0]] {
                 let d = |slot: u32| distance2(&query, &points[order[slot as usize] as usize]);
                 let (_, found) = bvh.nearest(&query, (0, f64::INFINITY), d);
@@ -252,6 +275,18 @@ mod tests {
             for (i, p) in points.iter().enumerate() {
                 assert!(!inside(p) || found.contains(&(i as u32)));
             }
+        }
+    }
+
+    #[test]
+    fn any_number_of_threads_builds_the_same_tree() {
+        let points = cloud(70_000);
+        let build = |threads| Bvh::new(points.len(), threads, |i| [points[i]; 2]);
+        let (tree, order) = build(1);
+        for threads in [2, 3] {
+            let (other, other_order) = build(threads);
+            assert_eq!(order, other_order);
+            assert_eq!(format!("{tree:?}"), format!("{other:?}"));
         }
     }
 }

@@ -13,7 +13,7 @@
 //! After the first time only what has changed is looked at. What is held on all sides is the input itself, which is why
 //! this ends.
 
-mod history;
+pub mod history;
 mod ledger;
 mod retreat;
 mod watched;
@@ -152,7 +152,7 @@ pub fn simplify<const D: usize, const K: usize>(
         let outcome = collapse(mesh, records, &goal, progress)?;
         (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
-        history.append(outcome.merges, outcome.path);
+        history.append(outcome.logs);
         let ledger = match &mut ledger {
             Some(ledger) => ledger,
             none => none.insert(Ledger::new(&original, decision)?),
@@ -174,7 +174,7 @@ pub fn simplify<const D: usize, const K: usize>(
             let certificate = if proven && !options.close {
                 ledger.certificate(mesh.triangles.len())
             } else {
-                let result = Surface::new(&mesh.points, &mesh.triangles)?;
+                let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
                 let limit = (!options.close).then_some(bounds);
                 let proof = certify::Options { limit, ..decision };
                 let close = certify::certify(&result, &ledger.surface, &proof, progress)?;

@@ -257,12 +257,24 @@ pub struct Piece<const D: usize, B, R> {
     records: Option<R>,
     /// In numbers of the whole mesh.
     pub merges: Vec<Merge>,
-    pub path: Option<Vec<[f64; D]>>,
+    path: Option<Vec<[f64; D]>>,
 }
 
 const ON_RIM: u32 = 1 << 31;
 
 impl<const D: usize, B: Copy, R> Piece<D, B, R> {
+    /// What happened, in the numbers that `source` has for the vertices of the whole mesh: merges, and where their
+    /// survivors went, if that was recorded.
+    pub fn take_merges(&mut self, source: &[u32]) -> (Vec<Merge>, Vec<[f64; D]>) {
+        let mut merges = std::mem::take(&mut self.merges);
+        for vertex in merges.iter_mut().flat_map(|m| [&mut m.removed, &mut m.survivor]) {
+            *vertex = VertexId(source[vertex.index()]);
+        }
+        let mut path = self.path.take().unwrap_or_default();
+        path.shrink_to_fit();
+        (merges, path)
+    }
+
     /// Triangles that are left.
     pub fn triangles(&self) -> usize {
         self.triangles.len()

@@ -76,7 +76,9 @@ fn certify_points<const D: usize>(
     };
     let (result, original) = (soup(result)?, soup(original)?);
     let certificate = detached(py, progress, false, |progress| {
-        let surface = |(points, triangles): (Vec<[f64; D]>, Vec<[u32; 3]>)| Surface::new(&points, &triangles);
+        let surface = |(points, triangles): (Vec<[f64; D]>, Vec<[u32; 3]>)| {
+            Surface::new(&points, &triangles, options.threads)
+        };
         crate::certify::certify(&surface(result)?, &surface(original)?, options, progress)
     })?;
     let Certificate { result, own: _, original, bound, attained, slack, color_slack, pieces } = certificate;

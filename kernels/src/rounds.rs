@@ -18,7 +18,6 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 use crate::connectivity::Connectivity;
 use crate::engine::{Engine, Measure, Merge, Stop, Until};
 use crate::error::KernelError;
-use crate::ids::VertexId;
 use crate::parallel::map;
 use crate::partition::Partition;
 use crate::patch::{Held, Piece, Records, Scratch, Whole, find_rim};
@@ -45,16 +44,23 @@ const SHARE: f64 = 0.75;
 
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
+/// What happened in one patch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Log<const D: usize> {
+    pub round: usize,
+    /// In numbers of the vertices at the start.
+    pub merges: Vec<Merge>,
+    /// Where their survivors went; empty unless asked for.
+    pub path: Vec<[f64; D]>,
+}
+
 pub struct Outcome<const D: usize, R: Records<D>> {
     pub mesh: Whole<D, Bound<D, R>>,
     pub records: R,
     pub stop: Stop,
     pub collapses: usize,
-    /// All collapses in an order in which they can be repeated, in numbers of the vertices at the start; empty if the
-    /// records keep none.
-    pub merges: Vec<Merge>,
-    /// Where their survivors went; empty unless asked for.
-    pub path: Vec<[f64; D]>,
+    /// In an order in which they can be repeated; empty where the records keep none.
+    pub logs: Vec<Log<D>>,
     pub attempts: u64,
 }
 
@@ -69,7 +75,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
     progress: &mut Progress,
 ) -> Result<Outcome<D, R>, KernelError> {
     let at_start = mesh.triangles.len();
-    let (mut collapses, mut merges, mut path) = (0, vec![], vec![]);
+    let (mut collapses, mut logs) = (0, vec![]);
     let attempts = AtomicU64::new(0);
     let mut histogram: Option<Histogram> = None;
     let mut idle: u32 = 0;
@@ -133,11 +139,13 @@ pub fn collapse<const D: usize, R: Records<D>>(
         let enough = progress.is_enough();
         drop(partition);
         collapses += pieces.iter().map(|piece| piece.merges.len()).sum::<usize>();
-        if R::KEEPS_MERGES {
-            gather_merges(&mesh.vertex_source, &pieces, &mut merges, &mut path);
+        for piece in &mut pieces {
+            // The pieces do not need them any more.
+            let (merges, path) = piece.take_merges(&mesh.vertex_source);
+            if R::KEEPS_MERGES {
+                logs.push(Log { round, merges, path });
+            }
         }
-        // They are not needed twice.
-        pieces.iter_mut().for_each(|piece| (piece.merges, piece.path) = (vec![], None));
         (mesh, records) = mesh.join(&rim, records, pieces, goal.threads);
         histogram = Some(histogram_of_round);
         round += 1;
@@ -154,7 +162,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
         }
         idle = if collapsed == 0 && priority == f64::INFINITY { idle + 1 } else { 0 };
     };
-    Ok(Outcome { mesh, records, stop, collapses, merges, path, attempts: attempts.into_inner() })
+    Ok(Outcome { mesh, records, stop, collapses, logs, attempts: attempts.into_inner() })
 }
 
 /// Collapses to ask of a round. The last rounds aim a little short, then too far, and are cut to the goal.
@@ -270,14 +278,26 @@ impl Histogram {
     }
 }
 
-/// Piece and number of all merges, those of least priority first.
-fn in_order<const D: usize, B: Copy, R>(pieces: &[Piece<D, B, R>]) -> impl Iterator<Item = (u32, u32)> {
+/// List and place of all merges, those of least priority first.
+fn in_order<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item = (usize, usize)> {
     let mut order: Vec<(f64, u32, u32)> = vec![];
-    for (p, piece) in pieces.iter().enumerate() {
-        order.extend(piece.merges.iter().enumerate().map(|(i, m)| (m.priority, p as u32, i as u32)));
+    for (list, merges) in lists.enumerate() {
+        order.extend(merges.iter().enumerate().map(|(i, m)| (m.priority, list as u32, i as u32)));
     }
     order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    order.into_iter().map(|(_, p, i)| (p, i))
+    order.into_iter().map(|(_, list, i)| (list as usize, i as usize))
+}
+
+/// All merges, those of least priority first in each round; and where their survivors went, if that was asked for.
+pub fn merges_in_order<const D: usize>(logs: &[Log<D>]) -> (Vec<Merge>, Vec<[f64; D]>) {
+    let (mut merges, mut path) = (vec![], vec![]);
+    for round in logs.chunk_by(|a, b| a.round == b.round) {
+        for (list, i) in in_order(round.iter().map(|log| &log.merges[..])) {
+            merges.push(round[list].merges[i]);
+            path.extend(round[list].path.get(i));
+        }
+    }
+    (merges, path)
 }
 
 /// How many merges of each patch to keep so that `triangles` are left: those of least priority.
@@ -287,35 +307,14 @@ fn first_merges<const D: usize, B: Copy, R>(
     mut count: usize,
 ) -> Vec<usize> {
     let mut limits = vec![0; pieces.len()];
-    for (p, i) in in_order(pieces) {
+    for (p, i) in in_order(pieces.iter().map(|piece| &piece.merges[..])) {
         if count <= triangles {
             break;
         }
-        limits[p as usize] += 1;
-        count -= usize::from(pieces[p as usize].merges[i as usize].triangles);
+        limits[p] += 1;
+        count -= usize::from(pieces[p].merges[i].triangles);
     }
     limits
-}
-
-/// Append the merges of a round; those of least priority first, if it is recorded where their survivors went.
-fn gather_merges<const D: usize, B: Copy, R>(
-    source: &[u32],
-    pieces: &[Piece<D, B, R>],
-    merges: &mut Vec<Merge>,
-    path: &mut Vec<[f64; D]>,
-) {
-    let at_start = |v: VertexId| VertexId(source[v.index()]);
-    let named = |m: &Merge| Merge { removed: at_start(m.removed), survivor: at_start(m.survivor), ..*m };
-    if pieces.iter().all(|piece| piece.path.is_none()) {
-        // Any order will do in which a patch's merges follow each other.
-        merges.reserve_exact(pieces.iter().map(|piece| piece.merges.len()).sum());
-        return merges.extend(pieces.iter().flat_map(|piece| &piece.merges).map(named));
-    }
-    for (p, i) in in_order(pieces) {
-        let piece = &pieces[p as usize];
-        merges.push(named(&piece.merges[i as usize]));
-        path.extend(piece.path.iter().map(|points| points[i as usize]));
-    }
 }
 
 /// Check the manifold around vertices of the rim, whose triangles no patch has all.

@@ -16,7 +16,7 @@ fn bounds<const D: usize>(result: &Soup<D>, original: &Soup<D>, options: &Option
 }
 
 fn surface<const D: usize>((points, triangles): &Soup<D>) -> Result<Surface, KernelError> {
-    Surface::new(points, triangles)
+    Surface::new(points, triangles, 2)
 }
 
 fn distance<const D: usize>(p: &[f64; 3], (points, triangles): &Soup<D>) -> f64 {
@@ -228,7 +228,7 @@ fn a_hole_under_a_large_triangle_is_seen() {
 #[test]
 fn every_triangle_whose_box_meets_is_visited() {
     let (points, triangles) = sheet(9, 4);
-    let one = Surface::new(&points, &triangles).unwrap();
+    let one = Surface::new(&points, &triangles, 1).unwrap();
     let (low, high) = ([2.0, 1.5, -1.0], [4.5, 1.5, 1.0]);
     let mut found = vec![];
     one.triangles_meeting(&low, &high, |t| found.push(t));
@@ -283,9 +283,9 @@ fn bad_indices_and_numbers_are_named() {
     let (mut points, mut triangles) = sheet(1, 1);
     triangles[1][2] = 9;
     let wrong = KernelError::IndexOutOfRange { triangle: 1, vertex: 9, vertices: 4 };
-    assert_eq!(Surface::new(&points, &triangles).unwrap_err(), wrong);
+    assert_eq!(Surface::new(&points, &triangles, 1).unwrap_err(), wrong);
     points[2][1] = f64::NAN;
-    assert_eq!(Surface::new(&points, &triangles).unwrap_err(), KernelError::NotFinite { vertex: 2 });
+    assert_eq!(Surface::new(&points, &triangles, 1).unwrap_err(), KernelError::NotFinite { vertex: 2 });
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Noise, coloured, gallery, sheet, torus};
 use scanloom_kernels::certified::{Options, simplify};
-use scanloom_kernels::certify::Deviation;
+use scanloom_kernels::certify::{self, Deviation, Surface};
 use scanloom_kernels::connectivity::Connectivity;
 use scanloom_kernels::engine::{Engine, Step};
 use scanloom_kernels::geometry::{Vec3, nearest_on_triangle, position};
@@ -182,4 +182,47 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
     let (v, e, f) = (mesh.points.len(), connectivity.edges().count(), mesh.triangles.len());
     assert_eq!(v + f, e);
     assert!(connectivity.edges().all(|e| !connectivity.is_boundary_edge(e)));
+}
+
+#[test]
+fn what_is_proven_part_by_part_is_proven_of_the_whole() {
+    // Two rough sheets close to each other: a nearest point changes from one to the other between the samples.
+    let (flat, one) = sheet(40, 40);
+    let mut noise = Noise(21);
+    let mut layer = |height: f64, grey: f64| -> Vec<[f64; 4]> {
+        let shake = |p: &[f64; 3]| {
+            let z = height + 0.3 * (0.4 * p[0]).sin() + 0.06 * noise.next();
+            [p[0], p[1], z, (grey + 40.0 * (0.3 * p[1]).cos() + 6.0 * noise.next()).round()]
+        };
+        flat.iter().map(shake).collect()
+    };
+    let mut points = layer(0.0, 100.0);
+    points.extend(layer(0.25, 130.0));
+    let mut triangles = one.clone();
+    triangles.extend(one.iter().map(|t| t.map(|v| v + flat.len() as u32)));
+    let original = Surface::new(&points, &triangles, 1).unwrap();
+    let mut again = 0;
+    for (shape, color) in [(0.1, 60.0), (0.2, 80.0), (0.05, 40.0)] {
+        let bounds = Deviation { shape, color };
+        let options = Options { weight: 0.004, close: false, share: 1.0, ..Options::new(bounds) };
+        let control = Control::default();
+        let mut progress = Progress::new(&control);
+        let result = simplify::<4, 1>(
+            points.clone(),
+            triangles.clone(),
+            vec![],
+            &options,
+            &goal(2, 500),
+            &mut progress,
+        )
+        .unwrap();
+        again += result.passes.len() - 1;
+        let light = Surface::new(&result.mesh.points, &result.mesh.triangles, 1).unwrap();
+        let decision = certify::Options { limit: Some(bounds), ..certify::Options::default() };
+        let whole = certify::certify(&light, &original, &decision, &mut progress).unwrap();
+        assert_eq!(result.proven, whole.bound.within(bounds), "{:?}", result.passes);
+        assert!(result.mesh.triangles.len() < triangles.len());
+        assert!(whole.attained.within(result.certificate.bound));
+    }
+    assert!(again > 3, "nothing was taken back");
 }

@@ -9,8 +9,8 @@
 //! Such dependencies between collapses: Xia and Varshney, "Dynamic view-dependent simplification for polygonal models",
 //! 1996.
 
-use crate::engine::Merge;
 use crate::original::Original;
+use crate::rounds::Log;
 
 /// No collapse.
 const NONE: u32 = u32::MAX;
@@ -52,29 +52,29 @@ impl<'a, const D: usize> History<'a, D> {
         }
     }
 
-    /// More collapses, in numbers of the input, and where their survivors went.
-    pub fn append(&mut self, merges: Vec<Merge>, path: Vec<[f64; D]>) {
-        self.collapses.reserve(merges.len());
-        self.standing += merges.len();
+    /// More collapses, in numbers of the input, with what their survivors became.
+    pub fn append(&mut self, logs: Vec<Log<D>>) {
+        let count = logs.iter().map(|log| log.merges.len()).sum();
+        self.collapses.reserve_exact(count);
+        self.points.reserve_exact(count);
+        self.standing += count;
         let mut into: Vec<u32> = (0..self.root.len() as u32).collect();
-        for merge in merges.iter().rev() {
+        for merge in logs.iter().rev().flat_map(|log| log.merges.iter().rev()) {
             into[merge.removed.index()] = into[merge.survivor.index()];
         }
         self.root.iter_mut().for_each(|root| *root = into[*root as usize]);
-        for merge in merges {
-            let number = self.collapses.len() as u32;
-            let (survivor, removed) = (merge.survivor.0, merge.removed.0);
-            let below = [survivor, removed].map(|v| self.last[v as usize]);
-            for child in below.into_iter().filter(|&child| child != NONE) {
-                self.collapses[child as usize].above = number;
+        for log in logs {
+            self.points.extend_from_slice(&log.path);
+            for merge in log.merges {
+                let number = self.collapses.len() as u32;
+                let (survivor, removed) = (merge.survivor.0, merge.removed.0);
+                let below = [survivor, removed].map(|v| self.last[v as usize]);
+                for child in below.into_iter().filter(|&child| child != NONE) {
+                    self.collapses[child as usize].above = number;
+                }
+                self.last[survivor as usize] = number;
+                self.collapses.push(Collapse { survivor, removed, below, above: NONE });
             }
-            self.last[survivor as usize] = number;
-            self.collapses.push(Collapse { survivor, removed, below, above: NONE });
-        }
-        if self.points.is_empty() {
-            self.points = path;
-        } else {
-            self.points.extend(path);
         }
     }
 

@@ -71,7 +71,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let bounds = decision.limit.unwrap_or_default();
         Ok(Self {
             original,
-            surface: Surface::new(&original.points, &original.triangles)?,
+            surface: Surface::new(&original.points, &original.triangles, decision.threads)?,
             decision,
             bounds,
             result: vec![],
@@ -121,9 +121,11 @@ impl<'a, const D: usize> Ledger<'a, D> {
             result.push(Known { source, corners, verdict });
         }
         before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
-        let asked_input: Vec<u32> = (0..near.len() as u32).filter(|&t| near[t as usize]).collect();
+        // In the order of the tree, so that those looked at together are neighbours.
+        let asked_input: Vec<u32> =
+            self.surface.order.iter().copied().filter(|&t| near[t as usize]).collect();
 
-        let target = Surface::new(&mesh.points, &mesh.triangles)?;
+        let target = Surface::new(&mesh.points, &mesh.triangles, self.decision.threads)?;
         let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], progress)?;
         asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
         self.result = result;

@@ -38,8 +38,9 @@ pub struct Side<'a> {
     pub attained: Deviation,
     /// Triangles, by their place in `slots`, whose bound is not close enough yet.
     pub pending: Vec<(u32, Outcome)>,
-    /// By vertex: the nearest slot of the target, and the deviation there.
+    /// By vertex, from the first one used on: the nearest slot of the target, and the deviation there.
     vertices: Vec<(u32, Deviation)>,
+    first_vertex: u32,
     on_target: OnTarget,
 }
 
@@ -64,6 +65,7 @@ impl<'a> Side<'a> {
             attained: Deviation::default(),
             pending: vec![],
             vertices: vec![],
+            first_vertex: 0,
             on_target,
         }
     }
@@ -75,9 +77,12 @@ impl<'a> Side<'a> {
         if self.slots.is_empty() {
             return Ok(());
         }
-        let mut used = vec![false; self.mesh.points.len()];
-        self.slots.iter().flat_map(|&s| self.mesh.vertices[s as usize]).for_each(|v| used[v as usize] = true);
-        let asked: Vec<u32> = (0..used.len() as u32).filter(|&v| used[v as usize]).collect();
+        // Neighbouring slots have neighbouring vertices.
+        let vertices = || self.slots.iter().flat_map(|&s| self.mesh.vertices[s as usize]);
+        let first = vertices().min().unwrap_or(0);
+        let mut used = vec![false; vertices().max().map_or(0, |last| (last - first) as usize + 1)];
+        vertices().for_each(|v| used[(v - first) as usize] = true);
+        let asked: Vec<u32> = (first..).zip(&used).filter(|(_, used)| **used).map(|(v, _)| v).collect();
         let (mesh, against) = (self.mesh, &self.against);
         let look = |vertices: &[u32]| {
             // A block, and where the search for its vertices starts.
@@ -93,15 +98,15 @@ impl<'a> Side<'a> {
             });
             found.collect::<Vec<_>>()
         };
-        let mut vertices = vec![(0, Deviation::default()); mesh.points.len()];
+        let mut vertices = vec![(0, Deviation::default()); used.len()];
         for wave in asked.chunks(WAVE) {
             let found = run.chunks(wave.len(), CHUNK, || (), |range, (), _| Ok(look(&wave[range])))?;
             for (&v, found) in wave.iter().zip(found.into_iter().flatten()) {
-                vertices[v as usize] = found;
+                vertices[(v - first) as usize] = found;
                 self.attained = self.attained.max(found.1);
             }
         }
-        self.vertices = vertices;
+        (self.first_vertex, self.vertices) = (first, vertices);
         Ok(())
     }
 
@@ -168,7 +173,7 @@ impl<'a> Side<'a> {
         progress: &mut Progress<'_>,
     ) -> Result<Outcome, KernelError> {
         let vertices = self.mesh.vertices[slot as usize];
-        let at_corners = vertices.map(|v| self.vertices[v as usize]);
+        let at_corners = vertices.map(|v| self.vertices[(v - self.first_vertex) as usize]);
         let so_far = at_corners.iter().fold(Deviation::default(), |most, c| most.max(c.1));
         let corners =
             [0, 1, 2].map(|i| Corner { reach: at_corners[i].1.shape, ..corner(self.mesh, vertices[i]) });

@@ -6,6 +6,7 @@ use super::facet::{Nearest, nearest};
 use crate::bvh::Bvh;
 use crate::error::KernelError;
 use crate::geometry::{Vec3, cross, norm2, position, segment_distance2, sub};
+use crate::parallel;
 
 /// Beyond this the products of four lengths come near the end of double precision.
 const LARGEST: f64 = 1e60;
@@ -46,14 +47,19 @@ pub struct Found {
 
 impl Surface {
     /// `points` are positions in metres, then attributes in 8-bit levels: none, one or three. Any triangles will do:
-    /// holes, several layers, edges of many triangles, triangles without area.
+    /// holes, several layers, edges of many triangles, triangles without area. 0 threads for all processors.
     ///
     /// # Errors
     /// For an index out of range, and for a value that is not finite or is beyond ±1e60.
-    pub fn new<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
+    pub fn new<const D: usize>(
+        points: &[[f64; D]],
+        triangles: &[[u32; 3]],
+        threads: usize,
+    ) -> Result<Self, KernelError> {
         const { assert!(D >= 3 && D <= 6, "a point has three coordinates and up to three attributes") };
         check(points, triangles)?;
-        let (bvh, order) = Bvh::new(triangles.len(), |t| {
+        let threads = parallel::threads(threads);
+        let (bvh, order) = Bvh::new(triangles.len(), threads, |t| {
             around(triangles[t].iter().map(|&v| position(&points[v as usize])))
         });
         let mut slots = vec![0; order.len()];

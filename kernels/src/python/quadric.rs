@@ -15,7 +15,7 @@ use crate::mesh::check_points;
 use crate::parallel::threads;
 use crate::patch::Whole;
 use crate::qem::QemRecords;
-use crate::rounds::collapse;
+use crate::rounds::{collapse, merges_in_order};
 
 /// A mesh simplified by attribute quadrics, and the way there.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -84,7 +84,8 @@ fn simplify_points<const D: usize, const K: usize>(
                 ("fold", count(Illegal::Fold)),
             ];
             let mesh = outcome.mesh.into_compact();
-            Ok((mesh, standing, outcome.stop, outcome.merges, outcome.path, outcome.attempts))
+            let (merges, path) = merges_in_order(&outcome.logs);
+            Ok((mesh, standing, outcome.stop, merges, path, outcome.attempts))
         })?;
     let way = ByQuadrics {
         became: PyArray1::from_vec(py, follow(vertices, &mesh.vertex_source, &merges)).unbind(),
