@@ -176,7 +176,7 @@ pub fn simplify<const D: usize, const K: usize>(
             } else {
                 let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
                 let limit = (!options.close).then_some(bounds);
-                let proof = certify::Options { limit, ..decision };
+                let proof = certify::Options { limit, threads: goal.threads, ..options.proof };
                 let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
                 if proven { ledger.closer(close) } else { close }
             };

@@ -146,6 +146,10 @@ def test_bounds_of_triangles_are_close_if_asked_for() -> None:
     assert loose.shape_bound is not None
     assert close.shape_bound is not None
     assert close.color_bound is not None
+    # As close as a proof of its own has them, and no wider than what was asked for.
+    own = certify(close.mesh, mesh)
+    np.testing.assert_allclose(close.shape_bound, np.minimum(own.shape_bound, 0.01), rtol=1e-6)
+    np.testing.assert_allclose(close.color_bound, np.minimum(own.color_bound, 30.0), rtol=1e-6)
     assert close.shape_bound.mean() < 0.95 * loose.shape_bound.mean()
     assert (close.shape_bound.max(), close.color_bound.max()) <= (
         close.shape_bound_m,
