@@ -40,14 +40,17 @@ const SHARE: f64 = 0.9;
 /// What a limit is multiplied with where the proof failed.
 const TIGHTER: f32 = 0.6;
 
-/// Proofs that may fail before it is asked whether they can succeed at all.
+/// Proofs that may fail before it is asked whether they can succeed at all,
 const HOPE: usize = 6;
 
-/// Proofs that may fail before nothing around a failure is simplified any more,
-const PATIENCE: usize = 20;
+/// before nothing around a failure is simplified any more,
+const PATIENCE: usize = 10;
 
-/// and before nothing is at all.
-const END: usize = 2 * PATIENCE;
+/// and before the rest is given up.
+const END: usize = 20;
+
+/// Colours are stored in whole levels. Closer bounds would ask for more than that, and proofs of them for too much.
+const LEAST_COLOR: f64 = 0.5;
 
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -106,7 +109,7 @@ pub struct Certified<const D: usize> {
 /// The least bounds that can be proven for surfaces of this size: a proof spends the slack of single precision.
 fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
     let corners = original.triangles.iter().flatten().map(|&v| position(&original.points[v as usize]));
-    Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: 2.0 * certify::COLOR_SLACK }
+    Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: LEAST_COLOR }
 }
 
 /// Simplify as far as the bounds can be proven to hold for every point of both surfaces.
@@ -131,7 +134,7 @@ pub fn simplify<const D: usize, const K: usize>(
     let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
     let mut limits = Limits {
         shape: options.share * (bounds.shape - 0.5 * least.shape),
-        color: options.share * (bounds.color - 0.5 * least.color),
+        color: options.share * (bounds.color - certify::COLOR_SLACK),
         factors: (0..original.points.len()).map(|v| 1.0 / factor(v)).collect(),
     };
     let decision =
@@ -188,13 +191,15 @@ pub fn simplify<const D: usize, const K: usize>(
         let mut retreat = Retreat::new(&original, history, watched);
         let around = retreat.samples_around(&mesh, &open);
         around.iter().for_each(|&v| limits.factors[v as usize] *= TIGHTER);
-        retreat.take_back(&open, &failures);
-        around.iter().for_each(|&v| failures[v as usize] = failures[v as usize].saturating_add(1));
-        let for_good: Vec<u32> = match passes.len() {
-            END.. => (0..original.points.len() as u32).collect(),
-            PATIENCE.. => around,
+        let for_good = match passes.len() {
+            PATIENCE.. => retreat.vertices_around(&open),
             _ => ledger.hopeless.iter().flat_map(|&t| original.triangles[t as usize]).collect(),
         };
+        ledger.give_up(retreat.take_back(&open, &failures));
+        if passes.len() >= END {
+            ledger.give_up(open.of_result.into_iter().chain(open.of_input).collect());
+        }
+        around.iter().for_each(|&v| failures[v as usize] = failures[v as usize].saturating_add(1));
         retreat.hold(&for_good, &mut fixed);
         (mesh, lists, history) = retreat.mesh(mesh, &fixed);
     }

@@ -186,9 +186,15 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let [_, verdicts] = decide(&self.surface, &self.surface, &self.decision, [&[], &asked], progress)?;
         let before = self.hopeless.len();
         let found = asked.iter().zip(verdicts).filter(|(_, verdict)| !verdict.bound.within(self.bounds));
-        self.hopeless.extend(found.map(|(&t, _)| t));
-        self.hopeless.sort_unstable();
+        self.give_up(found.map(|(&t, _)| t).collect());
         Ok(self.hopeless.len() - before)
+    }
+
+    /// No proof is looked for any more of these triangles of the input, and of what is left of them.
+    pub fn give_up(&mut self, hopeless: Vec<u32>) {
+        self.hopeless.extend(hopeless);
+        self.hopeless.sort_unstable();
+        self.hopeless.dedup();
     }
 
     /// Triangles without a proof that are not hopeless.

@@ -51,20 +51,48 @@ impl<'a, const D: usize> Retreat<'a, D> {
     /// Take back the collapse that made each triangle without a proof, and one of those that made what a triangle of
     /// the input lies at: the last one, since least depends on it. Where it has failed before, as `failures` says by
     /// vertex of the input, take back all that made what is within reach.
-    pub fn take_back(&mut self, open: &Open, failures: &[u8]) {
+    ///
+    /// Returns the triangles that have nothing but the input around them: they can have no proof.
+    pub fn take_back(&mut self, open: &Open, failures: &[u8]) -> Vec<u32> {
         let latest = |t: &u32| self.history.corners(*t).and_then(|corners| self.history.latest(&corners));
-        let mut collapses: Vec<u32> = open.of_result.iter().filter_map(latest).collect();
-        for (t, within_reach) in open.of_input.iter().zip(&open.within_reach) {
-            let corners = self.original.triangles[*t as usize];
+        let (mut collapses, mut hopeless) = (vec![], vec![]);
+        for &t in &open.of_result {
+            match latest(&t) {
+                Some(collapse) => collapses.push(collapse),
+                None => hopeless.push(t),
+            }
+        }
+        for (&t, within_reach) in open.of_input.iter().zip(&open.within_reach) {
+            let corners = self.original.triangles[t as usize];
             let owners = corners.iter().filter_map(|&v| self.watched.owner(v));
-            collapses.extend(owners.filter_map(|t| latest(&t)).max());
-            if corners.iter().any(|&v| failures[v as usize] > 1) {
+            let one = owners.filter_map(|t| latest(&t)).max();
+            collapses.extend(one);
+            if one.is_none() || corners.iter().any(|&v| failures[v as usize] > 1) {
+                let before = collapses.len();
                 collapses.extend(within_reach.iter().filter_map(latest));
+                if collapses.len() == before {
+                    hopeless.push(t);
+                }
             }
         }
         collapses.sort_unstable();
         collapses.dedup();
         collapses.into_iter().rev().for_each(|collapse| self.undo(collapse));
+        hopeless
+    }
+
+    /// Vertices of the input that are part of the triangles without a proof, or of what is within their reach.
+    pub fn vertices_around(&self, open: &Open) -> Vec<u32> {
+        let mut around: Vec<u32> =
+            open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]).collect();
+        for &t in open.of_result.iter().chain(open.within_reach.iter().flatten()) {
+            around.extend(self.original.triangles[t as usize]);
+            around.extend(self.watched.of(t));
+            around.extend(self.history.corners(t).into_iter().flatten());
+        }
+        around.sort_unstable();
+        around.dedup();
+        around
     }
 
     /// Bring vertices of the input back and hold them there.
