@@ -30,8 +30,8 @@ pub struct History<'a, const D: usize> {
     /// In the order of time. Those taken back are not reached from any vertex any more.
     collapses: Vec<Collapse>,
     standing: usize,
-    /// Where each one's survivor went.
-    points: Vec<[f64; D]>,
+    /// Where each one's survivor went, in the pieces this was recorded in, and the number of the first of each piece.
+    paths: Vec<(u32, Vec<[f64; D]>)>,
     /// By vertex of the input: the vertex of the current mesh it is part of.
     root: Vec<u32>,
     /// By vertex of the current mesh: the last collapse it survived.
@@ -46,7 +46,7 @@ impl<'a, const D: usize> History<'a, D> {
             original,
             collapses: vec![],
             standing: 0,
-            points: vec![],
+            paths: vec![],
             root: (0..vertices as u32).collect(),
             last: vec![NONE; vertices],
         }
@@ -56,7 +56,6 @@ impl<'a, const D: usize> History<'a, D> {
     pub fn append(&mut self, logs: Vec<Log<D>>) {
         let count = logs.iter().map(|log| log.merges.len()).sum();
         self.collapses.reserve_exact(count);
-        self.points.reserve_exact(count);
         self.standing += count;
         let mut into: Vec<u32> = (0..self.root.len() as u32).collect();
         for merge in logs.iter().rev().flat_map(|log| log.merges.iter().rev()) {
@@ -64,7 +63,7 @@ impl<'a, const D: usize> History<'a, D> {
         }
         self.root.iter_mut().for_each(|root| *root = into[*root as usize]);
         for log in logs {
-            self.points.extend_from_slice(&log.path);
+            self.paths.push((self.collapses.len() as u32, log.path));
             for merge in log.merges {
                 let number = self.collapses.len() as u32;
                 let (survivor, removed) = (merge.survivor.0, merge.removed.0);
@@ -92,7 +91,10 @@ impl<'a, const D: usize> History<'a, D> {
     pub fn point(&self, v: u32) -> [f64; D] {
         match self.last[v as usize] {
             NONE => self.original.points[v as usize],
-            last => self.points[last as usize],
+            last => {
+                let (first, path) = &self.paths[self.paths.partition_point(|path| path.0 <= last) - 1];
+                path[(last - first) as usize]
+            }
         }
     }
 
