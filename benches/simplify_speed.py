@@ -30,9 +30,10 @@ The last row has since come down to 2 % and 1 %: the kernels measure sides, chec
 Pieces are joined in the memory of the mesh they came from, on all threads.
 
 "certified" spends two fifths on the watched vertices while it collapses, another fifth on the rest of that, a
-quarter on the proof and the rest on trees, copies and checks. Its peak is at the proof: the input as it came (24
-bytes a triangle with colours) and with what surrounds each vertex (50), the tree over it (46), where all collapses
-led (36), and what the allocator has not given back.
+quarter on the proof and the rest on trees, copies and checks. Its peak is at the proof. Bytes a triangle
+there, counted by what is held: colours as numbers 12, points, triangles and the triangles around each vertex
+50, the tree over them 46, collapses and where they led 38; the rest is short-lived, or not given back by the
+allocator.
 
 How far that is from the floor, for "count", by perf's counters:
 

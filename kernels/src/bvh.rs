@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     fn any_number_of_threads_builds_the_same_tree() {
-        let points = cloud(70_000);
+        let points = cloud(60_000);
         let build = |threads| Bvh::new(points.len(), threads, |i| [points[i]; 2]);
         let (tree, order) = build(1);
         for threads in [2, 3] {

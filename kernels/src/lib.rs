@@ -50,5 +50,3 @@ pub mod validate;
 
 #[cfg(feature = "python")]
 mod python;
-#[cfg(feature = "python")]
-mod python_certify;

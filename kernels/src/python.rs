@@ -4,15 +4,13 @@
 
 mod arrays;
 mod certified;
+mod certify;
 mod detached;
 mod fit;
 mod jia01;
 mod order;
 mod quadric;
 mod simplified;
-
-pub use arrays::{points_from, triangles_from};
-pub use detached::detached;
 
 use pyo3::create_exception;
 use pyo3::exceptions::{PyOverflowError, PyValueError};
@@ -58,6 +56,6 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<jia01::BySums>()?;
     module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
     module.add_function(wrap_pyfunction!(jia01::side_lengths, module)?)?;
-    module.add_class::<crate::python_certify::Certified>()?;
-    module.add_function(wrap_pyfunction!(crate::python_certify::certify, module)?)
+    module.add_class::<certify::Certified>()?;
+    module.add_function(wrap_pyfunction!(certify::certify, module)?)
 }

@@ -4,8 +4,9 @@ use numpy::{PyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
+use super::arrays::{points_from, triangles_from};
+use super::detached::detached;
 use crate::certify::{Certificate, Deviation, Options, Surface};
-use crate::python::{detached, points_from, triangles_from};
 
 /// What `certify` returns.
 #[pyclass(frozen, get_all)]
