@@ -21,5 +21,6 @@ def rounded_down(value: float, digits: int = DIGITS) -> float:
 def _rounded(value: float, digits: int, how: str) -> float:
     if not math.isfinite(value):
         return value
-    # The decimal value of a float is exact, and so is the comparison that rounding makes.
-    return float(Context(prec=digits, rounding=how).create_decimal(Decimal(value)))
+    # By the shortest decimal that is read as this float: a bound of 0.01 is 0.01, though the float is
+    # a little more than that.
+    return float(Context(prec=digits, rounding=how).create_decimal(Decimal(repr(float(value)))))
