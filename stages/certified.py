@@ -49,8 +49,9 @@ def simplify_certified(
 
     Every point of either surface is within `max_shape` of the other, and its colour within `max_color` of the
     colour at every nearest point there. Vertices of the input are watched while edges collapse; then the
-    bounds are proven for all points between. Where that fails, the limits of the vertices around are
-    tightened, and it starts again. Equal input gives equal bytes, for any number of threads.
+    bounds are proven for all points between. Where that fails, the collapses behind it are taken back, the
+    limits of the vertices around are tightened, and it goes on from there; what has changed is proven again.
+    Equal input gives equal bytes, for any number of threads. A `max_color` below half a level counts as that.
 
     Parameters
     ----------
@@ -64,9 +65,9 @@ def simplify_certified(
     weight : metres that count as much as one level of colour when a vertex is placed; None for one that
         follows from the mesh.
     share : part of the bounds that vertices may use; what is left is for the points between them.
-    close : bound every triangle about as closely as can be, in about twice the time. Otherwise a triangle's
-        bounds may be as large as those that were asked for. Always so for a mesh with colours and no
-        `max_color`, whose colour bound is found this way.
+    close : bound every triangle about as closely as can be, in two to four times the time. Otherwise a
+        triangle's bounds may be as large as those that were asked for. Always so for a mesh with colours and
+        no `max_color`, whose colour bound is found this way.
     threads : 0 for one for each core.
     partial : on Ctrl-C, or when `progress` returns False, give out what there is, with its bounds.
     progress : called about ten times a second; raising from it stops the work.

@@ -70,11 +70,11 @@ class Simplified:
     shape_attained_m, color_attained_levels : certified: the greatest found at a point; the true maximum is
         between that and the bound.
     slack_m, color_slack_levels : certified: contained in the bounds, for searches in single precision. Twice
-        as much is the least that can be proven, and is used in place of smaller bounds.
+        `slack_m` takes the place of a smaller bound on shape, and half a level that of one on colour.
     proven : certified: whether max_shape and max_texture are proven. The bounds above hold anyway.
     unproven_triangles : certified: triangles of the result and of the input that are not proven to stay
         within max_shape and max_texture.
-    iterations : certified: how often the mesh was simplified and its bounds looked at.
+    iterations : certified: how often it went on simplifying and then looked at the bounds.
     largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
     resolution_m : jia01: what was used.
     max_shape_m, max_texture_levels : jia01 and certified: what was used; None for no bound.

@@ -96,8 +96,8 @@ class SimplifyParams:
     )
     close_bounds: bool = param(
         False,
-        "certified: bound each triangle as closely as can be, in about twice the time. Otherwise the bounds "
-        "of a triangle may be as large as max_shape and max_texture though less is true.",
+        "certified: bound each triangle as closely as can be, in two to four times the time. Otherwise the "
+        "bounds of a triangle may be as large as max_shape and max_texture though less is true.",
         group=_ONE_METHOD,
     )
     resolution: float | None = param(

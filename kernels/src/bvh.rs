@@ -10,7 +10,7 @@
 use crate::geometry::Vec3;
 use crate::parallel::both;
 
-/// Shapes in a leaf: their distances cost about as much as those of the boxes that would part them.
+/// Shapes in a leaf: half as many are no faster, and their boxes take twice the memory.
 const LEAF: usize = 8;
 /// Both children of a node wait while one is looked at: one entry a level, and a level halves the shapes.
 const STACK: usize = 64;

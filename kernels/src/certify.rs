@@ -39,7 +39,7 @@ use crate::progress::Progress;
 pub const COLOR_SLACK: f64 = 1.0 / 512.0;
 /// Pieces of one triangle before the greatest bound is known; most need fewer than ten.
 const FIRST_PIECES: usize = 64;
-/// The same for a decision: what fails is found early, and what does not would have to begin again.
+/// The same for a decision: few that are not decided by then ever are.
 const DECISION_PIECES: usize = 128;
 /// Small meshes may cost as much as one of so many triangles.
 const AT_LEAST: usize = 4096;
