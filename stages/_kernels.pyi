@@ -61,7 +61,9 @@ class Running:
     @property
     def partial(self) -> bool: ...
 
-_Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]
+# (n, k): levels of colour, or numbers.
+_Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
+_Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
 @final
 class Certified:
@@ -127,7 +129,7 @@ def side_lengths(
 
 def simplify(
     vertices: NDArray[np.float64],
-    attributes: NDArray[np.float64],
+    attributes: _Attributes,
     triangles: NDArray[np.int32],
     fixed: NDArray[np.bool_],
     *,
@@ -165,7 +167,7 @@ class ByQuadrics(Simplified):
 
 def simplify_by_quadrics(
     vertices: NDArray[np.float64],
-    attributes: NDArray[np.float64],
+    attributes: _Attributes,
     triangles: NDArray[np.int32],
     fixed: NDArray[np.bool_],
     importance: NDArray[np.float64],
@@ -182,11 +184,11 @@ def simplify_by_quadrics(
 
 def fit(
     vertices: NDArray[np.float64],
-    attributes: NDArray[np.float64],
+    attributes: _Attributes,
     triangles: NDArray[np.int32],
     fixed: NDArray[np.bool_],
     original_vertices: NDArray[np.float64],
-    original_attributes: NDArray[np.float64],
+    original_attributes: _Attributes,
     original_triangles: NDArray[np.int32],
     became: NDArray[np.int32],
     *,
@@ -201,7 +203,7 @@ def fit(
 
 def residuals(
     vertices: NDArray[np.float64],
-    attributes: NDArray[np.float64],
+    attributes: _Attributes,
     triangles: NDArray[np.int32],
     *,
     target: int,
@@ -258,7 +260,7 @@ class Proven(Simplified):
 
 def simplify_certified(
     vertices: NDArray[np.float64],
-    attributes: NDArray[np.float64],
+    attributes: _Attributes,
     triangles: NDArray[np.int32],
     fixed: NDArray[np.bool_],
     importance: NDArray[np.float64],

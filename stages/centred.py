@@ -14,6 +14,7 @@ from stages.raycasting import bounding_box
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int32]
+Levels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +26,13 @@ class Centred:
     mesh : as it was given.
     origin : (3,) float64, metres, the middle of its bounding box.
     vertices : (n, 3) float64, metres, from there.
-    attributes : (n, 3) float64 colours in 8-bit levels; (n, 0) without colours.
+    attributes : (n, 3) uint8, colours; (n, 0) without colours.
     """
 
     mesh: Mesh
     origin: Floats
     vertices: Floats
-    attributes: Floats
+    attributes: Levels
 
     def placed_back(self, points: Floats, source: Ids) -> Floats:
         """Return points (p, 3) from `origin` in the mesh's own coordinates.
@@ -52,9 +53,9 @@ def centred(mesh: Mesh) -> Centred:
     return Centred(mesh, origin, mesh.vertices - origin, attributes_of(mesh))
 
 
-def attributes_of(mesh: Mesh) -> Floats:
-    """Return the colours of a mesh as (n, 3) float64; (n, 0) if it has none."""
-    return np.zeros((len(mesh.vertices), 0)) if mesh.colors is None else mesh.colors.astype(np.float64)
+def attributes_of(mesh: Mesh) -> Levels:
+    """Return the colours of a mesh, (n, 3); (n, 0) if it has none."""
+    return np.zeros((len(mesh.vertices), 0), np.uint8) if mesh.colors is None else mesh.colors
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.centred import attributes_of
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
@@ -213,6 +214,5 @@ def certify(
     )
 
 
-def _soup(mesh: Mesh, colored: bool) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    colors = mesh.colors if colored and mesh.colors is not None else np.zeros((len(mesh.vertices), 0))
-    return mesh.vertices, colors.astype(np.float64), mesh.triangles
+def _soup(mesh: Mesh, colored: bool) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.int32]]:
+    return mesh.vertices, attributes_of(mesh if colored else mesh.with_(colors=None)), mesh.triangles

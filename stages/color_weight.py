@@ -40,7 +40,7 @@ def color_weight(mesh: Mesh, triangles: int, threads: int = 1) -> float:
     diagonal = float(np.linalg.norm(extent))
     errors = _kernels.residuals(
         mesh.vertices,
-        mesh.colors.astype(np.float64),
+        mesh.colors,
         mesh.triangles,
         target=max(triangles, 1),
         wanted_threads=threads,

@@ -124,8 +124,10 @@ pub fn simplify<const D: usize, const K: usize>(
     goal: &Goal,
     progress: &mut Progress,
 ) -> Result<Certified<D>, KernelError> {
+    let given = triangles.len();
     let whole = Whole::<D, Bound>::new(points, triangles, fixed)?;
-    let (proper, mut fixed) = (whole.triangle_source, whole.fixed);
+    let mut fixed = whole.fixed;
+    let proper = (whole.triangles.len() < given).then_some(whole.triangle_source);
     progress.check()?;
     let original = Original::new(whole.points, whole.triangles);
     progress.check()?;
@@ -183,7 +185,9 @@ pub fn simplify<const D: usize, const K: usize>(
                 let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
                 if proven { ledger.closer(close) } else { close }
             };
-            mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
+            if let Some(proper) = proper {
+                mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
+            }
             return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, held });
         }
         progress.check()?;

@@ -10,6 +10,7 @@
 //! | [`split`] | splitting long edges |
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
 //! | [`partition`], [`patch`], [`rounds`], [`parallel`] | the loop over a mesh of any size, patch by patch, on all threads |
+//! | [`memory`] | giving back what is free |
 //! | [`spatial`] | an order in which neighbours in space are neighbours in memory |
 //! | [`quadric`], [`qem`], [`balance`] | attribute quadrics, the measure that uses them, and how much a colour counts |
 //! | [`fit`] | fitting a result to its input by least squares |
@@ -31,6 +32,7 @@ pub mod geometry;
 pub mod ids;
 pub mod jia01;
 pub mod legality;
+pub mod memory;
 pub mod mesh;
 pub mod original;
 pub mod parallel;

@@ -41,11 +41,18 @@ impl Control {
 pub struct Progress<'a> {
     control: &'a Control,
     ticks: u32,
+    /// Where this is a part of the work: units before it, and in all.
+    within: Option<(u64, u64)>,
 }
 
 impl<'a> Progress<'a> {
     pub fn new(control: &'a Control) -> Self {
-        Self { control, ticks: 0 }
+        Self { control, ticks: 0, within: None }
+    }
+
+    /// A handle for a part of the work that comes after `before` of `total` units.
+    pub fn part(&self, before: u64, total: u64) -> Self {
+        Self { within: Some((before, total)), ..self.clone() }
     }
 
     /// Now and then, say how far the work is and look whether to go on.
@@ -82,6 +89,7 @@ impl<'a> Progress<'a> {
     /// # Errors
     /// [`KernelError::Interrupted`] when the work is to be given up.
     pub fn tell(&mut self, done: u64, total: u64) -> Result<(), KernelError> {
+        let (done, total) = self.within.map_or((done, total), |(before, all)| (before + done, all));
         self.control.done.store(done, Relaxed);
         self.control.total.store(total, Relaxed);
         self.check()

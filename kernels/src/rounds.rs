@@ -18,6 +18,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 use crate::connectivity::Connectivity;
 use crate::engine::{Engine, Measure, Merge, Stop, Until};
 use crate::error::KernelError;
+use crate::memory;
 use crate::parallel::map;
 use crate::partition::Partition;
 use crate::patch::{Held, Piece, Records, Scratch, Whole, find_rim};
@@ -87,7 +88,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
             break Stop::Target;
         }
         // While nothing happens but some edges were on a rim each time, larger patches leave fewer of them.
-        let patches = ((count / goal.patch.max(1)) >> idle).max(1);
+        let patches = ((records.size(count) / goal.patch.max(1)) >> idle).max(1);
         let partition = Partition::new(&mesh.points, &mesh.triangles, patches, round, goal.threads);
         let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
         if round == 0 {
@@ -147,6 +148,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
             }
         }
         (mesh, records) = mesh.join(&rim, records, pieces, goal.threads);
+        memory::give_back();
         histogram = Some(histogram_of_round);
         round += 1;
         if enough {

@@ -3,6 +3,7 @@
 use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
 use crate::error::KernelError;
 use crate::geometry::{Vec3, norm2, position, sub, triangle_distance2};
+use crate::memory;
 use crate::original::Original;
 use crate::patch::Whole;
 use crate::progress::Progress;
@@ -17,7 +18,7 @@ struct Known<const D: usize> {
 }
 
 /// Triangles of the input that are looked at together: what is found of them takes memory.
-const AT_ONCE: usize = 1 << 17;
+const AT_ONCE: usize = 1 << 15;
 
 /// Until it is looked at.
 const UNKNOWN: Verdict = Verdict {
@@ -69,9 +70,11 @@ impl<'a, const D: usize> Ledger<'a, D> {
     /// As [`Surface::new`].
     pub fn new(original: &'a Original<D>, decision: certify::Options) -> Result<Self, KernelError> {
         let bounds = decision.limit.unwrap_or_default();
+        let surface = Surface::new(&original.points, &original.triangles, decision.threads)?;
+        memory::give_back();
         Ok(Self {
             original,
-            surface: Surface::new(&original.points, &original.triangles, decision.threads)?,
+            surface,
             decision,
             bounds,
             result: vec![],
@@ -121,18 +124,26 @@ impl<'a, const D: usize> Ledger<'a, D> {
             result.push(Known { source, corners, verdict });
         }
         before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
-        // In the order of the tree, so that those looked at together are neighbours.
-        let asked_input: Vec<u32> =
-            self.surface.order.iter().copied().filter(|&t| near[t as usize]).collect();
-
         let target = Surface::new(&mesh.points, &mesh.triangles, self.decision.threads)?;
-        let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], progress)?;
+        let mut done = asked.len() as u64;
+        let total = done + near.iter().filter(|near| **near).count() as u64;
+        let part = &mut progress.part(0, total);
+        let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], part)?;
         asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
         self.result = result;
         self.attained.resize(self.surface.len(), [0.0; 2]);
         self.failing.retain(|failing| !near[failing.triangle as usize]);
-        for asked in asked_input.chunks(AT_ONCE) {
-            let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], asked], progress)?;
+        // In the order of the tree, so that those looked at together are neighbours.
+        let mut slots = 0..self.surface.len();
+        loop {
+            let near = slots.by_ref().map(|slot| self.surface.order[slot]).filter(|&t| near[t as usize]);
+            let asked: Vec<u32> = near.take(AT_ONCE).collect();
+            if asked.is_empty() {
+                break;
+            }
+            let part = &mut progress.part(done, total);
+            let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], &asked], part)?;
+            done += asked.len() as u64;
             for (&t, verdict) in asked.iter().zip(verdicts) {
                 // Never more than what is attained.
                 let single = |x: f64| (x as f32).next_down().max(0.0);

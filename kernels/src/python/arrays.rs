@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use numpy::ndarray::ArrayView2;
 use numpy::{Element, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -11,17 +12,33 @@ use crate::error::KernelError;
 /// Points with their attributes, and triangles.
 type PointsAndTriangles<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
 
+/// What vertices carry, n × k: levels of colour, or numbers.
+#[derive(FromPyObject)]
+pub enum Attributes<'py> {
+    Levels(PyReadonlyArray2<'py, u8>),
+    Numbers(PyReadonlyArray2<'py, f64>),
+}
+
+impl Attributes<'_> {
+    pub fn shape(&self) -> [usize; 2] {
+        match self {
+            Self::Levels(levels) => levels.as_array().dim().into(),
+            Self::Numbers(numbers) => numbers.as_array().dim().into(),
+        }
+    }
+}
+
 /// The arrays of a mesh as Python gives them.
 pub struct Inputs<'py> {
     pub vertices: PyReadonlyArray2<'py, f64>,
-    pub attributes: PyReadonlyArray2<'py, f64>,
+    pub attributes: Attributes<'py>,
     pub triangles: PyReadonlyArray2<'py, i32>,
 }
 
 impl Inputs<'_> {
     /// Attributes a vertex: 0, 1 (intensity) or 3 (RGB), else [`unknown_attributes`].
     pub fn attribute_count(&self) -> usize {
-        self.attributes.as_array().ncols()
+        self.attributes.shape()[1]
     }
 
     pub fn copied<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
@@ -50,9 +67,18 @@ pub fn unknown_attributes(k: usize) -> PyErr {
 
 pub fn points_from<const D: usize>(
     vertices: &PyReadonlyArray2<'_, f64>,
-    attributes: &PyReadonlyArray2<'_, f64>,
+    attributes: &Attributes<'_>,
 ) -> PyResult<Vec<[f64; D]>> {
-    let (vertices, attributes) = (vertices.as_array(), attributes.as_array());
+    match attributes {
+        Attributes::Levels(levels) => joined(vertices.as_array(), levels.as_array()),
+        Attributes::Numbers(numbers) => joined(vertices.as_array(), numbers.as_array()),
+    }
+}
+
+fn joined<T: Copy + Into<f64>, const D: usize>(
+    vertices: ArrayView2<'_, f64>,
+    attributes: ArrayView2<'_, T>,
+) -> PyResult<Vec<[f64; D]>> {
     if vertices.ncols() != 3 || attributes.nrows() != vertices.nrows() {
         return Err(PyValueError::new_err(format!(
             "vertices are {:?} and attributes {:?}; n × 3 and n × k are expected",
@@ -65,7 +91,7 @@ pub fn points_from<const D: usize>(
     let k = D - 3;
     let values = attributes.as_slice().unwrap_or_default();
     let point = |(v, place): (usize, &[f64])| {
-        std::array::from_fn(|i| if i < 3 { place[i] } else { values[k * v + i - 3] })
+        std::array::from_fn(|i| if i < 3 { place[i] } else { values[k * v + i - 3].into() })
     };
     Ok(places.enumerate().map(point).collect())
 }

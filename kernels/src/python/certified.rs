@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Inputs, unknown_attributes};
+use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::certified::{Options, simplify};
@@ -36,7 +36,7 @@ pub struct Proven {
 pub fn simplify_certified(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
-    attributes: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     fixed: PyReadonlyArray1<'_, bool>,
     importance: PyReadonlyArray1<'_, f64>,

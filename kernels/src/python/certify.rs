@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{points_from, triangles_from};
+use super::arrays::{Attributes, points_from, triangles_from};
 use super::detached::detached;
 use crate::certify::{Certificate, Deviation, Options, Surface};
 
@@ -22,7 +22,7 @@ pub struct Certified {
     pieces: u64,
 }
 
-type Soup<'py> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, i32>);
+type Soup<'py> = (PyReadonlyArray2<'py, f64>, Attributes<'py>, PyReadonlyArray2<'py, i32>);
 
 /// Bound how far two meshes (vertices, attributes, triangles) are apart.
 #[pyfunction]
@@ -53,7 +53,7 @@ pub fn certify(
         slack,
         threads,
     };
-    match (result.1.as_array().ncols(), original.1.as_array().ncols()) {
+    match (result.1.shape()[1], original.1.shape()[1]) {
         (0, 0) => certify_points::<3>(py, &result, &original, &options, &progress),
         (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
         (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),

@@ -4,7 +4,7 @@ use numpy::{PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Inputs, columns, unknown_attributes};
+use super::arrays::{Attributes, Inputs, columns, unknown_attributes};
 use super::detached::detached;
 use crate::connect::check_indices;
 use crate::fit::Input;
@@ -25,11 +25,11 @@ type Points = (Py<PyArray2<f64>>, Py<PyArray2<f64>>);
 pub fn fit(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
-    attributes: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     fixed: PyReadonlyArray1<'_, bool>,
     original_vertices: PyReadonlyArray2<'_, f64>,
-    original_attributes: PyReadonlyArray2<'_, f64>,
+    original_attributes: Attributes<'_>,
     original_triangles: PyReadonlyArray2<'_, i32>,
     became: PyReadonlyArray1<'_, i32>,
     threads: usize,

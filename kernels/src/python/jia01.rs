@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Inputs, unknown_attributes};
+use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::error::KernelError;
@@ -29,7 +29,7 @@ pub struct BySums {
 pub fn simplify(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
-    attributes: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     fixed: PyReadonlyArray1<'_, bool>,
     bounds: (f64, f64, f64),

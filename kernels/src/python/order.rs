@@ -3,7 +3,7 @@
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-use super::arrays::Inputs;
+use super::arrays::{Attributes, Inputs};
 use crate::connect::check_indices;
 use crate::mesh::check_points;
 use crate::spatial;
@@ -17,7 +17,8 @@ pub fn spatial_order(
     vertices: PyReadonlyArray2<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
 ) -> PyResult<(Rows, Rows)> {
-    let attributes = PyArray2::zeros(py, [vertices.as_array().nrows(), 0], false).readonly();
+    let attributes =
+        Attributes::Levels(PyArray2::zeros(py, [vertices.as_array().nrows(), 0], false).readonly());
     let (points, triangles) = Inputs { vertices, attributes, triangles }.copied::<3>()?;
     check_points(&points)?;
     check_indices(points.len(), &triangles)?;

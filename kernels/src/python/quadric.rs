@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Inputs, columns, id_array, unknown_attributes};
+use super::arrays::{Attributes, Inputs, columns, id_array, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::balance;
@@ -37,7 +37,7 @@ pub struct ByQuadrics {
 pub fn simplify_by_quadrics(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
-    attributes: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     fixed: PyReadonlyArray1<'_, bool>,
     importance: PyReadonlyArray1<'_, f64>,
@@ -116,7 +116,7 @@ fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
 pub fn residuals(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
-    attributes: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     target: usize,
     wanted_threads: usize,
