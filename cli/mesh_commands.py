@@ -134,8 +134,8 @@ def simplify(
     With a number and bounds: down to the number, never beyond the bounds; "stopped by" says which came first.
     With neither: within the default bounds of --method jia01.
 
-    --save-record goes with a number alone, --close-bounds and --save-bounds with bounds. The input must be a
-    manifold mesh; run `scanloom clean` on it first when it is not.
+    --close-bounds and --save-bounds go with bounds. The input must be a manifold mesh; run `scanloom clean`
+    on it first when it is not.
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
 

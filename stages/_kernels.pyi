@@ -90,7 +90,11 @@ class Certified:
 
 @disjoint_base
 class Simplified:
-    """A simplified mesh and how it came about. `standing` counts the edges each rule holds at the end."""
+    """A simplified mesh and how it came about. `standing` counts the edges each rule holds at the end.
+
+    `removed`, `survivor` and `path` hold, for each collapse, the vertex that vanished, the one it became part
+    of and where that went, if that was asked for.
+    """
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -110,11 +114,34 @@ class Simplified:
     def collapses(self) -> int: ...
     @property
     def attempts(self) -> int: ...
+    @property
+    def removed(self) -> NDArray[np.int32]: ...
+    @property
+    def survivor(self) -> NDArray[np.int32]: ...
+    @property
+    def path(self) -> NDArray[np.float64]: ...
 
 @final
 class BySums(Simplified):
-    """A mesh simplified with JIA01, and the sums that came up."""
+    """A mesh simplified with JIA01, and the sums that came up.
 
+    `split` is what the collapses began with, where they were recorded and that is not the input: vertices,
+    attributes, triangles, and the vertex and triangle of the input that each comes from.
+    """
+
+    @property
+    def split(
+        self,
+    ) -> (
+        tuple[
+            NDArray[np.float64],
+            NDArray[np.float64],
+            NDArray[np.int32],
+            NDArray[np.int32],
+            NDArray[np.int32],
+        ]
+        | None
+    ): ...
     @property
     def splits(self) -> int: ...
     @property
@@ -149,21 +176,13 @@ def simplify(
 
 @final
 class ByQuadrics(Simplified):
-    """A mesh simplified by attribute quadrics, and the way there.
+    """A mesh simplified by attribute quadrics.
 
-    `became` holds, for each vertex of the input, the one of the result it became part of, -1 for none;
-    `removed`, `survivor` and `path`, for each collapse, the vertex that vanished, the one it became part of
-    and where that went, if that was asked for.
+    `became` holds, for each vertex of the input, the one of the result it became part of, -1 for none.
     """
 
     @property
     def became(self) -> NDArray[np.int32]: ...
-    @property
-    def removed(self) -> NDArray[np.int32]: ...
-    @property
-    def survivor(self) -> NDArray[np.int32]: ...
-    @property
-    def path(self) -> NDArray[np.float64]: ...
 
 def simplify_by_quadrics(
     vertices: NDArray[np.float64],

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.centred import as_result, attributes_of
+from stages.collapse_record import CollapseRecord
 from stages.color_weight import color_weight
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
@@ -42,6 +43,7 @@ def simplify_certified(
     share: float = 0.9,
     close: bool = False,
     threads: int = 0,
+    record: bool = False,
     partial: bool = False,
     progress: Progress = silent,
 ) -> Simplified:
@@ -69,6 +71,7 @@ def simplify_certified(
         triangle's bounds may be as large as those that were asked for. Always so for a mesh with colours and
         no `max_color`, whose colour bound is found this way.
     threads : 0 for one for each core.
+    record : keep all collapses that stand at the end.
     partial : on Ctrl-C, or when `progress` returns False, give out what there is, with its bounds.
     progress : called about ten times a second; raising from it stops the work.
 
@@ -91,14 +94,20 @@ def simplify_certified(
     if weight is None:
         weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION, threads)
     running = _kernels.Running(
-        target_triangles=triangles, threads=threads, patch_triangles=PATCH_TRIANGLES, partial=partial
+        target_triangles=triangles,
+        threads=threads,
+        patch_triangles=PATCH_TRIANGLES,
+        record=record,
+        partial=partial,
     )
+    none_fixed = np.zeros(len(mesh.vertices), bool)
+    fixed = none_fixed if fixed is None or not len(fixed) else fixed
     try:
         result = _kernels.simplify_certified(
             mesh.vertices,
             attributes_of(mesh),
             mesh.triangles,
-            np.zeros(0, bool) if fixed is None else fixed,
+            fixed,
             np.zeros(0) if importance is None else importance,
             bounds=(shape, color),
             weight=weight,
@@ -120,6 +129,10 @@ def simplify_certified(
     if not result.proven:
         light = light.with_(notes=(*light.notes, _not_proven(result.bound, with_color)))
         stopped_by = "request" if stopped_by == "request" else "unproven"
+    kept = None
+    if record:
+        base = mesh.with_(texture=None, notes=light.notes)
+        kept = CollapseRecord(base, result.removed, result.survivor, result.path, fixed)
     return Simplified(
         mesh=light,
         vertex_source=result.vertex_source,
@@ -132,6 +145,7 @@ def simplify_certified(
         collapses=result.collapses,
         attempts=result.attempts,
         triangles_before=len(mesh.triangles),
+        record=kept,
         shape_bound=result.shape_bound,
         color_bound=result.color_bound if with_color else None,
         shape_bound_m=result.bound[0],

@@ -80,10 +80,12 @@ class CollapseRecord:
 
     Attributes
     ----------
-    mesh : the input, without its texture.
+    mesh : what they began with: the input without its texture, with its long edges split where `jia01` did.
     removed, survivor : (m,) int32, for each collapse the input vertex that vanished and the one it went into.
     path : (m, 3 + k) float64, where the survivor went: metres, then colours in 8-bit levels if there are any.
     lock : (n,) bool, vertices that stay as they are.
+    vertex_source, triangle_source : (n,) and (t,) int32, the vertex and triangle of the input that those of
+        `mesh` come from; None where `mesh` has those of the input.
     """
 
     mesh: Mesh
@@ -91,6 +93,8 @@ class CollapseRecord:
     survivor: NDArray[np.int32]
     path: NDArray[np.float64]
     lock: NDArray[np.bool_]
+    vertex_source: NDArray[np.int32] | None = None
+    triangle_source: NDArray[np.int32] | None = None
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:
@@ -155,7 +159,10 @@ class CollapseRecord:
             light = Light(vertices, attributes, triangles, vertex_source, became=number[root])
             vertices, attributes = fitted(light, centred(self.mesh), self.lock, 0, silent)
         mesh = as_result(self.mesh, vertices, attributes, triangles, vertex_source, "replay")
-        return Replayed(mesh, vertex_source, left.astype(np.int32), collapses)
+        triangle_source = left.astype(np.int32)
+        if self.vertex_source is not None and self.triangle_source is not None:
+            vertex_source, triangle_source = self.vertex_source[vertex_source], self.triangle_source[left]
+        return Replayed(mesh, vertex_source, triangle_source, collapses)
 
     def _collapses(self, params: ReplayParams) -> int:
         most = len(self.removed)
@@ -195,6 +202,8 @@ class CollapseRecord:
             "survivor": self.survivor,
             "path": self.path,
             "lock": self.lock,
+            "vertex_source": self.vertex_source,
+            "triangle_source": self.triangle_source,
         }
         with replacing(Path(path)) as part, part.open("wb") as file:
             np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
@@ -254,7 +263,11 @@ def load_record(path: Path | str) -> CollapseRecord:
     mesh = validated(
         Mesh(arrays["vertices"], arrays["triangles"], arrays.get("colors"), arrays.get("normals")), str(path)
     )
-    record = CollapseRecord(mesh, *(arrays[name] for name in ("removed", "survivor", "path", "lock")))
+    record = CollapseRecord(
+        mesh,
+        *(arrays[name] for name in ("removed", "survivor", "path", "lock")),
+        *(arrays.get(name) for name in ("vertex_source", "triangle_source")),
+    )
     _require_sound(record, path)
     return record
 
@@ -271,6 +284,11 @@ def _require_sound(record: CollapseRecord, path: Path) -> None:
     for name, (array, kind, allowed) in shapes.items():
         if array.dtype != kind or array.shape not in allowed:
             raise InputError(f"is damaged: {name} is {array.dtype} of shape {array.shape}.", path)
+    sources = {"vertex_source": (record.vertex_source, count)}
+    sources["triangle_source"] = (record.triangle_source, len(record.mesh.triangles))
+    for name, (source, length) in sources.items():
+        if source is not None and (source.dtype != np.int32 or source.shape != (length,)):
+            raise InputError(f"is damaged: {name} is {source.dtype} of shape {source.shape}.", path)
     for name, ids in (("removed", record.removed), ("survivor", record.survivor)):
         if collapses and not (ids.min() >= 0 and ids.max() < count):
             raise InputError(f"is damaged: {name} names a vertex that is not there.", path)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.centred import as_result, attributes_of
+from stages.collapse_record import CollapseRecord
 from stages.errors import UsageError
 from stages.jia01_limits import limits_of
 from stages.mesh import Mesh
@@ -73,11 +74,22 @@ def by_sums(
             f"resolution is {limits.scales[0]:g} m, and with edges no longer than that {error}; "
             "give a coarser one."
         ) from error
+    light = as_result(
+        mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
+    )
+    kept = None
+    if running.record:
+        base = mesh.with_(texture=None, notes=light.notes)
+        way = result.removed, result.survivor, result.path
+        if result.split is None:
+            kept = CollapseRecord(base, *way, lock)
+        else:
+            vertices, attributes, triangles, vertex_source, triangle_source = result.split
+            split = as_result(base, vertices, attributes, triangles, vertex_source, "simplify")
+            kept = CollapseRecord(split, *way, lock[vertex_source], vertex_source, triangle_source)
     names = ("resolution", "max_shape", "max_texture")
     return Simplified(
-        mesh=as_result(
-            mesh, result.vertices, result.attributes, result.triangles, result.vertex_source, "simplify"
-        ),
+        mesh=light,
         vertex_source=result.vertex_source,
         triangle_source=result.triangle_source,
         method="jia01",
@@ -88,6 +100,7 @@ def by_sums(
         collapses=result.collapses,
         attempts=result.attempts,
         triangles_before=len(mesh.triangles),
+        record=kept,
         largest_shape_change_m=result.largest_shape_change,
         largest_texture_change_levels=result.largest_texture_change,
         resolution_m=limits.scales[0],

@@ -62,7 +62,8 @@ def simplify(
     importance : (n,) float above 0, factor of the squared error around each vertex; for `certified` at least
         1, and bounds there are divided by it. Not for `jia01`.
     regions : Sphere and Box of `stages.regions`, which lock the vertices they hold, or give them importance.
-    record : keep all collapses, so that every mesh on the way can be had again. Only for `quadric`.
+    record : keep all collapses, so that every mesh on the way can be had again. What `certified` proves, it
+        proves of the last one.
     partial : Ctrl-C gives out what there is by then, instead of raising KeyboardInterrupt; `certified` then
         still proves how far that is from the input, which takes a while.
     progress : called about ten times a second with the triangles that are gone and those that have to go;
@@ -126,8 +127,6 @@ def simplify(
     method = params.chosen()
     mesh = as_mesh(mesh)
     locked, factors = resolve_control(mesh, lock, importance, regions)
-    if record and method != "quadric":
-        raise UsageError(f"method {method} keeps no record; give triangles or ratio, and no bound.")
     if len(factors) and method == "jia01":
         raise UsageError("importance has no meaning for method jia01; give triangles or ratio, and no bound.")
     if partial:
@@ -145,6 +144,7 @@ def simplify(
             weight=params.attribute_scale,
             close=params.close_bounds,
             threads=params.threads or 0,
+            record=record,
             partial=partial,
             progress=progress,
         )

@@ -26,7 +26,7 @@ use crate::mesh::Compact;
 use crate::original::Original;
 use crate::patch::Whole;
 use crate::progress::Progress;
-use crate::rounds::{Goal, collapse};
+use crate::rounds::{Goal, Way, collapse};
 use crate::tracked::{Bound, Limits, Lists, TrackedRecords};
 
 use history::History;
@@ -104,6 +104,8 @@ pub struct Certified<const D: usize> {
     pub passes: Vec<Pass>,
     /// Why edges stand.
     pub held: Vec<Refusal<Bound>>,
+    /// The collapses that stand, if a record was asked for.
+    pub way: Way<D>,
 }
 
 /// The least bounds that can be proven for surfaces of this size: a proof spends the slack of single precision.
@@ -141,9 +143,9 @@ pub fn simplify<const D: usize, const K: usize>(
     };
     let decision =
         certify::Options { limit: Some(bounds), threads: goal.threads, effort: 0.0, ..options.proof };
+    let recorded = goal.record;
+    let mut history = History::new(&original, recorded);
     let goal = Goal { record: true, ..*goal };
-
-    let mut history = History::new(&original);
     let mut ledger = None;
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
@@ -185,10 +187,11 @@ pub fn simplify<const D: usize, const K: usize>(
                 let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
                 if proven { ledger.closer(close) } else { close }
             };
+            let way = if recorded { history.way() } else { Way::default() };
             if let Some(proper) = proper {
                 mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
             }
-            return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, held });
+            return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, held, way });
         }
         progress.check()?;
         let watched = Watched::new(&original, &mesh.triangle_source, &lists);

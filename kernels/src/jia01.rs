@@ -16,7 +16,7 @@ use crate::legality::Illegal;
 use crate::mesh::{Compact, Mesh, Sources};
 use crate::patch::{Records, Whole};
 use crate::progress::Progress;
-use crate::rounds::{Goal, collapse};
+use crate::rounds::{Goal, Way, collapse};
 use crate::shape::{Overlay, boundary_change, shape_change};
 use crate::split::split_long_edges;
 use crate::star::Star;
@@ -76,6 +76,10 @@ pub struct Simplified<const D: usize> {
     pub largest_shape_change: f64,
     /// Largest sum of T on any edge at any time, without the contrast it starts with.
     pub largest_texture_change: f64,
+    /// What the collapses began with, where a record was asked for and that is not the input: after splitting.
+    pub split: Option<Compact<D>>,
+    /// In numbers of that mesh.
+    pub way: Way<D>,
 }
 
 /// Split and collapse: the whole of JIA01.
@@ -90,6 +94,12 @@ pub fn simplify<const D: usize>(
 ) -> Result<Simplified<D>, KernelError> {
     let (mesh, splits, origin) = split_whole(mesh, options, progress)?;
     let split_triangles = mesh.triangles.len();
+    let split = origin.clone().filter(|_| goal.record).map(|origin| Compact {
+        points: mesh.points.clone(),
+        triangles: mesh.triangles.clone(),
+        vertex_source: origin.vertices,
+        triangle_source: origin.triangles,
+    });
     let records = JiaRecords::new(&mesh, options);
     let outcome = collapse(mesh, records, goal, progress)?;
     let held = outcome.mesh.held_edges();
@@ -114,6 +124,8 @@ pub fn simplify<const D: usize>(
         attempts: outcome.attempts,
         largest_shape_change: outcome.records.largest.shape,
         largest_texture_change: outcome.records.largest.texture,
+        split,
+        way: Way::new(&outcome.logs),
         mesh: outcome.mesh.into_compact().traced_to(&origin),
     })
 }

@@ -37,7 +37,7 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
     /// What is left of a patch's records.
     type Piece: Send;
 
-    /// Whether all merges of a run are kept.
+    /// Whether all merges of a run are kept, also where nobody asks for them.
     const KEEPS_MERGES: bool = true;
 
     /// How much there is to look at in a mesh of so many triangles, counted in triangles of their own.

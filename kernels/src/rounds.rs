@@ -60,7 +60,7 @@ pub struct Outcome<const D: usize, R: Records<D>> {
     pub records: R,
     pub stop: Stop,
     pub collapses: usize,
-    /// In an order in which they can be repeated; empty where the records keep none.
+    /// In an order in which they can be repeated; empty where the records keep none and none was asked for.
     pub logs: Vec<Log<D>>,
     pub attempts: u64,
 }
@@ -143,7 +143,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
         for piece in &mut pieces {
             // The pieces do not need them any more.
             let (merges, path) = piece.take_merges(&mesh.vertex_source);
-            if R::KEEPS_MERGES {
+            if R::KEEPS_MERGES || goal.record {
                 logs.push(Log { round, merges, path });
             }
         }
@@ -290,16 +290,46 @@ fn in_order<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item 
     order.into_iter().map(|(_, list, i)| (list as usize, i as usize))
 }
 
-/// All merges, those of least priority first in each round; and where their survivors went, if that was asked for.
-pub fn merges_in_order<const D: usize>(logs: &[Log<D>]) -> (Vec<Merge>, Vec<[f64; D]>) {
-    let (mut merges, mut path) = (vec![], vec![]);
-    for round in logs.chunk_by(|a, b| a.round == b.round) {
-        for (list, i) in in_order(round.iter().map(|log| &log.merges[..])) {
-            merges.push(round[list].merges[i]);
-            path.extend(round[list].path.get(i));
+/// All merges, those of least priority first in each round.
+pub fn merges_in_order<const D: usize>(logs: &[Log<D>]) -> Vec<Merge> {
+    all_in_order(logs).map(|(log, i)| log.merges[i]).collect()
+}
+
+fn all_in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (&Log<D>, usize)> {
+    logs.chunk_by(|a, b| a.round == b.round).flat_map(|round| {
+        in_order(round.iter().map(|log| &log.merges[..])).map(|(list, i)| (&round[list], i))
+    })
+}
+
+/// The collapses one after the other, in numbers of the vertices at the start, and where their survivors went.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Way<const D: usize> {
+    pub removed: Vec<u32>,
+    pub survivor: Vec<u32>,
+    pub path: Vec<[f64; D]>,
+}
+
+impl<const D: usize> Way<D> {
+    /// All that was recorded: nothing, if that was not asked for.
+    pub fn new(logs: &[Log<D>]) -> Self {
+        if logs.iter().all(|log| log.path.is_empty()) {
+            return Self::default();
         }
+        let recorded = all_in_order(logs).filter_map(|(log, i)| Some((&log.merges[i], log.path.get(i)?)));
+        recorded.map(|(merge, to)| (merge.removed.0, merge.survivor.0, *to)).collect()
     }
-    (merges, path)
+}
+
+impl<const D: usize> FromIterator<(u32, u32, [f64; D])> for Way<D> {
+    fn from_iter<I: IntoIterator<Item = (u32, u32, [f64; D])>>(collapses: I) -> Self {
+        let mut way = Self { removed: vec![], survivor: vec![], path: vec![] };
+        for (removed, survivor, to) in collapses {
+            way.removed.push(removed);
+            way.survivor.push(survivor);
+            way.path.push(to);
+        }
+        way
+    }
 }
 
 /// How many merges of each patch to keep so that `triangles` are left: those of least priority.

@@ -46,7 +46,7 @@ fn the_history_knows_the_mesh_it_led_to() {
     for (name, points, triangles) in meshes() {
         let (left, logs) = simplified(&points, &triangles);
         let original = Original::new(points, triangles.clone());
-        let mut history = History::new(&original);
+        let mut history = History::new(&original, false);
         history.append(logs);
         assert_eq!(standing(&history, &triangles).len(), left.len(), "{name}");
         for (source, corners, places) in left {
@@ -68,7 +68,7 @@ fn what_is_left_after_taking_some_back_is_the_same_surface() {
         let topology = Connectivity::from_triangles(points.len(), &triangles).unwrap().topology();
         let (_, logs) = simplified(&points, &triangles);
         let original = Original::new(points.clone(), triangles.clone());
-        let mut history = History::new(&original);
+        let mut history = History::new(&original, false);
         history.append(logs);
         while history.standing() > 0 {
             let before = standing(&history, &triangles);
@@ -101,7 +101,7 @@ fn only_what_was_built_on_a_collapse_goes_with_it() {
     let (_, logs) = simplified(&points, &triangles);
     let original = Original::new(points, triangles.clone());
     for number in [0, 40, 150, 250] {
-        let mut history = History::new(&original);
+        let mut history = History::new(&original, false);
         history.append(logs.clone());
         let before: Vec<_> = (0..triangles.len() as u32).map(|t| history.corners(t)).collect();
         let mut touched = vec![];
@@ -113,5 +113,35 @@ fn only_what_was_built_on_a_collapse_goes_with_it() {
         let standing = history.standing();
         history.undo(number, &mut |_, _, _| panic!("taken back twice"));
         assert_eq!(history.standing(), standing);
+    }
+}
+
+#[test]
+fn the_way_leads_to_what_stands() {
+    for (name, points, triangles) in meshes() {
+        let (_, logs) = simplified(&points, &triangles);
+        let original = Original::new(points.clone(), triangles.clone());
+        let mut history = History::new(&original, true);
+        history.append(logs);
+        for share in 1..4 {
+            let numbers: Vec<u32> = (0..points.len() as u32).filter_map(|v| history.last(v)).collect();
+            let some = numbers.iter().filter(|number| *number % 4 == share);
+            some.for_each(|&number| history.undo(number, &mut |_, _, _| ()));
+            let way = history.way();
+            assert_eq!(way.path.len(), history.standing(), "{name}");
+            let (mut places, mut into) = (points.clone(), (0..points.len() as u32).collect::<Vec<_>>());
+            for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.path) {
+                assert_eq!((into[removed as usize], into[survivor as usize]), (removed, survivor), "{name}");
+                into[removed as usize] = survivor;
+                places[survivor as usize] = *to;
+            }
+            for v in 0..points.len() as u32 {
+                let mut root = v;
+                while into[root as usize] != root {
+                    root = into[root as usize];
+                }
+                assert_eq!((root, places[root as usize]), (history.root(v), history.point(root)), "{name}");
+            }
+        }
     }
 }

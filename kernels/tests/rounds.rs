@@ -12,7 +12,7 @@ use scanloom_kernels::patch::Whole;
 use scanloom_kernels::progress::{Control, Progress};
 use scanloom_kernels::qem::{Qem, QemRecords};
 use scanloom_kernels::quadric::Quadric;
-use scanloom_kernels::rounds::{Goal, Outcome, PATCH, collapse, merges_in_order};
+use scanloom_kernels::rounds::{Goal, Outcome, PATCH, Way, collapse};
 
 const GOAL: Goal = Goal { triangles: 0, threads: 1, patch: PATCH, record: false };
 
@@ -176,10 +176,10 @@ fn a_record_leads_to_the_result() {
     let outcome = simplified(&points, &triangles, vec![], goal).unwrap();
     let mut replayed = points.clone();
     let mut becomes: Vec<usize> = (0..points.len()).collect();
-    let (merges, path) = merges_in_order(&outcome.logs);
-    for (merge, to) in merges.iter().zip(&path) {
-        becomes[merge.removed.index()] = merge.survivor.index();
-        replayed[merge.survivor.index()] = *to;
+    let way = Way::new(&outcome.logs);
+    for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.path) {
+        becomes[removed as usize] = survivor as usize;
+        replayed[survivor as usize] = *to;
     }
     let last = |mut v: usize| {
         while becomes[v] != v {

@@ -52,12 +52,29 @@ def assert_equal(one: Simplified | Replayed, other: Simplified | Replayed) -> No
 # -- replay ----------------------------------------------------------------------------------------------
 
 
+BOUNDED = {
+    "certified": {"max_shape": 0.02, "max_texture": 20},
+    "certified to a number": {"max_shape": 0.05, "triangles": 500},
+    "jia01": {"method": "jia01", "max_shape": 0.03},
+    "jia01 with splits": {"method": "jia01", "max_shape": 0.03, "resolution": 0.07},
+}
+
+
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])
 def test_the_whole_record_gives_the_result(name: str, fit: bool) -> None:
     result, record = recorded(MESHES[name](), ratio=0.1, fit=fit)
     assert len(record.removed) == result.collapses
     assert_equal(record.replay(fit=fit), result)
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("how", BOUNDED)
+def test_the_whole_record_gives_the_result_within_bounds(name: str, how: str) -> None:
+    result, record = recorded(MESHES[name](), **BOUNDED[how])
+    assert len(record.removed) == result.collapses > 150
+    assert (result.splits > 0) == (how == "jia01 with splits")
+    assert_equal(record.replay(), result)
 
 
 def test_no_collapse_gives_the_input() -> None:
@@ -68,12 +85,12 @@ def test_no_collapse_gives_the_input() -> None:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_every_mesh_on_the_way_is_whole(name: str) -> None:
-    mesh = MESHES[name]()
-    _, record = recorded(mesh, triangles=1)
-    was = topology(mesh)
-    assert len(record.removed) > 300
-    triangles = len(mesh.triangles)
+@pytest.mark.parametrize("how", ["quadric", *BOUNDED])
+def test_every_mesh_on_the_way_is_whole(name: str, how: str) -> None:
+    _, record = recorded(MESHES[name](), **BOUNDED.get(how, {"triangles": 1}))
+    was = topology(record.mesh)
+    assert len(record.removed) > (300 if how == "quadric" else 150)
+    triangles = len(record.mesh.triangles)
     for collapses in range(0, len(record.removed) + 1, 7):
         replayed = record.replay(collapses=collapses)
         now = topology(replayed.mesh)
@@ -162,6 +179,20 @@ def test_locks_hold_all_the_way() -> None:
         np.testing.assert_array_equal(replayed.vertex_source[at], lock)
         np.testing.assert_array_equal(replayed.mesh.vertices[at], mesh.vertices[lock])
         np.testing.assert_array_equal(replayed.mesh.colors[at], mesh.colors[lock])
+
+
+def test_what_is_taken_back_is_not_in_the_record(shared_data: Path) -> None:
+    mesh = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
+    result, record = recorded(mesh, max_shape=0.005, max_texture=20)
+    assert result.iterations is not None
+    assert result.iterations > 3
+    assert len(record.removed) == result.collapses
+    assert_equal(record.replay(), result)
+    was = topology(mesh)
+    for ratio in (0.6, 0.3, 0.15):
+        now = topology(record.replay(ratio=ratio).mesh)
+        assert now.is_manifold
+        assert (now.euler, now.boundary_loops) == (was.euler, was.boundary_loops)
 
 
 def test_a_scan_in_patches(shared_data: Path) -> None:

@@ -444,8 +444,6 @@ def test_regions_stand_for_their_vertices() -> None:
         ({"method": "quadric", "ratio": 0.5, "paper_rule": True}, "paper_rule has no meaning"),
         ({"method": "magic"}, "method is 'magic'; it must be one of auto, quadric"),
         ({"resolution": 0.1, "importance": np.full(36, 2.0)}, "importance has no meaning for method jia01"),
-        ({"resolution": 0.1, "record": True}, "jia01 keeps no record"),
-        ({"max_shape": 0.1, "record": True}, "certified keeps no record"),
         ({"max_shape": 0.1, "importance": np.full(36, 0.5)}, "importance has values below 1"),
         ({"method": "certified"}, "certified needs a bound"),
         (

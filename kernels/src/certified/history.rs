@@ -10,7 +10,7 @@
 //! 1996.
 
 use crate::original::Original;
-use crate::rounds::Log;
+use crate::rounds::{Log, Way};
 
 /// No collapse.
 const NONE: u32 = u32::MAX;
@@ -25,13 +25,27 @@ struct Collapse {
     above: u32,
 }
 
+/// Collapses of one round in one patch.
+struct Part<const D: usize> {
+    /// The number of the first of them.
+    first: u32,
+    round: u32,
+    path: Vec<[f64; D]>,
+    /// Empty unless the way will be asked for.
+    priorities: Vec<f64>,
+}
+
 pub struct History<'a, const D: usize> {
     original: &'a Original<D>,
     /// In the order of time. Those taken back are not reached from any vertex any more.
     collapses: Vec<Collapse>,
     standing: usize,
-    /// Where each one's survivor went, in the pieces this was recorded in, and the number of the first of each piece.
-    paths: Vec<(u32, Vec<[f64; D]>)>,
+    /// Where each one's survivor went, in the pieces this was recorded in.
+    parts: Vec<Part<D>>,
+    /// Rounds so far.
+    rounds: u32,
+    /// Whether it will be asked for the way.
+    in_order: bool,
     /// By vertex of the input: the vertex of the current mesh it is part of.
     root: Vec<u32>,
     /// By vertex of the current mesh: the last collapse it survived.
@@ -39,14 +53,16 @@ pub struct History<'a, const D: usize> {
 }
 
 impl<'a, const D: usize> History<'a, D> {
-    /// The history of the input itself: nothing has happened.
-    pub fn new(original: &'a Original<D>) -> Self {
+    /// The history of the input itself: nothing has happened. `in_order` if the way will be asked for.
+    pub fn new(original: &'a Original<D>, in_order: bool) -> Self {
         let vertices = original.points.len();
         Self {
             original,
             collapses: vec![],
             standing: 0,
-            paths: vec![],
+            parts: vec![],
+            rounds: 0,
+            in_order,
             root: (0..vertices as u32).collect(),
             last: vec![NONE; vertices],
         }
@@ -62,8 +78,14 @@ impl<'a, const D: usize> History<'a, D> {
             into[merge.removed.index()] = into[merge.survivor.index()];
         }
         self.root.iter_mut().for_each(|root| *root = into[*root as usize]);
+        let before = self.rounds;
         for log in logs {
-            self.paths.push((self.collapses.len() as u32, log.path));
+            let round = before + log.round as u32;
+            self.rounds = round + 1;
+            let first = self.collapses.len() as u32;
+            let priorities =
+                if self.in_order { log.merges.iter().map(|m| m.priority).collect() } else { vec![] };
+            self.parts.push(Part { first, round, path: log.path, priorities });
             for merge in log.merges {
                 let number = self.collapses.len() as u32;
                 let (survivor, removed) = (merge.survivor.0, merge.removed.0);
@@ -92,10 +114,42 @@ impl<'a, const D: usize> History<'a, D> {
         match self.last[v as usize] {
             NONE => self.original.points[v as usize],
             last => {
-                let (first, path) = &self.paths[self.paths.partition_point(|path| path.0 <= last) - 1];
-                path[(last - first) as usize]
+                let part = self.part_of(last);
+                part.path[(last - part.first) as usize]
             }
         }
+    }
+
+    fn part_of(&self, collapse: u32) -> &Part<D> {
+        &self.parts[self.parts.partition_point(|part| part.first <= collapse) - 1]
+    }
+
+    /// The collapses that stand, those of least priority first in each round: no other changed what they needed.
+    pub fn way(&self) -> Way<D> {
+        let mut standing = vec![];
+        let mut open: Vec<u32> = self
+            .last
+            .iter()
+            .zip(&self.root)
+            .zip(0..)
+            .filter(|((_, root), v)| *root == v)
+            .map(|((last, _), _)| *last)
+            .collect();
+        while let Some(number) = open.pop() {
+            if number != NONE {
+                let part = self.part_of(number);
+                let priority = part.priorities[(number - part.first) as usize];
+                standing.push((part.round, priority, number));
+                open.extend(self.collapses[number as usize].below);
+            }
+        }
+        standing.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+        let collapse = |(_, _, number): (u32, f64, u32)| {
+            let Collapse { removed, survivor, .. } = self.collapses[number as usize];
+            let part = self.part_of(number);
+            (removed, survivor, part.path[(number - part.first) as usize])
+        };
+        standing.into_iter().map(collapse).collect()
     }
 
     /// What a triangle of the input is in the current mesh, if it is still there.

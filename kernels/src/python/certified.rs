@@ -115,6 +115,7 @@ fn simplify_points<const D: usize, const K: usize>(
         iterations: result.passes.len(),
         unproven: (own, original),
     };
-    let simplified = Simplified::new(py, &result.mesh, result.stop, standing, collapses, attempts)?;
+    let simplified =
+        Simplified::new(py, &result.mesh, result.stop, standing, collapses, attempts, &result.way)?;
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(proven))
 }

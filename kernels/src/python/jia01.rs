@@ -4,12 +4,13 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, unknown_attributes};
+use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::error::KernelError;
 use crate::geometry::distance2;
 use crate::jia01::{self, Limits, Options, Standing};
+use crate::mesh::Compact;
 use crate::parallel::{fill, threads};
 use crate::patch::Whole;
 
@@ -19,7 +20,12 @@ pub struct BySums {
     splits: u64,
     largest_shape_change: f64,
     largest_texture_change: f64,
+    /// What the collapses began with, if they were recorded and that is not the input.
+    split: Option<Split>,
 }
+
+/// Vertices, attributes and triangles of a mesh, and the vertex and the triangle of the input that each comes from.
+type Split = (Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<i32>>, Py<PyArray1<i32>>);
 
 /// Simplify a mesh with JIA01. Bounds are infinite where there is none.
 #[pyfunction]
@@ -89,12 +95,29 @@ fn simplify_points<const D: usize>(
         ("pinned", pinned),
         ("fold", fold),
     ];
-    let simplified =
-        Simplified::new(py, &result.mesh, result.stop, standing, result.collapses, result.attempts)?;
+    let simplified = Simplified::new(
+        py,
+        &result.mesh,
+        result.stop,
+        standing,
+        result.collapses,
+        result.attempts,
+        &result.way,
+    )?;
+    let split = |mesh: Compact<D>| -> PyResult<Split> {
+        Ok((
+            columns(py, &mesh.points, 0..3)?,
+            columns(py, &mesh.points, 3..D)?,
+            triangle_array(py, &mesh.triangles)?,
+            id_array(py, mesh.vertex_source.into_iter()),
+            id_array(py, mesh.triangle_source.into_iter()),
+        ))
+    };
     let sums = BySums {
         splits: result.splits,
         largest_shape_change: result.largest_shape_change,
         largest_texture_change: result.largest_texture_change,
+        split: result.split.map(split).transpose()?,
     };
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(sums))
 }

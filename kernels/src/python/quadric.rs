@@ -1,10 +1,10 @@
 //! `stages._kernels.simplify_by_quadrics` and `residuals`.
 
-use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, Inputs, columns, id_array, unknown_attributes};
+use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::balance;
@@ -15,18 +15,13 @@ use crate::mesh::check_points;
 use crate::parallel::threads;
 use crate::patch::Whole;
 use crate::qem::QemRecords;
-use crate::rounds::{collapse, merges_in_order};
+use crate::rounds::{Way, collapse, merges_in_order};
 
-/// A mesh simplified by attribute quadrics, and the way there.
+/// A mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = Simplified)]
 pub struct ByQuadrics {
     /// For each vertex of the input the vertex of the result it became part of, −1 for none.
     became: Py<PyArray1<i32>>,
-    /// For each collapse, if that was asked for: the vertex that vanished, the one it became part of, and where
-    /// that went.
-    removed: Py<PyArray1<i32>>,
-    survivor: Py<PyArray1<i32>>,
-    path: Py<PyArray2<f64>>,
 }
 
 /// Simplify a mesh by attribute quadrics to a number of triangles. `weight` is the length that counts as much as one
@@ -70,7 +65,7 @@ fn simplify_points<const D: usize, const K: usize>(
 ) -> PyResult<Py<ByQuadrics>> {
     let (points, triangles) = inputs.copied::<D>()?;
     let vertices = points.len();
-    let (mesh, standing, stop, merges, path, attempts) =
+    let (mesh, standing, stop, merges, way, attempts) =
         detached(py, progress, running.partial, |progress| {
             let whole = Whole::new(points, triangles, fixed)?;
             let records = QemRecords::<K> { weight, importance };
@@ -84,17 +79,12 @@ fn simplify_points<const D: usize, const K: usize>(
                 ("fold", count(Illegal::Fold)),
             ];
             let mesh = outcome.mesh.into_compact();
-            let (merges, path) = merges_in_order(&outcome.logs);
-            Ok((mesh, standing, outcome.stop, merges, path, outcome.attempts))
+            let (merges, way) = (merges_in_order(&outcome.logs), Way::new(&outcome.logs));
+            Ok((mesh, standing, outcome.stop, merges, way, outcome.attempts))
         })?;
-    let way = ByQuadrics {
-        became: PyArray1::from_vec(py, follow(vertices, &mesh.vertex_source, &merges)).unbind(),
-        removed: id_array(py, merges.iter().take(path.len()).map(|m| m.removed.0)),
-        survivor: id_array(py, merges.iter().take(path.len()).map(|m| m.survivor.0)),
-        path: columns(py, &path, 0..D)?,
-    };
-    let simplified = Simplified::new(py, &mesh, stop, standing, merges.len() as u64, attempts)?;
-    Py::new(py, PyClassInitializer::from(simplified).add_subclass(way))
+    let became = PyArray1::from_vec(py, follow(vertices, &mesh.vertex_source, &merges)).unbind();
+    let simplified = Simplified::new(py, &mesh, stop, standing, merges.len() as u64, attempts, &way)?;
+    Py::new(py, PyClassInitializer::from(simplified).add_subclass(ByQuadrics { became }))
 }
 
 /// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.

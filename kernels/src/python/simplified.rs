@@ -9,7 +9,7 @@ use super::arrays::{columns, id_array, triangle_array};
 use crate::engine::Stop;
 use crate::mesh::Compact;
 use crate::parallel::threads;
-use crate::rounds::{Goal, PATCH};
+use crate::rounds::{Goal, PATCH, Way};
 
 /// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in patches of how many
 /// triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
@@ -61,6 +61,10 @@ pub struct Simplified {
     standing: BTreeMap<&'static str, usize>,
     collapses: u64,
     attempts: u64,
+    /// Each collapse, if that was asked for: the vertex that vanished, the one it became part of, where that went.
+    removed: Py<PyArray1<i32>>,
+    survivor: Py<PyArray1<i32>>,
+    path: Py<PyArray2<f64>>,
 }
 
 impl Simplified {
@@ -71,6 +75,7 @@ impl Simplified {
         standing: [(&'static str, usize); RULES],
         collapses: u64,
         attempts: u64,
+        way: &Way<D>,
     ) -> PyResult<Self> {
         Ok(Self {
             vertices: columns(py, &mesh.points, 0..3)?,
@@ -86,6 +91,9 @@ impl Simplified {
             standing: standing.into(),
             collapses,
             attempts,
+            removed: id_array(py, way.removed.iter().copied()),
+            survivor: id_array(py, way.survivor.iter().copied()),
+            path: columns(py, &way.path, 0..D)?,
         })
     }
 }
