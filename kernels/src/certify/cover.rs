@@ -396,3 +396,6 @@ fn extent(corners: &[Vec3; 3]) -> f64 {
     let [low, high] = around(corners.iter().copied());
     (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,46 @@
+//! How far the attributes of neighbours are apart: T(e), and what it is on a mesh before any collapse.
+
+use crate::star::Star;
+
+/// Squared difference of the attributes of two vertices.
+#[inline]
+fn contrast2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {
+    (3..D).map(|i| (a[i] - b[i]) * (a[i] - b[i])).sum()
+}
+
+/// T(e) (3): the largest attribute difference along any edge of the star.
+#[inline]
+pub fn texture_change<const D: usize>(star: &Star<D>) -> f64 {
+    let [first, second] = &star.end_points;
+    let mut largest2 = contrast2(first, second);
+    for wing in &star.wings {
+        let end = star.end_point(wing.end);
+        largest2 = largest2
+            .max(contrast2(end, &wing.from_point))
+            .max(contrast2(end, &wing.to_point))
+            .max(contrast2(&wing.from_point, &wing.to_point));
+    }
+    // At the far corners one end may have no wing.
+    for (_, _, apex) in &star.vanishing {
+        largest2 = largest2.max(contrast2(first, apex)).max(contrast2(second, apex));
+    }
+    largest2.sqrt()
+}
+
+/// The largest attribute difference along any edge of each vertex's star. T(e) of an edge on the mesh as it is
+/// given is the larger one of its ends, whose stars together are that of the edge.
+pub fn contrast_around<const D: usize>(
+    points: &[[f64; D]],
+    triangles: impl Iterator<Item = [u32; 3]>,
+) -> Vec<f64> {
+    let mut around = vec![0f64; points.len()];
+    for corners in triangles {
+        let [a, b, c] = corners.map(|v| &points[v as usize]);
+        let largest2 = contrast2(a, b).max(contrast2(b, c)).max(contrast2(c, a));
+        for v in corners {
+            around[v as usize] = around[v as usize].max(largest2);
+        }
+    }
+    around.iter_mut().for_each(|contrast| *contrast = contrast.sqrt());
+    around
+}

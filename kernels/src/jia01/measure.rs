@@ -1,0 +1,260 @@
+//! The measure of JIA01: where the new vertex goes, what a collapse changes, and which stop rule holds an edge.
+//!
+//! The paper reaches the projection of (6) through a normal n3 in R^(3+k), which does not exist when the midpoint
+//! lies in the triangle's plane. The foot of the perpendicular on the plane of e1, e2 is the same point and
+//! always exists.
+
+use super::contrast::{contrast_around, texture_change};
+use super::{Limits, Options};
+use crate::engine::{Collapsed, Measure, Proposal};
+use crate::geometry::{add_scaled, distance2, sub};
+use crate::ids::EdgeId;
+use crate::mesh::Mesh;
+use crate::shape::{Overlay, boundary_change, shape_change};
+use crate::star::Star;
+
+/// A height below this share of the base is rounding error; such a triangle has no plane to project on.
+const LEAST_HEIGHT2: f64 = 1e-20;
+
+/// The three stop rules.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Bound {
+    Length,
+    Shape,
+    Texture,
+}
+
+/// What one collapse changes: S(e) and T(e).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Change {
+    pub shape: f64,
+    pub texture: f64,
+    /// The least S_A of the new star's spokes afterwards: a point of any old triangle may have come to lie in
+    /// any new one, with the changes of the old one behind it. 0 under the paper's rule.
+    pub least_sum: f64,
+}
+
+/// What has been summed up on an edge.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Accumulated {
+    /// S_A
+    pub shape: f64,
+    /// The part of T_A that collapses added.
+    pub texture: f64,
+    /// The part of T_A that was there at the start: T(e) on the mesh before any collapse.
+    pub contrast: f64,
+}
+
+impl Accumulated {
+    /// T_A
+    #[inline]
+    pub fn total_texture(&self) -> f64 {
+        self.contrast + self.texture
+    }
+
+    #[inline]
+    pub(super) fn larger(&self, other: &Self) -> Self {
+        Self {
+            shape: self.shape.max(other.shape),
+            texture: self.texture.max(other.texture),
+            contrast: self.contrast.max(other.contrast),
+        }
+    }
+}
+
+/// The measure of JIA01 on points of R^D.
+pub struct Jia01<const D: usize> {
+    bounds: Limits,
+    scales: Limits,
+    /// Weight of the attributes in the inner product of R^D: the square of the attribute scale.
+    attribute_weight: f64,
+    paper_rule: bool,
+    accumulated: Vec<Accumulated>,
+    overlay: Overlay,
+    pub(super) largest: Change,
+}
+
+impl<const D: usize> Jia01<D> {
+    pub fn new(mesh: &Mesh<D>, options: &Options) -> Self {
+        let triangles = mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0));
+        let around = contrast_around(&mesh.points, triangles);
+        let contrast = |edge| {
+            let [a, b] = mesh.connectivity.ends(edge);
+            around[a.index()].max(around[b.index()])
+        };
+        let mut accumulated = vec![Accumulated::default(); mesh.connectivity.edge_slots()];
+        for edge in mesh.connectivity.edges() {
+            accumulated[edge.index()].contrast = contrast(edge);
+        }
+        Self::with(options, accumulated)
+    }
+
+    pub(super) fn with(options: &Options, accumulated: Vec<Accumulated>) -> Self {
+        Self {
+            bounds: options.bounds,
+            scales: options.scales,
+            attribute_weight: options.attribute_scale * options.attribute_scale,
+            paper_rule: options.paper_rule,
+            accumulated,
+            overlay: Overlay::default(),
+            largest: Change::default(),
+        }
+    }
+
+    pub fn accumulated(&self, edge: EdgeId) -> &Accumulated {
+        &self.accumulated[edge.index()]
+    }
+
+    /// The new vertex (4)–(6): the mean of the midpoint's projections on the planes of the star's triangles.
+    fn mean_projection(&self, star: &Star<D>) -> [f64; D] {
+        let mut sum = [0.0; D];
+        let mut count = 0.0;
+        let mut add = |p: &[f64; D], q: &[f64; D], r: &[f64; D]| {
+            if let Some(offset) = self.offset_to_plane(&star.middle, p, q, r) {
+                sum = add_scaled(&sum, 1.0, &offset);
+                count += 1.0;
+            }
+        };
+        for wing in &star.wings {
+            add(star.end_point(wing.end), &wing.from_point, &wing.to_point);
+        }
+        for (_, _, apex) in &star.vanishing {
+            add(&star.end_points[0], &star.end_points[1], apex);
+        }
+        if count == 0.0 { star.middle } else { add_scaled(&star.middle, 1.0 / count, &sum) }
+    }
+
+    /// From `m` to its orthogonal projection on the affine 2-plane through p, q, r in R^D.
+    #[inline]
+    fn offset_to_plane(&self, m: &[f64; D], p: &[f64; D], q: &[f64; D], r: &[f64; D]) -> Option<[f64; D]> {
+        let (h, k, l) = (sub(q, p), sub(r, p), sub(m, p));
+        let hh = self.inner(&h, &h);
+        // e1 = h / |h| and e2 = (k − (e1·k) e1) / |…|, both left unnormalised.
+        let e2 = add_scaled(&k, -self.inner(&h, &k) / hh, &h);
+        let ee = self.inner(&e2, &e2);
+        // Two equal corners give NaN, which is not larger either.
+        let has_area = ee > LEAST_HEIGHT2 * self.inner(&k, &k).max(hh);
+        if !has_area {
+            return None;
+        }
+        let in_plane = add_scaled(&h.map(|x| x * (self.inner(&l, &h) / hh)), self.inner(&l, &e2) / ee, &e2);
+        Some(sub(&in_plane, &l))
+    }
+
+    /// The same on a boundary, with lines for planes: those of the boundary edges before, at and after.
+    fn mean_projection_on_boundary(&self, star: &Star<D>, [before, after]: [&[f64; D]; 2]) -> [f64; D] {
+        // The midpoint is its own projection on its own line.
+        let mut sum = [0.0; D];
+        let mut count = 1.0;
+        for (a, b) in [(before, &star.end_points[0]), (&star.end_points[1], after)] {
+            let (along, to_a) = (sub(b, a), sub(a, &star.middle));
+            let length2 = self.inner(&along, &along);
+            if length2 > 0.0 {
+                let t = -self.inner(&to_a, &along) / length2;
+                sum = add_scaled(&add_scaled(&sum, 1.0, &to_a), t, &along);
+                count += 1.0;
+            }
+        }
+        add_scaled(&star.middle, 1.0 / count, &sum)
+    }
+
+    #[inline]
+    fn inner(&self, a: &[f64; D], b: &[f64; D]) -> f64 {
+        let space = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let attributes: f64 = (3..D).map(|i| a[i] * b[i]).sum();
+        space + self.attribute_weight * attributes
+    }
+}
+
+impl<const D: usize> Measure<D> for Jia01<D> {
+    type Bound = Bound;
+    type Change = Change;
+
+    /// The order (7), or the stop rule that holds the edge.
+    #[inline]
+    fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Bound> {
+        let [a, b] = mesh.connectivity.ends(edge);
+        let length = distance2(mesh.point(a), mesh.point(b)).sqrt();
+        let sums = &self.accumulated[edge.index()];
+        let texture = sums.total_texture();
+        if length > self.bounds.length {
+            Err(Bound::Length)
+        } else if sums.shape > self.bounds.shape {
+            Err(Bound::Shape)
+        } else if texture > self.bounds.texture {
+            Err(Bound::Texture)
+        } else {
+            Ok((sums.shape / self.scales.shape + 1.0)
+                * (texture / self.scales.texture + 1.0)
+                * (length / self.scales.length + 1.0))
+        }
+    }
+
+    fn propose(&mut self, mesh: &Mesh<D>, star: &Star<D>) -> Result<Proposal<D, Change>, Bound> {
+        let texture = texture_change(star);
+        if !self.paper_rule {
+            let sum = |edge: &EdgeId| self.accumulated[edge.index()].texture;
+            let largest = star.others.iter().map(sum).fold(0.0, f64::max);
+            let total = self.accumulated[star.edge.index()].total_texture();
+            if largest.max(total) + texture > self.bounds.texture {
+                return Err(Bound::Texture);
+            }
+        }
+        let point = match (star.end_stays, star.boundary_neighbours) {
+            ([true, false], _) => star.end_points[0],
+            ([false, true], _) => star.end_points[1],
+            (_, Some([before, after])) => {
+                self.mean_projection_on_boundary(star, [mesh.point(before), mesh.point(after)])
+            }
+            _ => self.mean_projection(star),
+        };
+        let [first, second] = star.end_points.map(|end| distance2(&end, &point));
+        let survivor = usize::from(second < first);
+        Ok(Proposal { survivor, point, change: Change { shape: 0.0, texture, least_sum: 0.0 } })
+    }
+
+    fn judge(
+        &mut self,
+        mesh: &Mesh<D>,
+        star: &Star<D>,
+        proposal: &mut Proposal<D, Change>,
+    ) -> Result<(), Bound> {
+        let mut shape = match star.boundary_neighbours {
+            Some(neighbours) => boundary_change(star, neighbours.map(|v| mesh.point(v)), &proposal.point),
+            None => shape_change(star, &proposal.point),
+        };
+        if !self.paper_rule {
+            let sum = |edge: &EdgeId| self.accumulated[edge.index()].shape;
+            let largest = star.others.iter().map(sum).fold(sum(&star.edge), f64::max);
+            if largest + shape > self.bounds.shape {
+                return Err(Bound::Shape);
+            }
+            shape = shape.max(self.overlay.crossing_gap(star, &proposal.point));
+            if largest + shape > self.bounds.shape {
+                return Err(Bound::Shape);
+            }
+            proposal.change.least_sum = largest + shape;
+        }
+        proposal.change.shape = shape;
+        Ok(())
+    }
+
+    fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Change) {
+        for edge in &star.others {
+            let sums = &mut self.accumulated[edge.index()];
+            sums.shape += change.shape;
+            sums.texture += change.texture;
+            self.largest.shape = self.largest.shape.max(sums.shape);
+            self.largest.texture = self.largest.texture.max(sums.texture);
+        }
+        for (kept, gone) in collapsed.merged.into_iter().flatten() {
+            self.accumulated[kept.index()] =
+                self.accumulated[kept.index()].larger(&self.accumulated[gone.index()]);
+        }
+        for (spoke, _) in mesh.connectivity.spokes(collapsed.survivor) {
+            let sums = &mut self.accumulated[spoke.index()];
+            sums.shape = sums.shape.max(change.least_sum);
+            self.largest.shape = self.largest.shape.max(sums.shape);
+        }
+    }
+}
