@@ -43,6 +43,13 @@ def speed() -> ModuleType:
 
 
 @pytest.fixture
+def at_a_bound() -> ModuleType:
+    import at_a_bound
+
+    return at_a_bound
+
+
+@pytest.fixture
 def results() -> ModuleType:
     from peers import results
 
@@ -212,3 +219,39 @@ def test_growth_is_relative_to_n_log_n(speed: ModuleType):
     ratios = speed.over_n_log_n({10_000: 40.0, 100: 10.0, 1_000_000: 30.0})
 
     assert ratios == pytest.approx({100: 1, 10_000: 2, 1_000_000: 1})
+
+
+def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
+    meshes: ModuleType, at_a_bound: ModuleType, monkeypatch: pytest.MonkeyPatch
+):
+    from stages.simplify import simplify
+
+    globe = meshes.globe(12, MAP)
+    light = simplify(globe, ratio=0.2).mesh
+    peers = [("one", light), ("other", light.with_(colors=None))]
+    monkeypatch.setattr(at_a_bound, "results", lambda *_: peers)
+    asked = []
+
+    def spied(*args: Any, **changes: Any) -> Any:
+        asked.append((changes["max_shape"], changes["max_texture"]))
+        return simplify(*args, **changes)
+
+    monkeypatch.setattr(at_a_bound, "simplify", spied)
+    rows = list(at_a_bound.compared(globe, "globe", 0.2, [], 1000))
+
+    distance, levels = at_a_bound.worst(globe, light, 1000)
+    assert asked == [(distance, None), (distance, levels), (distance, None)]
+    assert rows[0][1] == rows[2][1]
+    assert all(row.count("|") == at_a_bound.HEAD.splitlines()[0].count("|") for row, _ in rows)
+
+
+def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound: ModuleType):
+    from stages.simplify import simplify
+
+    globe = meshes.globe(12, MAP)
+    ours = simplify(globe, max_shape=0.02, max_texture=40)
+
+    assert 0 < at_a_bound.measured_over_proven(globe, ours, 1000) <= 1
+    for less in ({"shape_bound_m": 1e-4}, {"color_bound_levels": 1.0}):
+        with pytest.raises(SystemExit, match="proof is wrong"):
+            at_a_bound.measured_over_proven(globe, dataclasses.replace(ours, **less), 1000)

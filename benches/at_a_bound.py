@@ -1,0 +1,134 @@
+"""Triangles `simplify` needs to prove the largest deviation that another simplifier's result is seen to have.
+
+    python benches/at_a_bound.py DATA [--ratios 0.1 0.04] [--mesh horse.ply ...] [--only VTK]
+                                      [--samples 1000000]
+
+DATA holds `meshes/`; one Markdown table is printed. Peers, their settings and how each is called are those of
+`benches/simplify.py`. Each peer simplifies to a share of the triangles, and `attack` of `benches/bounds.py`
+looks for the largest distance between its result and the input, both ways. Ours then gets that distance as
+`max_shape`, and no number of triangles. Where the peer keeps colours, a second row has the largest difference
+of colour, found in the same way, as `max_texture` besides.
+
+What is found is at most the peer's true maximum, while ours has to prove it for every point: the comparison
+favours the peer. But it is one of maxima alone: a single bad place of a peer's gives ours a wide bound.
+"proven / asked" is above 1 where a bound cannot be proven. Ours is attacked, too; where more is found than it
+proves, the bench ends with an error. The whole takes half an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import meshes
+from bounds import diagonal, worst
+from peers.native import Missing
+from peers.tools import OURS, Tool
+from simplify import in_own_process, installed, load, save
+
+from stages.mesh import Mesh
+from stages.simplify import Simplified, simplify
+
+MESHES = ("horse.ply", "fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply")
+HEAD = (
+    "| mesh | to | tool | its triangles | its maximum / diagonal | levels | ours: triangles | ours / its "
+    "| proven / asked | measured / proven |\n|---|---:|---|---:|---:|---:|---:|---:|---:|---:|"
+)
+
+
+def compared(
+    mesh: Mesh, name: str, share: float, tools: list[Tool], samples: int
+) -> Iterator[tuple[str, float]]:
+    """Return a row for each peer, setting and set of bounds, and our triangles over the peer's."""
+    for label, light in results(mesh, share, tools):
+        distance, levels = worst(mesh, light, samples)
+        for asked in (None,) if light.colors is None else (None, levels):
+            ours = simplify(mesh, method="certified", max_shape=distance, max_texture=asked)
+            assert ours.shape_bound_m is not None
+            proven = ours.shape_bound_m / distance
+            if asked is not None:
+                assert ours.color_bound_levels is not None
+                proven = max(proven, ours.color_bound_levels / asked)
+            ratio = len(ours.mesh.triangles) / len(light.triangles)
+            cells = (
+                name,
+                f"{share:.0%}",
+                label,
+                f"{len(light.triangles):,}",
+                f"{distance / diagonal(mesh):.3e}",
+                "" if asked is None else f"{asked:.1f}",
+                f"{len(ours.mesh.triangles):,}",
+                f"{ratio:.2f}",
+                f"{proven:.3f}",
+                f"{measured_over_proven(mesh, ours, samples):.3f}",
+            )
+            yield "| " + " | ".join(cells) + " |", ratio
+
+
+def results(mesh: Mesh, share: float, tools: list[Tool]) -> Iterator[tuple[str, Mesh]]:
+    """Return what each peer makes of the mesh with each of its settings, and print where one fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, result = Path(folder, "given.npz"), Path(folder, "result.npz")
+        save(mesh, given)
+        for tool in tools:
+            settings = list(tool.settings)
+            for setting in settings if mesh.colors is not None else settings[:1]:
+                label = tool.name if mesh.colors is None else f"{tool.name} {setting}".strip()
+                try:
+                    in_own_process(tool, setting, given, math.floor(share * len(mesh.triangles)), result)
+                except (Missing, subprocess.SubprocessError) as error:
+                    print(f"| {label} | failed: {error} |")
+                    continue
+                yield label, load(result)
+
+
+def measured_over_proven(mesh: Mesh, ours: Simplified, samples: int) -> float:
+    """Return the largest deviation that is found over the one that is proven, in shape or in colour.
+
+    Raises
+    ------
+    SystemExit
+        If it is above 1.
+    """
+    distance, levels = worst(mesh, ours.mesh, samples)
+    assert ours.shape_bound_m is not None
+    ratio = distance / ours.shape_bound_m
+    if ours.color_bound_levels is not None:
+        ratio = max(ratio, levels / ours.color_bound_levels)
+    if ratio > 1:
+        raise SystemExit(
+            f"The proof is wrong: {distance:g} m and {levels:g} levels were found, proven were "
+            f"{ours.shape_bound_m:g} m and {ours.color_bound_levels or 0:g} levels."
+        )
+    return ratio
+
+
+def main() -> None:
+    """Print the table, and the least and the greatest ratio."""
+    assert __doc__ is not None
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
+    parser.add_argument("--mesh", nargs="+", default=MESHES, help="files in DATA/meshes")
+    parser.add_argument("--only", nargs="+", metavar="TOOL", help="peers whose names start so")
+    parser.add_argument("--samples", type=int, default=1_000_000)
+    options = parser.parse_args()
+    tools = [tool for tool in installed(options.only) if tool.name != OURS]
+    print(f"\n{HEAD}", flush=True)
+    ratios = []
+    for name in options.mesh:
+        mesh = meshes.scan(options.data / "meshes" / name)
+        for share in options.ratios:
+            for row, ratio in compared(mesh, name, share, tools, options.samples):
+                ratios.append(ratio)
+                print(row, flush=True)
+    if ratios:
+        print(f"\nOurs / its: {min(ratios):.2f} to {max(ratios):.2f}")
+
+
+if __name__ == "__main__":
+    main()
