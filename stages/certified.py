@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.centred import as_result, attributes_of
 from stages.collapse_record import CollapseRecord
-from stages.color_weight import color_weight
+from stages.color_weight import balanced_weight
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.progress import Progress, silent
@@ -92,7 +92,7 @@ def simplify_certified(
         max_shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh)
     shape, color = float(max_shape), math.inf if max_color is None else float(max_color)
     if weight is None:
-        weight = color_weight(mesh, len(mesh.triangles) // _REDUCTION, threads)
+        weight = balanced_weight(mesh, len(mesh.triangles) // _REDUCTION, threads)
     running = _kernels.Running(
         target_triangles=triangles,
         threads=threads,

@@ -84,7 +84,13 @@ def _as_it_is(
     given = centred(mesh)
     weight = params.attribute_scale
     if weight is None:
-        weight = color_weight(mesh, running.target_triangles, running.threads)
+        try:
+            weight = color_weight(mesh, running.target_triangles, running.threads, progress)
+        except KeyboardInterrupt:
+            if not running.partial:
+                raise
+            # There is only the input by now.
+            weight, progress = 0.0, _no_more
     result = _kernels.simplify_by_quadrics(
         given.vertices,
         given.attributes,
@@ -131,6 +137,10 @@ def _as_it_is(
         fitted=is_fitted,
         record=kept,
     )
+
+
+def _no_more(done: int, total: int) -> bool:  # noqa: ARG001
+    return False
 
 
 class _Content(Exception):  # noqa: N818 (nothing went wrong)

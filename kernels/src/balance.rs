@@ -73,7 +73,7 @@ pub fn residuals<const D: usize>(
 }
 
 /// The grid cell of a triangle's centre, as one number.
-fn cell<const D: usize>(corners: [&[f64; D]; 3], low: &Vec3, side: f64) -> u64 {
+pub fn cell<const D: usize>(corners: [&[f64; D]; 3], low: &Vec3, side: f64) -> u64 {
     (0..3).fold(0, |key, i| {
         let centre = corners.iter().map(|p| p[i]).sum::<f64>() / 3.0;
         key << 21 | (((centre - low[i]) / side) as u64 & 0x1f_ffff)
@@ -81,7 +81,7 @@ fn cell<const D: usize>(corners: [&[f64; D]; 3], low: &Vec3, side: f64) -> u64 {
 }
 
 /// Spread cell numbers evenly (Fibonacci hashing), so that the chosen ones lie all over the mesh.
-fn scrambled(cell: u64) -> u64 {
+pub fn scrambled(cell: u64) -> u64 {
     cell.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32
 }
 

@@ -12,7 +12,8 @@
 //! | [`partition`], [`patch`], [`rounds`], [`parallel`] | the loop over a mesh of any size, patch by patch, on all threads |
 //! | [`memory`] | giving back what is free |
 //! | [`spatial`] | an order in which neighbours in space are neighbours in memory |
-//! | [`quadric`], [`qem`], [`balance`] | attribute quadrics, the measure that uses them, and how much a colour counts |
+//! | [`quadric`], [`qem`] | attribute quadrics, and the measure that uses them |
+//! | [`balance`], [`trial`] | how much a colour counts: what follows from the data, and what it costs in shape |
 //! | [`fit`] | fitting a result to its input by least squares |
 //! | [`certified`], [`tracked`], [`original`], [`fan`] | simplification within proven bounds; samples of the input that steer it |
 //! | [`certify`], [`bvh`] | proven bounds between two surfaces; the tree they search |
@@ -48,6 +49,7 @@ pub mod spatial;
 pub mod split;
 pub mod star;
 pub mod tracked;
+pub mod trial;
 pub mod validate;
 
 #[cfg(feature = "python")]

@@ -48,6 +48,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<simplified::Simplified>()?;
     module.add_class::<quadric::ByQuadrics>()?;
     module.add_function(wrap_pyfunction!(quadric::simplify_by_quadrics, module)?)?;
+    module.add_function(wrap_pyfunction!(quadric::affordable_weight, module)?)?;
     module.add_function(wrap_pyfunction!(quadric::residuals, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;

@@ -1,4 +1,4 @@
-//! `stages._kernels.simplify_by_quadrics` and `residuals`.
+//! `stages._kernels.simplify_by_quadrics`, `residuals` and `affordable_weight`.
 
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -16,6 +16,7 @@ use crate::parallel::threads;
 use crate::patch::Whole;
 use crate::qem::QemRecords;
 use crate::rounds::{Way, collapse, merges_in_order};
+use crate::trial;
 
 /// A mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -130,4 +131,45 @@ fn residuals_of_points<const D: usize>(
     check_points(&points)?;
     check_indices(points.len(), &triangles)?;
     Ok(py.detach(|| balance::residuals(&points, &triangles, target, threads(wanted_threads))))
+}
+
+/// The largest weight up to `weight` whose error of shape, tried on a sample, is near that without colours.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, *, target, weight, wanted_threads,
+                    progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn affordable_weight(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    target: usize,
+    weight: f64,
+    wanted_threads: usize,
+    progress: Py<PyAny>,
+) -> PyResult<f64> {
+    let inputs = Inputs { vertices, attributes, triangles };
+    match inputs.attribute_count() {
+        0 => Ok(weight),
+        1 => affordable_of_points::<4, 1>(py, &inputs, target, weight, wanted_threads, &progress),
+        3 => affordable_of_points::<6, 3>(py, &inputs, target, weight, wanted_threads, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn affordable_of_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    target: usize,
+    weight: f64,
+    wanted_threads: usize,
+    progress: &Py<PyAny>,
+) -> PyResult<f64> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    check_points(&points)?;
+    check_indices(points.len(), &triangles)?;
+    let threads = threads(wanted_threads);
+    detached(py, progress, false, |progress| {
+        trial::affordable::<D, K>(&points, &triangles, target, weight, threads, progress)
+    })
 }
