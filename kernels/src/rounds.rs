@@ -148,7 +148,10 @@ pub fn collapse<const D: usize, R: Records<D>>(
             }
         }
         (mesh, records) = mesh.join(&rim, records, pieces, goal.threads);
-        memory::give_back();
+        if goal.record {
+            // Paths stay between what the patches needed for a while.
+            memory::give_back();
+        }
         histogram = Some(histogram_of_round);
         round += 1;
         if enough {
@@ -288,11 +291,6 @@ fn in_order<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item 
     }
     order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
     order.into_iter().map(|(_, list, i)| (list as usize, i as usize))
-}
-
-/// All merges, those of least priority first in each round.
-pub fn merges_in_order<const D: usize>(logs: &[Log<D>]) -> Vec<Merge> {
-    all_in_order(logs).map(|(log, i)| log.merges[i]).collect()
 }
 
 fn all_in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (&Log<D>, usize)> {

@@ -9,13 +9,13 @@ use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::balance;
 use crate::connect::check_indices;
-use crate::engine::{Merge, Refusal};
+use crate::engine::Refusal;
 use crate::legality::Illegal;
 use crate::mesh::check_points;
 use crate::parallel::threads;
 use crate::patch::Whole;
 use crate::qem::QemRecords;
-use crate::rounds::{Way, collapse, merges_in_order};
+use crate::rounds::{Log, Way, collapse};
 use crate::trial;
 
 /// A mesh simplified by attribute quadrics.
@@ -66,7 +66,7 @@ fn simplify_points<const D: usize, const K: usize>(
 ) -> PyResult<Py<ByQuadrics>> {
     let (points, triangles) = inputs.copied::<D>()?;
     let vertices = points.len();
-    let (mesh, standing, stop, merges, way, attempts) =
+    let (mesh, standing, stop, collapses, became, way, attempts) =
         detached(py, progress, running.partial, |progress| {
             let whole = Whole::new(points, triangles, fixed)?;
             let records = QemRecords::<K> { weight, importance };
@@ -80,21 +80,22 @@ fn simplify_points<const D: usize, const K: usize>(
                 ("fold", count(Illegal::Fold)),
             ];
             let mesh = outcome.mesh.into_compact();
-            let (merges, way) = (merges_in_order(&outcome.logs), Way::new(&outcome.logs));
-            Ok((mesh, standing, outcome.stop, merges, way, outcome.attempts))
+            let became = follow(vertices, &mesh.vertex_source, &outcome.logs);
+            let way = Way::new(&outcome.logs);
+            Ok((mesh, standing, outcome.stop, outcome.collapses, became, way, outcome.attempts))
         })?;
-    let became = PyArray1::from_vec(py, follow(vertices, &mesh.vertex_source, &merges)).unbind();
-    let simplified = Simplified::new(py, &mesh, stop, standing, merges.len() as u64, attempts, &way)?;
+    let became = PyArray1::from_vec(py, became).unbind();
+    let simplified = Simplified::new(py, &mesh, stop, standing, collapses as u64, attempts, &way)?;
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(ByQuadrics { became }))
 }
 
 /// Follow the merges backwards: what became of a vertex is what became of the one it was merged into.
-fn follow(vertices: usize, left: &[u32], merges: &[Merge]) -> Vec<i32> {
+fn follow<const D: usize>(vertices: usize, left: &[u32], logs: &[Log<D>]) -> Vec<i32> {
     let mut became = vec![-1; vertices];
     for (new, &v) in left.iter().enumerate() {
         became[v as usize] = new as i32;
     }
-    for merge in merges.iter().rev() {
+    for merge in logs.iter().rev().flat_map(|log| log.merges.iter().rev()) {
         became[merge.removed.index()] = became[merge.survivor.index()];
     }
     became
