@@ -39,20 +39,25 @@ def scan(path: Path) -> Mesh:
 
 
 def painted(data: Path) -> Mesh:
-    """Read a photogrammetric model, and paint it with the earth's map as if by a slide projector.
+    """Read a photogrammetric model, and paint it with the earth's map."""
+    return projected(data / "meshes/sceaux_mvs_scene_mesh.ply", earth(data))
 
-    The map is stretched over the box of the first two principal axes; the third is the projector's direction.
+
+def projected(path: Path, image: Colors) -> Mesh:
+    """Read any model, make it manifold, and paint it as if by a slide projector.
+
+    The image is stretched over the box of the first two principal axes; the third is the projector's
+    direction.
     """
-    mesh = clean(read_mesh(data / "meshes/sceaux_mvs_scene_mesh.ply")).mesh
+    mesh = clean(read_mesh(path)).mesh
     centred = mesh.vertices - mesh.vertices.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
     # An axis may come out either way round; its largest component decides.
     axes *= np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1))
     at = centred @ axes.T
     low, high = at.min(axis=0), at.max(axis=0)
-    image = earth(data)
     x, y = ((at - low) / (high - low) * (image.shape[1] - 1, image.shape[0] - 1)).T
-    return mesh.with_(colors=bilinear(image, x, y), normals=None)
+    return mesh.with_(colors=bilinear(image, x, y), normals=None, texture=None)
 
 
 def satellite(data: Path) -> Mesh:

@@ -1,7 +1,7 @@
 """Simplifiers side by side, each called the way its users call it: shape, colour, soundness, time, memory.
 
     python benches/simplify.py DATA [--ratios 0.1 0.04] [--mesh globe] [--only VTK] [--scan FILE]
-                                    [--picture FILE] [--summary] [--samples 200000]
+                                    [--paint FILE ...] [--picture FILE] [--summary] [--samples 200000]
 
 DATA holds `meshes/` and `images/`. `pip install '.[bench]'` brings the peers that are Python packages;
 meshoptimizer wants cargo, CGAL wants g++ and Debian's libcgal-dev and libeigen3-dev. A peer that is absent
@@ -56,9 +56,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.04])
-    parser.add_argument("--mesh", nargs="+", choices=meshes.MESHES, default=list(meshes.MESHES))
+    parser.add_argument("--mesh", nargs="*", choices=meshes.MESHES, default=list(meshes.MESHES))
     parser.add_argument("--only", nargs="+", metavar="TOOL", help="tools whose names start so, and ours")
     parser.add_argument("--scan", type=Path, help="another coloured mesh")
+    parser.add_argument(
+        "--paint", type=Path, nargs="+", metavar="FILE", help="other models, to paint with a map"
+    )
     parser.add_argument("--picture", type=Path, help="draw shape error against colour error")
     parser.add_argument("--summary", action="store_true", help="print a row a tool; the rest to stderr")
     parser.add_argument("--samples", type=int, default=200_000)
@@ -81,6 +84,8 @@ def run(options: argparse.Namespace) -> list[Row]:
     inputs = {name: meshes.MESHES[name](options.data) for name in options.mesh}
     if options.scan:
         inputs[options.scan.stem] = meshes.scan(options.scan)
+    for path in options.paint or ():
+        inputs[path.stem] = meshes.projected(path, meshes.earth(options.data))
     rows = []
     for name, mesh in inputs.items():
         for ratio in options.ratios:
