@@ -8,7 +8,7 @@
 //! Colour: a point x of T and the nearest point y of another triangle are no farther apart than that. Continued over
 //! the plane, the colour of T at the foot of y is linear on the other triangle, and so is the difference there;
 //! between foot and x it changes by no more than its gradient. Where the other triangle is the larger one,
-//! it is the other way round.
+//! it is the other way round. Either way the slack comes to what the gradient is multiplied by.
 
 use super::facet::Facet;
 use super::piece::{Against, Deviation};
