@@ -85,8 +85,9 @@ class Certificate:
     shape_bound_m, color_bound_levels : the greatest of all. The colour bound also holds for the difference of
         any single channel.
     shape_attained_m, color_attained_levels : the greatest found at a point; the true maximum is between.
-    slack_m : points within this of the smallest distance count as nearest points too, and bounds on shape
-        contain it: a search in single precision returns any of them.
+    slack_m : triangles within this of the smallest distance count as nearest too, each at its own nearest
+        point and at points within this of that: a search in single precision returns any of them. Bounds on
+        shape contain it.
     color_slack_levels : contained in the bounds on colour, for interpolation in single precision.
     within_limits : whether all is proven to stay within max_shape and max_color; None without them.
     pieces : how many pieces of triangles were looked at.
@@ -133,7 +134,8 @@ def certify(
     """Bound the two-sided distance and colour difference between a mesh and the one it came from.
 
     The colour at a point is compared with the colour at the nearest point of the other mesh, at *every*
-    nearest point where there are several (within `slack`, to allow for single precision). So the bounds hold
+    nearest point where there are several. To allow for single precision, triangles no more than `slack`
+    farther away count as well, each at its nearest point and within `slack` of that. So the bounds hold
     for whoever samples the two surfaces, however densely, with whatever search: Metro, `compare`, Embree.
 
     Parameters

@@ -11,7 +11,13 @@
 //!   elsewhere the gradient bounds what is missing.
 //!
 //! Nothing is asked of the meshes: holes, several layers, triangles without area are all right. Where several points
-//! are equally near, or within `slack` of it, the bound holds for each of them.
+//! are equally near, the bound on colour holds for each of them. It also holds on each triangle no more than `slack`
+//! farther away than the nearest one: there for the nearest point and all points of it within `slack` of that.
+//! A search in single precision takes any of these triangles for the nearest, and then finds the nearest point on it.
+//!
+//! It does not hold for every point no more than `slack` farther away: over a face at height h those are all within
+//! √(2h · slack) of the foot. Nor does it hold for all vertices that are rounded to single precision: where a triangle
+//! turns by an angle, feet move by h times that, which passes the slack where h is many times the triangle's height.
 
 mod cover;
 mod decide;
@@ -63,7 +69,8 @@ pub struct Options {
     pub effort: f64,
     /// Only find out which triangles stay within these; infinite for what does not matter.
     pub limit: Option<Deviation>,
-    /// Distance within which points count as equally near, metres; None for what single precision can tell.
+    /// Triangles so much farther away than the nearest one count as well, and points so far around the nearest one on
+    /// each, metres; None for what single precision can tell.
     pub slack: Option<f64>,
     /// 0 for all processors. The result is the same for any number.
     pub threads: usize,

@@ -8,7 +8,7 @@
 //! Colour: a point x of T and the nearest point y of another triangle are no farther apart than that. Continued over
 //! the plane, the colour of T at the foot of y is linear on the other triangle, and so is the difference there;
 //! between foot and x it changes by no more than its gradient. Where the other triangle is the larger one,
-//! it is the other way round.
+//! it is the other way round. Either way the slack comes to what the gradient is multiplied by.
 
 use super::facet::Facet;
 use super::piece::{Against, Deviation};
@@ -180,7 +180,7 @@ impl Cover {
         let around = reach + against.slack;
         for seen in self.seen.iter().filter(|seen| !view.apart(&seen.at, around)) {
             let quick = if extent(&seen.at) < view.size {
-                view.smaller_differs(against, seen, around)
+                Some(view.smaller_differs(against, seen, around))
             } else {
                 larger_differs(against, triangle, seen.slot, around)
             };
@@ -318,8 +318,9 @@ impl View {
         turn.iter().all(|&t| t > margin) || turn.iter().all(|&t| t < -margin)
     }
 
-    /// As `larger_differs`, with the colour of this triangle continued.
-    fn smaller_differs(&self, against: &Against<'_>, seen: &Seen, around: f64) -> Option<f64> {
+    /// As `larger_differs`, with the colour of this triangle continued to the feet of the points of the other one:
+    /// those nearest to a point here, and those within the slack of them.
+    fn smaller_differs(&self, against: &Against<'_>, seen: &Seen, around: f64) -> f64 {
         let colors = against.target.corner_colors(seen.slot);
         let most2 = [0, 1, 2].map(|k| {
             let [x, y, _] = seen.at[k];
@@ -331,13 +332,8 @@ impl View {
             [f64::min, f64::max].map(|pick| seen.at[1..].iter().fold(seen.at[0][2], |m, p| pick(m, p[2])));
         let nearest = low.max(-high).max(0.0).min(around);
         let moved = (around * around - nearest * nearest).sqrt();
-        let (area2, longest2) = area_and_length(&seen.at);
-        let least_height = (area2 / longest2).sqrt();
-        let spread = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| norm2(&sub(&colors[i], &colors[j])));
-        let spread = spread.iter().fold(0.0f64, |m, &s| m.max(s)).sqrt();
-        let lost = if spread > 0.0 { 2.0 * spread / least_height * against.slack } else { 0.0 };
         let most = most2.iter().fold(0.0f64, |m, &d| m.max(d)).sqrt();
-        Some(most + self.slope * moved + lost)
+        most + self.slope * (moved + against.slack)
     }
 }
 

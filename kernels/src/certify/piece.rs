@@ -1,4 +1,7 @@
 //! Upper bounds over one convex piece of a triangle: how far the other surface is, and its colour there.
+//!
+//! Its colour: on each triangle no more than the slack farther away than the nearest one, at the nearest point and
+//! within the slack of that.
 
 use super::facet::{Facet, nearest};
 use super::polygon::{Corner, Polygon};
@@ -172,7 +175,8 @@ impl Against<'_> {
         );
     }
 
-    /// Every slot whose triangle may be nearest to some point of `polygon`, and a few more; as [`Bvh::meeting`].
+    /// Every slot whose triangle may be nearest to some point of `polygon`, or no more than the slack farther away, and
+    /// a few more; as [`Bvh::meeting`].
     ///
     /// [`Bvh::meeting`]: crate::bvh::Bvh::meeting
     fn around(
@@ -189,7 +193,8 @@ impl Against<'_> {
             .meeting(&low, &high, skip, |slot| !self.target.meets(slot, &low, &high) || visit(slot));
     }
 
-    /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`.
+    /// The greatest deviation of those points of `polygon` whose nearest point may be on the triangle in `slot`, or is
+    /// no more than the slack nearer.
     pub fn share(&self, polygon: &Polygon, slot: u32) -> Option<(Deviation, Corner)> {
         let corners = &self.target.corners(slot);
         let facet = Facet::new(corners);

@@ -1,4 +1,4 @@
-//! The quick proof of colours against brute force, where triangles are larger than the one that is proven.
+//! The quick proof of colours against brute force, where triangles are larger or smaller than the one that is proven.
 
 use super::super::piece::Wanted;
 use super::super::surface::Surface;
@@ -70,6 +70,25 @@ impl Noise {
             Corner { at, color, reach: 0.0 }
         });
         (large, small, 0.1 * height)
+    }
+
+    /// A large triangle and a smaller one, so that no colour can differ more than it does between two points: the
+    /// tip of the smaller one points along the gradient of the large one, and there is a point beyond it. That is
+    /// returned too, with the slack. `height` is that of the smaller triangle, and negative below the large one.
+    fn beyond_the_tip(&mut self, height: f64, own: f64) -> (Triangle, Triangle, Corner, f64) {
+        let (tip, unit) = (self.vector(1.0), |v: Vec3| v.map(|x| x / norm2(&v).sqrt()));
+        let down = unit(self.vector(1.0));
+        let along = unit(cross(&down, &self.vector(1.0)));
+        let up = cross(&along, &down);
+        let (color, drop) = (self.vector(100.0), self.vector(100.0));
+        let corner = |x: f64, y: f64, z: f64, more: f64| {
+            let at = add_scaled(&add_scaled(&add_scaled(&tip, x, &along), y, &down), z, &up);
+            Corner { at, color: add_scaled(&color, y + more, &drop), reach: 0.0 }
+        };
+        let large = [corner(0.0, 0.0, 0.0, 0.0), corner(1.0, 1.0, 0.0, 0.0), corner(-1.0, 1.0, 0.0, 0.0)];
+        // Thin, so that the way to a corner is the way along the gradient.
+        let small = [(0.0, 0.5), (1e-4, 0.4), (-1e-4, 0.4)].map(|(x, y)| corner(x, y, height, -own));
+        (large, small, corner(0.0, 0.5 + 0.25, 0.0, 0.0), 0.05)
     }
 }
 
@@ -146,7 +165,7 @@ fn a_colour_can_differ_as_much_from_a_larger_triangle_as_is_said() {
         let (far, truth) = brute(&small[0].at, &small[0].color, &large, slack);
         let target = surface(&[large]);
         let said = larger_differs(&against(&target, slack), &small, 0, far).unwrap();
-        assert!((said - truth).abs() <= 1e-4 * said, "{case}: {said}, not {truth}");
+        assert!((said - truth).abs() <= 1e-4 * truth, "{case}: {said}, not {truth}");
     }
 }
 
@@ -174,6 +193,132 @@ fn a_larger_triangle_as_near_within_the_slack_as_another_one_counts() {
 }
 
 #[test]
+fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
+    let mut noise = Noise(8);
+    // Points of the large triangle that were compared: under the small one, all of it on one side, and others.
+    let mut compared = [0; 2];
+    for case in 0..4000 {
+        let large = noise.large();
+        let small = noise.small_near(&large, [0.01, 0.1, 0.4][case % 3], [0.0, 1.0, 50.0][case / 3 % 3]);
+        let slack = [1e-9, 1e-3, 0.05][case / 9 % 3];
+        let Some(view) = View::new(&large) else { continue };
+        let target = surface(&[small]);
+        // What the target holds, in single precision.
+        let colors = target.corner_colors(0);
+        let small = [0, 1, 2].map(|i| Corner { color: colors[i], ..small[i] });
+        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
+        let (facet, places) = (Facet::new(&large.map(|c| c.at)).unwrap(), large.map(|c| c.at));
+        let height = small.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
+        let around = height * [0.5, 1.0, 1.01, 1.5][case / 27 % 4] + slack;
+        let mut truth = 0.0f64;
+        for (at, _) in samples(&small, &mut noise) {
+            for reach in [0.0, 0.3, 1.0] {
+                // In some direction from the foot.
+                let weights = facet.weights(&add_scaled(&at, reach * around, &noise.vector(1.0)));
+                if weights.iter().all(|&w| w >= 0.0) {
+                    let (x, color) = (combine(&weights, &places), combine(&weights, &large.map(|c| c.color)));
+                    let (far, most) = brute(&x, &color, &small, slack);
+                    if far <= around {
+                        truth = truth.max(most);
+                        compared[usize::from(reach > 0.0)] += 1;
+                    }
+                }
+            }
+        }
+        let said = view.smaller_differs(&against(&target, slack), &seen, around);
+        assert!(truth <= said + 1e-9 * (1.0 + said), "{case}: {truth} > {said}");
+    }
+    assert!(compared.iter().all(|&count| count > 5000), "{compared:?}");
+}
+
+#[test]
+fn a_colour_can_differ_as_much_from_a_smaller_triangle_as_is_said() {
+    let mut noise = Noise(9);
+    for case in 0..200 {
+        let (height, own) = ([0.0, 0.1, -0.1, 0.4, -0.4][case % 5], [0.0, 0.7][case / 5 % 2]);
+        let (large, small, beyond, slack) = noise.beyond_the_tip(height, own);
+        let (far, truth) = brute(&beyond.at, &beyond.color, &small, slack);
+        let (view, target) = (View::new(&large).unwrap(), surface(&[small]));
+        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
+        let said = view.smaller_differs(&against(&target, slack), &seen, far);
+        assert!((said - truth).abs() <= 1e-4 * truth, "{case}: {said}, not {truth}");
+    }
+}
+
+#[test]
+fn a_triangle_through_the_plane_leaves_all_of_the_way_along_it() {
+    let mut noise = Noise(10);
+    for case in 0..100 {
+        let (large, mut small, ..) = noise.beyond_the_tip(0.0, 0.3);
+        let view = View::new(&large).unwrap();
+        // Only the corners far from the tip leave the plane, to both sides or to one.
+        let lift = [0.1, -0.1][case % 2];
+        small[1].at = add_scaled(&small[1].at, lift, &view.axes[2]);
+        small[2].at = add_scaled(&small[2].at, if case % 4 < 2 { -lift } else { lift }, &view.axes[2]);
+        let target = surface(&[small]);
+        let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
+        let drop = difference(&large[1].color, &large[0].color);
+        let said = view.smaller_differs(&against(&target, 0.05), &seen, 0.25);
+        let truth = (0.3 + 0.25 + 0.05) * drop;
+        assert!((said - truth).abs() <= 1e-4 * truth, "{case}: {said}, not {truth}");
+    }
+}
+
+#[test]
+fn a_smaller_triangle_as_near_within_the_slack_as_another_one_counts() {
+    let mut noise = Noise(13);
+    for case in 0..200 {
+        let (near, own) = (0.3, [0.0, 0.7][case % 2]);
+        let (large, small, _, slack) = noise.beyond_the_tip(near + 0.025, own);
+        // The nearest one has the right colour, and is that much larger that it is under all of the other.
+        let view = View::new(&large).unwrap();
+        let middle = Polygon::new(large).centre().0;
+        let floor = large.map(|c| {
+            let at = add_scaled(&middle.at, 3.0, &sub(&c.at, &middle.at));
+            let color = add_scaled(&middle.color, 3.0, &sub(&c.color, &middle.color));
+            Corner { at: add_scaled(&at, -near, &view.axes[2]), color, reach: 0.0 }
+        });
+        let target = surface(&[small, floor]);
+        let against = against(&target, slack);
+        let drop = difference(&large[1].color, &large[0].color);
+        let along = ((near + slack).powi(2) - (near + slack / 2.0).powi(2)).sqrt();
+        let truth = (own + along + slack) * drop;
+        let within = |level| proves(&against, &large, level, &mut Cover::default());
+        assert!(!within(0.999 * truth) && within(1.01 * truth), "{case}: {truth}");
+    }
+}
+
+#[test]
+fn a_colour_among_smaller_triangles_that_passes_the_limit_is_never_proven_within() {
+    let mut noise = Noise(12);
+    let (mut proven, mut cover) = (0, Cover::default());
+    for case in 0..2000 {
+        let large = noise.large();
+        let size = [0.01, 0.1][case % 2];
+        let small = [0; 3].map(|_| noise.small_near(&large, size, [0.0, 1.0, 50.0][case / 2 % 3]));
+        let slack = [1e-9, 1e-3, 0.05][case / 6 % 3];
+        let target = surface(&small);
+        let (facet, places) = (Facet::new(&large.map(|c| c.at)).unwrap(), large.map(|c| c.at));
+        let feet = small.iter().flat_map(|t| samples(t, &mut noise)).map(|(at, _)| facet.weights(&at));
+        let under = feet.filter(|weights| weights.iter().all(|&w| w >= 0.0));
+        let at_feet: Vec<_> = under
+            .map(|weights| (combine(&weights, &places), combine(&weights, &large.map(|c| c.color))))
+            .collect();
+        let mut truth = 0.0f64;
+        for (at, color) in samples(&large, &mut noise).into_iter().chain(at_feet) {
+            let found = small.map(|triangle| brute(&at, &color, &triangle, slack));
+            let least = found.iter().map(|f| f.0).fold(f64::INFINITY, f64::min);
+            truth = found.iter().filter(|f| f.0 <= least + slack).map(|f| f.1).fold(truth, f64::max);
+        }
+        let against = against(&target, slack);
+        let mut within = |level| proves(&against, &large, level, &mut cover);
+        assert!(!within(0.999 * truth), "{case}: not within {truth}");
+        proven += usize::from(within(1.5 * truth + 1.0));
+    }
+    assert!(proven > 500, "{proven}");
+}
+
+#[test]
 fn a_colour_among_larger_triangles_that_passes_the_limit_is_never_proven_within() {
     let mut noise = Noise(7);
     let (mut proven, mut cover) = (0, Cover::default());
@@ -194,4 +339,16 @@ fn a_colour_among_larger_triangles_that_passes_the_limit_is_never_proven_within(
         proven += usize::from(within(1.5 * truth + 1.0));
     }
     assert!(proven > 500, "{proven}");
+}
+
+#[test]
+fn a_triangle_that_is_one_point_has_all_its_colours_there() {
+    let corner = |x: f64, y: f64, z: f64, color: f64| Corner { at: [x, y, z], color: [color; 3], reach: 0.0 };
+    let floor = |z: f64| [corner(0.0, 0.0, z, 0.0), corner(1.0, 0.0, z, 0.0), corner(0.0, 1.0, z, 0.0)];
+    let point = [0.0, 100.0, 200.0].map(|color| corner(0.3, 0.3, 0.0, color));
+    let target = surface(&[floor(0.0), point]);
+    let against = against(&target, 1e-6);
+    let truth = 200.0 * 3f64.sqrt();
+    let within = |level| proves(&against, &floor(0.1), level, &mut Cover::default());
+    assert!(!within(0.999 * truth) && within(1.01 * truth));
 }
