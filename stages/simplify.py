@@ -19,7 +19,7 @@ from stages.simplify_params import SimplifyParams
 
 __all__ = ["VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-VERSION = 5
+VERSION = 6
 
 
 def simplify(
@@ -98,7 +98,7 @@ def simplify(
     ================================  =========  =======  =========  ============  ===========  =======
 
     The bounds that `certified` proves hold for positions as they are, and as 32-bit floats in a file: they
-    contain 2⁻²² of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal for that, and for searches
+    contain 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal for that, and for searches
     in single precision. Twice as much is the least distance that can be proven, and takes the place of a
     smaller `max_shape`; half a level takes that of a smaller `max_texture`. Bounds need not be provable at
     all where sheets of different colours touch, since a point there has nearest points of both colours;
