@@ -19,7 +19,7 @@ from stages.simplify_params import SimplifyParams
 
 __all__ = ["VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-VERSION = 6
+VERSION = 7
 
 
 def simplify(

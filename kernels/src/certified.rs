@@ -7,7 +7,7 @@
 //!     which triangles stay within the bounds, everywhere?         certify
 //!     all: done
 //!     tighten the limits of the samples around the others
-//!     take back the collapses that made those, and what was built on them; at last, all around them, for good
+//!     take back the collapses that made those, and what was built on them; where it goes on failing, all around, for good
 //! ```
 //!
 //! After the first time only what has changed is looked at. What is held on all sides is the input itself, which is why
@@ -43,11 +43,15 @@ const TIGHTER: f32 = 0.6;
 /// Proofs that may fail before it is asked whether they can succeed at all,
 const HOPE: usize = 6;
 
-/// before nothing around a failure is simplified any more,
-const PATIENCE: usize = 10;
+/// and failures at one place before nothing there is simplified any more: what is held makes its neighbours fail, so that
+/// they must have their chances too,
+const PATIENCE: usize = 8;
 
-/// and before the rest is given up.
+/// and before the place is given up.
 const END: usize = 20;
+
+/// After so many times as many passes there is no patience with any place.
+const IMPATIENCE: usize = 4;
 
 /// Colours are stored in whole levels. Closer bounds would ask for more than that, and proofs of them for too much.
 const LEAST_COLOR: f64 = 0.5;
@@ -198,15 +202,16 @@ pub fn simplify<const D: usize, const K: usize>(
         let mut retreat = Retreat::new(&original, history, watched);
         let around = retreat.samples_around(&mesh, &open);
         around.iter().for_each(|&v| limits.factors[v as usize] *= TIGHTER);
-        let for_good = match passes.len() {
-            PATIENCE.. => retreat.vertices_around(&open),
-            _ => ledger.hopeless.iter().flat_map(|&t| original.triangles[t as usize]).collect(),
-        };
-        ledger.give_up(retreat.take_back(&open, &failures));
-        if passes.len() >= END {
-            ledger.give_up(open.of_result.into_iter().chain(open.of_input).collect());
-        }
         around.iter().for_each(|&v| failures[v as usize] = failures[v as usize].saturating_add(1));
+        let stubborn = |times: usize| {
+            let times = if passes.len() < IMPATIENCE * times { times as u8 } else { 0 };
+            retreat.stubborn(&open, &failures, times)
+        };
+        let mut for_good = retreat.vertices_around(&stubborn(PATIENCE));
+        for_good.extend(ledger.hopeless.iter().flat_map(|&t| original.triangles[t as usize]));
+        let given_up = stubborn(END);
+        ledger.give_up(retreat.take_back(&open, &failures));
+        ledger.give_up([given_up.of_result, given_up.of_input].concat());
         retreat.hold(&for_good, &mut fixed);
         (mesh, lists, history) = retreat.mesh(mesh, &fixed);
     }

@@ -40,6 +40,11 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
     /// Whether all merges of a run are kept, also where nobody asks for them.
     const KEEPS_MERGES: bool = true;
 
+    /// How much there is to look at in a mesh of so many triangles, counted in triangles of their own.
+    fn size(&self, triangles: usize) -> usize {
+        triangles
+    }
+
     /// A measure for a patch, whose sources are numbers of the whole mesh.
     fn load(&self, patch: &Mesh<D>) -> Self::Measure;
 

@@ -88,7 +88,7 @@ pub fn collapse<const D: usize, R: Records<D>>(
             break Stop::Target;
         }
         // While nothing happens but some edges were on a rim each time, larger patches leave fewer of them.
-        let patches = ((count / goal.patch.max(1)) >> idle).max(1);
+        let patches = ((records.size(count) / goal.patch.max(1)) >> idle).max(1);
         let partition = Partition::new(&mesh.points, &mesh.triangles, patches, round, goal.threads);
         let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
         if round == 0 {

@@ -20,6 +20,9 @@ use crate::patch::Records;
 use crate::qem::{Qem, QemRecords};
 use crate::star::Star;
 
+/// Samples that take as long as a triangle of a patch does.
+const SAMPLES: usize = 32;
+
 /// Along a new edge: how far to look beyond the end of a triangle, and the steps from look to look.
 const BEYOND: f64 = 1.0 / 256.0;
 const LEAST_STEP: f64 = 1.0 / 16.0;
@@ -305,6 +308,10 @@ pub struct TrackedPiece {
 impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K> {
     type Measure = Tracked<'a, D, K>;
     type Piece = TrackedPiece;
+
+    fn size(&self, triangles: usize) -> usize {
+        triangles + self.lists.samples.len() / SAMPLES
+    }
 
     fn load(&self, patch: &Mesh<D>) -> Tracked<'a, D, K> {
         let mut heads = Vec::with_capacity(patch.triangle_source.len());

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 import time
 from typing import Any, NoReturn
 
@@ -61,19 +62,19 @@ else:
 
 
 def interrupted(**arguments: Any) -> dict[str, Any]:
-    child = subprocess.Popen(
-        [sys.executable, "-c", CHILD, json.dumps(arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert child.stdout is not None
-    assert child.stdout.readline() == "working\n"
-    # The clock is the same for both processes.
-    sent_at = time.monotonic()
-    child.send_signal(signal.SIGINT)
-    output, complaints = child.communicate(timeout=120)
-    assert child.returncode == 0, complaints
+    command = [sys.executable, "-c", CHILD, json.dumps(arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as child:
+        too_long = threading.Timer(120, child.kill)
+        too_long.start()
+        assert child.stdout is not None
+        assert child.stdout.readline() == "working\n"
+        # The clock is the same for both processes.
+        sent_at = time.monotonic()
+        child.send_signal(signal.SIGINT)
+        # What came together with the first line waits here, where `communicate` would not look.
+        output = child.stdout.read()
+        too_long.cancel()
+    assert child.returncode == 0, output
     report: dict[str, Any] = json.loads(output)
     if "stopped_at" in report:
         report["seconds"] = report["stopped_at"] - sent_at

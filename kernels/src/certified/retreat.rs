@@ -21,8 +21,8 @@ impl<'a, const D: usize> Retreat<'a, D> {
         Self { original, history, watched, touched: vec![] }
     }
 
-    /// Samples of the triangles of the result without a proof, or of those beside one that has none, and corners of
-    /// those of the input; each once.
+    /// Samples of the triangles of the result without a proof, or corners of one that has none and the samples beside
+    /// it, and corners of those of the input; each once.
     pub fn samples_around(&self, mesh: &Whole<D, Bound>, open: &Open) -> Vec<u32> {
         let mut around: Vec<u32> =
             open.of_input.iter().flat_map(|&t| self.original.triangles[t as usize]).collect();
@@ -35,6 +35,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
             }
         }
         if !bare.is_empty() {
+            around.extend_from_slice(&bare);
             let mut is_bare = vec![false; self.original.points.len()];
             bare.into_iter().for_each(|v| is_bare[v as usize] = true);
             for (corners, &t) in mesh.triangles.iter().zip(&mesh.triangle_source) {
@@ -46,6 +47,18 @@ impl<'a, const D: usize> Retreat<'a, D> {
         around.sort_unstable();
         around.dedup();
         around
+    }
+
+    /// What is open where a proof has failed so many times, as `failures` says by vertex of the input.
+    pub fn stubborn(&self, open: &Open, failures: &[u8], times: u8) -> Open {
+        let often = |v: u32| failures[v as usize] >= times;
+        let corners = |t: u32| self.history.corners(t).into_iter().flatten();
+        let of_result = open.of_result.iter().copied();
+        let of_input = open.of_input.iter().zip(&open.within_reach);
+        let stubborn = of_input.filter(|(t, _)| self.original.triangles[**t as usize].into_iter().any(often));
+        let (of_input, within_reach) = stubborn.map(|(t, reach)| (*t, reach.clone())).unzip();
+        let of_result = of_result.filter(|&t| self.watched.of(t).chain(corners(t)).any(often)).collect();
+        Open { of_result, of_input, within_reach }
     }
 
     /// Take back the collapse that made each triangle without a proof, and one of those that made what a triangle of
@@ -67,7 +80,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
             let owners = corners.iter().filter_map(|&v| self.watched.owner(v));
             let one = owners.filter_map(|t| latest(&t)).max();
             collapses.extend(one);
-            if one.is_none() || corners.iter().any(|&v| failures[v as usize] > 1) {
+            if one.is_none() || corners.iter().any(|&v| failures[v as usize] > 2) {
                 let before = collapses.len();
                 collapses.extend(within_reach.iter().filter_map(latest));
                 if collapses.len() == before {
@@ -170,5 +183,30 @@ impl<'a, const D: usize> Retreat<'a, D> {
         }
         let lists = self.watched.lists(&next.triangle_source);
         (next, lists, self.history)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_has_failed_often_is_stubborn() {
+        // A strip of four triangles, each beside the next.
+        let points: Vec<[f64; 3]> = (0..6).map(|i| [f64::from(i), f64::from(i % 2), 0.0]).collect();
+        let triangles = vec![[0, 1, 2], [2, 1, 3], [2, 3, 4], [4, 3, 5]];
+        let original = Original::new(points, triangles);
+        let watched = Watched::new(&original, &[0, 1, 2, 3], &Lists::of_input(&original));
+        let retreat = Retreat::new(&original, History::new(&original, false), watched);
+        let open =
+            Open { of_result: vec![0, 3], of_input: vec![0, 2], within_reach: vec![vec![1], vec![2, 3]] };
+        let failures = [0, 2, 2, 0, 0, 5];
+        let stubborn = |times| {
+            let found = retreat.stubborn(&open, &failures, times);
+            (found.of_result, found.of_input, found.within_reach)
+        };
+        assert_eq!(stubborn(2), (vec![0, 3], vec![0, 2], vec![vec![1], vec![2, 3]]));
+        assert_eq!(stubborn(3), (vec![3], vec![], vec![]));
+        assert_eq!(stubborn(6), (vec![], vec![], vec![]));
     }
 }
