@@ -16,10 +16,9 @@ __all__ = [
     "Proven",
     "Running",
     "Simplified",
-    "affordable_weight",
     "certify",
+    "color_weight",
     "fit",
-    "residuals",
     "side_lengths",
     "simplify",
     "simplify_by_quadrics",
@@ -221,34 +220,20 @@ def fit(
     InvalidMeshError for a mesh it cannot work on.
     """
 
-def residuals(
+def color_weight(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
     *,
     target: int,
+    tried: bool,
     wanted_threads: int,
-) -> tuple[float, float] | None:
-    """Return the RMS errors of shape and attributes to expect of a result with `target` triangles.
-
-    None where the mesh is too small to tell or has no attributes. Raises InvalidMeshError for an index out of
-    range or a value that is not finite.
-    """
-
-def affordable_weight(
-    vertices: NDArray[np.float64],
-    attributes: _Attributes,
-    triangles: NDArray[np.int32],
-    *,
-    target: int,
-    weight: float,
-    wanted_threads: int,
-    progress: Callable[[int, int], object],
 ) -> float:
-    """Return the largest weight up to `weight` that adds at most a fifth to the error of shape.
+    """Return the length that should count as much as a level in a result of `target` triangles.
 
-    It is tried on a sample of the mesh, simplified alike. Raises InvalidMeshError for an index out of range
-    or a value that is not finite.
+    It makes the errors of shape and attributes to expect alike. If it is to be `tried`, a sample of the mesh
+    is simplified alike, and it is made so small that it adds at most a fifth to the error of shape. 0 without
+    attributes. Raises InvalidMeshError for an index out of range or a value that is not finite.
     """
 
 def certify(

@@ -100,8 +100,7 @@ def simplify_certified(
         record=record,
         partial=partial,
     )
-    none_fixed = np.zeros(len(mesh.vertices), bool)
-    fixed = none_fixed if fixed is None or not len(fixed) else fixed
+    fixed = np.zeros(0, bool) if fixed is None else fixed
     try:
         result = _kernels.simplify_certified(
             mesh.vertices,
@@ -132,7 +131,8 @@ def simplify_certified(
     kept = None
     if record:
         base = mesh.with_(texture=None, notes=light.notes)
-        kept = CollapseRecord(base, result.removed, result.survivor, result.path, fixed)
+        lock = fixed if len(fixed) else np.zeros(len(mesh.vertices), bool)
+        kept = CollapseRecord(base, result.removed, result.survivor, result.path, lock)
     return Simplified(
         mesh=light,
         vertex_source=result.vertex_source,

@@ -60,7 +60,7 @@ class CertifyParams:
     slack: float | None = param(
         None,
         "Distance within which points count as equally near. None: what vertices and searches in single "
-        "precision cannot tell, 2⁻²² of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal.",
+        "precision cannot tell, 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal.",
         unit="m",
         low=0,
     )

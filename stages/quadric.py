@@ -85,7 +85,7 @@ def _as_it_is(
     weight = params.attribute_scale
     if weight is None:
         try:
-            weight = color_weight(mesh, running.target_triangles, running.threads, progress)
+            weight = color_weight(mesh, running.target_triangles, running.threads)
         except KeyboardInterrupt:
             if not running.partial:
                 raise

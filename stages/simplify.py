@@ -97,8 +97,8 @@ def simplify(
     unit sphere with a satellite map     73,728  quadric     90.0 %       0.2 mm   8.8 levels   29.2 dB
     ================================  =========  =======  =========  ============  ===========  =======
 
-    The bounds that `certified` proves hold for positions as they are, and on shape as 32-bit floats too: they
-    contain 2⁻²² of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal for that, and for searches
+    The bounds that `certified` proves hold for positions as they are, and as 32-bit floats in a file: they
+    contain 2⁻²¹ of the largest coordinate and 2⁻²⁰ of the bounding box's diagonal for that, and for searches
     in single precision. Twice as much is the least distance that can be proven, and takes the place of a
     smaller `max_shape`; half a level takes that of a smaller `max_texture`. Bounds need not be provable at
     all where sheets of different colours touch, since a point there has nearest points of both colours;

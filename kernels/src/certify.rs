@@ -35,10 +35,9 @@ pub use surface::{NEEDLE, Surface};
 use piece::{Against, Wanted};
 use refine::{Goal, Outcome};
 use side::{Run, Side};
-use surface::around;
 
 use crate::error::KernelError;
-use crate::geometry::{Vec3, norm2, sub};
+use crate::geometry::{Vec3, around, norm2, sub};
 use crate::progress::Progress;
 
 /// What colours lose on their way: measured, interpolated and compared in single precision.
@@ -295,10 +294,9 @@ fn unimportant(attained: Deviation, absolute: Deviation) -> Deviation {
     }
 }
 
-/// Vertices rounded to single precision move by up to √3 · 2⁻²⁴ of the largest coordinate, and a distance changes by
-/// twice that; a search in single precision is wrong by a few steps of the sizes it works with. The difference of two
-/// distances can change by four times that, which this covers only near the origin: rounding may make another sheet the
-/// nearer one. `places` are corners of the surfaces, or of boxes around them.
+/// Vertices rounded to single precision move by up to √3 · 2⁻²⁴ of the largest coordinate, so that a distance changes by
+/// twice and the difference of two by four times that; and a search in single precision is wrong by a few steps of the
+/// sizes it works with. `places` are corners of the surfaces, or of boxes around them.
 pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
     let [low, high] = around(places);
     let largest = (0..3).map(|i| low[i].abs().max(high[i].abs())).fold(0.0, f64::max);
@@ -308,7 +306,7 @@ pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
     let diagonal = norm2(&sub(&high, &low)).sqrt();
     // Double precision needs its share in any case.
     let least = 2f64.powi(-40) * largest;
-    wanted.unwrap_or(2f64.powi(-22) * largest + 2f64.powi(-20) * diagonal).max(least)
+    wanted.unwrap_or(2f64.powi(-21) * largest + 2f64.powi(-20) * diagonal).max(least)
 }
 
 fn color_range(a: &Surface, b: &Surface) -> f64 {

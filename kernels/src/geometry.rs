@@ -12,6 +12,13 @@ pub fn sub<const D: usize>(a: &[f64; D], b: &[f64; D]) -> [f64; D] {
     std::array::from_fn(|i| a[i] - b[i])
 }
 
+/// The box around points; from +∞ to −∞ around none.
+pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
+    points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
+        [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
+    })
+}
+
 /// a + t·b
 #[inline]
 pub fn add_scaled<const D: usize>(a: &[f64; D], t: f64, b: &[f64; D]) -> [f64; D] {

@@ -5,6 +5,7 @@
 mod arrays;
 mod certified;
 mod certify;
+mod color_weight;
 mod detached;
 mod fit;
 mod jia01;
@@ -48,8 +49,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<simplified::Simplified>()?;
     module.add_class::<quadric::ByQuadrics>()?;
     module.add_function(wrap_pyfunction!(quadric::simplify_by_quadrics, module)?)?;
-    module.add_function(wrap_pyfunction!(quadric::affordable_weight, module)?)?;
-    module.add_function(wrap_pyfunction!(quadric::residuals, module)?)?;
+    module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;
     module.add_class::<certified::Proven>()?;

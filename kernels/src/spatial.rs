@@ -1,6 +1,6 @@
 //! An order in which neighbours in space are neighbours in memory, for meshes that come in none.
 
-use crate::geometry::Vec3;
+use crate::geometry::{Vec3, around};
 
 /// Bits of a coordinate: so many cells along the longest side leave few vertices of a surface to a cell.
 const BITS: u32 = 10;
@@ -9,13 +9,7 @@ const BITS: u32 = 10;
 /// box, and triangles by the first of their vertices there. Both name elements by their numbers in the input; what
 /// the grid cannot tell apart stays in its order. Indices must be in range.
 pub fn spatial_order(points: &[Vec3], triangles: &[[u32; 3]]) -> (Vec<u32>, Vec<u32>) {
-    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for point in points {
-        for i in 0..3 {
-            low[i] = low[i].min(point[i]);
-            high[i] = high[i].max(point[i]);
-        }
-    }
+    let [low, high] = around(points.iter().copied());
     let longest = (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max);
     let cells = f64::from(1u32 << BITS);
     // No cell is beyond the last, and a mesh without extent has only one.

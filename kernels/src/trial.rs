@@ -7,7 +7,7 @@
 use crate::balance::{cell, scrambled};
 use crate::certify::Surface;
 use crate::error::KernelError;
-use crate::geometry::{cross, norm2, position, sub};
+use crate::geometry::{around, cross, norm2, position, sub};
 use crate::parallel::fill;
 use crate::patch::Whole;
 use crate::progress::Progress;
@@ -25,7 +25,7 @@ const LARGE_SAMPLE: usize = 1 << 15;
 const PIECE: usize = 1 << 11;
 const LEAST_PIECE: usize = 1 << 9;
 
-/// Errors of shape below this share of the extent are none.
+/// Errors of shape below this share of the diagonal are none.
 const LEAST_ERROR: f64 = 1e-6;
 
 /// Weights that are tried; each is chosen as if the additional error grew with the weight.
@@ -44,15 +44,20 @@ pub fn affordable<const D: usize, const K: usize>(
     threads: usize,
     progress: &mut Progress,
 ) -> Result<f64, KernelError> {
-    // How long this takes is not known.
-    let progress = &mut progress.part(0, 0);
-    // A small sample may be wrong; where it finds fault a larger one decides.
-    let small = sample(points, triangles, SAMPLE, threads);
     let share = target as f64 / triangles.len() as f64;
-    if small.affordable::<K>(share, weight, 1, threads, progress)? == weight {
+    let mut tried = |size, trials| {
+        sample(points, triangles, size, threads).affordable::<K>(share, weight, trials, threads, progress)
+    };
+    // A small sample may be wrong; where it finds fault a larger one decides.
+    if is_larger(triangles, SAMPLE) && tried(SAMPLE, 1)? == weight {
         return Ok(weight);
     }
-    sample(points, triangles, LARGE_SAMPLE, threads).affordable::<K>(share, weight, TRIALS, threads, progress)
+    tried(LARGE_SAMPLE, TRIALS)
+}
+
+/// Whether a sample of this size is not the whole mesh.
+fn is_larger(triangles: &[[u32; 3]], size: usize) -> bool {
+    triangles.len() > size + size / 2
 }
 
 struct Sample<const D: usize> {
@@ -67,7 +72,7 @@ fn sample<const D: usize>(
     size: usize,
     threads: usize,
 ) -> Sample<D> {
-    if triangles.len() <= size + size / 2 {
+    if !is_larger(triangles, size) {
         return Sample { points: points.to_vec(), triangles: triangles.to_vec() };
     }
     let corner = |t: &[u32; 3]| t.map(|v| &points[v as usize]);
@@ -79,7 +84,7 @@ fn sample<const D: usize>(
     let seen = triangles.iter().step_by(stride);
     let mean = seen.clone().map(area).sum::<f64>() / seen.len() as f64;
     let side = (mean * PIECE as f64).sqrt();
-    let low = points.iter().fold([f64::INFINITY; 3], |low, p| [0, 1, 2].map(|i| p[i].min(low[i])));
+    let [low, _] = around(points.iter().map(position));
     let mut cells = vec![0; triangles.len()];
     fill(&mut cells, threads, |t| cell(corner(&triangles[t]), &low, side));
     let mut chosen: Vec<(u64, u32)> =
@@ -152,7 +157,9 @@ impl<const D: usize> Sample<D> {
             return Ok(weight);
         }
         let mut error = |weight| self.shape_error::<K>(left, weight, threads, progress);
-        let Some(alone) = error(0.0)?.map(|e| e.max(LEAST_ERROR * self.extent())) else { return Ok(weight) };
+        // All of it may be one point.
+        let alone = error(0.0)?.map(|e| e.max(LEAST_ERROR * self.diagonal())).filter(|e| *e > 0.0);
+        let Some(alone) = alone else { return Ok(weight) };
         let mut tried = weight;
         for _ in 0..trials {
             let Some(ratio) = error(tried)?.map(|e| e / alone) else { return Ok(weight) };
@@ -164,16 +171,14 @@ impl<const D: usize> Sample<D> {
         Ok(tried)
     }
 
-    /// The longest side of the box around it.
-    fn extent(&self) -> f64 {
-        let along = |i: usize| {
-            let values = || self.points.iter().map(|p| p[i]);
-            values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
-        };
-        (0..3).map(along).fold(0.0, f64::max)
+    /// That of the box around it.
+    fn diagonal(&self) -> f64 {
+        let [low, high] = around(self.points.iter().map(position));
+        norm2(&sub(&high, &low)).sqrt()
     }
 
-    /// Root mean square of the distance of its vertices from what is left of it; none if it is no manifold.
+    /// Root mean square of the distance of its vertices from what is left of it; none if it is no manifold, or nothing is
+    /// left.
     fn shape_error<const K: usize>(
         &self,
         left: usize,
@@ -189,6 +194,9 @@ impl<const D: usize> Sample<D> {
             Err(KernelError::Interrupted) => return Err(KernelError::Interrupted),
             Err(_) => return Ok(None),
         };
+        if mesh.triangles.is_empty() {
+            return Ok(None);
+        }
         let surface = Surface::new(&mesh.points, &mesh.triangles, threads)?;
         let mut squares = vec![0.0; self.points.len()];
         fill(&mut squares, threads, |v| surface.nearest(&position(&self.points[v]), 0).distance.powi(2));
@@ -263,6 +271,21 @@ mod tests {
         let sample = by_fans(&points, kept);
         assert_eq!((sample.points.len(), sample.triangles.len()), (8, 4));
         assert_eq!(by_fans(&points, triangles).points.len(), 9);
+    }
+
+    #[test]
+    fn a_mesh_of_which_nothing_is_left_keeps_the_weight() {
+        let (points, triangles) = sheet(30, |u, v| (u * v).sin());
+        let none = triangles.iter().map(|t| [t[0], t[0], t[1]]).collect();
+        assert_eq!(found(&(points, none), 0.5, 1), 0.5);
+        assert_eq!(found(&(vec![], vec![]), 0.5, 1), 0.5);
+    }
+
+    #[test]
+    fn a_mesh_that_is_one_point_keeps_the_weight() {
+        let (points, triangles) = sheet(30, |u, v| (u * v).sin());
+        let one = points.iter().map(|p| [1.0, 2.0, 3.0, p[3]]).collect();
+        assert_eq!(found(&(one, triangles), 0.5, 1), 0.5);
     }
 
     #[test]

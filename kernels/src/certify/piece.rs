@@ -5,8 +5,8 @@
 
 use super::facet::{Facet, nearest};
 use super::polygon::{Corner, Polygon};
-use super::surface::{Found, Surface, around, blend, combine, difference};
-use crate::geometry::{Vec3, norm2, sub};
+use super::surface::{Found, Surface, blend, combine, difference};
+use crate::geometry::{Vec3, around, norm2, sub};
 
 /// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
 /// unless it is small already, beside the distance.

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::facet::{Nearest, nearest};
 use crate::bvh::Bvh;
 use crate::error::KernelError;
-use crate::geometry::{Vec3, cross, norm2, position, segment_distance2, sub};
+use crate::geometry::{Vec3, around, cross, norm2, position, segment_distance2, sub};
 use crate::parallel;
 
 /// Beyond this the products of four lengths come near the end of double precision.
@@ -216,13 +216,6 @@ fn numbered_by_use(triangles: impl Iterator<Item = [u32; 3]>, vertices: usize) -
 
 fn length2([a, b]: &[Vec3; 2]) -> f64 {
     norm2(&sub(a, b))
-}
-
-/// The box around points; from +∞ to −∞ around none.
-pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
-    points.fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], |[low, high], p| {
-        [[0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i]))]
-    })
 }
 
 fn color_box<'a>(colors: impl IntoIterator<Item = &'a [f32; 3]>) -> [[f32; 3]; 2] {

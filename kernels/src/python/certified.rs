@@ -83,7 +83,7 @@ fn simplify_points<const D: usize, const K: usize>(
     progress: &Py<PyAny>,
 ) -> PyResult<Py<Proven>> {
     let (points, triangles) = inputs.copied::<D>()?;
-    let result = detached(py, progress, running.partial, |progress| {
+    let result = detached(py, Some(progress), running.partial, |progress| {
         simplify::<D, K>(points, triangles, fixed, options, &running.goal(), progress)
     })?;
     let count = |wanted| result.held.iter().filter(|r| **r == wanted).count();

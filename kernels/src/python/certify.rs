@@ -76,7 +76,7 @@ fn certify_points<const D: usize>(
         PyResult::Ok((points, triangles))
     };
     let (result, original) = (soup(result)?, soup(original)?);
-    let certificate = detached(py, progress, false, |progress| {
+    let certificate = detached(py, Some(progress), false, |progress| {
         let surface = |(points, triangles): (Vec<[f64; D]>, Vec<[u32; 3]>)| {
             Surface::new(&points, &triangles, options.threads)
         };

@@ -16,11 +16,11 @@ const LOOK: Duration = Duration::from_millis(40);
 const LOOKS_A_REPORT: u32 = 3;
 
 /// Run `work` without the GIL on a thread of its own, while this one waits. Progress reaches the Python function
-/// `progress(done, total)`. An exception there, or Ctrl-C, stops the work and comes back from here; so does False,
+/// `progress(done, total)`, if there is one. An exception there, or Ctrl-C, stops the work and comes back from here; so does False,
 /// with what there is. With `partial`, Ctrl-C does the same as False. A panic becomes a RuntimeError.
 pub fn detached<R: Send>(
     py: Python<'_>,
-    progress: &Py<PyAny>,
+    progress: Option<&Py<PyAny>>,
     partial: bool,
     work: impl FnOnce(&mut Progress) -> Result<R, KernelError> + Send,
 ) -> PyResult<R> {
@@ -46,7 +46,7 @@ pub fn detached<R: Send>(
                         }
                         control.enough();
                     }
-                    if looks % LOOKS_A_REPORT == 0 {
+                    if let Some(progress) = progress.filter(|_| looks % LOOKS_A_REPORT == 0) {
                         let (done, total) = control.done();
                         if progress.call1(py, (done, total))?.bind(py).is(PyBool::new(py, false)) {
                             control.enough();

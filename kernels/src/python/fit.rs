@@ -70,7 +70,7 @@ fn fit_points<const D: usize>(
     if became.len() != original_points.len() {
         return Err(PyValueError::new_err("became needs one value for each original vertex"));
     }
-    let points = detached(py, progress, false, |progress| {
+    let points = detached(py, Some(progress), false, |progress| {
         let whole = Whole::<D, ()>::new(points, triangles, fixed)?;
         check_points(&original_points)?;
         check_indices(original_points.len(), &original_triangles)?;

@@ -82,7 +82,7 @@ fn simplify_points<const D: usize>(
     progress: &Py<PyAny>,
 ) -> PyResult<Py<BySums>> {
     let (points, triangles) = inputs.copied::<D>()?;
-    let result = detached(py, progress, running.partial, |progress| {
+    let result = detached(py, Some(progress), running.partial, |progress| {
         jia01::simplify(Whole::new(points, triangles, fixed)?, options, &running.goal(), progress)
     })?;
     let Standing { length, shape, texture, topology, bridge, pinned, fold } = result.standing;

@@ -1,4 +1,4 @@
-//! `stages._kernels.simplify_by_quadrics`, `residuals` and `affordable_weight`.
+//! `stages._kernels.simplify_by_quadrics`.
 
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -7,16 +7,11 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
-use crate::balance;
-use crate::connect::check_indices;
 use crate::engine::Refusal;
 use crate::legality::Illegal;
-use crate::mesh::check_points;
-use crate::parallel::threads;
 use crate::patch::Whole;
 use crate::qem::QemRecords;
 use crate::rounds::{Log, Way, collapse};
-use crate::trial;
 
 /// A mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -67,7 +62,7 @@ fn simplify_points<const D: usize, const K: usize>(
     let (points, triangles) = inputs.copied::<D>()?;
     let vertices = points.len();
     let (mesh, standing, stop, collapses, became, way, attempts) =
-        detached(py, progress, running.partial, |progress| {
+        detached(py, Some(progress), running.partial, |progress| {
             let whole = Whole::new(points, triangles, fixed)?;
             let records = QemRecords::<K> { weight, importance };
             let outcome = collapse(whole, records, &running.goal(), progress)?;
@@ -99,78 +94,4 @@ fn follow<const D: usize>(vertices: usize, left: &[u32], logs: &[Log<D>]) -> Vec
         became[merge.removed.index()] = became[merge.survivor.index()];
     }
     became
-}
-
-/// Errors of shape and of the attributes that a result of `target` triangles has to be expected to make; None where
-/// the mesh is too small to tell or has no attributes.
-#[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, target, wanted_threads))]
-pub fn residuals(
-    py: Python<'_>,
-    vertices: PyReadonlyArray2<'_, f64>,
-    attributes: Attributes<'_>,
-    triangles: PyReadonlyArray2<'_, i32>,
-    target: usize,
-    wanted_threads: usize,
-) -> PyResult<Option<(f64, f64)>> {
-    let inputs = Inputs { vertices, attributes, triangles };
-    match inputs.attribute_count() {
-        0 => Ok(None),
-        1 => residuals_of_points::<4>(py, &inputs, target, wanted_threads),
-        3 => residuals_of_points::<6>(py, &inputs, target, wanted_threads),
-        k => Err(unknown_attributes(k)),
-    }
-}
-
-fn residuals_of_points<const D: usize>(
-    py: Python<'_>,
-    inputs: &Inputs<'_>,
-    target: usize,
-    wanted_threads: usize,
-) -> PyResult<Option<(f64, f64)>> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    check_points(&points)?;
-    check_indices(points.len(), &triangles)?;
-    Ok(py.detach(|| balance::residuals(&points, &triangles, target, threads(wanted_threads))))
-}
-
-/// The largest weight up to `weight` whose error of shape, tried on a sample, is near that without colours.
-#[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, target, weight, wanted_threads,
-                    progress))]
-#[allow(clippy::too_many_arguments)]
-pub fn affordable_weight(
-    py: Python<'_>,
-    vertices: PyReadonlyArray2<'_, f64>,
-    attributes: Attributes<'_>,
-    triangles: PyReadonlyArray2<'_, i32>,
-    target: usize,
-    weight: f64,
-    wanted_threads: usize,
-    progress: Py<PyAny>,
-) -> PyResult<f64> {
-    let inputs = Inputs { vertices, attributes, triangles };
-    match inputs.attribute_count() {
-        0 => Ok(weight),
-        1 => affordable_of_points::<4, 1>(py, &inputs, target, weight, wanted_threads, &progress),
-        3 => affordable_of_points::<6, 3>(py, &inputs, target, weight, wanted_threads, &progress),
-        k => Err(unknown_attributes(k)),
-    }
-}
-
-fn affordable_of_points<const D: usize, const K: usize>(
-    py: Python<'_>,
-    inputs: &Inputs<'_>,
-    target: usize,
-    weight: f64,
-    wanted_threads: usize,
-    progress: &Py<PyAny>,
-) -> PyResult<f64> {
-    let (points, triangles) = inputs.copied::<D>()?;
-    check_points(&points)?;
-    check_indices(points.len(), &triangles)?;
-    let threads = threads(wanted_threads);
-    detached(py, progress, false, |progress| {
-        trial::affordable::<D, K>(&points, &triangles, target, weight, threads, progress)
-    })
 }
