@@ -18,17 +18,13 @@ proves, the bench ends with an error. The whole takes half an hour.
 from __future__ import annotations
 
 import argparse
-import math
-import subprocess
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import meshes
 from bounds import diagonal, worst
-from peers.native import Missing
 from peers.tools import OURS, Tool
-from simplify import in_own_process, installed, load, save
+from simplify import installed, results
 
 from stages.mesh import Mesh
 from stages.simplify import Simplified, simplify
@@ -44,7 +40,7 @@ def compared(
     mesh: Mesh, name: str, share: float, tools: list[Tool], samples: int
 ) -> Iterator[tuple[str, float]]:
     """Return a row for each peer, setting and set of bounds, and our triangles over the peer's."""
-    for label, light in results(mesh, share, tools):
+    for tool, setting, _, light in results(mesh, share, tools):
         distance, levels = worst(mesh, light, samples)
         for asked in (None,) if light.colors is None else (None, levels):
             ours = simplify(mesh, method="certified", max_shape=distance, max_texture=asked)
@@ -57,7 +53,7 @@ def compared(
             cells = (
                 name,
                 f"{share:.0%}",
-                label,
+                f"{tool.name} {setting}".strip(),
                 f"{len(light.triangles):,}",
                 f"{distance / diagonal(mesh):.3e}",
                 "" if asked is None else f"{asked:.1f}",
@@ -67,23 +63,6 @@ def compared(
                 f"{measured_over_proven(mesh, ours, samples):.3f}",
             )
             yield "| " + " | ".join(cells) + " |", ratio
-
-
-def results(mesh: Mesh, share: float, tools: list[Tool]) -> Iterator[tuple[str, Mesh]]:
-    """Return what each peer makes of the mesh with each of its settings, and print where one fails."""
-    with tempfile.TemporaryDirectory() as folder:
-        given, result = Path(folder, "given.npz"), Path(folder, "result.npz")
-        save(mesh, given)
-        for tool in tools:
-            settings = list(tool.settings)
-            for setting in settings if mesh.colors is not None else settings[:1]:
-                label = tool.name if mesh.colors is None else f"{tool.name} {setting}".strip()
-                try:
-                    in_own_process(tool, setting, given, math.floor(share * len(mesh.triangles)), result)
-                except (Missing, subprocess.SubprocessError) as error:
-                    print(f"| {label} | failed: {error} |")
-                    continue
-                yield label, load(result)
 
 
 def measured_over_proven(mesh: Mesh, ours: Simplified, samples: int) -> float:

@@ -113,6 +113,21 @@ def installed(only: list[str] | None) -> Iterator[Tool]:
 def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: int) -> Iterator[Row]:
     """Run each tool with each of its settings and measure what comes out."""
     before = topology(mesh)
+    for tool, setting, cost, light in results(mesh, ratio, tools):
+        yield Row(
+            mesh=name,
+            ratio=ratio,
+            tool=tool.name,
+            setting=setting,
+            **cost,
+            **quality(mesh, before, light, samples),
+        )
+
+
+def results(
+    mesh: Mesh, ratio: float, tools: list[Tool]
+) -> Iterator[tuple[Tool, str, dict[str, float], Mesh]]:
+    """Run each tool with each of its settings, or one if there are no colours, and print where one fails."""
     with tempfile.TemporaryDirectory() as folder:
         given, result = Path(folder, "given.npz"), Path(folder, "result.npz")
         save(mesh, given)
@@ -126,15 +141,7 @@ def measured(name: str, mesh: Mesh, ratio: float, tools: list[Tool], samples: in
                 except (Missing, subprocess.SubprocessError) as error:
                     print(f"| {tool.name} | {setting} | failed: {error} |")
                     continue
-                light = load(result)
-                yield Row(
-                    mesh=name,
-                    ratio=ratio,
-                    tool=tool.name,
-                    setting=setting if mesh.colors is not None else "",
-                    **cost,
-                    **quality(mesh, before, light, samples),
-                )
+                yield tool, setting if mesh.colors is not None else "", cost, load(result)
 
 
 def in_own_process(tool: Tool, setting: str, given: Path, triangles: int, result: Path) -> dict[str, float]:

@@ -23,17 +23,18 @@ L2 a core and 32 MB behind it, other work on the other core:
 | placement, legality, connectivity | 10 % | 20 % |
 | order: priorities, heap, marks of what changed | 24 % | 14 % |
 | between rounds: cutting patches, queues afresh, joining | 26 % | 26 % |
-| fit and weight of colour, tried on a sample | 19 % | |
+| fit and weight of colour | 16 % | |
 | Python: checks, copies about the centre, sources | 7 % | 9 % |
 
 The last row has since come down to 2 % and 1 %: the kernels measure sides, checks look at whole arrays first.
-Pieces are joined in the memory of the mesh they came from, on all threads.
+Pieces are joined in the memory of the mesh they came from, on all threads. The weight of colour is tried on a
+sample now, which takes 3 % more.
 
 "certified" spends two fifths on the watched vertices while it collapses, another fifth on the rest of that, a
 quarter on the proof and the rest on trees, copies and checks. Its peak is at the proof. Bytes a triangle
 there, counted by what is held: points, triangles and the triangles around each vertex 50, the tree over them
 46, collapses and where they led 38, what is known of each triangle 9; the rest is short-lived. Between rounds
-free pages are given back to the system: else another 50 stay with the allocator.
+free pages are given back to the system: without that the peak was 50 higher.
 
 How far that is from the floor, for "count", by perf's counters:
 
