@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -228,7 +228,8 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
 
     globe = meshes.globe(12, MAP)
     light = simplify(globe, ratio=0.2).mesh
-    peers = [("one", light), ("other", light.with_(colors=None))]
+    one = SimpleNamespace(name="one")
+    peers = [(one, "weight 1", {}, light), (one, "weight 0", {}, light.with_(colors=None))]
     monkeypatch.setattr(at_a_bound, "results", lambda *_: peers)
     asked = []
 
@@ -242,6 +243,7 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
     distance, levels = at_a_bound.worst(globe, light, 1000)
     assert asked == [(distance, None), (distance, levels), (distance, None)]
     assert rows[0][1] == rows[2][1]
+    assert "| one weight 1 |" in rows[0][0]
     assert all(row.count("|") == at_a_bound.HEAD.splitlines()[0].count("|") for row, _ in rows)
 
 

@@ -40,6 +40,9 @@ const SHARE: f64 = 0.9;
 /// What a limit is multiplied with where the proof failed.
 const TIGHTER: f32 = 0.6;
 
+/// Pieces a triangle, on average over those looked at together, that may be spent on those that few pieces leave open.
+const EFFORT: f64 = 8.0;
+
 /// Proofs that may fail before it is asked whether they can succeed at all,
 const HOPE: usize = 6;
 
@@ -146,7 +149,7 @@ pub fn simplify<const D: usize, const K: usize>(
         factors: (0..original.points.len()).map(|v| 1.0 / factor(v)).collect(),
     };
     let decision =
-        certify::Options { limit: Some(bounds), threads: goal.threads, effort: 0.0, ..options.proof };
+        certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
     let recorded = goal.record;
     let mut history = History::new(&original, recorded);
     let goal = Goal { record: true, ..*goal };
@@ -182,15 +185,19 @@ pub fn simplify<const D: usize, const K: usize>(
         if settled || outcome.stop == Stop::Enough || history.standing() == 0 {
             let held = mesh.held_edges();
             let mut mesh = mesh.into_compact();
-            let certificate = if proven && !options.close {
-                ledger.certificate(mesh.triangles.len())
-            } else {
+            let certificate = if options.close {
                 let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
-                let limit = (!options.close).then_some(bounds);
-                let proof = certify::Options { limit, threads: goal.threads, ..options.proof };
+                let proof = certify::Options { limit: None, threads: goal.threads, ..options.proof };
                 let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
                 if proven { ledger.closer(close) } else { close }
+            } else {
+                ledger.certificate(&mesh, &options.proof, progress)?
             };
+            // With more effort the rest may be within the bounds after all.
+            let proven = proven || certificate.bound.within(bounds);
+            if let Some(last) = passes.last_mut().filter(|_| proven) {
+                last.unproven = [0, 0];
+            }
             let way = if recorded { history.way() } else { Way::default() };
             if let Some(proper) = proper {
                 mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);

@@ -121,6 +121,32 @@ pub fn certify(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
+    let everything = [result, original].map(|surface| (0..surface.len() as u32).collect());
+    certify_slots(result, original, options, everything, progress)
+}
+
+/// The same for the triangles `asked` alone (of the result, of the original; numbers in the order of the input): nothing
+/// is found of the others, but what falls on them from those asked.
+///
+/// # Errors
+/// [`KernelError::Interrupted`] when the caller wants to stop.
+pub fn certify_some(
+    result: &Surface,
+    original: &Surface,
+    options: &Options,
+    asked: [&[u32]; 2],
+    progress: &mut Progress,
+) -> Result<Certificate, KernelError> {
+    certify_slots(result, original, options, slots_of([result, original], asked), progress)
+}
+
+fn certify_slots(
+    result: &Surface,
+    original: &Surface,
+    options: &Options,
+    slots: [Vec<u32>; 2],
+    progress: &mut Progress,
+) -> Result<Certificate, KernelError> {
     let slack =
         slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
     // A bound contains the slack, and what is attained does not.
@@ -128,13 +154,12 @@ pub fn certify(
     let limit = options.limit.map(without_slack);
     let options = &Options { absolute_tolerance: options.absolute_tolerance.max(least), limit, ..*options };
     let absolute = options.absolute_tolerance;
-    let everything = [result, original].map(|surface| (0..surface.len() as u32).collect());
     let wanted = limit.map_or(Wanted::All, Wanted::Beyond);
-    let mut sides = both_sides(result, original, everything, options, wanted);
+    let all = slots.iter().map(Vec::len).sum();
+    let mut sides = both_sides(result, original, slots, options, wanted);
     if result.is_empty() || original.is_empty() {
         return Ok(one_sided(&sides, slack));
     }
-    let all = result.len() + original.len();
     let mut run = Run::new(options.threads, all, progress);
     for side in &mut sides {
         side.look_at_vertices(&run)?;
@@ -159,7 +184,8 @@ pub fn certify(
 }
 
 /// Which of the triangles `asked` (of the result, of the original; numbers in the order of the input) stay within
-/// `options.limit`, in the order asked. The cost follows the number asked, and each is decided as if asked alone.
+/// `options.limit`, in the order asked. The cost follows the number asked. Without `options.effort` each is decided as if
+/// asked alone.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`] when the caller wants to stop.
@@ -176,13 +202,7 @@ pub fn decide(
     if result.is_empty() || original.is_empty() {
         return Ok(asked.map(|asked| vec![Verdict { bound: EVERYTHING, attained: EVERYTHING }; asked.len()]));
     }
-    // In the order of the slots neighbours follow each other, and each is looked at once.
-    let slots = [(result, asked[0]), (original, asked[1])].map(|(surface, asked)| {
-        let mut slots: Vec<u32> = asked.iter().map(|&t| surface.slots[t as usize]).collect();
-        slots.sort_unstable();
-        slots.dedup();
-        slots
-    });
+    let slots = slots_of([result, original], asked);
     let mut sides = both_sides(result, original, slots, options, Wanted::None);
     let all = asked[0].len() + asked[1].len();
     let mut run = Run::new(options.threads, all, progress);
@@ -199,11 +219,21 @@ pub fn decide(
         false => 0.0,
     };
     let verdict = |side: &Side<'_>, t: u32| {
-        let Verdict { bound, attained } = side.found_in(side.mesh.slots[t as usize]);
+        let Verdict { bound, attained } = side.found_in(side.mesh.slots[t as usize]).unwrap_or_default();
         let bound = Deviation { shape: bound.shape.max(within.shape), color: color(bound.color) };
         Verdict { bound, attained }
     };
     Ok([0, 1].map(|i| asked[i].iter().map(|&t| verdict(&sides[i], t)).collect()))
+}
+
+/// Slots of triangles. In their order neighbours follow each other, and each is looked at once.
+fn slots_of(surfaces: [&Surface; 2], asked: [&[u32]; 2]) -> [Vec<u32>; 2] {
+    [0, 1].map(|i| {
+        let mut slots: Vec<u32> = asked[i].iter().map(|&t| surfaces[i].slots[t as usize]).collect();
+        slots.sort_unstable();
+        slots.dedup();
+        slots
+    })
 }
 
 /// What colours lose on their way is not left to the search.
@@ -353,12 +383,13 @@ fn finished(
         side.mesh.slots.iter().map(|&slot| sure(&of(slot as usize))).collect()
     };
     let [own, other] = sides;
+    let found = |side: &Side, slot| side.found_in(slot as u32).unwrap_or_default().bound;
     let all = own.found.iter().chain(&other.found);
     let bound = all.fold(Deviation::default(), |most, found| most.max(found.bound));
     Certificate {
-        result: in_order(own, &|slot| own.found[slot].bound.max(other.on_target(slot))),
-        own: in_order(own, &|slot| own.found[slot].bound),
-        original: in_order(other, &|slot| other.found[slot].bound),
+        result: in_order(own, &|slot| found(own, slot).max(other.on_target(slot))),
+        own: in_order(own, &|slot| found(own, slot)),
+        original: in_order(other, &|slot| found(other, slot)),
         bound: sure(&bound),
         attained,
         slack,

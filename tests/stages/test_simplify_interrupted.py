@@ -44,8 +44,9 @@ def progress(done, total):
     # A proof looks at the triangles of both meshes.
     global said
     if not said and (not at_proof or total > len(triangles)):
-        print("working", flush=True)
+        # Ctrl-C comes as soon as this is printed.
         said = True
+        print("working", flush=True)
     seen.append((done, total))
 
 try:

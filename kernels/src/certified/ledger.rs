@@ -4,6 +4,7 @@ use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
 use crate::error::KernelError;
 use crate::geometry::{Vec3, norm2, position, sub, triangle_distance2};
 use crate::memory;
+use crate::mesh::Compact;
 use crate::original::Original;
 use crate::patch::Whole;
 use crate::progress::Progress;
@@ -217,15 +218,50 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Open { of_result, of_input, within_reach }
     }
 
-    /// The proof of all bounds, where none was looked at more closely. The mesh has `triangles`.
-    pub fn certificate(&self, triangles: usize) -> Certificate {
-        let with_color = !self.surface.colors.is_empty() && self.bounds.color < f64::INFINITY;
-        let bound = Deviation { color: if with_color { self.bounds.color } else { 0.0 }, ..self.bounds };
+    /// What is proven of `mesh`, which must be the one looked at last: the bounds, and what holds instead for triangles
+    /// without a proof, as closely as `options` say.
+    pub fn certificate(
+        &self,
+        mesh: &Compact<D>,
+        options: &certify::Options,
+        progress: &mut Progress,
+    ) -> Result<Certificate, KernelError> {
+        let mut all = self.bounds_everywhere();
+        let own: Vec<u32> = self.failing_of_result().map(|i| i as u32).collect();
+        let original: Vec<u32> = self.failing.iter().map(|failing| failing.triangle).collect();
+        if own.is_empty() && original.is_empty() {
+            return Ok(all);
+        }
+        let threads = self.decision.threads;
+        let result = Surface::new(&mesh.points, &mesh.triangles, threads)?;
+        let options = certify::Options { limit: None, threads, ..*options };
+        let instead = certify::certify_some(&result, &self.surface, &options, [&own, &original], progress)?;
+        // Without a bound on colours nothing is said of the others'.
+        let said = |d: Deviation| if self.with_color() { d } else { Deviation { color: 0.0, ..d } };
+        let more = |a: &mut [Deviation], b: &[Deviation]| {
+            a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(said(*b)));
+        };
+        more(&mut all.result, &instead.result);
+        more(&mut all.own, &instead.own);
+        more(&mut all.original, &instead.original);
+        all.bound = all.bound.max(said(instead.bound));
+        all.attained = all.attained.max(said(instead.attained));
+        Ok(all)
+    }
+
+    fn with_color(&self) -> bool {
+        !self.surface.colors.is_empty() && self.bounds.color < f64::INFINITY
+    }
+
+    /// The bounds that were asked for, for every triangle.
+    fn bounds_everywhere(&self) -> Certificate {
+        let bound =
+            Deviation { color: if self.with_color() { self.bounds.color } else { 0.0 }, ..self.bounds };
         let of_input = self.attained.iter().map(|a| Deviation { shape: a[0].into(), color: a[1].into() });
         let of_result = self.result.iter().map(|known| known.verdict.attained);
         Certificate {
-            result: vec![bound; triangles],
-            own: vec![bound; triangles],
+            result: vec![bound; self.result.len()],
+            own: vec![bound; self.result.len()],
             original: vec![bound; self.surface.len()],
             bound,
             attained: of_input.chain(of_result).fold(Deviation::default(), Deviation::max),
@@ -238,7 +274,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
     /// This proof and another of the same meshes: each bound is the lesser one. This one says nothing of colours without
     /// a bound on them.
     pub fn closer(&self, mut other: Certificate) -> Certificate {
-        let this = self.certificate(other.result.len());
+        let this = self.bounds_everywhere();
         let with_color = self.bounds.color < f64::INFINITY;
         let said = |d: Deviation| if with_color { d } else { Deviation { color: f64::INFINITY, ..d } };
         let both = |a: &mut [Deviation], b: &[Deviation]| {

@@ -213,14 +213,11 @@ impl<'a> Side<'a> {
         });
     }
 
-    /// What was found of the triangle in `slot`, which must be one of those asked for.
-    pub fn found_in(&self, slot: u32) -> Verdict {
-        let place = if self.slots.len() == self.mesh.len() {
-            slot as usize
-        } else {
-            self.slots.partition_point(|&s| s < slot)
-        };
-        self.found[place]
+    /// What was found of the triangle in `slot`, if it is one of those asked for.
+    pub fn found_in(&self, slot: u32) -> Option<Verdict> {
+        let all = self.slots.len() == self.mesh.len();
+        let place = if all { Some(slot as usize) } else { self.slots.binary_search(&slot).ok() };
+        place.map(|place| self.found[place])
     }
 
     /// The greatest deviation of what falls on a slot of the target.
