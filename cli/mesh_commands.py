@@ -173,8 +173,10 @@ def simplify(
     if save_bounds is not None:
         _write_bounds(save_bounds, simplified.mesh, simplified.shape_bound, simplified.color_bound, out)
     figures = {"output": str(target), **simplified.figures()}
-    said = simplified.method == "certified" and not out.as_json
-    out.result(figures, f"{lines_of(figures)}\n\n{_proof_text(figures)}" if said else None)
+    for warning in simplified.warnings:
+        out.remark(f"warning: {warning}")
+    text = lines_of({name: value for name, value in figures.items() if name != "warnings"})
+    out.result(figures, f"{text}\n\n{_proof_text(figures)}" if simplified.method == "certified" else text)
 
 
 def replay(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.collapse_record import CollapseRecord
+from stages.edges import edges_of
 from stages.mesh import Mesh
 
 # What only one of the methods has to tell.
@@ -37,6 +38,10 @@ _FIGURES = {
         "splits",
     ),
 }
+
+# Where a larger share of the edges stands for the topology, little is left to choose. A street of 1.1 million
+# triangles with 5,439 holes: 12 % of them at a tenth of the triangles, 76 % at a twenty-fifth.
+_CROWDED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +121,23 @@ class Simplified:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
         return values[self.vertex_source]
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should know of the result, in plain sentences."""
+        kept = self.refused.get("topology", 0) + self.refused.get("bridge", 0)
+        by_bounds = self.method != "quadric" and self.stopped_by != "triangles"
+        # There are at least half as many edges as sides of triangles.
+        if by_bounds or kept <= _CROWDED * 1.5 * len(self.mesh.triangles):
+            return ()
+        edges = len(edges_of(self.mesh.triangles, len(self.mesh.vertices)).ends)
+        if kept <= _CROWDED * edges:
+            return ()
+        return (
+            f"{kept / edges:.0%} of the edges that are left stand for holes, handles and loose pieces, which "
+            "all stay, so that the rest lost more than it had to; fill or remove small ones first "
+            "(fill_holes and min_island_area of clean), or keep more triangles.",
+        )
+
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; what the method has no figure for is left out."""
         triangles = len(self.mesh.triangles)
@@ -130,6 +152,7 @@ class Simplified:
             "attribute_scale_m_per_level": self.attribute_scale_m_per_level,
             "collapses": self.collapses,
             "attempts": self.attempts,
+            "warnings": list(self.warnings),
         }
         return figures | {name: _plain(getattr(self, name)) for name in _FIGURES[self.method]}
 

@@ -123,6 +123,16 @@ def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_pa
     assert "Not proven: the bounds that were asked for, at 4 triangles of the result and 4 of" in ran.stdout
 
 
+def test_simplify_warns_when_too_few_triangles_are_wanted(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    light = tmp_path / "light.ply"
+    ran = scanloom("simplify", ball, light, "--triangles", 1)
+    assert "\nwarning: 100% of the edges that are left stand for holes" in ran.stderr
+    assert "warnings" not in ran.stdout
+    (warning,) = json.loads(scanloom("simplify", ball, light, "--triangles", 1, "--json").stdout)["warnings"]
+    assert "warning: " + warning in ran.stderr
+    assert "warning" not in scanloom("simplify", ball, light, "--ratio", 0.5).stderr
+
+
 def test_simplify_to_a_count_and_back(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light, half = (tmp_path / f"{name}.ply" for name in ("clean", "light", "half"))
     record = tmp_path / "new" / "light.npz"

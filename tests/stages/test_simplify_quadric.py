@@ -117,6 +117,20 @@ def test_as_few_triangles_as_the_topology_needs(name: str) -> None:
     assert_same_topology(result.mesh, mesh)
 
 
+def test_too_few_triangles_for_many_holes_are_warned_of() -> None:
+    mesh = sheet()
+    square = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
+    torn = Mesh(mesh.vertices, mesh.triangles[(square % 4 != 1).any(axis=1)], colors=mesh.colors)
+    loops = topology(torn).boundary_loops
+    assert loops > 90
+    (warning,) = simplify(torn, triangles=4 * loops).warnings
+    assert "holes" in warning
+    assert simplify(torn, triangles=4 * loops).figures()["warnings"] == [warning]
+    assert simplify(torn, ratio=0.5).warnings == ()
+    assert simplify(torn, max_shape=1.0).warnings == ()
+    assert simplify(mesh, triangles=4 * loops).warnings == ()
+
+
 @pytest.mark.parametrize("ratio", [0.5, 0.1, 0.02])
 def test_no_triangle_turns_over(ratio: float) -> None:
     mesh = sheet(noise=0.0)
