@@ -4,7 +4,7 @@
 //! the error of shape that has to be expected, and its colours' difference to their best linear fit that of
 //! colour. A weight that makes both equal follows the data; one relative to the mesh's extent does not.
 
-use crate::geometry::{Vec3, around, cross, norm2, position, sub};
+use crate::geometry::{Vec3, around, cross, diagonal, norm2, position, sub};
 use crate::parallel::fill;
 
 /// A cell needs this many triangles for a plane and a linear fit to say something.
@@ -37,19 +37,20 @@ pub fn balanced<const D: usize>(
     target: usize,
     threads: usize,
 ) -> f64 {
-    let [low, high] = around(points.iter().map(position));
-    let diagonal = if points.is_empty() { 0.0 } else { norm2(&sub(&high, &low)).sqrt() };
-    match residuals(points, triangles, target, threads) {
+    let bounds = around(points.iter().map(position));
+    let diagonal = diagonal(&bounds);
+    match residuals(points, triangles, &bounds[0], target, threads) {
         Some((shape, colour)) => (SHARE * shape / colour).max(LEAST_WEIGHT * diagonal),
         None => USUAL_WEIGHT * diagonal,
     }
 }
 
 /// Root mean square of the distance to the plane and of the difference to the linear fit, over pieces as large as
-/// a triangle of a result with `target` triangles. None where no piece is large enough, or nothing has a colour.
+/// a triangle of a result with `target` triangles. No point is below `low`. None where no piece is large enough, or nothing has a colour.
 fn residuals<const D: usize>(
     points: &[[f64; D]],
     triangles: &[[u32; 3]],
+    low: &Vec3,
     target: usize,
     threads: usize,
 ) -> Option<(f64, f64)> {
@@ -70,10 +71,9 @@ fn residuals<const D: usize>(
     if side <= 0.0 {
         return None;
     }
-    let [low, _] = around(points.iter().map(position));
     let stride = (triangles.len() / SAMPLE).max(1) as u64;
     let mut cells = vec![0; triangles.len()];
-    fill(&mut cells, threads, |t| cell(corner(&triangles[t]), &low, side));
+    fill(&mut cells, threads, |t| cell(corner(&triangles[t]), low, side));
     let mut chosen: Vec<(u64, u32)> =
         cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell) % stride == 0).collect();
     chosen.sort_unstable();
@@ -174,6 +174,8 @@ impl<const D: usize> Moments<D> {
 mod tests {
     use super::*;
 
+    const LOW: Vec3 = [0.0, 0.0, -1.0];
+
     fn ramp(bump: f64, stripes: f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
         let n = 60;
         let wave = |x: u32| if x % 2 == 0 { 1.0 } else { -1.0 };
@@ -191,7 +193,7 @@ mod tests {
     #[test]
     fn ramps_and_planes_leave_nothing() {
         let (points, triangles) = ramp(0.0, 0.0);
-        let (shape, colour) = residuals(&points, &triangles, 72, 1).unwrap();
+        let (shape, colour) = residuals(&points, &triangles, &LOW, 72, 1).unwrap();
         assert!(shape < 1e-6 && colour == LEAST_LEVELS, "{shape} {colour}");
     }
 
@@ -199,7 +201,7 @@ mod tests {
     fn each_residual_grows_with_its_own_cause() {
         let of = |bump, stripes| {
             let (points, triangles) = ramp(bump, stripes);
-            residuals(&points, &triangles, 72, 1).unwrap()
+            residuals(&points, &triangles, &LOW, 72, 1).unwrap()
         };
         let (shape, colour) = of(0.01, 30.0);
         let (higher, same) = of(0.02, 30.0);
@@ -211,8 +213,8 @@ mod tests {
     #[test]
     fn nothing_to_weigh() {
         let (points, triangles) = ramp(0.1, 10.0);
-        assert_eq!(residuals(&points, &triangles[..5], 1, 1), None);
+        assert_eq!(residuals(&points, &triangles[..5], &LOW, 1, 1), None);
         let bare: Vec<[f64; 3]> = points.iter().map(|p| [p[0], p[1], p[2]]).collect();
-        assert_eq!(residuals(&bare, &triangles, 72, 1), None);
+        assert_eq!(residuals(&bare, &triangles, &LOW, 72, 1), None);
     }
 }

@@ -37,7 +37,7 @@ use refine::{Goal, Outcome};
 use side::{Run, Side};
 
 use crate::error::KernelError;
-use crate::geometry::{Vec3, around, norm2, sub};
+use crate::geometry::{Vec3, around, diagonal, norm2};
 use crate::progress::Progress;
 
 /// What colours lose on their way: measured, interpolated and compared in single precision.
@@ -219,7 +219,8 @@ pub fn decide(
         false => 0.0,
     };
     let verdict = |side: &Side<'_>, t: u32| {
-        let Verdict { bound, attained } = side.found_in(side.mesh.slots[t as usize]).unwrap_or_default();
+        let Verdict { bound, attained } =
+            side.found_in(side.mesh.slots[t as usize]).unwrap_or(Verdict::UNKNOWN);
         let bound = Deviation { shape: bound.shape.max(within.shape), color: color(bound.color) };
         Verdict { bound, attained }
     };
@@ -333,7 +334,7 @@ pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
     if largest == f64::INFINITY {
         return 0.0;
     }
-    let diagonal = norm2(&sub(&high, &low)).sqrt();
+    let diagonal = diagonal(&[low, high]);
     // Double precision needs its share in any case.
     let least = 2f64.powi(-40) * largest;
     wanted.unwrap_or(2f64.powi(-21) * largest + 2f64.powi(-20) * diagonal).max(least)

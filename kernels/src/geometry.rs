@@ -19,6 +19,11 @@ pub fn around(points: impl Iterator<Item = Vec3>) -> [Vec3; 2] {
     })
 }
 
+/// Length of the diagonal of a box; 0 of one around nothing.
+pub fn diagonal([low, high]: &[Vec3; 2]) -> f64 {
+    norm2(&sub(high, low).map(|side| side.max(0.0))).sqrt()
+}
+
 /// a + t·b
 #[inline]
 pub fn add_scaled<const D: usize>(a: &[f64; D], t: f64, b: &[f64; D]) -> [f64; D] {

@@ -7,7 +7,7 @@
 use crate::balance::{cell, scrambled};
 use crate::certify::Surface;
 use crate::error::KernelError;
-use crate::geometry::{around, cross, norm2, position, sub};
+use crate::geometry::{around, cross, diagonal, norm2, position, sub};
 use crate::parallel::fill;
 use crate::patch::Whole;
 use crate::progress::Progress;
@@ -157,8 +157,9 @@ impl<const D: usize> Sample<D> {
             return Ok(weight);
         }
         let mut error = |weight| self.shape_error::<K>(left, weight, threads, progress);
+        let least = LEAST_ERROR * diagonal(&around(self.points.iter().map(position)));
         // All of it may be one point.
-        let alone = error(0.0)?.map(|e| e.max(LEAST_ERROR * self.diagonal())).filter(|e| *e > 0.0);
+        let alone = error(0.0)?.map(|e| e.max(least)).filter(|e| *e > 0.0);
         let Some(alone) = alone else { return Ok(weight) };
         let mut tried = weight;
         for _ in 0..trials {
@@ -169,12 +170,6 @@ impl<const D: usize> Sample<D> {
             tried *= ((MOST * MOST - 1.0) / (ratio * ratio - 1.0)).sqrt().clamp(0.1, 0.8);
         }
         Ok(tried)
-    }
-
-    /// That of the box around it.
-    fn diagonal(&self) -> f64 {
-        let [low, high] = around(self.points.iter().map(position));
-        norm2(&sub(&high, &low)).sqrt()
     }
 
     /// Root mean square of the distance of its vertices from what is left of it; none if it is no manifold, or nothing is

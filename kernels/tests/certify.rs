@@ -3,7 +3,9 @@
 mod common;
 
 use common::{Noise, coloured, gallery, sheet};
-use scanloom_kernels::certify::{Certificate, Deviation, Options, Surface, Verdict, certify, decide};
+use scanloom_kernels::certify::{
+    Certificate, Deviation, Options, Surface, Verdict, certify, certify_some, decide,
+};
 use scanloom_kernels::error::KernelError;
 use scanloom_kernels::geometry::{nearest_on_triangle, position, triangle_distance2};
 use scanloom_kernels::progress::{Control, Progress};
@@ -61,6 +63,67 @@ fn no_point_is_farther_than_its_triangles_bound() {
         assert!(found.attained.within(found.bound), "{name}");
         assert!(found.bound.shape <= 1.06 * found.attained.shape + 3.0 * found.slack, "{name}");
     }
+}
+
+#[test]
+fn some_triangles_are_bounded_like_all_and_nothing_is_said_of_others() {
+    let nothing = Deviation { shape: 0.0, color: 1.0 / 512.0 };
+    for (name, result, original) in pairs() {
+        let surfaces = [&result, &original].map(|mesh| surface(mesh).unwrap());
+        let control = Control::default();
+        let some = |asked: [&[u32]; 2]| {
+            let mut progress = Progress::new(&control);
+            certify_some(&surfaces[0], &surfaces[1], &Options::default(), asked, &mut progress).unwrap()
+        };
+        let all = bounds(&result, &original, &Options::default());
+        let numbers = [&result, &original].map(|mesh| (0..mesh.1.len() as u32).collect::<Vec<_>>());
+        let same = some([&numbers[0], &numbers[1]]);
+        assert_eq!((&same.result, &same.original, same.bound), (&all.result, &all.original, all.bound));
+
+        let one = result.1.len() / 2;
+        let found = some([&[one as u32], &[0]]);
+        let most = found.own[one].max(found.original[0]);
+        assert_eq!(found.bound, most, "{name}");
+        for (t, own) in found.own.iter().enumerate() {
+            assert_eq!(t != one, *own == nothing, "{name} {t}");
+            assert!(found.result[t].within(most) && own.within(found.result[t]), "{name} {t}");
+        }
+        assert!(found.original[1..].iter().all(|other| *other == nothing), "{name}");
+        // What falls on the result from the one triangle asked falls somewhere.
+        let fallen = found.result.iter().fold(Deviation::default(), |most, d| most.max(*d));
+        assert!(found.original[0].shape <= fallen.shape, "{name}");
+        for (mesh, other, t, of) in
+            [(&result, &original, one, found.own[one]), (&original, &result, 0, found.original[0])]
+        {
+            let corners = mesh.1[t].map(|v| position(&mesh.0[v as usize]));
+            let middle = [0, 1, 2].map(|i| corners.iter().map(|c| c[i]).sum::<f64>() / 3.0);
+            assert!(corners.iter().chain([&middle]).all(|p| distance(p, other) <= of.shape), "{name}");
+        }
+    }
+}
+
+#[test]
+fn more_effort_decides_what_few_pieces_leave_open() {
+    let mut open = [0; 2];
+    for (_, result, original) in pairs() {
+        let surfaces = [&result, &original].map(|mesh| surface(mesh).unwrap());
+        let attained = bounds(&result, &original, &Options::default()).attained;
+        let limit = Deviation { shape: 1.002 * attained.shape, color: 1.002 * attained.color };
+        let numbers = [&result, &original].map(|mesh| (0..mesh.1.len() as u32).collect::<Vec<_>>());
+        let control = Control::default();
+        let decided = |effort| {
+            let options = Options { effort, limit: Some(limit), ..Options::default() };
+            let asked = [&numbers[0][..], &numbers[1][..]];
+            let mut progress = Progress::new(&control);
+            decide(&surfaces[0], &surfaces[1], &options, asked, &mut progress).unwrap().concat()
+        };
+        let [few, more] = [0.0, 8.0].map(decided);
+        assert!(few.iter().zip(&more).all(|(few, more)| more.bound.within(few.bound)));
+        // Neither proven nor found to be beyond.
+        let is_open = |v: &&Verdict| !v.bound.within(limit) && v.attained.within(limit);
+        open = [open[0] + few.iter().filter(is_open).count(), open[1] + more.iter().filter(is_open).count()];
+    }
+    assert!(2 * open[1] < open[0], "{open:?}");
 }
 
 #[test]

@@ -21,12 +21,6 @@ struct Known<const D: usize> {
 /// Triangles of the input that are looked at together: what is found of them takes memory.
 const AT_ONCE: usize = 1 << 15;
 
-/// Until it is looked at.
-const UNKNOWN: Verdict = Verdict {
-    bound: Deviation { shape: f64::INFINITY, color: f64::INFINITY },
-    attained: Deviation { shape: 0.0, color: 0.0 },
-};
-
 /// A triangle of the input without a proof.
 struct Failing {
     triangle: u32,
@@ -119,7 +113,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
                     }
                     asked.push(i);
                     asked_known.push(number);
-                    UNKNOWN
+                    Verdict::UNKNOWN
                 }
             };
             result.push(Known { source, corners, verdict });
@@ -238,13 +232,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let instead = certify::certify_some(&result, &self.surface, &options, [&own, &original], progress)?;
         // Without a bound on colours nothing is said of the others'.
         let said = |d: Deviation| if self.with_color() { d } else { Deviation { color: 0.0, ..d } };
-        let more = |a: &mut [Deviation], b: &[Deviation]| {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a = a.max(said(*b)));
-        };
-        more(&mut all.result, &instead.result);
-        more(&mut all.own, &instead.own);
-        more(&mut all.original, &instead.original);
-        all.bound = all.bound.max(said(instead.bound));
+        combine(&mut all, &instead, |a, b| a.max(said(b)));
         all.attained = all.attained.max(said(instead.attained));
         Ok(all)
     }
@@ -277,16 +265,19 @@ impl<'a, const D: usize> Ledger<'a, D> {
         let this = self.bounds_everywhere();
         let with_color = self.bounds.color < f64::INFINITY;
         let said = |d: Deviation| if with_color { d } else { Deviation { color: f64::INFINITY, ..d } };
-        let both = |a: &mut [Deviation], b: &[Deviation]| {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a = a.min(said(*b)));
-        };
-        both(&mut other.result, &this.result);
-        both(&mut other.own, &this.own);
-        both(&mut other.original, &this.original);
-        other.bound = other.bound.min(said(this.bound));
+        combine(&mut other, &this, |a, b| a.min(said(b)));
         other.attained = other.attained.max(this.attained);
         other
     }
+}
+
+/// Bounds of two certificates of the same meshes, made one by one.
+fn combine(all: &mut Certificate, other: &Certificate, one: impl Fn(Deviation, Deviation) -> Deviation) {
+    let each = |a: &mut [Deviation], b: &[Deviation]| a.iter_mut().zip(b).for_each(|(a, b)| *a = one(*a, *b));
+    each(&mut all.result, &other.result);
+    each(&mut all.own, &other.own);
+    each(&mut all.original, &other.original);
+    all.bound = one(all.bound, other.bound);
 }
 
 /// The box around three corners, with a margin.

@@ -62,7 +62,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
     }
 
     /// Take back the collapse that made each triangle without a proof, and one of those that made what a triangle of
-    /// the input lies at: the last one, since least depends on it. Where it has failed before, as `failures` says by
+    /// the input lies at: the last one, since least depends on it. Where it has failed twice before, as `failures` says by
     /// vertex of the input, take back all that made what is within reach.
     ///
     /// Returns the triangles that have nothing but the input around them: they can have no proof.

@@ -27,6 +27,14 @@ pub struct Verdict {
     pub attained: Deviation,
 }
 
+impl Verdict {
+    /// Nothing was looked at, and nothing is proven.
+    pub const UNKNOWN: Self = Self {
+        bound: Deviation { shape: f64::INFINITY, color: f64::INFINITY },
+        attained: Deviation { shape: 0.0, color: 0.0 },
+    };
+}
+
 /// One direction: triangles of `mesh` against the other surface.
 pub struct Side<'a> {
     pub mesh: &'a Surface,

@@ -207,7 +207,8 @@ fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
         let colors = target.corner_colors(0);
         let small = [0, 1, 2].map(|i| Corner { color: colors[i], ..small[i] });
         let seen = Seen { slot: 0, at: small.map(|c| view.at(&c.at)) };
-        let (facet, places) = (Facet::new(&large.map(|c| c.at)).unwrap(), large.map(|c| c.at));
+        let corners = large.map(|c| c.at);
+        let facet = Facet::new(&corners).unwrap();
         let height = small.iter().map(|c| facet.height(&c.at).abs()).fold(0.0, f64::max);
         let around = height * [0.5, 1.0, 1.01, 1.5][case / 27 % 4] + slack;
         let mut truth = 0.0f64;
@@ -216,7 +217,8 @@ fn no_colour_differs_more_from_a_smaller_triangle_than_is_said() {
                 // In some direction from the foot.
                 let weights = facet.weights(&add_scaled(&at, reach * around, &noise.vector(1.0)));
                 if weights.iter().all(|&w| w >= 0.0) {
-                    let (x, color) = (combine(&weights, &places), combine(&weights, &large.map(|c| c.color)));
+                    let (x, color) =
+                        (combine(&weights, &corners), combine(&weights, &large.map(|c| c.color)));
                     let (far, most) = brute(&x, &color, &small, slack);
                     if far <= around {
                         truth = truth.max(most);
@@ -288,6 +290,27 @@ fn a_smaller_triangle_as_near_within_the_slack_as_another_one_counts() {
     }
 }
 
+/// The greatest difference of colour between some places and the triangles that may be nearest to them.
+fn greatest_difference(
+    places: impl IntoIterator<Item = (Vec3, Vec3)>,
+    triangles: &[Triangle],
+    slack: f64,
+) -> f64 {
+    let mut truth = 0.0;
+    for (at, color) in places {
+        let found: Vec<_> = triangles.iter().map(|triangle| brute(&at, &color, triangle, slack)).collect();
+        let least = found.iter().map(|f| f.0).fold(f64::INFINITY, f64::min);
+        truth = found.iter().filter(|f| f.0 <= least + slack).map(|f| f.1).fold(truth, f64::max);
+    }
+    truth
+}
+
+/// Whether half as much again is proven; less than the truth must not be.
+fn proves_no_less(against: &Against<'_>, triangle: &Triangle, truth: f64, cover: &mut Cover) -> bool {
+    assert!(!proves(against, triangle, 0.999 * truth, cover), "not within {truth}");
+    proves(against, triangle, 1.5 * truth + 1.0, cover)
+}
+
 #[test]
 fn a_colour_among_smaller_triangles_that_passes_the_limit_is_never_proven_within() {
     let mut noise = Noise(12);
@@ -298,22 +321,17 @@ fn a_colour_among_smaller_triangles_that_passes_the_limit_is_never_proven_within
         let small = [0; 3].map(|_| noise.small_near(&large, size, [0.0, 1.0, 50.0][case / 2 % 3]));
         let slack = [1e-9, 1e-3, 0.05][case / 6 % 3];
         let target = surface(&small);
-        let (facet, places) = (Facet::new(&large.map(|c| c.at)).unwrap(), large.map(|c| c.at));
+        let corners = large.map(|c| c.at);
+        let facet = Facet::new(&corners).unwrap();
         let feet = small.iter().flat_map(|t| samples(t, &mut noise)).map(|(at, _)| facet.weights(&at));
         let under = feet.filter(|weights| weights.iter().all(|&w| w >= 0.0));
         let at_feet: Vec<_> = under
-            .map(|weights| (combine(&weights, &places), combine(&weights, &large.map(|c| c.color))))
+            .map(|weights| (combine(&weights, &corners), combine(&weights, &large.map(|c| c.color))))
             .collect();
-        let mut truth = 0.0f64;
-        for (at, color) in samples(&large, &mut noise).into_iter().chain(at_feet) {
-            let found = small.map(|triangle| brute(&at, &color, &triangle, slack));
-            let least = found.iter().map(|f| f.0).fold(f64::INFINITY, f64::min);
-            truth = found.iter().filter(|f| f.0 <= least + slack).map(|f| f.1).fold(truth, f64::max);
-        }
+        let places = samples(&large, &mut noise).into_iter().chain(at_feet);
+        let truth = greatest_difference(places, &small, slack);
         let against = against(&target, slack);
-        let mut within = |level| proves(&against, &large, level, &mut cover);
-        assert!(!within(0.999 * truth), "{case}: not within {truth}");
-        proven += usize::from(within(1.5 * truth + 1.0));
+        proven += usize::from(proves_no_less(&against, &large, truth, &mut cover));
     }
     assert!(proven > 500, "{proven}");
 }
@@ -326,17 +344,10 @@ fn a_colour_among_larger_triangles_that_passes_the_limit_is_never_proven_within(
         let large = [0; 3].map(|_| noise.large());
         let small = noise.small_near(&large[0], [0.01, 0.1][case % 2], [0.0, 1.0, 50.0][case / 2 % 3]);
         let slack = [1e-9, 1e-3, 0.05][case / 6 % 3];
-        let mut truth = 0.0f64;
-        for (at, color) in samples(&small, &mut noise) {
-            let found = large.map(|triangle| brute(&at, &color, &triangle, slack));
-            let least = found.iter().map(|f| f.0).fold(f64::INFINITY, f64::min);
-            truth = found.iter().filter(|f| f.0 <= least + slack).map(|f| f.1).fold(truth, f64::max);
-        }
+        let truth = greatest_difference(samples(&small, &mut noise), &large, slack);
         let target = surface(&large);
         let against = against(&target, slack);
-        let mut within = |level| proves(&against, &small, level, &mut cover);
-        assert!(!within(0.999 * truth), "{case}: not within {truth}");
-        proven += usize::from(within(1.5 * truth + 1.0));
+        proven += usize::from(proves_no_less(&against, &small, truth, &mut cover));
     }
     assert!(proven > 500, "{proven}");
 }
