@@ -1,0 +1,56 @@
+"""Coloured meshes of every topology, and what must stay of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from stages.mesh import Mesh
+from stages.topology import topology
+
+
+def sheet(n: int = 40, noise: float = 0.001, height: float = 0.1) -> Mesh:
+    """Hills over the unit square, 2 n² triangles; red and green run along x and y, blue comes in stripes."""
+    y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
+    z = height * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, noise, x.shape)
+    vertices = np.stack([x, y, z], -1).reshape(-1, 3)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    b, c, d = a + 1, a + n + 2, a + n + 1
+    triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3)
+    colors = np.stack([255 * x, 255 * y, 90 * ((x * 4).astype(int) % 2)], -1).reshape(-1, 3)
+    return Mesh(vertices, triangles.astype(np.int32), colors=np.rint(colors).astype(np.uint8))
+
+
+def of_trimesh(made: Any) -> Mesh:
+    vertices = np.array(made.vertices)
+    colors = np.clip(128 + 90 * np.sin(5 * vertices), 0, 255).astype(np.uint8)
+    return Mesh(vertices, np.array(made.faces, np.int32), colors=colors)
+
+
+def ball() -> Mesh:
+    return of_trimesh(trimesh.creation.icosphere(subdivisions=4))
+
+
+def ring() -> Mesh:
+    return of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=32))
+
+
+def holed() -> Mesh:
+    mesh = sheet()
+    square = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
+    holes = [np.abs(square - center).max(axis=1) < 5 for center in ((12, 12), (28, 25))]
+    return Mesh(mesh.vertices, mesh.triangles[~(holes[0] | holes[1])], colors=mesh.colors)
+
+
+MESHES = {"sheet": sheet, "ball": ball, "ring": ring, "holed": holed}
+
+
+def assert_same_topology(now: Mesh, before: Mesh) -> None:
+    was, is_now = topology(before), topology(now)
+    assert is_now.is_manifold
+    assert is_now.is_oriented
+    for name in ("euler", "boundary_loops", "components", "duplicate"):
+        assert getattr(is_now, name) == getattr(was, name), name
+    assert is_now.unreferenced == 0
