@@ -91,10 +91,10 @@ def simplify(
     ================================  =========  =======  =========  ============  ===========  =======
     mesh                              triangles  method   reduction  RMS distance  colour RMSE  PSNR
     ================================  =========  =======  =========  ============  ===========  =======
-    room fused at 2 cm, 6.3 m across    144,611  jia01       67.9 %       1.1 mm   2.4 levels   40.4 dB
-    room fused at 2 cm, 6.3 m across    144,611  quadric     90.0 %       1.1 mm   2.6 levels   39.8 dB
-    unit sphere with a satellite map     73,728  jia01       77.5 %       0.4 mm   5.0 levels   34.2 dB
-    unit sphere with a satellite map     73,728  quadric     90.0 %       0.2 mm   8.8 levels   29.2 dB
+    room fused at 2 cm, 6.3 m across    144,611  jia01       68.1 %       1.1 mm   2.5 levels   40.3 dB
+    room fused at 2 cm, 6.3 m across    144,611  quadric     90.0 %       1.2 mm   2.6 levels   39.8 dB
+    unit sphere with a satellite map     73,728  jia01       77.6 %       0.4 mm   5.0 levels   34.2 dB
+    unit sphere with a satellite map     73,728  quadric     90.0 %       0.2 mm   8.7 levels   29.4 dB
     ================================  =========  =======  =========  ============  ===========  =======
 
     The bounds that `certified` proves hold for positions as they are, and as 32-bit floats in a file: they
