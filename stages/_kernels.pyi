@@ -13,12 +13,16 @@ __all__ = [
     "Certified",
     "InvalidMeshError",
     "LimitError",
+    "NormalMesh",
     "Proven",
     "Running",
     "Simplified",
+    "SnmError",
     "certify",
     "color_weight",
+    "decode_normal_mesh",
     "fit",
+    "remesh",
     "side_lengths",
     "simplify",
     "simplify_by_quadrics",
@@ -31,6 +35,9 @@ class InvalidMeshError(ValueError):
 
 class LimitError(OverflowError):
     """The result would be larger than the stated limit."""
+
+class SnmError(ValueError):
+    """The bytes are no `.snm` file, or so damaged that no level is whole; the message says where."""
 
 @final
 class Running:
@@ -308,4 +315,80 @@ def spatial_order(
     """Return vertices and triangles in an order in which neighbours in space are neighbours in memory.
 
     Raises InvalidMeshError for an index out of range or a value that is not finite.
+    """
+
+@final
+class NormalMesh:
+    """A base mesh and its refinements. Level 0 is the base; what leads to a level has the level's number.
+
+    `levels` counts the refinements that are here, `promised` those the file was made with, and `damage` says
+    why there are fewer, if something is wrong. `level_ends` holds the bytes of `data` up to the end of each
+    level. What only the encoder knows is None after decoding: `base_source`, for each base vertex the one of
+    the input, and `hit_triangle`, for each vertex of a level the triangle of the input it lies on. `reached`
+    holds the largest distance found between each level and the input, if that was asked for.
+    """
+
+    @property
+    def levels(self) -> int: ...
+    @property
+    def promised(self) -> int: ...
+    @property
+    def damage(self) -> str | None: ...
+    @property
+    def folded(self) -> int: ...
+    @property
+    def data(self) -> bytes: ...
+    @property
+    def level_ends(self) -> list[int]: ...
+    @property
+    def base_source(self) -> NDArray[np.int32] | None: ...
+    @property
+    def reached(self) -> list[float]: ...
+    def vertices(self, level: int) -> NDArray[np.float64]:
+        """Return (n, 3), metres."""
+    def triangles(self, level: int) -> NDArray[np.int32]:
+        """Return (m, 3)."""
+    def colors(self, level: int) -> NDArray[np.uint8] | None:
+        """Return (n, 3), None without colours."""
+    def confidence(self, level: int) -> NDArray[np.float64] | None:
+        """Return (n,), None without confidence."""
+    def hit_triangle(self, level: int) -> NDArray[np.int32] | None:
+        """Return (n,), None after decoding."""
+    def kinds(self, level: int) -> NDArray[np.uint8]:
+        """Return (k,) for the new vertices of a level: 0 scalar, 1 vector, 2 vector on the boundary."""
+    def offsets(self, level: int) -> NDArray[np.float64]:
+        """Return (k, 3), metres along the normal and two directions across; scalars have 0 for the latter."""
+    def predicted(self, level: int) -> NDArray[np.float64]:
+        """Return (k, 3), metres, where the new vertices of a level would be without offsets."""
+    def frames(self, level: int) -> NDArray[np.float64]:
+        """Return (k, 3), the unit normals at the new vertices of a level."""
+
+def remesh(
+    vertices: NDArray[np.float64],
+    colors: NDArray[np.uint8],
+    confidence: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    *,
+    levels: int,
+    base_triangles: int,
+    base_error: float,
+    max_error: float,
+    butterfly: bool,
+    relaxations: int,
+    tolerance: float,
+    color_tolerance: float,
+    threads: int,
+    progress: Callable[[int, int], object],
+) -> NormalMesh:
+    """Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
+
+    `base_triangles` is 0 and `base_error` infinite for no such limit; `max_error` is 0 not to stop early;
+    `tolerance` is a share of the diagonal, `color_tolerance` in levels, 0 threads for all cores. Raises
+    InvalidMeshError for a mesh it cannot work on.
+    """
+
+def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:
+    """Decode an `.snm` file up to a level, or all of it with -1.
+
+    Raises SnmError if not even the base mesh is whole.
     """

@@ -150,6 +150,42 @@ impl Bvh {
         }
     }
 
+    /// Visit every slot whose leaf's box the line through `p` along `direction` meets within `reach` times its length,
+    /// in both directions. `visit` says how far the search still has to reach.
+    #[inline]
+    pub fn along(&self, p: &Vec3, direction: &Vec3, reach: f64, mut visit: impl FnMut(u32, f64) -> f64) {
+        let Some(root) = self.root else { return };
+        let local = self.local(p);
+        let inverse = direction.map(|x| 1.0 / (x * self.scale));
+        let mut reach = reach;
+        let mut stack = [(0.0, 0, 0); STACK];
+        stack[0] = (line_distance(&local, &inverse, &root.around), root.start, root.count);
+        let mut height = 1;
+        while height > 0 {
+            height -= 1;
+            let (distance, start, count) = stack[height];
+            if distance > reach {
+                continue;
+            }
+            if count > 0 {
+                for s in start..start + count {
+                    reach = visit(s, reach);
+                }
+                continue;
+            }
+            let both = &self.nodes[start as usize];
+            let d = both.each_ref().map(|child| line_distance(&local, &inverse, &child.around));
+            // The nearer one on top.
+            let first = usize::from(d[0] > d[1]);
+            for child in [1 - first, first] {
+                if d[child] <= reach {
+                    stack[height] = (d[child], both[child].start, both[child].count);
+                    height += 1;
+                }
+            }
+        }
+    }
+
     /// A value for both branches of every node: of the slots in a leaf, and joined upwards.
     pub fn gathered<T: Copy>(
         &self,
@@ -234,6 +270,24 @@ fn box_distance2(p: &Vec3, [low, high]: &Box) -> f64 {
     let gap = |i: usize| (f64::from(low[i]) - p[i]).max(p[i] - f64::from(high[i])).max(0.0);
     let (x, y, z) = (gap(0), gap(1), gap(2));
     x * x + y * y + z * z
+}
+
+/// How far along a line, in either direction, a box is; infinity for one it misses. `inverse` holds one over each
+/// coordinate of its direction.
+#[inline]
+fn line_distance(p: &Vec3, inverse: &Vec3, [low, high]: &Box) -> f64 {
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for i in 0..3 {
+        // A line within a face of the box, parallel to it, gives 0 · ∞: what is not a number bounds nothing.
+        let a = (f64::from(low[i]) - p[i]) * inverse[i];
+        let b = (f64::from(high[i]) - p[i]) * inverse[i];
+        let (near, far) = if a < b { (a, b) } else { (b, a) };
+        enter = if near > enter { near } else { enter };
+        leave = if far < leave { far } else { leave };
+    }
+    // Rounding of the products must not lose a box that is only touched.
+    let slack = 1e-12 * (enter.abs() + leave.abs());
+    if enter > leave + slack { f64::INFINITY } else { enter.max(-leave).max(0.0) }
 }
 
 #[cfg(test)]

@@ -21,6 +21,10 @@ pub enum KernelError {
     PinchedVertices(Vec<u32>),
     /// More elements than 32-bit indices or the stated limit allow.
     TooManyTriangles { wanted: f64, limit: usize },
+    /// The mesh is so small or large, or the tolerance so fine, that its numbers have no room.
+    Extent { diagonal: f64 },
+    /// A normal mesh cannot be written.
+    Unwritable(&'static str),
     /// The caller asked to stop.
     Interrupted,
 }
@@ -61,6 +65,11 @@ impl fmt::Display for KernelError {
             Self::TooManyTriangles { wanted, limit } => {
                 write!(f, "it takes at least {wanted:.0} triangles; the limit is {limit}")
             }
+            Self::Extent { diagonal } => write!(
+                f,
+                "the mesh has a diagonal of {diagonal:e}, and the numbers of a file have no room for it at this tolerance"
+            ),
+            Self::Unwritable(why) => write!(f, "the normal mesh cannot be written: {why}"),
             Self::Interrupted => write!(f, "interrupted"),
         }
     }

@@ -16,6 +16,8 @@
 //! | [`balance`], [`trial`] | how much a colour counts: what follows from the data, and what it costs in shape |
 //! | [`fit`] | fitting a result to its input by least squares |
 //! | [`certified`], [`tracked`], [`original`], [`fan`] | simplification within proven bounds; samples of the input that steer it |
+//! | [`normal`] | normal meshes: base, levels, and the search that places their vertices |
+//! | [`snm`] | the file that keeps them |
 //! | [`certify`], [`bvh`] | proven bounds between two surfaces; the tree they search |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 
@@ -35,6 +37,7 @@ pub mod jia01;
 pub mod legality;
 pub mod memory;
 pub mod mesh;
+pub mod normal;
 pub mod original;
 pub mod parallel;
 pub mod partition;
@@ -45,6 +48,7 @@ pub mod quadric;
 pub mod queue;
 pub mod rounds;
 pub mod shape;
+pub mod snm;
 pub mod spatial;
 pub mod split;
 pub mod star;

@@ -9,6 +9,7 @@ mod color_weight;
 mod detached;
 mod fit;
 mod jia01;
+mod normal_mesh;
 mod order;
 mod quadric;
 mod simplified;
@@ -57,6 +58,10 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<jia01::BySums>()?;
     module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
     module.add_function(wrap_pyfunction!(jia01::side_lengths, module)?)?;
+    module.add_class::<normal_mesh::NormalMesh>()?;
+    module.add("SnmError", module.py().get_type::<normal_mesh::SnmError>())?;
+    module.add_function(wrap_pyfunction!(normal_mesh::remesh, module)?)?;
+    module.add_function(wrap_pyfunction!(normal_mesh::decode_normal_mesh, module)?)?;
     module.add_class::<certify::Certified>()?;
     module.add_function(wrap_pyfunction!(certify::certify, module)?)
 }

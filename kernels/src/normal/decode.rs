@@ -1,0 +1,39 @@
+//! From a file back to its levels.
+
+use super::grid::Steps;
+use super::level::Level;
+use super::remesh::{NormalMesh, Step};
+use crate::snm::{Reader, SnmError};
+
+/// The levels of a file up to a wanted one, and why there are fewer than it was made with, if something is wrong.
+///
+/// # Errors
+/// If not even the base mesh can be read.
+pub fn decode(file: &[u8], wanted: usize) -> Result<(NormalMesh, Option<SnmError>), SnmError> {
+    let (mut reader, header, base) = Reader::new(file)?;
+    let damaged = |_| SnmError::Damaged { part: 0 };
+    let mut levels = vec![Level::base(&header, &base).map_err(damaged)?];
+    let mut ends = vec![file.len() - reader.left()];
+    let (mut steps, mut damage) = (vec![], None);
+    while levels.len() <= wanted {
+        let Some(level) = levels.last() else { break };
+        let step = Steps::of(&header, levels.len() - 1);
+        let predicted = level.predicted(&header);
+        let expected = level.expected(&header, &step, &predicted);
+        match reader.level(&level.topology, &expected) {
+            Ok(Some(refinement)) => {
+                levels.push(level.refined(&header, &step, &predicted, &refinement));
+                ends.push(file.len() - reader.left());
+                steps.push(Step { predicted, refinement });
+            }
+            Ok(None) => break,
+            Err(error) => {
+                damage = Some(error);
+                break;
+            }
+        }
+    }
+    let end = ends.last().copied().unwrap_or(0);
+    let made = NormalMesh { header, levels, steps, file: file[..end].to_vec(), ends, origin: None };
+    Ok((made, damage))
+}

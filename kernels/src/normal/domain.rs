@@ -1,0 +1,205 @@
+//! The base mesh as the domain of a parametrisation: points on it, seen from any of its triangles.
+//!
+//! Beyond a side of a triangle the neighbour is laid out affinely: with corners a, b, c and d across from a–b, d counts
+//! as a + b − c.
+
+use super::base::Base;
+use super::parameters::{Parameter, area};
+use super::surface::{Place, Surface};
+use super::topology::{NONE, Topology};
+
+/// How many sides away a point is still looked for.
+const DEPTH: usize = 3;
+/// Steps towards the triangle that holds a point.
+const STEPS: usize = 8;
+
+pub struct Domain<'a> {
+    corners: Vec<[u32; 3]>,
+    /// The triangle beyond each side, and which of its sides that is.
+    beyond: Vec<[(u32, usize); 3]>,
+    /// Of each vertex of the input.
+    parameters: &'a [Parameter],
+    surface: &'a Surface,
+    /// Original triangles (slots) that may lie in each triangle of the base.
+    starts: Vec<u32>,
+    slots: Vec<u32>,
+}
+
+impl<'a> Domain<'a> {
+    pub fn new(base: &'a Base, topology: &Topology, surface: &'a Surface) -> Self {
+        let mut beyond = vec![[(NONE, 0); 3]; topology.triangles.len()];
+        for (t, edges) in topology.triangle_edges.iter().enumerate() {
+            for (side, &edge) in edges.iter().enumerate() {
+                let [first, second] = topology.edge_triangles[edge as usize];
+                let other = if first as usize == t { second } else { first };
+                if other != NONE {
+                    let back = topology.triangle_edges[other as usize].iter().position(|&e| e == edge);
+                    beyond[t][side] = (other, back.unwrap_or(0));
+                }
+            }
+        }
+        let mut domain = Self {
+            corners: topology.triangles.clone(),
+            beyond,
+            parameters: &base.parameters,
+            surface,
+            starts: vec![],
+            slots: vec![],
+        };
+        domain.list();
+        domain
+    }
+
+    /// Which original triangles may lie in which triangle of the base: where their corners do, and, for those with
+    /// corners in several, next to these.
+    fn list(&mut self) {
+        let mut pairs: Vec<(u32, u32)> = vec![];
+        for slot in 0..self.surface.len() as u32 {
+            let at = self.surface.vertices(slot).map(|v| self.parameters[v as usize].triangle);
+            if at.contains(&NONE) {
+                continue;
+            }
+            let first = pairs.len();
+            pairs.extend(at.map(|t| (t, slot)));
+            if at[1] != at[0] || at[2] != at[0] {
+                for t in at {
+                    pairs.extend(
+                        self.beyond[t as usize].iter().filter(|(g, _)| *g != NONE).map(|(g, _)| (*g, slot)),
+                    );
+                }
+            }
+            pairs[first..].sort_unstable();
+            let mut kept = first;
+            for i in first..pairs.len() {
+                if i == first || pairs[i] != pairs[kept - 1] {
+                    pairs[kept] = pairs[i];
+                    kept += 1;
+                }
+            }
+            pairs.truncate(kept);
+        }
+        // By counting; slots stay in order.
+        self.starts = vec![0; self.corners.len() + 1];
+        pairs.iter().for_each(|(t, _)| self.starts[*t as usize + 1] += 1);
+        for t in 0..self.corners.len() {
+            self.starts[t + 1] += self.starts[t];
+        }
+        let mut at = self.starts.clone();
+        self.slots = vec![0; pairs.len()];
+        for (t, slot) in pairs {
+            self.slots[at[t as usize] as usize] = slot;
+            at[t as usize] += 1;
+        }
+    }
+
+    /// A point in the coordinates of a triangle near by.
+    pub fn seen_from(&self, point: &Parameter, triangle: u32) -> Option<[f64; 3]> {
+        if point.triangle == triangle {
+            return Some(point.barycentric);
+        }
+        if point.triangle == NONE {
+            return None;
+        }
+        // A corner that both have needs no way.
+        if let Some(corner) = point.barycentric.iter().position(|&x| x == 1.0) {
+            let v = self.corners[point.triangle as usize][corner];
+            if let Some(i) = self.corners[triangle as usize].iter().position(|&w| w == v) {
+                let mut barycentric = [0.0; 3];
+                barycentric[i] = 1.0;
+                return Some(barycentric);
+            }
+        }
+        (1..=DEPTH).find_map(|depth| self.seek(point, triangle, 3, depth))
+    }
+
+    fn seek(&self, point: &Parameter, triangle: u32, came: usize, depth: usize) -> Option<[f64; 3]> {
+        for side in (0..3).filter(|&side| side != came) {
+            let (other, back) = self.beyond[triangle as usize][side];
+            let found = if other == NONE {
+                None
+            } else if other == point.triangle {
+                Some(point.barycentric)
+            } else if depth > 1 {
+                self.seek(point, other, back, depth - 1)
+            } else {
+                None
+            };
+            if let Some(there) = found {
+                return Some(unfolded(&there, back, side));
+            }
+        }
+        None
+    }
+
+    /// The same point in the triangle that holds it, as far as the base goes.
+    pub fn settled(&self, triangle: u32, barycentric: [f64; 3]) -> Parameter {
+        let mut at = Parameter { triangle, barycentric };
+        for _ in 0..STEPS {
+            let lowest = (0..3).fold(0, |l, i| if at.barycentric[i] < at.barycentric[l] { i } else { l });
+            if at.barycentric[lowest] >= 0.0 {
+                break;
+            }
+            let side = (lowest + 1) % 3;
+            let (other, back) = self.beyond[at.triangle as usize][side];
+            if other == NONE {
+                break;
+            }
+            at = Parameter { triangle: other, barycentric: unfolded(&at.barycentric, side, back) };
+        }
+        at
+    }
+
+    /// Where a place of the surface lies, in the coordinates of a triangle near by.
+    pub fn parameter(&self, slot: u32, barycentric: &[f64; 3], triangle: u32) -> Option<[f64; 3]> {
+        let mut sum = [0.0; 3];
+        for (v, weight) in self.surface.vertices(slot).into_iter().zip(barycentric) {
+            let corner = self.seen_from(&self.parameters[v as usize], triangle)?;
+            (0..3).for_each(|i| sum[i] += weight * corner[i]);
+        }
+        Some(sum)
+    }
+
+    /// The place of the surface that lies at a point of the base.
+    pub fn located(&self, point: &Parameter) -> Option<Place> {
+        let t = point.triangle;
+        if t == NONE {
+            return None;
+        }
+        let at = [point.barycentric[1], point.barycentric[2]];
+        let mut best: Option<(f64, u32, [f64; 3])> = None;
+        let range = self.starts[t as usize] as usize..self.starts[t as usize + 1] as usize;
+        for &slot in &self.slots[range] {
+            let corners =
+                self.surface.vertices(slot).map(|v| self.seen_from(&self.parameters[v as usize], t));
+            let [Some(a), Some(b), Some(c)] = corners else { continue };
+            let [a, b, c] = [a, b, c].map(|x| [x[1], x[2]]);
+            let whole = area(&a, &b, &c);
+            if whole <= 0.0 {
+                continue;
+            }
+            let (u, v) = (area(&at, &b, &c) / whole, area(&a, &at, &c) / whole);
+            let barycentric = [u, v, 1.0 - u - v];
+            let least = barycentric.iter().fold(f64::INFINITY, |least, &x| least.min(x));
+            if best.is_none_or(|(most, ..)| least > most) {
+                best = Some((least, slot, barycentric));
+            }
+            if least >= 0.0 {
+                break;
+            }
+        }
+        let (_, slot, barycentric) = best?;
+        let inside = barycentric.map(|x| x.max(0.0));
+        let sum: f64 = inside.iter().sum();
+        Some(self.surface.place(slot, inside.map(|x| x / sum)))
+    }
+}
+
+/// Coordinates in the triangle beyond side `back` of the one they are given in, whose side `side` that is.
+fn unfolded(there: &[f64; 3], back: usize, side: usize) -> [f64; 3] {
+    let far = there[(back + 2) % 3];
+    let mut here = [0.0; 3];
+    here[side] = there[(back + 1) % 3] + far;
+    here[(side + 1) % 3] = there[back] + far;
+    here[(side + 2) % 3] = -far;
+    here
+}

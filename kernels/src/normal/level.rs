@@ -1,0 +1,78 @@
+//! One level of a normal mesh, and the step to the next: what encoder and decoder do alike, bit for bit.
+
+use super::butterfly;
+use super::grid::{Steps, from_grid};
+use super::predict::{Predicted, predict};
+use super::topology::Topology;
+use crate::error::KernelError;
+use crate::geometry::{Vec3, dot, sub};
+use crate::snm::contents::{Base, Header, Refinement, Scheme};
+
+/// What the coder is told of an offset the shape lets expect, in parts of a step.
+const PARTS: f64 = 16.0;
+
+#[derive(Clone, Debug)]
+pub struct Level {
+    pub topology: Topology,
+    /// Relative to the header's origin.
+    pub points: Vec<Vec3>,
+    /// What vertices carry; empty if they carry nothing.
+    pub channels: Vec<[f64; 4]>,
+}
+
+impl Level {
+    /// The base mesh of a file.
+    ///
+    /// # Errors
+    /// As [`Topology::new`].
+    pub fn base(header: &Header, base: &Base) -> Result<Self, KernelError> {
+        let of_units = |k: &[i32; 4]| std::array::from_fn(|i| f64::from(k[i]) * f64::from(header.units[i]));
+        Ok(Self {
+            topology: Topology::new(base.positions.len(), base.triangles.clone())?,
+            points: base.positions.iter().map(|k| from_grid(k, header)).collect(),
+            channels: base.channels.iter().map(of_units).collect(),
+        })
+    }
+
+    pub fn predicted(&self, header: &Header) -> Predicted {
+        predict(&self.topology, &self.points, header.scheme, header.relaxations)
+    }
+
+    /// Offsets that the shape lets expect: linear subdivision leaves out what the butterfly knows.
+    pub fn expected(&self, header: &Header, steps: &Steps, predicted: &Predicted) -> Vec<i32> {
+        if header.scheme == Scheme::Butterfly {
+            return vec![];
+        }
+        let curved = butterfly::middles(&self.topology, &self.points);
+        let along = |(edge, point): (usize, &Vec3)| {
+            let bulge = dot(&sub(point, &predicted.points[edge]), &predicted.frames[edge][0]);
+            (PARTS * bulge / steps.scalar).round() as i32
+        };
+        curved.iter().enumerate().map(along).collect()
+    }
+
+    /// What the vertex of an edge is expected to carry.
+    pub fn channels_between(&self, edge: usize) -> [f64; 4] {
+        let [a, b] = self.topology.edges[edge].map(|v| self.channels[v as usize]);
+        std::array::from_fn(|i| 0.5 * (a[i] + b[i]))
+    }
+
+    /// The next level.
+    pub fn refined(
+        &self,
+        header: &Header,
+        steps: &Steps,
+        predicted: &Predicted,
+        refinement: &Refinement,
+    ) -> Self {
+        let offsets = refinement.offsets.iter().enumerate();
+        let mut points = self.points.clone();
+        points.extend(offsets.map(|(edge, offset)| steps.apply(predicted, edge, offset)));
+        let mut channels = self.channels.clone();
+        channels.extend(refinement.channels.iter().enumerate().map(|(edge, k)| {
+            let between = self.channels_between(edge);
+            std::array::from_fn(|i| between[i] + f64::from(k[i]) * f64::from(header.units[i]))
+        }));
+        Self { topology: self.topology.subdivided(), points, channels }
+    }
+}

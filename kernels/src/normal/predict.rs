@@ -1,0 +1,128 @@
+//! Where the vertices of the next level are expected: what encoder and decoder both work out.
+//!
+//! Nothing here may differ from one machine to another: additions, multiplications, divisions and square roots only,
+//! in a fixed order.
+
+use super::surface::{unit, vertex_normals};
+use super::topology::{NONE, Topology};
+use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub};
+use crate::snm::contents::Scheme;
+
+/// How much of a turn of the Laplacian is taken, and the farthest it may take a vertex, in lengths of its edge.
+const DAMPING: f64 = 0.5;
+const FARTHEST: f64 = 0.1;
+/// The cosine between the triangles beside an edge below which it is a crease: 30°.
+const CREASE: f64 = 0.866;
+
+/// The axes at a new vertex: unit normal, tangent along its edge, and the third.
+pub type Frame = [Vec3; 3];
+
+/// What is expected of the vertices of one level, in the order of the edges of the level before.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Predicted {
+    pub points: Vec<Vec3>,
+    /// The points before relaxation.
+    pub unrelaxed: Vec<Vec3>,
+    pub frames: Vec<Frame>,
+}
+
+/// Predict the new vertices of the level after `topology`.
+pub fn predict(topology: &Topology, points: &[Vec3], scheme: Scheme, relaxations: u8) -> Predicted {
+    let normals = vertex_normals(points, &topology.triangles);
+    let mut predicted = match scheme {
+        Scheme::Linear => linear(topology, points),
+        Scheme::Butterfly => super::butterfly::middles(topology, points),
+    };
+    let frames: Vec<Frame> = topology
+        .edges
+        .iter()
+        .enumerate()
+        .map(|(edge, ends)| frame(topology, points, &normals, edge, ends))
+        .collect();
+    let unrelaxed = predicted.clone();
+    for _ in 0..relaxations {
+        relax(topology, points, &frames, &mut predicted);
+    }
+    Predicted { points: predicted, unrelaxed, frames }
+}
+
+fn linear(topology: &Topology, points: &[Vec3]) -> Vec<Vec3> {
+    topology.edges.iter().map(|e| midpoint(&points[e[0] as usize], &points[e[1] as usize])).collect()
+}
+
+/// Li, Li, Xu and Li 2002, section 3.2: the normal is the mean of those at the ends of the edge.
+fn frame(topology: &Topology, points: &[Vec3], normals: &[Vec3], edge: usize, ends: &[u32; 2]) -> Frame {
+    let [a, b] = ends.map(|v| points[v as usize]);
+    let [na, nb] = ends.map(|v| normals[v as usize]);
+    let along = sub(&b, &a);
+    let mut normal = unit(&add_scaled(&na, 1.0, &nb));
+    if norm2(&normal) == 0.0 {
+        // Opposite normals: those of the triangles beside the edge, or else anything.
+        let beside = topology.edge_triangles[edge].iter().filter(|&&t| t != NONE);
+        let sum = beside.fold([0.0; 3], |sum, &t| {
+            let [p, q, r] = topology.triangles[t as usize].map(|v| points[v as usize]);
+            add_scaled(&sum, 1.0, &cross(&sub(&q, &p), &sub(&r, &p)))
+        });
+        normal = unit(&sum);
+        if norm2(&normal) == 0.0 {
+            normal = [0.0, 0.0, 1.0];
+        }
+    }
+    let mut tangent = unit(&add_scaled(&along, -dot(&along, &normal), &normal));
+    if norm2(&tangent) == 0.0 {
+        // The edge runs along the normal: the axis that does so least will do.
+        let least = (0..3).fold(0, |least, i| if normal[i].abs() < normal[least].abs() { i } else { least });
+        let axis = [0, 1, 2].map(|i| f64::from(u8::from(i == least)));
+        tangent = unit(&add_scaled(&axis, -dot(&axis, &normal), &normal));
+    }
+    [normal, tangent, cross(&normal, &tangent)]
+}
+
+/// Whether the triangles beside an inner edge meet at an angle.
+fn is_crease(topology: &Topology, points: &[Vec3], edge: usize) -> bool {
+    let [n, m] = topology.edge_triangles[edge].map(|t| {
+        let [a, b, c] = topology.triangles[t as usize].map(|v| points[v as usize]);
+        cross(&sub(&b, &a), &sub(&c, &a))
+    });
+    dot(&n, &m) < CREASE * (norm2(&n) * norm2(&m)).sqrt()
+}
+
+/// One turn of the tangential part of the umbrella Laplacian, equations (2) to (4), on the new vertices that are not
+/// on the boundary. On a crease, along it only: it would be cut off.
+fn relax(topology: &Topology, points: &[Vec3], frames: &[Frame], middles: &mut Vec<Vec3>) {
+    let moved = (0..middles.len()).map(|edge| {
+        let here = &middles[edge];
+        if topology.is_boundary_edge(edge) {
+            return *here;
+        }
+        let mut sum = [0.0; 3];
+        for v in topology.edges[edge] {
+            sum = add_scaled(&sum, 1.0, &sub(&points[v as usize], here));
+        }
+        for t in topology.edge_triangles[edge] {
+            for other in topology.triangle_edges[t as usize] {
+                if other as usize != edge {
+                    sum = add_scaled(&sum, 1.0, &sub(&middles[other as usize], here));
+                }
+            }
+        }
+        let laplacian = sum.map(|x| x / 6.0);
+        let [normal, ..] = &frames[edge];
+        let tangential = if is_crease(topology, points, edge) {
+            let along = unit(&sub(
+                &points[topology.edges[edge][1] as usize],
+                &points[topology.edges[edge][0] as usize],
+            ));
+            along.map(|x| x * dot(&laplacian, &along))
+        } else {
+            add_scaled(&laplacian, -dot(&laplacian, normal), normal)
+        };
+        // A vertex that left the middle of a long edge for that of its neighbours would crowd the ends of others.
+        let [a, b] = topology.edges[edge].map(|v| points[v as usize]);
+        let most2 = FARTHEST * FARTHEST * distance2(&a, &b);
+        let length2 = norm2(&tangential);
+        let share = if length2 > most2 { (most2 / length2).sqrt() } else { 1.0 };
+        add_scaled(here, share * DAMPING, &tangential)
+    });
+    *middles = moved.collect();
+}

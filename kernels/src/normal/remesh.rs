@@ -1,0 +1,336 @@
+//! From a mesh to its normal mesh.
+
+use super::base::{self, Base, Target};
+use super::carried::Carried;
+use super::distance::{Distance, distance};
+use super::domain::Domain;
+use super::grid::{ROUNDED_OFF, Steps, on_grid};
+use super::importance::{insist, weigh};
+use super::level::Level;
+use super::place::{Found, Original, Placed};
+use super::predict::Predicted;
+use super::rim::Rims;
+use super::surface::{Place, Surface};
+use super::unfold::unfold;
+use crate::error::KernelError;
+use crate::geometry::{Vec3, around, diagonal, sub};
+use crate::mesh::Mesh;
+use crate::progress::Progress;
+use crate::snm::contents::{self, Header, Refinement, Scheme};
+use crate::snm::{Writer, canonical};
+
+/// Bases that are tried; the one whose finest level comes closest is taken.
+const TRIALS: u64 = 2;
+/// Bases that are tried beyond that where triangles turn over.
+const MENDS: u64 = 1;
+/// Steps of a level in those of the next finer one: what is wrong early spreads far.
+const STEP_RATIO: f32 = 0.625;
+/// Bits of the mantissas of steps: the file is shorter for round numbers.
+const MANTISSA: u32 = 3;
+/// A mesh farther from the origin than this many diagonals gets one of its own.
+const FAR: f64 = 4.0;
+/// Grid points that 32 bits hold with room for the coder's predictions.
+const MOST_GRID_POINTS: f64 = (1u32 << 29) as f64;
+
+/// What a normal mesh is made with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    pub levels: u8,
+    pub target: Target,
+    /// Stop at the first level that is nowhere farther from the input; 0 not to stop.
+    pub max_error: f64,
+    pub scheme: Scheme,
+    pub relaxations: u8,
+    /// How far quantisation may take a vertex from the surface, in diagonals of the bounding box.
+    pub tolerance: f64,
+    /// How far it may take a level of colour.
+    pub color_tolerance: f64,
+    pub threads: usize,
+}
+
+/// How a level was made of the one before.
+#[derive(Clone, Debug)]
+pub struct Step {
+    pub predicted: Predicted,
+    pub refinement: Refinement,
+}
+
+/// What only the encoder knows.
+#[derive(Clone, Debug)]
+pub struct Origin {
+    pub base_source: Vec<u32>,
+    /// The triangle of the input that each vertex of the finest level lies on; coarser levels have the first of them.
+    pub triangles: Vec<u32>,
+    /// Triangles of the finest level that look away from the surface or are needles.
+    pub unsound: usize,
+    /// Largest distance of each level from the input, if that was asked for.
+    pub reached: Vec<f64>,
+}
+
+#[derive(Clone, Debug)]
+pub struct NormalMesh {
+    pub header: Header,
+    pub levels: Vec<Level>,
+    /// One less.
+    pub steps: Vec<Step>,
+    pub file: Vec<u8>,
+    /// Bytes of the file up to the end of each level.
+    pub ends: Vec<usize>,
+    /// None after decoding.
+    pub origin: Option<Origin>,
+}
+
+/// Whether triangles are unsound, how many levels there are, and how far off the last is: less is better.
+type Rank = (bool, usize, f64);
+
+/// The input as the search needs it.
+struct Input<'a> {
+    points: Vec<Vec3>,
+    triangles: &'a [[u32; 3]],
+    carried: &'a Carried,
+    surface: Surface,
+    slots: Vec<u32>,
+}
+
+/// Make the normal mesh of a mesh and what its vertices carry.
+///
+/// # Errors
+/// As [`Mesh::new`]; [`KernelError::Extent`] if the mesh is too small or too large for the numbers of a file;
+/// [`KernelError::Interrupted`].
+pub fn remesh(
+    points: &[Vec3],
+    triangles: &[[u32; 3]],
+    carried: &Carried,
+    settings: &Settings,
+    progress: &mut Progress,
+) -> Result<NormalMesh, KernelError> {
+    let mesh = Mesh::new(points.to_vec(), triangles)?;
+    let used = || mesh.connectivity.vertices().map(|v| *mesh.point(v));
+    let header = header(around(used()), carried, settings)?;
+    let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));
+    let points: Vec<Vec3> = points.iter().map(|p| sub(p, &shift)).collect();
+    let mesh = Mesh { points: points.clone(), ..mesh };
+    // Triangles that name a vertex twice have no area, and nothing lies on them.
+    let proper: Vec<[u32; 3]> = mesh.triangle_source.iter().map(|&t| triangles[t as usize]).collect();
+    let surface = Surface::new(&points, &proper, settings.threads);
+    let slots = surface.slots();
+    let source = mesh.triangle_source.clone();
+    let mesh = Mesh { triangle_source: (0..proper.len() as u32).collect(), ..mesh };
+    let input = Input { points, triangles: &proper, carried, surface, slots };
+
+    let mut importance = vec![1.0; proper.len()];
+    let mut best: Option<(Rank, NormalMesh)> = None;
+    for trial in 0..TRIALS + MENDS {
+        if trial >= TRIALS && best.as_ref().is_some_and(|(rank, _)| !rank.0) {
+            break;
+        }
+        progress.tell(trial.min(TRIALS), TRIALS)?;
+        let base =
+            base::base(mesh.clone(), &input.surface, &importance, settings.target, &input.slots, progress)?;
+        let base = in_order(base, &input, &header)?;
+        let (made, last, unsound) = levels_of(&input, &base, header, settings, progress)?;
+        let rank = (!unsound.is_empty(), made.levels.len(), last.mean_square);
+        if best.as_ref().is_none_or(|(least, _)| rank < *least) {
+            best = Some((rank, made));
+        }
+        if last.mean_square == 0.0 {
+            break;
+        }
+        weigh(&mut importance, &input.points, input.triangles, &base.base, &last.from_input);
+        insist(&mut importance, input.triangles, &base.base, &unsound);
+    }
+    let (_, mut made) = best.ok_or(KernelError::Interrupted)?;
+    if let Some(origin) = &mut made.origin {
+        origin.triangles.iter_mut().for_each(|t| *t = source[*t as usize]);
+    }
+    Ok(made)
+}
+
+fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Result<Header, KernelError> {
+    let size = diagonal(&bounds);
+    let step = round_down(settings.tolerance * size / ROUNDED_OFF);
+    let grid = 0.5 * step;
+    if !grid.is_normal() || !step.is_normal() || size / f64::from(grid) > MOST_GRID_POINTS {
+        return Err(KernelError::Extent { diagonal: size });
+    }
+    let farthest = bounds.iter().flatten().fold(0.0f64, |most, x| most.max(x.abs()));
+    let far = farthest > FAR * size || farthest / f64::from(grid) > MOST_GRID_POINTS;
+    let origin = if far { bounds[0].map(|x| (x / f64::from(grid)).round() as i64) } else { [0; 3] };
+    Ok(Header {
+        scheme: settings.scheme,
+        relaxations: settings.relaxations,
+        origin,
+        grid,
+        step,
+        step_ratio: STEP_RATIO,
+        channels: carried.channels(),
+        units: carried.units(settings.color_tolerance),
+        levels: settings.levels,
+    })
+}
+
+/// A number that is not larger and has a short mantissa.
+fn round_down(x: f64) -> f32 {
+    let near = x as f32;
+    let below = if f64::from(near) > x { near.next_down() } else { near };
+    f32::from_bits(below.to_bits() >> (23 - MANTISSA) << (23 - MANTISSA))
+}
+
+/// A base in the order of its coder, in whole numbers beside what it stands for.
+struct Ordered {
+    base: Base,
+    contents: contents::Base,
+}
+
+fn in_order(base: Base, input: &Input<'_>, header: &Header) -> Result<Ordered, KernelError> {
+    let positions = base.vertex_source.iter().map(|&v| on_grid(&input.points[v as usize], header)).collect();
+    let channels = if header.channels == 0 {
+        vec![]
+    } else {
+        let places = at_vertices(&base.vertex_source, &input.surface);
+        let channels = places.iter().map(|place| input.carried.at(&input.surface, place));
+        channels.map(|c| in_units(&c, &[0.0; 4], header)).collect()
+    };
+    let contents = contents::Base { positions, triangles: base.triangles.clone(), channels };
+    let ordered = canonical(&contents).map_err(KernelError::from)?;
+    let base = base.reordered(&ordered.vertex_source, &ordered.triangle_source, &ordered.base.triangles);
+    Ok(Ordered { base, contents: ordered.base })
+}
+
+/// What channels differ by from what is expected, in units.
+fn in_units(channels: &[f64; 4], expected: &[f64; 4], header: &Header) -> [i32; 4] {
+    std::array::from_fn(|i| {
+        let used = i < usize::from(header.channels);
+        if used { ((channels[i] - expected[i]) / f64::from(header.units[i])).round() as i32 } else { 0 }
+    })
+}
+
+fn levels_of(
+    input: &Input<'_>,
+    ordered: &Ordered,
+    header: Header,
+    settings: &Settings,
+    progress: &mut Progress,
+) -> Result<(NormalMesh, Distance, Vec<u32>), KernelError> {
+    let Input { points, triangles, carried, surface, slots } = input;
+    let Ordered { base, contents } = ordered;
+    let first = Level::base(&header, contents)?;
+    let rims = Rims::new(&base.chains, |t| triangles[t].map(|v| points[v as usize]), slots);
+    let domain = Domain::new(base, &first.topology, surface);
+    let original =
+        Original { surface, sets: &base.sets, rims: &rims, domain: &domain, threads: settings.threads };
+    let mut rim: Vec<_> =
+        base.chains.iter().enumerate().map(|(i, chain)| (chain.ends, rims.whole(i as u32))).collect();
+    rim.sort_unstable_by_key(|(ends, _)| *ends);
+    let mut placed = Placed {
+        points: first.points.clone(),
+        places: at_vertices(&base.vertex_source, surface),
+        parameters: base.vertex_source.iter().map(|&v| base.parameters[v as usize]).collect(),
+        rim,
+    };
+    let (mut unsound, mut faulty) = (vec![], vec![]);
+    let (mut levels, mut steps, mut reached) = (vec![first], vec![], vec![]);
+    let mut last = None;
+    while let Some(level) = levels.last() {
+        let number = levels.len() - 1;
+        let is_finest = number == usize::from(settings.levels);
+        if is_finest || settings.max_error > 0.0 {
+            let found = distance(points, triangles, surface, level, settings.threads);
+            let is_close = found.largest <= settings.max_error;
+            reached.push(found.largest);
+            last = Some(found);
+            if is_finest || is_close {
+                break;
+            }
+        }
+        progress.check()?;
+        let (predicted, step) = (level.predicted(&header), Steps::of(&header, number));
+        let (mut found, rim) = original.refine(&level.topology, number, &placed, &predicted, &step);
+        unsound = unfold(&original, &level.topology, number, &placed, &predicted, &step, &mut found);
+        faulty.extend(unsound.iter().map(|t| t >> (2 * number)));
+        let refinement = Refinement {
+            offsets: found.iter().map(|f| f.offset).collect(),
+            channels: channels_of(&found, level, carried, surface, &header),
+        };
+        let next = level.refined(&header, &step, &predicted, &refinement);
+        let places = found.iter().enumerate();
+        let parameters =
+            places.map(|(edge, f)| original.parameter_of(&level.topology, number, edge, &f.place));
+        placed.parameters.extend(parameters);
+        placed.places.extend(found.iter().map(|f| f.place));
+        placed.points.clone_from(&next.points);
+        placed.rim = rim;
+        steps.push(Step { predicted, refinement });
+        levels.push(next);
+    }
+    let last = last.ok_or(KernelError::Interrupted)?;
+    if steps.len() < usize::from(settings.levels) {
+        // Steps depend on how many levels there are.
+        let fewer = Settings { levels: steps.len() as u8, ..settings.clone() };
+        return levels_of(input, ordered, Header { levels: fewer.levels, ..header }, &fewer, progress);
+    }
+    if settings.max_error <= 0.0 {
+        reached.clear();
+    }
+    let (file, ends) = written(&header, contents, &levels, &steps)?;
+    let origin = Some(Origin {
+        base_source: base.vertex_source.clone(),
+        triangles: placed.places.iter().map(|place| surface.triangle(place.slot)).collect(),
+        unsound: unsound.len(),
+        reached,
+    });
+    Ok((NormalMesh { header, levels, steps, file, ends, origin }, last, faulty))
+}
+
+fn channels_of(
+    found: &[Found],
+    level: &Level,
+    carried: &Carried,
+    surface: &Surface,
+    header: &Header,
+) -> Vec<[i32; 4]> {
+    if header.channels == 0 {
+        return vec![];
+    }
+    let of = |(edge, f): (usize, &Found)| {
+        in_units(&carried.at(surface, &f.place), &level.channels_between(edge), header)
+    };
+    found.iter().enumerate().map(of).collect()
+}
+
+/// The file, and where each level ends in it.
+fn written(
+    header: &Header,
+    base: &contents::Base,
+    levels: &[Level],
+    steps: &[Step],
+) -> Result<(Vec<u8>, Vec<usize>), KernelError> {
+    let mut writer = Writer::new(header, base)?;
+    let mut ends = vec![writer.bytes().len()];
+    for (number, (level, step)) in levels.iter().zip(steps).enumerate() {
+        let expected = level.expected(header, &Steps::of(header, number), &step.predicted);
+        writer.level(&level.topology, &expected, &step.refinement)?;
+        ends.push(writer.bytes().len());
+    }
+    Ok((writer.finish(), ends))
+}
+
+/// Input vertices as places: a corner of any triangle that has them.
+fn at_vertices(sources: &[u32], surface: &Surface) -> Vec<Place> {
+    let most = sources.iter().map(|&v| v as usize + 1).max().unwrap_or(0);
+    let mut corner = vec![None; most];
+    for slot in 0..surface.len() as u32 {
+        for (i, v) in surface.vertices(slot).into_iter().enumerate() {
+            if let Some(known) = corner.get_mut(v as usize) {
+                known.get_or_insert((slot, i));
+            }
+        }
+    }
+    let place = |&v: &u32| {
+        let (slot, i) = corner[v as usize].unwrap_or((0, 0));
+        let mut barycentric = [0.0; 3];
+        barycentric[i] = 1.0;
+        surface.place(slot, barycentric)
+    };
+    sources.iter().map(place).collect()
+}

@@ -1,0 +1,106 @@
+//! The boundary: chains of original boundary edges, and where on them new boundary vertices lie.
+
+use super::base::Chain;
+use super::surface::Place;
+use crate::geometry::{Vec3, dot, norm2, sub};
+
+/// Share of its part of the chain that a new vertex keeps from either end: no edge of the boundary may vanish.
+const APART: f64 = 0.15;
+
+/// A chain as a polyline.
+#[derive(Clone, Debug)]
+struct Polyline {
+    points: Vec<Vec3>,
+    /// Length up to each point.
+    lengths: Vec<f64>,
+    /// Of each piece: the slot of its triangle and the corner it starts from.
+    sides: Vec<(u32, usize)>,
+}
+
+/// The part of a chain that a boundary edge stands for, in length along the chain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    pub chain: u32,
+    pub from: f64,
+    pub to: f64,
+}
+
+#[derive(Clone, Debug)]
+pub struct Rims {
+    chains: Vec<Polyline>,
+}
+
+impl Rims {
+    /// `corners` gives the points of an original triangle, `slots` its slot.
+    pub fn new(chains: &[Chain], corners: impl Fn(usize) -> [Vec3; 3], slots: &[u32]) -> Self {
+        let of = |chain: &Chain| {
+            let mut line = Polyline { points: vec![], lengths: vec![], sides: vec![] };
+            let mut length = 0.0;
+            for h in &chain.halfedges {
+                let (triangle, corner) = (h.index() / 3, h.index() % 3);
+                let points = corners(triangle);
+                let (from, to) = (points[corner], points[(corner + 1) % 3]);
+                if line.points.is_empty() {
+                    line.points.push(from);
+                    line.lengths.push(0.0);
+                }
+                length += norm2(&sub(&to, &from)).sqrt();
+                line.points.push(to);
+                line.lengths.push(length);
+                line.sides.push((slots[triangle], corner));
+            }
+            line
+        };
+        Self { chains: chains.iter().map(of).collect() }
+    }
+
+    /// The whole of a chain.
+    pub fn whole(&self, chain: u32) -> Span {
+        let to = self.chains[chain as usize].lengths.last().copied().unwrap_or(0.0);
+        Span { chain, from: 0.0, to }
+    }
+
+    /// The place of a span nearest to `p`, away from its ends, and how far along the chain it is.
+    pub fn nearest(&self, span: &Span, p: &Vec3) -> (f64, Place) {
+        let line = &self.chains[span.chain as usize];
+        let margin = APART * (span.to - span.from);
+        let (low, high) = (span.from + margin, span.to - margin);
+        let first = line.lengths.partition_point(|&l| l <= low).clamp(1, line.sides.len()) - 1;
+        let mut best = (f64::INFINITY, low, first, 0.0);
+        for piece in first..line.sides.len() {
+            let [start, end] = [line.lengths[piece], line.lengths[piece + 1]];
+            if start > high {
+                break;
+            }
+            let (a, b) = (&line.points[piece], &line.points[piece + 1]);
+            let (along, to_p) = (sub(b, a), sub(p, a));
+            let length2 = norm2(&along);
+            let free = if length2 > 0.0 { dot(&to_p, &along) / length2 } else { 0.0 };
+            let length = end - start;
+            let share = |l: f64| if length > 0.0 { ((l - start) / length).clamp(0.0, 1.0) } else { 0.0 };
+            let t = free.clamp(share(low), share(high).max(share(low)));
+            let off = sub(&to_p, &along.map(|x| t * x));
+            if norm2(&off) < best.0 {
+                best = (norm2(&off), start + t * length, piece, t);
+            }
+        }
+        let (_, at, piece, t) = best;
+        (at, line.place(piece, t))
+    }
+
+    /// Where the chain starts.
+    pub fn start(&self, chain: u32) -> Place {
+        self.chains[chain as usize].place(0, 0.0)
+    }
+}
+
+impl Polyline {
+    fn place(&self, piece: usize, t: f64) -> Place {
+        let (a, b) = (&self.points[piece], &self.points[piece + 1]);
+        let (slot, corner) = self.sides[piece];
+        let mut barycentric = [0.0; 3];
+        barycentric[corner] = 1.0 - t;
+        barycentric[(corner + 1) % 3] = t;
+        Place { slot, barycentric, point: [0, 1, 2].map(|i| a[i] + t * (b[i] - a[i])) }
+    }
+}

@@ -1,0 +1,238 @@
+//! `stages._kernels.remesh` and `decode_normal_mesh`.
+
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::create_exception;
+use pyo3::exceptions::{PyIndexError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use super::arrays::{columns, id_array, triangle_array, triangles_from};
+use super::detached::detached;
+use crate::geometry::Vec3;
+use crate::normal::base::Target;
+use crate::normal::carried::{Carried, to_levels};
+use crate::normal::decode::decode;
+use crate::normal::grid::Steps;
+use crate::normal::level::Level;
+use crate::normal::remesh::{NormalMesh as Made, Settings, Step, remesh as make};
+use crate::parallel::threads;
+use crate::snm::contents::{Offset, Scheme};
+
+create_exception!(
+    stages._kernels,
+    SnmError,
+    PyValueError,
+    "A file is no normal mesh, or damaged before the first level ends."
+);
+
+/// A base mesh and its refinements.
+#[pyclass(frozen, module = "stages._kernels")]
+pub struct NormalMesh {
+    made: Made,
+    #[pyo3(get)]
+    damage: Option<String>,
+}
+
+#[pymethods]
+impl NormalMesh {
+    #[getter]
+    fn levels(&self) -> usize {
+        self.made.steps.len()
+    }
+
+    #[getter]
+    fn promised(&self) -> usize {
+        self.made.header.levels.into()
+    }
+
+    #[getter]
+    fn folded(&self) -> usize {
+        self.made.origin.as_ref().map_or(0, |origin| origin.unsound)
+    }
+
+    #[getter]
+    fn data<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
+        PyBytes::new(py, &self.made.file)
+    }
+
+    #[getter]
+    fn level_ends(&self) -> Vec<usize> {
+        self.made.ends.clone()
+    }
+
+    #[getter]
+    fn base_source(&self, py: Python<'_>) -> Option<Py<PyArray1<i32>>> {
+        let origin = self.made.origin.as_ref()?;
+        Some(id_array(py, origin.base_source.iter().copied()))
+    }
+
+    #[getter]
+    fn reached(&self) -> Vec<f64> {
+        self.made.origin.as_ref().map_or(vec![], |origin| origin.reached.clone())
+    }
+
+    fn vertices(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
+        columns(py, &self.placed(&self.level(level)?.points), 0..3)
+    }
+
+    fn triangles(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<i32>>> {
+        triangle_array(py, &self.level(level)?.topology.triangles)
+    }
+
+    fn colors(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray2<u8>>>> {
+        let channels = &self.level(level)?.channels;
+        if self.made.header.channels < 3 {
+            return Ok(None);
+        }
+        let values: Vec<u8> = channels.iter().flat_map(|&[y, o, g, _]| to_levels([y, o, g])).collect();
+        Ok(Some(PyArray1::from_vec(py, values).reshape([channels.len(), 3])?.unbind()))
+    }
+
+    fn confidence(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray1<f64>>>> {
+        let channels = &self.level(level)?.channels;
+        let place = match self.made.header.channels {
+            1 => 0,
+            4 => 3,
+            _ => return Ok(None),
+        };
+        Ok(Some(PyArray1::from_vec(py, channels.iter().map(|c| c[place]).collect()).unbind()))
+    }
+
+    fn hit_triangle(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray1<i32>>>> {
+        let count = self.level(level)?.points.len();
+        let Some(origin) = &self.made.origin else { return Ok(None) };
+        Ok(Some(id_array(py, origin.triangles[..count].iter().copied())))
+    }
+
+    fn kinds(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray1<u8>>> {
+        let (coarse, step) = self.step(level)?;
+        let kind = |(edge, offset): (usize, &Offset)| match offset {
+            Offset::Scalar(_) | Offset::Unrelaxed(_) => 0,
+            Offset::Vector(_) if coarse.topology.is_boundary_edge(edge) => 2,
+            Offset::Vector(_) => 1,
+        };
+        let kinds = step.refinement.offsets.iter().enumerate().map(kind).collect();
+        Ok(PyArray1::from_vec(py, kinds).unbind())
+    }
+
+    fn offsets(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
+        let (_, step) = self.step(level)?;
+        let steps = Steps::of(&self.made.header, level - 1);
+        let metres = |offset: &Offset| match offset {
+            Offset::Scalar(d) | Offset::Unrelaxed(d) => [f64::from(*d) * steps.scalar, 0.0, 0.0],
+            Offset::Vector(d) => d.map(|d| f64::from(d) * steps.vector),
+        };
+        let rows: Vec<Vec3> = step.refinement.offsets.iter().map(metres).collect();
+        columns(py, &rows, 0..3)
+    }
+
+    fn predicted(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
+        let (_, step) = self.step(level)?;
+        let offsets = step.refinement.offsets.iter().enumerate();
+        let from = offsets.map(|(edge, offset)| match offset {
+            Offset::Unrelaxed(_) => step.predicted.unrelaxed[edge],
+            _ => step.predicted.points[edge],
+        });
+        columns(py, &self.placed(&from.collect::<Vec<_>>()), 0..3)
+    }
+
+    fn frames(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
+        let (_, step) = self.step(level)?;
+        let normals: Vec<Vec3> = step.predicted.frames.iter().map(|frame| frame[0]).collect();
+        columns(py, &normals, 0..3)
+    }
+}
+
+impl NormalMesh {
+    fn level(&self, level: usize) -> PyResult<&Level> {
+        self.made.levels.get(level).ok_or_else(|| PyIndexError::new_err(format!("there is no level {level}")))
+    }
+
+    /// The level before, and what was done to it.
+    fn step(&self, level: usize) -> PyResult<(&Level, &Step)> {
+        let none = || PyIndexError::new_err(format!("nothing leads to level {level}"));
+        let before = level.checked_sub(1).ok_or_else(none)?;
+        let step = self.made.steps.get(before).ok_or_else(none)?;
+        Ok((self.level(before)?, step))
+    }
+
+    /// Points where the caller has them.
+    fn placed(&self, points: &[Vec3]) -> Vec<Vec3> {
+        let header = &self.made.header;
+        let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));
+        points.iter().map(|p| [0, 1, 2].map(|i| p[i] + shift[i])).collect()
+    }
+}
+
+/// Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
+#[pyfunction]
+#[pyo3(signature = (vertices, colors, confidence, triangles, *, levels, base_triangles, base_error, max_error,
+                    butterfly, relaxations, tolerance, color_tolerance, threads, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn remesh(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    colors: PyReadonlyArray2<'_, u8>,
+    confidence: PyReadonlyArray1<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    levels: u8,
+    base_triangles: usize,
+    base_error: f64,
+    max_error: f64,
+    butterfly: bool,
+    relaxations: u8,
+    tolerance: f64,
+    color_tolerance: f64,
+    #[pyo3(from_py_with = threads_from)] threads: usize,
+    progress: Py<PyAny>,
+) -> PyResult<NormalMesh> {
+    let (vertices, colors) = (vertices.as_array(), colors.as_array());
+    let colored = colors.ncols() > 0;
+    let confidence = confidence.as_array().to_vec();
+    let count = vertices.nrows();
+    if vertices.ncols() != 3
+        || (colored && colors.dim() != (count, 3))
+        || !(confidence.is_empty() || confidence.len() == count)
+    {
+        return Err(PyValueError::new_err(format!(
+            "vertices are {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
+            vertices.shape(),
+            colors.shape(),
+            confidence.len()
+        )));
+    }
+    if confidence.iter().any(|c| !c.is_finite()) {
+        return Err(PyValueError::new_err("confidence holds a value that is not finite"));
+    }
+    let points: Vec<Vec3> = vertices.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect();
+    let colors =
+        if colored { colors.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect() } else { vec![] };
+    let triangles = triangles_from(&triangles, points.len())?;
+    let carried = Carried { colors, confidence };
+    let settings = Settings {
+        levels,
+        target: Target { triangles: base_triangles, error: base_error },
+        max_error,
+        scheme: if butterfly { Scheme::Butterfly } else { Scheme::Linear },
+        relaxations,
+        tolerance,
+        color_tolerance,
+        threads,
+    };
+    let made = detached(py, Some(&progress), false, |progress| {
+        make(&points, &triangles, &carried, &settings, progress)
+    })?;
+    Ok(NormalMesh { made, damage: None })
+}
+
+fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
+    Ok(threads(wanted.extract()?))
+}
+
+/// Read a file up to a level, −1 for all; what is damaged behind the base mesh is left out, and `damage` says so.
+#[pyfunction]
+pub fn decode_normal_mesh(py: Python<'_>, data: &[u8], level: i64) -> PyResult<NormalMesh> {
+    let wanted = usize::try_from(level).unwrap_or(usize::MAX);
+    let (made, damage) = py.detach(|| decode(data, wanted)).map_err(|e| SnmError::new_err(e.to_string()))?;
+    Ok(NormalMesh { made, damage: damage.map(|why| why.to_string()) })
+}

@@ -1,0 +1,256 @@
+//! The base mesh: a region that grows triangle by triangle, from the first triangle of each component.
+//!
+//! At every step one edge of the [`Border`] is asked what is on its left: nothing (the boundary of the mesh),
+//! or a triangle whose tip is the next vertex of the border, the previous, a new one, or another. The
+//! positions known so far say what is likely (an interior angle of 30° closes more often than one of 200°),
+//! and where a new vertex should be. This is the cut-border machine of Gumhold and Straßer (Real time
+//! compression of triangle mesh connectivity, 1998), with splits and unions told by how near a vertex of the
+//! border is to the expected tip.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use crate::connectivity::Connectivity;
+use crate::ids::{HalfedgeId, VertexId};
+
+use super::border::Left;
+use super::coder::{Coder, Exhausted, Rehearsal};
+use super::contents::Base;
+use super::corners::{Corners, Guess};
+use super::error::SnmError;
+use super::given::Given;
+use super::lefts::Lefts;
+use super::region::Region;
+
+/// A base mesh in the order of its coder.
+#[derive(Clone, Debug, Default)]
+pub struct Canonical {
+    pub base: Base,
+    /// Number in the given mesh of each vertex, and of each triangle.
+    pub vertex_source: Vec<u32>,
+    pub triangle_source: Vec<u32>,
+}
+
+/// Renumber vertices and triangles as the coder will meet them, and turn each triangle so that it begins with
+/// the edge at which it is met. Vertices without triangles are left out. The order of a result does not
+/// change again.
+///
+/// # Errors
+/// [`SnmError::Mesh`] as [`Connectivity::from_triangles`] says.
+pub fn canonical(base: &Base) -> Result<Canonical, SnmError> {
+    let channels = if base.channels.is_empty() { 0 } else { 4 };
+    let mut rehearsal = Rehearsal;
+    let mut walk = Walk::new(&mut rehearsal, Some(Given::new(base)?), channels);
+    walk.run().map_err(|Exhausted| SnmError::Misfit("the base mesh is too large"))?;
+    let sources = walk.given.map(|given| (given.vertex_source, given.triangle_source));
+    let (vertex_source, triangle_source) = sources.unwrap_or_default();
+    Ok(Canonical { base: walk.region.base, vertex_source, triangle_source })
+}
+
+/// The walk over a base mesh; in encoding over one that is given.
+pub(super) struct Walk<'a, 'b, C> {
+    coder: &'a mut C,
+    given: Option<Given<'b>>,
+    channels: usize,
+    /// Whether the mesh has a boundary.
+    is_open: bool,
+    pub region: Region,
+    /// Edges to grow at, the most urgent first.
+    gates: BinaryHeap<(Reverse<u64>, u32)>,
+    /// Edges of the border whose neighbours have changed.
+    changed: Vec<u32>,
+    lefts: Lefts,
+    corners: Corners,
+}
+
+impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
+    pub(super) fn new(coder: &'a mut C, given: Option<Given<'b>>, channels: usize) -> Self {
+        Self {
+            coder,
+            given,
+            channels,
+            is_open: false,
+            region: Region::default(),
+            gates: BinaryHeap::new(),
+            changed: vec![],
+            lefts: Lefts::new(),
+            corners: Corners::new(),
+        }
+    }
+
+    pub(super) fn run(&mut self) -> Result<(), Exhausted> {
+        self.is_open = self.coder.even(self.given.as_ref().is_some_and(Given::is_open))?;
+        loop {
+            let seed = self.given.as_mut().and_then(Given::seed);
+            if !self.corners.more(self.coder, seed.is_some())? {
+                return Ok(());
+            }
+            self.first_triangle(seed.unwrap_or(HalfedgeId::NONE))?;
+            while let Some((_, gate)) = self.gates.pop() {
+                if self.region.border.is_open(gate) {
+                    self.grow(gate)?;
+                }
+            }
+        }
+    }
+
+    fn first_triangle(&mut self, seed: HalfedgeId) -> Result<(), Exhausted> {
+        let halfedges = if seed.is_none() {
+            [HalfedgeId::NONE; 3]
+        } else {
+            [seed, Connectivity::next(seed), Connectivity::prev(seed)]
+        };
+        let mut corners = [0; 3];
+        for (corner, h) in corners.iter_mut().zip(halfedges) {
+            let source = self.given.as_ref().map_or(VertexId::NONE, |given| given.connectivity.origin(h));
+            let near = self.region.base.positions.last().copied().unwrap_or_default();
+            let given = self.given.as_ref().map(|given| given.base.positions[source.index()]);
+            let position = self.corners.first(self.coder, near, given)?;
+            let near = self.region.base.channels.last().copied().unwrap_or_default();
+            *corner = self.add_vertex(position, near, source)?;
+        }
+        self.add_triangle(corners, seed);
+        let [a, b, c] = corners;
+        let [ab, bc, ca] = halfedges.map(|h| self.twin(h));
+        let edges = [(b, c, ab), (a, b, ca), (c, a, bc)];
+        let edges = edges.map(|(origin, across, h)| self.add_edge(origin, across, h));
+        for i in 0..3 {
+            self.region.border.link(edges[i], edges[(i + 1) % 3]);
+        }
+        self.queue();
+        Ok(())
+    }
+
+    /// Put a triangle on an edge of the border, or learn that there is none.
+    fn grow(&mut self, gate: u32) -> Result<(), Exhausted> {
+        let edge = *self.region.border.edge(gate);
+        let (u, v) = (edge.origin, self.region.border.target(gate));
+        let guess = self.corners.guess(&self.region, gate);
+        let left = match &self.given {
+            Some(given) => given.left(&self.region.border, gate),
+            None => Left::Nothing,
+        };
+        let left = self.lefts.code(self.coder, &self.region, self.is_open, gate, &guess, left)?;
+        let (prev, next) = (edge.prev, edge.next);
+        let (to_tip, from_tip) = if edge.halfedge.is_some() {
+            (Connectivity::next(edge.halfedge), Connectivity::prev(edge.halfedge))
+        } else {
+            (HalfedgeId::NONE, HalfedgeId::NONE)
+        };
+        let (outer_right, outer_left) = (self.twin(to_tip), self.twin(from_tip));
+        let tip = match left {
+            Left::Nothing => {
+                self.region.border.close(gate);
+                self.changed.push(gate);
+                self.queue();
+                return Ok(());
+            }
+            Left::Next => self.region.border.target(next),
+            Left::Previous => self.region.border.edge(prev).origin,
+            Left::Other(gap) => self.region.border.edge(gap).origin,
+            Left::New(source) => self.tip(&guess, source)?,
+        };
+        self.add_triangle([u, v, tip], edge.halfedge);
+        self.region.border.remove(gate);
+        match left {
+            Left::Next if self.region.border.edge(next).next == prev => {
+                self.region.border.remove(next);
+                self.region.border.remove(prev);
+            }
+            Left::Next => {
+                let after = self.region.border.edge(next).next;
+                self.region.border.remove(next);
+                let new = self.add_edge(u, v, outer_left);
+                self.region.border.link(prev, new);
+                self.region.border.link(new, after);
+            }
+            Left::Previous => {
+                let before = self.region.border.edge(prev).prev;
+                self.region.border.remove(prev);
+                let new = self.add_edge(tip, u, outer_right);
+                self.region.border.link(before, new);
+                self.region.border.link(new, next);
+            }
+            Left::New(_) | Left::Other(_) => {
+                let (first, second) = (self.add_edge(u, v, outer_left), self.add_edge(tip, u, outer_right));
+                let (before, after) = match left {
+                    Left::Other(gap) => (self.region.border.edge(gap).prev, gap),
+                    _ => (first, second),
+                };
+                self.region.border.link(prev, first);
+                self.region.border.link(before, second);
+                self.region.border.link(first, after);
+                self.region.border.link(second, next);
+            }
+            Left::Nothing => {}
+        }
+        self.queue();
+        Ok(())
+    }
+
+    /// Let all that has changed wait for its turn.
+    fn queue(&mut self) {
+        for i in 0..self.changed.len() {
+            let edge = self.region.border.edge(self.changed[i]);
+            self.changed.extend([edge.prev, edge.next]);
+        }
+        self.changed.sort_unstable();
+        self.changed.dedup();
+        for i in 0..self.changed.len() {
+            if self.region.border.is_open(self.changed[i]) {
+                let urgency = self.region.urgency(self.changed[i]);
+                self.gates.push((Reverse(urgency), self.changed[i]));
+            }
+        }
+        self.changed.clear();
+    }
+
+    /// The halfedge across, in the mesh that is given.
+    fn twin(&self, h: HalfedgeId) -> HalfedgeId {
+        match &self.given {
+            Some(given) if h.is_some() => given.connectivity.twin(h),
+            _ => HalfedgeId::NONE,
+        }
+    }
+
+    fn add_edge(&mut self, origin: u32, across: u32, h: HalfedgeId) -> u32 {
+        let edge = self.region.border.add(origin, across, h);
+        if let Some(given) = self.given.as_mut().filter(|_| h.is_some()) {
+            given.meet_edge(h, edge);
+        }
+        self.changed.push(edge);
+        edge
+    }
+
+    fn add_triangle(&mut self, corners: [u32; 3], h: HalfedgeId) {
+        self.region.add_triangle(corners);
+        if let Some(given) = &mut self.given {
+            given.meet_triangle(h);
+        }
+    }
+
+    /// Code a new vertex at the tip of a triangle; `source` is its number in the mesh that is given.
+    fn tip(&mut self, guess: &Guess, source: VertexId) -> Result<u32, Exhausted> {
+        let given = self.given.as_ref().map(|given| given.base.positions[source.index()]);
+        let position = self.corners.tip(self.coder, guess, given)?;
+        let mut near = [0; 4];
+        if self.channels > 0 {
+            let [a, b] = guess.ends.map(|v| self.region.base.channels[v as usize]);
+            // The mean, downwards.
+            near = std::array::from_fn(|i| (i64::from(a[i]) + i64::from(b[i])).div_euclid(2) as i32);
+        }
+        self.add_vertex(position, near, source)
+    }
+
+    fn add_vertex(&mut self, position: [i32; 3], near: [i32; 4], source: VertexId) -> Result<u32, Exhausted> {
+        let mut channels = None;
+        if self.channels > 0 {
+            let given = self.given.as_ref().map(|given| given.base.channels[source.index()]);
+            channels = Some(self.corners.channels(self.coder, near, self.channels, given)?);
+        }
+        if let Some(given) = &mut self.given {
+            given.meet_vertex(source);
+        }
+        Ok(self.region.add_vertex(position, channels))
+    }
+}

@@ -1,0 +1,77 @@
+//! Parts of a file: the length of what is coded, its checksum, and the bytes.
+//!
+//! The checksum is a cyclic one over length and bytes, and begins with that of the part before; so a part
+//! belongs to its place. Short parts have 16 bits of it (CCITT's polynomial), parts of [`LONG`] bytes and
+//! more 32 (that of IEEE 802.3): any one wrong byte is found.
+
+use super::error::SnmError;
+
+/// From so many bytes on checksums have four bytes.
+const LONG: usize = 4096;
+
+/// Append a part to `file`; `before` is the checksum of the part before.
+pub(super) fn append(file: &mut Vec<u8>, coded: &[u8], before: &mut u32) {
+    let start = file.len();
+    let mut rest = coded.len();
+    while rest >= 128 {
+        file.push(rest as u8 | 128);
+        rest >>= 7;
+    }
+    file.push(rest as u8);
+    *before = checksum(*before, &[&file[start..], coded]);
+    let size = checksum_size(coded.len());
+    file.extend(&before.to_be_bytes()[4 - size..]);
+    file.extend(coded);
+}
+
+/// Take part number `part` from the front of `file`.
+pub(super) fn take<'a>(file: &mut &'a [u8], part: usize, before: &mut u32) -> Result<&'a [u8], SnmError> {
+    let (mut length, mut digits) = (0, 0);
+    loop {
+        let &digit = file.get(digits).ok_or(SnmError::Truncated { part })?;
+        length |= usize::from(digit & 127) << (7 * digits);
+        digits += 1;
+        if digit < 128 {
+            break;
+        }
+        if digits == 5 {
+            return Err(SnmError::Damaged { part });
+        }
+    }
+    let (digits, rest) = file.split_at(digits);
+    let size = checksum_size(length);
+    if rest.len() < size || rest.len() - size < length {
+        return Err(SnmError::Truncated { part });
+    }
+    let (stated, rest) = rest.split_at(size);
+    let (coded, rest) = rest.split_at(length);
+    let found = checksum(*before, &[digits, coded]);
+    if found.to_be_bytes()[4 - size..] != *stated {
+        return Err(SnmError::Damaged { part });
+    }
+    *before = found;
+    *file = rest;
+    Ok(coded)
+}
+
+fn checksum_size(length: usize) -> usize {
+    if length < LONG { 2 } else { 4 }
+}
+
+/// Checksum of the last of `parts` and what is before it; its length decides on the polynomial.
+fn checksum(start: u32, parts: &[&[u8]]) -> u32 {
+    let length = parts.last().map_or(0, |part| part.len());
+    let (bits, polynomial) = if length < LONG { (16, 0x1021) } else { (32, 0x04c1_1db7) };
+    let mut remainder = !start << (32 - bits);
+    for &byte in parts.iter().copied().flatten() {
+        remainder ^= u32::from(byte) << 24;
+        for _ in 0..8 {
+            let carry = remainder >> 31 != 0;
+            remainder <<= 1;
+            if carry {
+                remainder ^= polynomial << (32 - bits);
+            }
+        }
+    }
+    remainder >> (32 - bits)
+}

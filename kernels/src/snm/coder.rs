@@ -1,0 +1,143 @@
+//! Binary decisions with given probabilities to bytes and back, by the range coder of `constriction`.
+//!
+//! Models are walked in the same way in both directions: [`Coder::bit`] takes the decision to encode and
+//! returns the one that was coded, which for a decoder is news.
+
+use std::borrow::Borrow;
+use std::num::NonZeroU16;
+
+use constriction::Queue;
+use constriction::backends::ReadWords;
+use constriction::stream::model::{DecoderModel, EncoderModel, EntropyModel};
+use constriction::stream::queue::{EncoderSituation, RangeDecoder, RangeEncoder};
+use constriction::stream::{Decode, Encode};
+
+/// The decoded part asks for more than was written: only damage can do that.
+#[derive(Debug)]
+pub(super) struct Exhausted;
+
+pub(super) trait Coder {
+    /// Code a decision that is `true` with probability `p`/65536.
+    fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted>;
+
+    /// Code a decision of which nothing is known.
+    fn even(&mut self, bit: bool) -> Result<bool, Exhausted> {
+        const HALF: NonZeroU16 = NonZeroU16::new(1 << 15).unwrap();
+        self.bit(HALF, bit)
+    }
+}
+
+const PRECISION: usize = 16;
+
+/// A decision; `true` has the lower part of the interval.
+#[derive(Clone, Copy)]
+struct Bernoulli(NonZeroU16);
+
+impl Bernoulli {
+    fn part(self, bit: bool) -> (u16, NonZeroU16) {
+        let p = self.0.get();
+        // 65536 − p is within 1..=65535, as p is.
+        if bit { (0, self.0) } else { (p, NonZeroU16::new(p.wrapping_neg()).unwrap_or(NonZeroU16::MIN)) }
+    }
+}
+
+impl EntropyModel<PRECISION> for Bernoulli {
+    type Symbol = bool;
+    type Probability = u16;
+}
+
+impl EncoderModel<PRECISION> for Bernoulli {
+    fn left_cumulative_and_probability(&self, symbol: impl Borrow<bool>) -> Option<(u16, NonZeroU16)> {
+        Some(self.part(*symbol.borrow()))
+    }
+}
+
+impl DecoderModel<PRECISION> for Bernoulli {
+    fn quantile_function(&self, quantile: u16) -> (bool, u16, NonZeroU16) {
+        let bit = quantile < self.0.get();
+        let (left, width) = self.part(bit);
+        (bit, left, width)
+    }
+}
+
+/// Words of 16 bits and a state of 64 leave no probability of 16 bits rounded by more than 2^-32.
+#[derive(Default)]
+pub(super) struct Encoder(RangeEncoder<u16, u64>);
+
+impl Coder for Encoder {
+    fn bit(&mut self, p: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
+        // Both decisions have a positive probability, and a vector takes all words.
+        self.0.encode_symbol(bit, Bernoulli(p)).map_err(|_| Exhausted)?;
+        Ok(bit)
+    }
+}
+
+impl Encoder {
+    /// The bytes, with the shortest end that tells the last interval when zeros are thought behind it.
+    pub(super) fn finish(self) -> Vec<u8> {
+        let (mut words, state, situation) = self.0.into_raw_parts();
+        let (lower, range) = (u128::from(state.lower()), u128::from(state.range().get()));
+        let round_up = |kept: u32| lower.div_ceil(1 << (64 - 8 * kept)) << (64 - 8 * kept);
+        // The range is at least 2^48: two bytes always do.
+        let kept = (0..2).find(|&kept| round_up(kept) < lower + range).unwrap_or(2);
+        let point = round_up(kept);
+        let carry = point >> 64 != 0;
+        if let EncoderSituation::Inverted(count, first) = situation {
+            words.push(if carry { first.wrapping_add(1) } else { first });
+            words.extend(std::iter::repeat_n(if carry { 0 } else { u16::MAX }, count.get() - 1));
+        }
+        let mut bytes: Vec<u8> = words.into_iter().flat_map(u16::to_be_bytes).collect();
+        bytes.extend(&(point as u64).to_be_bytes()[..kept as usize]);
+        bytes
+    }
+}
+
+/// Bytes as words, and then as many zeros as a decoder looks ahead.
+struct Words<'a> {
+    bytes: &'a [u8],
+    zeros: usize,
+}
+
+impl ReadWords<u16, Queue> for Words<'_> {
+    type ReadError = Exhausted;
+
+    fn read(&mut self) -> Result<Option<u16>, Exhausted> {
+        let (word, rest) = match *self.bytes {
+            [a, b, ref rest @ ..] => (u16::from_be_bytes([a, b]), rest),
+            [a] => (u16::from_be_bytes([a, 0]), [].as_slice()),
+            [] => {
+                self.zeros = self.zeros.checked_sub(1).ok_or(Exhausted)?;
+                (0, [].as_slice())
+            }
+        };
+        self.bytes = rest;
+        Ok(Some(word))
+    }
+
+    fn maybe_exhausted(&self) -> bool {
+        self.bytes.is_empty()
+    }
+}
+
+pub(super) struct Decoder<'a>(RangeDecoder<u16, u64, Words<'a>>);
+
+impl<'a> Decoder<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, Exhausted> {
+        RangeDecoder::with_backend(Words { bytes, zeros: 4 }).map(Self)
+    }
+}
+
+impl Coder for Decoder<'_> {
+    fn bit(&mut self, p: NonZeroU16, _: bool) -> Result<bool, Exhausted> {
+        self.0.decode_symbol(Bernoulli(p)).map_err(|_| Exhausted)
+    }
+}
+
+/// Walks a model without writing: what comes in which order is all that is asked.
+pub(super) struct Rehearsal;
+
+impl Coder for Rehearsal {
+    fn bit(&mut self, _: NonZeroU16, bit: bool) -> Result<bool, Exhausted> {
+        Ok(bit)
+    }
+}

@@ -1,0 +1,213 @@
+//! Writing and reading an `.snm` file part by part.
+
+use crate::normal::topology::Topology;
+
+use super::base::Walk;
+use super::chunks;
+use super::coder::{Decoder, Encoder, Exhausted};
+use super::contents::{Base, Header, Refinement};
+use super::error::SnmError;
+use super::given::Given;
+use super::header;
+use super::levels::Levels;
+
+/// How every file begins: three letters, and the version of the format.
+const MAGIC: [u8; 4] = *b"snm\x01";
+
+pub struct Writer {
+    file: Vec<u8>,
+    checksum: u32,
+    levels: Levels,
+    left: u8,
+}
+
+impl Writer {
+    /// Begin a file with its base mesh, which must be in the order of [`super::base::canonical`].
+    ///
+    /// # Errors
+    /// [`SnmError::Misfit`] if it is not, or if the header has a number that is not positive and finite.
+    pub fn new(header: &Header, base: &Base) -> Result<Self, SnmError> {
+        if !valid(header) {
+            return Err(SnmError::Misfit("the header holds a number that is not positive and finite"));
+        }
+        let given = Given::new(base)?;
+        let mut coder = Encoder::default();
+        let too_large = |Exhausted| SnmError::Misfit("the base mesh is too large");
+        header::code(&mut coder, header).map_err(too_large)?;
+        let mut walk = Walk::new(&mut coder, Some(given), header.channels.into());
+        walk.run().map_err(too_large)?;
+        if walk.region.base != *base {
+            return Err(SnmError::Misfit("the base mesh is not in the order of its coder"));
+        }
+        let mut file = MAGIC.to_vec();
+        let mut checksum = 0;
+        chunks::append(&mut file, &coder.finish(), &mut checksum);
+        let levels = Levels::new(header, base);
+        Ok(Self { file, checksum, levels, left: header.levels })
+    }
+
+    /// Append a refinement of `topology`. `expected` are offsets in steps the caller expects from the shape
+    /// so far, one an edge; or nothing. A reader must be given the same.
+    ///
+    /// # Errors
+    /// [`SnmError::Misfit`] if lengths do not agree, a boundary vertex has a scalar, or the header promised
+    /// fewer levels.
+    pub fn level(
+        &mut self,
+        topology: &Topology,
+        expected: &[i32],
+        refinement: &Refinement,
+    ) -> Result<(), SnmError> {
+        if !self.levels.fits(topology, expected, Some(refinement)) {
+            return Err(SnmError::Misfit("the refinement is not one of the level before"));
+        }
+        self.left = self.left.checked_sub(1).ok_or(SnmError::Misfit("more levels than the header says"))?;
+        let mut coder = Encoder::default();
+        let coded = self.levels.code(&mut coder, topology, expected, Some(refinement));
+        coded.map_err(|Exhausted| SnmError::Misfit("a level is too large"))?;
+        chunks::append(&mut self.file, &coder.finish(), &mut self.checksum);
+        Ok(())
+    }
+
+    /// The bytes so far: they are a valid file after every level.
+    pub fn bytes(&self) -> &[u8] {
+        &self.file
+    }
+
+    pub fn finish(self) -> Vec<u8> {
+        self.file
+    }
+}
+
+pub struct Reader<'a> {
+    file: &'a [u8],
+    checksum: u32,
+    levels: Levels,
+    part: usize,
+    promised: usize,
+}
+
+impl<'a> Reader<'a> {
+    /// Read the header and the base mesh. That it is a manifold shows when its [`Topology`] is built.
+    ///
+    /// # Errors
+    /// Not such a file, of another version, truncated or damaged within the base mesh.
+    pub fn new(file: &'a [u8]) -> Result<(Self, Header, Base), SnmError> {
+        let [magic @ .., version] = MAGIC;
+        let mut rest = file.strip_prefix(&magic).ok_or(SnmError::Magic)?;
+        let (&found, behind) = rest.split_first().ok_or(SnmError::Truncated { part: 0 })?;
+        rest = behind;
+        if found != version {
+            return Err(SnmError::Version(found));
+        }
+        let mut checksum = 0;
+        let coded = chunks::take(&mut rest, 0, &mut checksum)?;
+        let damaged = |Exhausted| SnmError::Damaged { part: 0 };
+        let mut coder = Decoder::new(coded).map_err(damaged)?;
+        let header = header::code(&mut coder, &Header::default()).map_err(damaged)?;
+        if !valid(&header) {
+            return Err(SnmError::Damaged { part: 0 });
+        }
+        let mut walk = Walk::new(&mut coder, None, header.channels.into());
+        walk.run().map_err(damaged)?;
+        let base = walk.region.base;
+        let promised = header.levels.into();
+        let levels = Levels::new(&header, &base);
+        Ok((Self { file: rest, checksum, levels, part: 0, promised }, header, base))
+    }
+
+    /// Bytes that are not read yet.
+    pub fn left(&self) -> usize {
+        self.file.len()
+    }
+
+    /// Read the next refinement; nothing if the file ends here, be it early or as promised.
+    ///
+    /// # Errors
+    /// Truncated or damaged within this level: those before are whole, those behind cannot be read. Bytes
+    /// behind the last level.
+    pub fn level(&mut self, topology: &Topology, expected: &[i32]) -> Result<Option<Refinement>, SnmError> {
+        if self.file.is_empty() {
+            return Ok(None);
+        }
+        if self.part == self.promised {
+            return Err(SnmError::Surplus { bytes: self.file.len() });
+        }
+        if !self.levels.fits(topology, expected, None) {
+            return Err(SnmError::Misfit("the topology is not one level finer than before"));
+        }
+        let part = self.part + 1;
+        let coded = chunks::take(&mut self.file, part, &mut self.checksum)?;
+        self.part = part;
+        let damaged = |Exhausted| SnmError::Damaged { part };
+        let mut coder = Decoder::new(coded).map_err(damaged)?;
+        self.levels.code(&mut coder, topology, expected, None).map(Some).map_err(damaged)
+    }
+}
+
+fn valid(header: &Header) -> bool {
+    let units = &header.units[..usize::from(header.channels.min(4))];
+    header.channels <= 4
+        && [header.grid, header.step, header.step_ratio]
+            .iter()
+            .chain(units)
+            .all(|&x| x.is_normal() && x > 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn next(state: &mut u64) -> u64 {
+        *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        *state >> 33
+    }
+
+    fn noise(state: &mut u64, length: usize) -> Vec<u8> {
+        // Runs of one byte drive models to their extremes.
+        let run = 1 + next(state) as usize % 9;
+        let bytes: Vec<u8> = (0..length.div_ceil(run)).map(|_| next(state) as u8).collect();
+        bytes.into_iter().flat_map(|byte| std::iter::repeat_n(byte, run)).take(length).collect()
+    }
+
+    /// Checksums do not keep a forger out: what they hold of must be harmless, too.
+    #[test]
+    fn noise_with_good_checksums_is_refused_or_read_within_bounds() {
+        let state = &mut 7;
+        let header = Header { grid: 1.0, step: 1.0, step_ratio: 2.0, levels: 3, ..Header::default() };
+        let mut read = [0; 2];
+        for round in 0..3000 {
+            let mut file = MAGIC.to_vec();
+            let mut checksum = 0;
+            let length = next(state) as usize % 200;
+            let mut coded = noise(state, length);
+            if round % 2 == 0 {
+                // A sound beginning goes on to noise.
+                let mut coder = Encoder::default();
+                header::code(&mut coder, &header).unwrap();
+                coded.splice(0..0, coder.finish());
+            }
+            chunks::append(&mut file, &coded, &mut checksum);
+            for _ in 0..3 {
+                let length = next(state) as usize % 50;
+                chunks::append(&mut file, &noise(state, length), &mut checksum);
+            }
+            let Ok((mut reader, _, base)) = Reader::new(&file) else { continue };
+            read[0] += 1;
+            assert!(
+                base.positions.len() <= 8 * (coded.len() + 8),
+                "{} of {}",
+                base.positions.len(),
+                coded.len()
+            );
+            assert!(base.triangles.len() <= 16 * (coded.len() + 8));
+            let Ok(mut topology) = Topology::new(base.positions.len(), base.triangles) else { continue };
+            while let Ok(Some(refinement)) = reader.level(&topology, &[]) {
+                assert_eq!(refinement.offsets.len(), topology.edges.len());
+                read[1] += 1;
+                topology = topology.subdivided();
+            }
+        }
+        assert!(read.iter().all(|&count| count > 100), "{read:?}");
+    }
+}

@@ -1,0 +1,164 @@
+//! New vertices of the base mesh: where they should be, and by how much they are elsewhere.
+//!
+//! In the frame of the edge it is grown at ([`Frame`]) the tip of a triangle is predicted linearly from three
+//! corners around. Along the axes of the frame errors have sizes of their own: tips are nearer to the plane
+//! of the triangle before than to the right place in it. Positions are whole numbers along other axes, so
+//! each coordinate is coded with what the coordinates before it say about it under a normal distribution of
+//! that shape.
+
+use super::coder::{Coder, Exhausted};
+use super::decisions::{Decisions, Rates};
+use super::frame::{Conditional, Frame};
+use super::integers::{Integers, Known};
+use super::linear::Linear;
+use super::logistic::ln;
+use super::region::Region;
+
+pub(super) const RATES: Rates =
+    Rates { regression: [0.2, 1e-4], mixer: [0.02, 1e-5], memory: 250, trust: 12, margin: 512 };
+
+/// A 1 and the coordinates of three corners; that across the edge has no third.
+const NEAR: usize = 9;
+/// Least squares over base meshes of nine scans.
+const TIPS: [[f32; NEAR]; 3] = [
+    [-0.25, -0.18, 0.04, 0.33, -0.09, -0.01, 0.06, 0.06, 0.02],
+    [0.14, 0.03, -0.18, 0.1, 0.28, 0.0, -0.07, -0.03, -0.01],
+    [0.01, 0.0, 0.02, 0.0, 0.01, 0.26, 0.01, 0.02, -0.02],
+];
+
+/// Where the tip of a triangle should be.
+pub(super) struct Guess {
+    pub frame: Frame,
+    inputs: [f32; NEAR],
+    /// In the frame, and in space.
+    pub local: [f64; 3],
+    pub point: [f64; 3],
+    /// Ends of the edge.
+    pub ends: [u32; 2],
+}
+
+pub(super) struct Corners {
+    tips: [Linear<NEAR>; 3],
+    /// How far tips are from where they should be, along the axes of their frames.
+    deviations: [f64; 3],
+    first: Integers<1, 0>,
+    positions: Integers<3, 1>,
+    /// Prediction of a channel from those before.
+    colors: [Linear<3>; 4],
+    channels: Integers<3, 1>,
+    more: Decisions<1, 0>,
+}
+
+impl Corners {
+    pub(super) fn new() -> Self {
+        Self {
+            tips: TIPS.map(Linear::new),
+            deviations: [0.37, 0.27, 0.15],
+            first: Integers::new(RATES, &[[0.0]], [], 1),
+            positions: Integers::new(RATES, &[[0.1, 0.5, 0.4]], [3], 1),
+            colors: [Linear::new([0.0; 3]); 4],
+            channels: Integers::new(RATES, &[[0.0, 0.7, 0.3]], [4], 4),
+            more: Decisions::new(RATES, &[[-2.0]], []),
+        }
+    }
+
+    /// Code whether another component follows.
+    pub(super) fn more<C: Coder>(&mut self, coder: &mut C, more: bool) -> Result<bool, Exhausted> {
+        self.more.bit(coder, 0, &[1.0], &[], more)
+    }
+
+    pub(super) fn guess(&self, region: &Region, gate: u32) -> Guess {
+        let frame = region.frame(gate);
+        let [across, next, previous] =
+            region.around(gate).map(|v| frame.local(region.position(v)).map(|x| x.clamp(-4.0, 4.0) as f32));
+        let inputs =
+            [1.0, across[0], across[1], next[0], next[1], next[2], previous[0], previous[1], previous[2]];
+        let local = [0, 1, 2].map(|i| f64::from(self.tips[i].predict(&inputs).clamp(-4.0, 4.0)));
+        let point = frame.point(local);
+        let ends = [region.border.edge(gate).origin, region.border.target(gate)];
+        Guess { frame, inputs, local, point, ends }
+    }
+
+    /// Code a corner of the first triangle of a component; `near` is the vertex before it.
+    pub(super) fn first<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        near: [i32; 3],
+        given: Option<[i32; 3]>,
+    ) -> Result<[i32; 3], Exhausted> {
+        let mut position = [0; 3];
+        for axis in 0..3 {
+            let near = i64::from(near[axis]);
+            let residual = given.map_or(0, |p| i64::from(p[axis]) - near);
+            let known = Known { expected: 1024.0, features: [1.0], contexts: [], lean: 0.0, side: 0 };
+            let residual = self.first.code(coder, &known, residual)?;
+            position[axis] = i32::try_from(near + residual).map_err(|_| Exhausted)?;
+        }
+        Ok(position)
+    }
+
+    pub(super) fn tip<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        guess: &Guess,
+        given: Option<[i32; 3]>,
+    ) -> Result<[i32; 3], Exhausted> {
+        let Conditional { below, variances } = guess.frame.conditional(self.deviations);
+        let mut position = [0; 3];
+        let mut apart = [0.0; 3];
+        let mut unusual = 1.0f32;
+        for axis in 0..3 {
+            let shift: f64 = (0..axis).map(|j| below[axis][j] * apart[j]).sum();
+            let near = (guess.point[axis] + shift).clamp(i32::MIN.into(), i32::MAX.into());
+            let start = (near + 0.5).floor() as i64;
+            let residual = given.map_or(0, |p| i64::from(p[axis]) - start);
+            let expected = 0.8 * variances[axis].sqrt() as f32;
+            let features = [1.0, ln(expected), ln(expected * unusual)];
+            // From 8 on the last bit is coded evenly: so every vertex takes a bit at least, and no file can
+            // claim more vertices than it has bits.
+            let bounded = if axis == 0 { expected.max(8.0) } else { expected };
+            let known = Known { expected: bounded, features, contexts: [axis], lean: 0.0, side: 0 };
+            let residual = self.positions.code(coder, &known, residual)?;
+            position[axis] = i32::try_from(start + residual).map_err(|_| Exhausted)?;
+            apart[axis] = f64::from(position[axis]) - near;
+            unusual = 0.5 * unusual + 0.5 * (apart[axis].abs() as f32 / expected + 0.1);
+        }
+        let found = guess.frame.local(position.map(f64::from));
+        for (axis, deviation) in self.deviations.iter_mut().enumerate() {
+            let error = found[axis] - guess.local[axis];
+            self.tips[axis].learn(&guess.inputs, error as f32, *deviation as f32);
+            // A mean deviation of 1 is one of 1.25 squared, if they are normal.
+            *deviation = (*deviation + 0.02 * (1.25 * error.abs().min(4.0) - *deviation)).max(1e-3);
+        }
+        Ok(position)
+    }
+
+    /// Code the first `count` channels of a vertex, which should be about `near`.
+    pub(super) fn channels<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        near: [i32; 4],
+        count: usize,
+        given: Option<[i32; 4]>,
+    ) -> Result<[i32; 4], Exhausted> {
+        let mut values = [0; 4];
+        let mut residuals = [0.0; 3];
+        let mut last = 8.0f32;
+        for channel in 0..count {
+            let shift = self.colors[channel].predict(&residuals).clamp(-1e9, 1e9);
+            let start = i64::from(near[channel]) + (shift + 0.5).floor() as i64;
+            let residual = given.map_or(0, |values| i64::from(values[channel]) - start);
+            let features = [1.0, ln(last), if channel == 0 { 0.0 } else { ln(8.0) }];
+            let known = Known { expected: last, features, contexts: [channel], lean: 0.0, side: channel };
+            let residual = self.channels.code(coder, &known, residual)?;
+            values[channel] = i32::try_from(start + residual).map_err(|_| Exhausted)?;
+            let apart = (i64::from(values[channel]) - i64::from(near[channel])) as f32;
+            self.colors[channel].learn(&residuals, apart - shift, last);
+            if let Some(slot) = residuals.get_mut(channel) {
+                *slot = apart;
+            }
+            last = 0.5 * (last + residual.unsigned_abs() as f32) + 0.5;
+        }
+        Ok(values)
+    }
+}

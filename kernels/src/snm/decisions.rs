@@ -1,0 +1,139 @@
+//! Adaptive probabilities of binary decisions: what is known beforehand, mixed with what has been seen.
+//!
+//! A family of decisions has `F` features, real numbers that speak for or against, and `N` contexts, each a
+//! small number. A logistic regression on the features gives a first guess; its weights begin where real
+//! meshes have left them, so that the first vertex of a file already has a fair probability. Every value of a
+//! context has a probability of its own, which begins as the guess of the moment it is first met. Guess and
+//! contexts are mixed in the logistic domain (Mahoney, Adaptive weighing of context models for lossless data
+//! compression, 2005). Weights are learnt as an extended Kalman filter does, which needs few decisions: files
+//! are small.
+
+use std::num::NonZeroU16;
+
+use super::coder::{Coder, Exhausted};
+use super::logistic::{logit, probability};
+
+/// How the decisions of a family learn.
+#[derive(Clone, Copy)]
+pub(super) struct Rates {
+    /// Variance of the regression's weights and of the mixer's, at first and what a decision adds to it.
+    pub regression: [f32; 2],
+    pub mixer: [f32; 2],
+    /// A context's probability is a mean over about as many decisions.
+    pub memory: u16,
+    /// Decisions the first guess counts as.
+    pub trust: u16,
+    /// No probability is nearer to 0 or 1 than this many 65536ths.
+    pub margin: u16,
+}
+
+#[derive(Clone, Copy)]
+struct Slot {
+    p: f32,
+    seen: u16,
+}
+
+/// A logistic regression that learns decision by decision (an extended Kalman filter of its weights).
+#[derive(Clone, Copy)]
+struct Regression<const I: usize> {
+    weights: [f32; I],
+    /// Covariance of the weights.
+    spread: [[f32; I]; I],
+    rates: [f32; 2],
+}
+
+impl<const I: usize> Regression<I> {
+    fn new(weights: [f32; I], rates: [f32; 2]) -> Self {
+        let spread = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { rates[0] } else { 0.0 }));
+        Self { weights, spread, rates }
+    }
+
+    fn sum(&self, inputs: &[f32; I]) -> f32 {
+        (0..I).map(|i| self.weights[i] * inputs[i]).sum()
+    }
+
+    /// Learn that the outcome differs by `error` from the probability `p` that was told.
+    fn learn(&mut self, inputs: &[f32; I], p: f32, error: f32) {
+        let reach: [f32; I] = std::array::from_fn(|i| (0..I).map(|j| self.spread[i][j] * inputs[j]).sum());
+        // Rounding must not make it negative.
+        let power = (0..I).map(|i| inputs[i] * reach[i]).sum::<f32>().max(0.0);
+        let variance = (p * (1.0 - p)).max(0.003);
+        let gain = 1.0 / (1.0 + variance * power);
+        for i in 0..I {
+            self.weights[i] += gain * error * reach[i];
+            for j in 0..I {
+                self.spread[i][j] -= gain * variance * reach[i] * reach[j];
+            }
+            // What is never needed must not become ever more uncertain.
+            if self.spread[i][i] < self.rates[0] {
+                self.spread[i][i] = self.spread[i][i].max(0.0) + self.rates[1];
+            }
+        }
+    }
+}
+
+/// The probabilities of a family of decisions.
+pub(super) struct Decisions<const F: usize, const N: usize> {
+    rates: Rates,
+    regressions: Vec<Regression<F>>,
+    mixers: Vec<Regression<N>>,
+    slots: [Vec<Slot>; N],
+}
+
+impl<const F: usize, const N: usize> Decisions<F, N> {
+    /// A family of as many decisions as there are `regressions`, in contexts of the given sizes.
+    pub(super) fn new(rates: Rates, regressions: &[[f32; F]], sizes: [usize; N]) -> Self {
+        let mixer = Regression::new([0.6 / (N as f32 + 1.0); N], rates.mixer);
+        let slot = Slot { p: 0.5, seen: 0 };
+        Self {
+            rates,
+            regressions: regressions
+                .iter()
+                .map(|&weights| Regression::new(weights, rates.regression))
+                .collect(),
+            mixers: vec![mixer; regressions.len()],
+            slots: sizes.map(|size| vec![slot; size * regressions.len()]),
+        }
+    }
+
+    pub(super) fn bit<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        decision: usize,
+        features: &[f32; F],
+        contexts: &[usize; N],
+        bit: bool,
+    ) -> Result<bool, Exhausted> {
+        let count = self.regressions.len();
+        let regression = &mut self.regressions[decision];
+        let mixer = &mut self.mixers[decision];
+        let guess = regression.sum(features).clamp(-11.0, 11.0);
+        let guessed = probability(guess);
+        let mut inputs = [0.0; N];
+        for i in 0..N {
+            let slot = &mut self.slots[i][contexts[i] * count + decision];
+            if slot.seen == 0 {
+                *slot = Slot { p: guessed, seen: self.rates.trust };
+            }
+            // What the context adds to the guess.
+            inputs[i] = logit(slot.p) - guess;
+        }
+        let p = probability(guess + mixer.sum(&inputs));
+        let bit = coder.bit(scaled(p, self.rates.margin), bit)?;
+
+        let outcome = f32::from(u8::from(bit));
+        regression.learn(features, guessed, outcome - guessed);
+        mixer.learn(&inputs, p, outcome - p);
+        for (slots, context) in self.slots.iter_mut().zip(contexts) {
+            let slot = &mut slots[context * count + decision];
+            slot.seen = (slot.seen + 1).min(self.rates.memory);
+            slot.p += (outcome - slot.p) / f32::from(slot.seen);
+        }
+        Ok(bit)
+    }
+}
+
+fn scaled(p: f32, margin: u16) -> NonZeroU16 {
+    let p = ((p * 65536.0) as u16).clamp(margin, u16::MAX - margin + 1);
+    NonZeroU16::new(p).unwrap_or(NonZeroU16::MIN)
+}

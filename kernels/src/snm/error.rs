@@ -1,0 +1,54 @@
+//! Why a file cannot be read, or a mesh not be written.
+
+use std::fmt;
+
+use crate::error::KernelError;
+
+#[derive(Clone, Debug, PartialEq)]
+pub enum SnmError {
+    /// It does not begin as such a file does.
+    Magic,
+    /// Written by a later version of the format.
+    Version(u8),
+    /// The file ends within a part: 0 is the base mesh, k the k-th refinement.
+    Truncated { part: usize },
+    /// A part does not have its checksum, or decodes to what cannot be.
+    Damaged { part: usize },
+    /// Bytes behind the last refinement.
+    Surplus { bytes: usize },
+    /// The base mesh to be written is no manifold.
+    Mesh(KernelError),
+    /// What is given does not fit the format, or what was given before.
+    Misfit(&'static str),
+}
+
+impl fmt::Display for SnmError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = |part: &usize| match part {
+            0 => "the base mesh".to_owned(),
+            level => format!("level {level}"),
+        };
+        match self {
+            Self::Magic => write!(f, "it is not an .snm file"),
+            Self::Version(version) => write!(f, "it is of version {version} of the format, which is unknown"),
+            Self::Truncated { part } => write!(f, "the file ends within {}", name(part)),
+            Self::Damaged { part } => write!(f, "{} is damaged", name(part)),
+            Self::Surplus { bytes } => write!(f, "{bytes} bytes follow the last level"),
+            Self::Mesh(why) => why.fmt(f),
+            Self::Misfit(why) => write!(f, "{why}"),
+        }
+    }
+}
+
+impl std::error::Error for SnmError {}
+
+/// What a writer refuses.
+impl From<SnmError> for KernelError {
+    fn from(error: SnmError) -> Self {
+        match error {
+            SnmError::Mesh(why) => why,
+            SnmError::Misfit(why) => Self::Unwritable(why),
+            _ => Self::Unwritable("the coder failed"),
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! Which new vertices are exceptions. They come in groups, and stay where they are from level to level.
+
+use super::coder::{Coder, Exhausted};
+use super::decisions::{Decisions, Rates};
+use super::relations::Relations;
+
+const RATES: Rates =
+    Rates { regression: [0.1, 5e-5], mixer: [0.02, 1e-6], memory: 1000, trust: 3, margin: 16 };
+
+/// Where coded normal meshes of horse, cow, bunny, igea, rocker-arm and fandisk have left the weights.
+const WEIGHTS: [f32; 7] = [-5.2, 1.5, 1.8, 0.55, 1.1, 0.1, -0.3];
+
+pub(super) struct Exceptions {
+    models: Decisions<7, 3>,
+    /// Whether points are relaxed at all, and an exception is a scalar from the unrelaxed one.
+    relaxed: bool,
+    unrelaxed: Decisions<1, 1>,
+    /// Edges of the level before that had exceptions, and vertices that came with one.
+    before: Vec<bool>,
+    vertices: Vec<bool>,
+    edges: Vec<bool>,
+    /// Exceptions at the edges coded so far of each vertex.
+    around: Vec<u8>,
+    is_unrelaxed: bool,
+}
+
+impl Exceptions {
+    pub(super) fn new(vertices: usize, relaxed: bool) -> Self {
+        Self {
+            models: Decisions::new(RATES, &[WEIGHTS], [18, 27, 16]),
+            relaxed,
+            unrelaxed: Decisions::new(RATES, &[[0.0]], [2]),
+            before: vec![],
+            vertices: vec![false; vertices],
+            edges: vec![],
+            around: vec![],
+            is_unrelaxed: false,
+        }
+    }
+
+    pub(super) fn begin_level(&mut self, relations: &Relations) {
+        self.edges = vec![false; relations.topology.edges.len()];
+        self.around = vec![0; relations.topology.vertices];
+    }
+
+    pub(super) fn end_level(&mut self) {
+        self.before = std::mem::take(&mut self.edges);
+        self.vertices.extend(&self.before);
+    }
+
+    /// Code whether the offset of an edge is a scalar from the relaxed point, from the unrelaxed point, or a
+    /// vector. `rough` grows with the magnitude offsets have there.
+    pub(super) fn code<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        relations: &Relations,
+        edge: usize,
+        rough: f32,
+        given: Kind,
+    ) -> Result<Kind, Exhausted> {
+        let near = relations.neighbours(edge).filter(|&e| self.edges[e]).count().min(2);
+        let above = usize::from(relations.above(edge).is_some_and(|above| self.before[above]));
+        let sibling = usize::from(relations.sibling(edge).is_some_and(|sibling| self.edges[sibling]));
+        let ends = relations.topology.edges[edge].map(|v| v as usize);
+        let marked = ends.iter().filter(|&&v| self.vertices[v]).count();
+        let around = ends.iter().map(|&v| usize::from(self.around[v])).sum::<usize>().min(8);
+        let features = [1.0, near as f32, above as f32, sibling as f32, marked as f32, around as f32, rough];
+        let contexts = [
+            near + 3 * above + 6 * marked,
+            around.min(8) + 9 * marked,
+            ((2.0 * rough).max(0.0) as usize).min(15),
+        ];
+        let is_exception = self.models.bit(coder, 0, &features, &contexts, given != Kind::Scalar)?;
+        if !is_exception {
+            return Ok(Kind::Scalar);
+        }
+        self.edges[edge] = true;
+        for v in ends {
+            self.around[v] = self.around[v].saturating_add(1);
+        }
+        if !self.relaxed {
+            return Ok(Kind::Vector);
+        }
+        let context = [usize::from(self.is_unrelaxed)];
+        self.is_unrelaxed = self.unrelaxed.bit(coder, 0, &[1.0], &context, given == Kind::Unrelaxed)?;
+        Ok(if self.is_unrelaxed { Kind::Unrelaxed } else { Kind::Vector })
+    }
+}
+
+/// How an offset is meant.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum Kind {
+    Scalar,
+    Unrelaxed,
+    Vector,
+}

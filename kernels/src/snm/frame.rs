@@ -1,0 +1,80 @@
+//! Where the tip of a triangle should be, from the triangle across its first edge.
+
+/// Axes at the middle of an edge: along it, away from the triangle that is known, and the normal of that.
+pub(super) struct Frame {
+    middle: [f64; 3],
+    axes: [[f64; 3]; 3],
+    /// Of the edge; 1 at least.
+    pub length: f64,
+}
+
+impl Frame {
+    /// At the edge `from` → `to` of a triangle with the third corner `across` on the right.
+    pub(super) fn new([from, to, across]: [[i32; 3]; 3]) -> Self {
+        let [from, to, across] = [from, to, across].map(|p| p.map(f64::from));
+        let middle = [0, 1, 2].map(|i| 0.5 * (from[i] + to[i]));
+        let (along, length) = unit(minus(to, from));
+        let back = minus(across, middle);
+        let shift = dot(back, along);
+        let (away, _) = unit([0, 1, 2].map(|i| shift * along[i] - back[i]));
+        Self { middle, axes: [along, away, cross(along, away)], length }
+    }
+
+    /// Coordinates in the frame, in lengths of the edge.
+    pub(super) fn local(&self, p: [f64; 3]) -> [f64; 3] {
+        let from_middle = minus(p, self.middle);
+        self.axes.map(|axis| dot(from_middle, axis) / self.length)
+    }
+
+    pub(super) fn point(&self, local: [f64; 3]) -> [f64; 3] {
+        [0, 1, 2].map(|i| {
+            let offset: f64 = (0..3).map(|k| local[k] * self.axes[k][i]).sum();
+            self.middle[i] + self.length * offset
+        })
+    }
+}
+
+/// What independent deviations along axes look like one coordinate after the other: with the matrix `below`
+/// and independent u, a deviation is u_i + Σ below_ij u_j over j < i; `variances` are those of u.
+pub(super) struct Conditional {
+    pub below: [[f64; 3]; 3],
+    pub variances: [f64; 3],
+}
+
+impl Frame {
+    /// For deviations of the given size along each axis, in lengths of the edge.
+    pub(super) fn conditional(&self, deviations: [f64; 3]) -> Conditional {
+        let scale = deviations.map(|d| (d * self.length) * (d * self.length));
+        let covariance = |i: usize, j: usize| -> f64 {
+            (0..3).map(|k| scale[k] * self.axes[k][i] * self.axes[k][j]).sum()
+        };
+        let (mut below, mut variances) = ([[0.0; 3]; 3], [0.0; 3]);
+        for i in 0..3 {
+            for j in 0..i {
+                let known: f64 = (0..j).map(|k| below[i][k] * below[j][k] * variances[k]).sum();
+                below[i][j] = (covariance(i, j) - known) / variances[j];
+            }
+            let known: f64 = (0..i).map(|k| below[i][k] * below[i][k] * variances[k]).sum();
+            variances[i] = (covariance(i, i) - known).max(1.0 / 16.0);
+        }
+        Conditional { below, variances }
+    }
+}
+
+/// The direction of a vector and its length; 1 for a shorter one.
+fn unit(v: [f64; 3]) -> ([f64; 3], f64) {
+    let length = dot(v, v).sqrt().max(1.0);
+    (v.map(|x| x / length), length)
+}
+
+pub(super) fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|i| a[i] - b[i])
+}
+
+pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}

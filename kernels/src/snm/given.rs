@@ -1,0 +1,115 @@
+//! The base mesh to encode, seen from the border of the part that is coded.
+
+use crate::connectivity::Connectivity;
+use crate::ids::{HalfedgeId, TriangleId, VertexId};
+
+use super::border::{Border, Left, NONE};
+use super::contents::Base;
+use super::error::SnmError;
+
+/// The mesh to encode, and how much of it has been met.
+pub(super) struct Given<'a> {
+    pub base: &'a Base,
+    pub connectivity: Connectivity,
+    /// New number of each vertex.
+    numbers: Vec<u32>,
+    /// The border edge each open halfedge is at.
+    border: Vec<u32>,
+    done: Vec<bool>,
+    /// No triangle before this one is left.
+    first_left: usize,
+    pub vertex_source: Vec<u32>,
+    pub triangle_source: Vec<u32>,
+}
+
+impl<'a> Given<'a> {
+    pub(super) fn new(base: &'a Base) -> Result<Self, SnmError> {
+        let connectivity = Connectivity::from_triangles(base.positions.len(), &base.triangles);
+        let connectivity = connectivity.map_err(SnmError::Mesh)?;
+        Ok(Self {
+            numbers: vec![NONE; base.positions.len()],
+            border: vec![NONE; 3 * base.triangles.len()],
+            done: vec![false; base.triangles.len()],
+            first_left: 0,
+            vertex_source: vec![],
+            triangle_source: vec![],
+            base,
+            connectivity,
+        })
+    }
+
+    pub(super) fn is_open(&self) -> bool {
+        self.connectivity.edges().any(|edge| self.connectivity.is_boundary_edge(edge))
+    }
+
+    /// A halfedge of a component that has not been met.
+    pub(super) fn seed(&mut self) -> Option<HalfedgeId> {
+        while *self.done.get(self.first_left)? {
+            self.first_left += 1;
+        }
+        Some(HalfedgeId::from_index(3 * self.first_left))
+    }
+
+    /// What is on the left of an edge of the border.
+    pub(super) fn left(&self, border: &Border, edge: u32) -> Left {
+        let gate = border.edge(edge);
+        let h = gate.halfedge;
+        if h.is_none() {
+            return Left::Nothing;
+        }
+        let (to_tip, from_tip) = (Connectivity::next(h), Connectivity::prev(h));
+        let tip = self.connectivity.origin(from_tip);
+        let at = |h: HalfedgeId| self.border[h.index()];
+        if self.numbers[tip.index()] == NONE {
+            Left::New(tip)
+        } else if at(to_tip) == gate.next {
+            Left::Next
+        } else if at(from_tip) == gate.prev {
+            Left::Previous
+        } else {
+            Left::Other(self.gap(border, from_tip))
+        }
+    }
+
+    /// The border edge from the origin of `h` that ends the open fan `h` is in.
+    fn gap(&self, border: &Border, h: HalfedgeId) -> u32 {
+        let mut clockwise = h;
+        loop {
+            let edge = self.border[clockwise.index()];
+            if edge != NONE {
+                return edge;
+            }
+            let twin = self.connectivity.twin(clockwise);
+            if twin.is_none() {
+                break;
+            }
+            clockwise = Connectivity::next(twin);
+        }
+        // A boundary of the mesh is in between; the fan's other end cannot be one, too.
+        let mut arriving = Connectivity::prev(h);
+        loop {
+            let edge = self.border[arriving.index()];
+            if edge != NONE {
+                return border.edge(edge).next;
+            }
+            arriving = Connectivity::prev(self.connectivity.twin(arriving));
+        }
+    }
+
+    /// The triangle of `h` has been met.
+    pub(super) fn meet_triangle(&mut self, h: HalfedgeId) {
+        let TriangleId(triangle) = Connectivity::triangle(h);
+        self.done[triangle as usize] = true;
+        self.triangle_source.push(triangle);
+    }
+
+    /// A vertex has been met; the next number is its own.
+    pub(super) fn meet_vertex(&mut self, VertexId(v): VertexId) {
+        self.numbers[v as usize] = self.vertex_source.len() as u32;
+        self.vertex_source.push(v);
+    }
+
+    pub(super) fn meet_edge(&mut self, h: HalfedgeId, edge: u32) {
+        self.border[h.index()] = edge;
+    }
+}

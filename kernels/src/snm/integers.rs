@@ -1,0 +1,98 @@
+//! Whole numbers as binary decisions.
+//!
+//! A magnitude is expected to be about `e`. With `k` = max(0, ⌊log2 e⌋ − 2) the upper part |x| >> k is coded
+//! in unary up to [`UNARY`], each step a decision; what is beyond it follows as an Exp-Golomb number. Then
+//! come the lower k bits, evenly, and the sign if the number is not 0. So a number takes about as many
+//! decisions whatever its size, as long as the expectation is of the right order.
+
+use super::coder::{Coder, Exhausted};
+use super::decisions::{Decisions, Rates};
+
+/// Longest unary part.
+const UNARY: usize = 18;
+/// Bits of the longest number beyond it.
+const LENGTHS: usize = 40;
+
+/// What is known of a number before it is coded.
+pub(super) struct Known<const F: usize, const N: usize> {
+    /// The magnitude to reckon with.
+    pub expected: f32,
+    /// The first is 1, the others are logarithms of magnitudes it may have.
+    pub features: [f32; F],
+    pub contexts: [usize; N],
+    /// The logit of its being positive, and a context for it.
+    pub lean: f32,
+    pub side: usize,
+}
+
+pub(super) struct Integers<const F: usize, const N: usize> {
+    magnitudes: Decisions<F, N>,
+    signs: Decisions<2, 1>,
+}
+
+impl<const F: usize, const N: usize> Integers<F, N> {
+    /// `weights` are those of the features for the first steps; all others have the last.
+    pub(super) fn new(rates: Rates, weights: &[[f32; F]], sizes: [usize; N], sides: usize) -> Self {
+        let last = weights.len() - 1;
+        let weights: Vec<[f32; F]> = (0..UNARY + LENGTHS).map(|step| weights[step.min(last)]).collect();
+        Self {
+            magnitudes: Decisions::new(rates, &weights, sizes),
+            signs: Decisions::new(rates, &[[0.0, 1.0]], [sides]),
+        }
+    }
+
+    /// Code `value`, whose magnitude is below 2^39.
+    pub(super) fn code<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        known: &Known<F, N>,
+        value: i64,
+    ) -> Result<i64, Exhausted> {
+        // The exponent of the expectation, without rounding.
+        let exponent = (known.expected.to_bits() >> 23) as i32 - 127;
+        let k = (exponent - 2).clamp(0, LENGTHS as i32 - 1) as u32;
+        let mut features = known.features;
+        for feature in &mut features[1..] {
+            *feature -= k as f32 * std::f32::consts::LN_2;
+        }
+        let upper = self.upper(coder, &features, &known.contexts, value.unsigned_abs() >> k)?;
+        if upper >> (LENGTHS as u32 - k) != 0 {
+            return Err(Exhausted);
+        }
+        let mut magnitude = upper << k;
+        for i in (0..k).rev() {
+            magnitude |= u64::from(coder.even(value.unsigned_abs() >> i & 1 != 0)?) << i;
+        }
+        if magnitude == 0 {
+            return Ok(0);
+        }
+        let positive = self.signs.bit(coder, 0, &[1.0, known.lean], &[known.side], value > 0)?;
+        Ok(if positive { magnitude as i64 } else { -(magnitude as i64) })
+    }
+
+    fn upper<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        features: &[f32; F],
+        contexts: &[usize; N],
+        upper: u64,
+    ) -> Result<u64, Exhausted> {
+        for step in 0..UNARY {
+            if !self.magnitudes.bit(coder, step, features, contexts, upper > step as u64)? {
+                return Ok(step as u64);
+            }
+        }
+        let rest = upper.saturating_sub(UNARY as u64) + 1;
+        let mut length = 0;
+        while length < LENGTHS - 1
+            && self.magnitudes.bit(coder, UNARY + length, features, contexts, rest >> (length + 1) != 0)?
+        {
+            length += 1;
+        }
+        let mut decoded = 1;
+        for i in (0..length).rev() {
+            decoded = decoded << 1 | u64::from(coder.even(rest >> i & 1 != 0)?);
+        }
+        Ok(decoded - 1 + UNARY as u64)
+    }
+}

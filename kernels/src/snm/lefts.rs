@@ -1,0 +1,131 @@
+//! What is on the left of an edge of the border, as decisions: is it nothing, is the tip the next vertex of
+//! the border, the previous, a new one; or which of all others.
+
+use crate::ids::VertexId;
+
+use super::border::Left;
+use super::coder::{Coder, Exhausted};
+use super::corners::{Guess, RATES};
+use super::decisions::{Decisions, Rates};
+use super::frame::{dot, minus};
+use super::integers::{Integers, Known};
+use super::logistic::ln;
+use super::region::Region;
+
+const CLOSING: usize = 10;
+/// Where least squares over base meshes of nine scans have left the weights.
+const CLOSINGS: [[f32; CLOSING]; 2] = [[-0.5, -1.4, 0.35, 1.0, 0.55, 1.5, 0.5, -0.6, 1.4, 0.0]; 2];
+
+/// In a border of more edges than this the vertices are not put in order for each tip that is elsewhere on
+/// it.
+const LONG: usize = 1024;
+
+pub(super) struct Lefts {
+    closes: Decisions<CLOSING, 0>,
+    nothing: Decisions<1, 0>,
+    other: Decisions<1, 0>,
+    ranks: Integers<1, 0>,
+}
+
+impl Lefts {
+    pub(super) fn new() -> Self {
+        // Others cost a search. The margin keeps a damaged file from asking for very many.
+        let rare = Rates { margin: 4096, ..RATES };
+        Self {
+            closes: Decisions::new(RATES, &CLOSINGS, []),
+            nothing: Decisions::new(RATES, &[[-3.0]], []),
+            other: Decisions::new(rare, &[[-2.6]], []),
+            ranks: Integers::new(rare, &[[0.0]], [], 1),
+        }
+    }
+
+    /// Code what is on the left of `gate`; `is_open` if the mesh has a boundary at all.
+    pub(super) fn code<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        region: &Region,
+        is_open: bool,
+        gate: u32,
+        guess: &Guess,
+        given: Left,
+    ) -> Result<Left, Exhausted> {
+        if is_open && self.nothing.bit(coder, 0, &[1.0], &[], given == Left::Nothing)? {
+            return Ok(Left::Nothing);
+        }
+        let edge = region.border.edge(gate);
+        let [_, next, previous] = region.around(gate);
+        if !region.border.edge(edge.next).closed {
+            let features = closing(region, guess, next, 0.5, guess.ends[1]);
+            if self.closes.bit(coder, 0, &features, &[], given == Left::Next)? {
+                return Ok(Left::Next);
+            }
+        }
+        let is_triangle = region.border.edge(edge.next).next == edge.prev;
+        if !region.border.edge(edge.prev).closed && !is_triangle {
+            let features = closing(region, guess, previous, -0.5, guess.ends[0]);
+            if self.closes.bit(coder, 1, &features, &[], given == Left::Previous)? {
+                return Ok(Left::Previous);
+            }
+        }
+        if !self.other.bit(coder, 0, &[1.0], &[], matches!(given, Left::Other(_)))? {
+            return Ok(if let Left::New(_) = given { given } else { Left::New(VertexId::NONE) });
+        }
+        let given = if let Left::Other(gap) = given { Some(gap) } else { None };
+        self.other(coder, region, gate, guess, given).map(Left::Other)
+    }
+
+    /// Code at which edge of the border another tip is, as its rank by distance from where the tip should be.
+    fn other<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        region: &Region,
+        gate: u32,
+        guess: &Guess,
+        given: Option<u32>,
+    ) -> Result<u32, Exhausted> {
+        let border = &region.border;
+        let is_long = border.present().len() > LONG;
+        let key = |gap: u32| {
+            let apart = minus(region.position(border.edge(gap).origin), guess.point);
+            // Distances are positive: their order is that of their bits.
+            (if is_long { 0 } else { dot(apart, apart).to_bits() }, gap)
+        };
+        // The vertices beside the gate would leave a loop of two edges.
+        let beside = [border.edge(gate).prev, border.edge(border.edge(gate).next).next];
+        let is_far = |gap: &u32| !beside.contains(gap) && !guess.ends.contains(&border.edge(*gap).origin);
+        let mut keys: Vec<(u64, u32)> = border.present().iter().copied().filter(is_far).map(key).collect();
+        let rank = given.map_or(0, |gap| {
+            let own = key(gap);
+            keys.iter().filter(|&&key| key < own).count()
+        });
+        let expected = if is_long { keys.len() as f32 } else { 1.0 };
+        let known = Known { expected, features: [1.0], contexts: [], lean: 9.0, side: 0 };
+        let rank = self.ranks.code(coder, &known, rank as i64)?;
+        let rank = usize::try_from(rank).ok().filter(|&rank| rank < keys.len()).ok_or(Exhausted)?;
+        Ok(keys.select_nth_unstable(rank).1.1)
+    }
+}
+
+/// What speaks for a tip at `tip`, the vertex of the border beside the end of the gate that is at `at` (±½)
+/// along it.
+fn closing(region: &Region, guess: &Guess, tip: u32, at: f64, end: u32) -> [f32; CLOSING] {
+    let valence = |v: u32| 0.2 * (f32::from(region.valences[v as usize]) - 5.0).min(5.0);
+    let local = guess.frame.local(region.position(tip));
+    let apart = minus(local, guess.local);
+    let distance = dot(apart, apart).sqrt() as f32;
+    let [arm, third] = [at, -at].map(|x| minus(local, [x, 0.0, 0.0]));
+    let [arm_length, third_length] = [arm, third].map(|v| dot(v, v).sqrt().max(1e-3));
+    [
+        1.0,
+        distance.min(4.0),
+        1.0 / (1.0 + distance),
+        local[1].clamp(-2.0, 2.0) as f32,
+        local[2].abs().min(2.0) as f32,
+        // Cosine and sine of the interior angle.
+        (-2.0 * at * arm[0] / arm_length) as f32,
+        (arm[1] / arm_length) as f32,
+        ln(third_length as f32).clamp(-2.0, 2.0),
+        valence(end),
+        valence(tip),
+    ]
+}

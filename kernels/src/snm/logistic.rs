@@ -1,0 +1,115 @@
+//! Logarithm, logit and its inverse by +, −, × and ÷ alone, which every machine rounds alike; the library's
+//! own differ in the last bit from system to system.
+
+const KNOTS: usize = 4096;
+
+/// ln(p / (1 − p)) at the middle of each of [`KNOTS`] parts of 0..1.
+static LOGITS: [f32; KNOTS] = {
+    let mut table = [0.0; KNOTS];
+    let mut i = 0;
+    while i < KNOTS {
+        let p = (i as f64 + 0.5) / KNOTS as f64;
+        table[i] = natural_log(p / (1.0 - p)) as f32;
+        i += 1;
+    }
+    table
+};
+
+/// Logits beyond this count as this.
+const REACH: f32 = 12.0;
+const PER_UNIT: usize = 32;
+
+/// 1 / (1 + e^−x) at multiples of 1 / [`PER_UNIT`] from −[`REACH`].
+static PROBABILITIES: [f32; 2 * REACH as usize * PER_UNIT + 2] = {
+    let mut table = [0.0; 2 * REACH as usize * PER_UNIT + 2];
+    let mut i = 0;
+    // e^(1/32) and e^12 by their series.
+    let step = exponential(1.0 / PER_UNIT as f64);
+    let mut inverse_odds = exponential(REACH as f64);
+    while i < table.len() {
+        table[i] = (1.0 / (1.0 + inverse_odds)) as f32;
+        inverse_odds /= step;
+        i += 1;
+    }
+    table
+};
+
+const fn exponential(x: f64) -> f64 {
+    let (mut sum, mut term, mut k) = (1.0, 1.0, 1);
+    while k < 80 {
+        term *= x / k as f64;
+        sum += term;
+        k += 1;
+    }
+    sum
+}
+
+/// By halving into 2/3..4/3 and the series of the inverse hyperbolic tangent.
+const fn natural_log(x: f64) -> f64 {
+    let (mut m, mut halvings) = (x, 0.0);
+    while m > 4.0 / 3.0 {
+        m /= 2.0;
+        halvings += 1.0;
+    }
+    while m < 2.0 / 3.0 {
+        m *= 2.0;
+        halvings -= 1.0;
+    }
+    let z = (m - 1.0) / (m + 1.0);
+    let (mut sum, mut power, mut k) = (0.0, z, 1.0);
+    while k < 16.0 {
+        sum += power / k;
+        power *= z * z;
+        k += 2.0;
+    }
+    halvings * std::f64::consts::LN_2 + 2.0 * sum
+}
+
+pub(super) fn logit(p: f32) -> f32 {
+    LOGITS[((p * KNOTS as f32) as usize).min(KNOTS - 1)]
+}
+
+pub(super) fn probability(logit: f32) -> f32 {
+    let x = (logit.clamp(-REACH, REACH) + REACH) * PER_UNIT as f32;
+    let i = x as usize;
+    let t = x - i as f32;
+    PROBABILITIES[i] + t * (PROBABILITIES[i + 1] - PROBABILITIES[i])
+}
+
+/// Natural logarithm of a positive normal number, to 1e-4.
+pub(super) fn ln(x: f32) -> f32 {
+    let bits = x.to_bits();
+    let exponent = (bits >> 23) as i32 - 127;
+    let m = f32::from_bits(bits & 0x007f_ffff | 127 << 23);
+    // The same series, about √2: |z| is below 0.172.
+    let z = (m - std::f32::consts::SQRT_2) / (m + std::f32::consts::SQRT_2);
+    let square = z * z;
+    let series = 2.0 * z * (1.0 + square * (1.0 / 3.0 + square * 0.2));
+    (exponent as f32 + 0.5) * std::f32::consts::LN_2 + series
+}
+
+/// The class of a number among `count`: the first up to 1, then `per_octave` to each doubling.
+pub(super) fn class(x: f32, per_octave: f32, count: usize) -> usize {
+    ((ln(x) * per_octave * std::f32::consts::LOG2_E) as usize).min(count - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_agree_with_the_library() {
+        for i in 1..1000 {
+            let p = i as f32 / 1000.0;
+            let exact = (f64::from(p) / (1.0 - f64::from(p))).ln();
+            // A part of the table is 1/4096 wide, and the logit's slope 1 / p(1 − p).
+            let slope = 1.0 / f64::from(p * (1.0 - p));
+            assert!((f64::from(logit(p)) - exact).abs() < slope / 4096.0, "{p}");
+            assert!((probability(exact as f32) - p).abs() < 3e-5, "{p}");
+        }
+        assert!(probability(-99.0) > 0.0 && probability(99.0) <= 1.0);
+        for x in [1e-6f32, 0.3, 1.0, 1.999_999, 2.0, 17.5, 4e9] {
+            assert!((ln(x) - x.ln()).abs() < 1e-4, "{x}");
+        }
+    }
+}

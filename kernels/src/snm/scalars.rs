@@ -1,0 +1,283 @@
+//! Scalar offsets, in steps.
+//!
+//! Three predictions are weighed by how well they did nearby: none; one from the edge of the level before
+//! that is parallel (on a smooth surface its offset was four times as large) and from neighbours that are
+//! coded; and one that also knows what the caller expects from the shape. What is left is coded with a
+//! magnitude that its surroundings tell.
+
+use crate::normal::topology::NONE;
+
+use super::coder::{Coder, Exhausted};
+use super::decisions::Rates;
+use super::integers::{Integers, Known};
+use super::linear::Linear;
+use super::logistic::{class, ln};
+use super::relations::Relations;
+
+/// `expected` is given in this part of a step.
+const PART: f32 = 1.0 / 16.0;
+/// The least magnitude to reckon with.
+const LEAST: f32 = 1.0 / 16.0;
+/// How much smaller errors are from level to level, in lengths.
+const DECAY: f32 = 0.5;
+
+const RATES: Rates =
+    Rates { regression: [0.1, 1e-4], mixer: [0.03, 1e-6], memory: 400, trust: 3, margin: 16 };
+
+// The numbers below are where horse, cow, bunny, igea, rocker-arm and fandisk have left the weights.
+
+/// Weights of the predictions by how many neighbours are coded; see [`Scalars::prediction`].
+const FULL: [[f32; 7]; 5] = [
+    [0.05, 0.58, 0.2, 0.25, 0.06, 0.03, -0.13],
+    [0.05, 0.58, 0.09, 0.25, 0.03, 0.01, -0.08],
+    [0.05, 0.63, 0.32, 0.11, 0.0, -0.05, -0.04],
+    [0.06, 0.63, 0.44, 0.2, -0.01, -0.08, 0.0],
+    [0.06, 0.58, 0.64, 0.3, -0.01, -0.11, 0.0],
+];
+const SHAPELESS: [[f32; 4]; 5] = [
+    [0.14, 0.4, 0.05, -0.14],
+    [0.13, 0.28, 0.01, -0.08],
+    [0.14, 0.46, -0.08, -0.05],
+    [0.17, 0.68, -0.12, 0.0],
+    [0.16, 0.97, -0.16, 0.0],
+];
+/// Weights of the features of the first steps of a magnitude; see [`Scalars::known`].
+const STEPS: [[f32; 10]; 5] = [
+    [1.3, -0.25, 0.02, 0.12, 0.05, 1.0, 0.25, 0.35, 0.42, 0.55],
+    [-0.05, 0.12, 0.23, 0.06, 0.12, 0.75, 0.37, 0.48, 0.43, 0.37],
+    [-0.5, 0.15, 0.16, -0.02, 0.06, 0.28, 0.34, 0.34, 0.37, 0.0],
+    [-0.35, 0.1, 0.1, 0.0, 0.08, 0.16, 0.34, 0.2, 0.23, -0.1],
+    [-0.13, 0.13, 0.05, -0.04, 0.03, 0.12, 0.25, 0.1, 0.14, -0.08],
+];
+
+/// What is known of an edge once its offset is coded.
+#[derive(Clone, Copy, Default)]
+struct Coded {
+    /// Whether it is a scalar.
+    is_known: bool,
+    value: f32,
+    /// What the value differs by from what the caller expected, and from the prediction.
+    surprise: f32,
+    error: f32,
+    /// What each of the three predictions missed it by.
+    missed: [f32; 3],
+}
+
+pub(super) struct Scalars {
+    /// Steps of a level in one of the level before.
+    step_ratio: f32,
+    full: [Linear<7>; 5],
+    shapeless: [Linear<4>; 5],
+    /// Mean squares of what the predictions miss by.
+    noise: [f32; 3],
+    models: Integers<10, 7>,
+    before: Vec<Coded>,
+    edges: Vec<Coded>,
+    /// Mean error at the edges of each vertex in the level before, in steps of this one.
+    active: Vec<f32>,
+    /// Sum and count of errors at the edges coded so far of each vertex.
+    around: Vec<[f32; 2]>,
+}
+
+/// What an offset is predicted from, and the outcome.
+struct Prediction {
+    neighbours: usize,
+    inputs: [f32; 7],
+    shapeless: [f32; 4],
+    each: [f32; 3],
+    weighed: f32,
+}
+
+impl Scalars {
+    pub(super) fn new(step_ratio: f32, vertices: usize) -> Self {
+        Self {
+            step_ratio,
+            full: FULL.map(Linear::new),
+            shapeless: SHAPELESS.map(Linear::new),
+            noise: [1.0; 3],
+            models: Integers::new(RATES, &STEPS, [16, 16, 16, 32, 64, 64, 96], 16),
+            before: vec![],
+            edges: vec![],
+            active: vec![0.0; vertices],
+            around: vec![],
+        }
+    }
+
+    pub(super) fn begin_level(&mut self, relations: &Relations) {
+        self.edges = vec![Coded::default(); relations.topology.edges.len()];
+        self.around = vec![[0.0; 2]; relations.topology.vertices];
+    }
+
+    pub(super) fn end_level(&mut self, relations: &Relations) {
+        let scale = DECAY * self.step_ratio;
+        let mean = |[sum, count]: &[f32; 2]| scale * sum / count.max(1.0);
+        self.active = self.around.iter().map(mean).collect();
+        for (edge, ends) in self.edges.iter().zip(&relations.topology.edges) {
+            let [a, b] = ends.map(|v| self.active[v as usize]);
+            self.active.push(0.3 * scale * edge.error.abs() + 0.35 * (a + b));
+        }
+        self.before = std::mem::take(&mut self.edges);
+    }
+
+    pub(super) fn code<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        relations: &Relations,
+        edge: usize,
+        expected: i32,
+        given: i32,
+    ) -> Result<i32, Exhausted> {
+        let shape = expected as f32 * PART;
+        let prediction = self.prediction(relations, edge, shape);
+        // Small offsets are mostly 0 whatever the prediction, as encoders prefer it: the sign is where it
+        // counts.
+        let centre = if prediction.weighed.abs() < 6.0 { 0.0 } else { prediction.weighed.trunc() };
+        let known = self.known(relations, edge, shape, prediction.weighed, prediction.weighed - centre);
+        let error = self.models.code(coder, &known, i64::from(given) - centre as i64)?;
+        let value = i32::try_from(centre as i64 + error).map_err(|_| Exhausted)?;
+        self.learn(relations, edge, shape, &prediction, value as f32, known.expected + 0.5);
+        Ok(value)
+    }
+
+    /// Logarithm of the magnitude that errors have around an edge.
+    pub(super) fn roughness(&self, relations: &Relations, edge: usize) -> f32 {
+        let [a, b] = relations.topology.edges[edge].map(|v| {
+            let [sum, count] = self.around[v as usize];
+            self.active[v as usize] + sum / count.max(1.0)
+        });
+        ln(0.5 * (a + b) + LEAST) - ln(LEAST)
+    }
+
+    fn above(&self, relations: &Relations, edge: usize) -> Coded {
+        relations.above(edge).map_or(Coded::default(), |above| self.before[above])
+    }
+
+    fn prediction(&self, relations: &Relations, edge: usize, shape: f32) -> Prediction {
+        let ratio = self.step_ratio;
+        let above = self.above(relations, edge);
+        let (mut count, mut values, mut surprises, mut parents) = (0usize, 0.0, 0.0, 0.0);
+        let mut missed = above.missed.map(|x| (0.25 * ratio * x) * (0.25 * ratio * x));
+        for e in relations.neighbours(edge) {
+            parents += 0.25 * ratio * self.above(relations, e).value;
+            let near = &self.edges[e];
+            if near.is_known {
+                count += 1;
+                values += near.value;
+                surprises += near.surprise;
+                for (sum, x) in missed.iter_mut().zip(near.missed) {
+                    *sum += x * x;
+                }
+            }
+        }
+        let share = 1.0 / count.max(1) as f32;
+        let sibling = relations.sibling(edge).map_or(Coded::default(), |e| self.edges[e]);
+        let inputs = [
+            above.value * ratio,
+            shape,
+            values * share,
+            surprises * share,
+            above.surprise * ratio,
+            parents,
+            sibling.surprise,
+        ];
+        let shapeless = [above.value * ratio, values * share, parents, sibling.value];
+        let each = [
+            0.0,
+            self.shapeless[count].predict(&shapeless).clamp(-1e9, 1e9),
+            self.full[count].predict(&inputs).clamp(-1e9, 1e9),
+        ];
+        let poor: [f32; 3] = std::array::from_fn(|i| missed[i] + 16.0 * self.noise[i] + 0.1);
+        let best = poor[0].min(poor[1]).min(poor[2]);
+        let weights = poor.map(|x| {
+            let square = (best / x) * (best / x);
+            square * square
+        });
+        let weighed = (0..3).map(|i| weights[i] * each[i]).sum::<f32>() / weights.iter().sum::<f32>();
+        Prediction { neighbours: count, inputs, shapeless, each, weighed }
+    }
+
+    /// What speaks for the magnitude of the error of a prediction that is `fraction` beside a whole number.
+    fn known(
+        &self,
+        relations: &Relations,
+        edge: usize,
+        shape: f32,
+        predicted: f32,
+        fraction: f32,
+    ) -> Known<10, 7> {
+        let (mut count, mut errors, mut values) = (0.0f32, 0.0, 0.0);
+        for e in relations.neighbours(edge).filter(|&e| self.edges[e].is_known) {
+            count += 1.0;
+            errors += self.edges[e].error.abs();
+            values += self.edges[e].value.abs();
+        }
+        let mean = |vertices: [u32; 2]| {
+            let (mut sum, mut count, mut active, mut ends) = (0.0, 0.0f32, 0.0, 0.0f32);
+            for v in vertices.into_iter().filter(|&v| v != NONE) {
+                sum += self.around[v as usize][0];
+                count += self.around[v as usize][1];
+                active += self.active[v as usize];
+                ends += 1.0;
+            }
+            [sum / count.max(1.0) + LEAST, active / ends.max(1.0) + LEAST]
+        };
+        let beside = errors / count.max(1.0) + LEAST;
+        let values = values / count.max(1.0) + LEAST;
+        let above = 0.25 * self.step_ratio * self.above(relations, edge).error.abs() + LEAST;
+        let own = predicted.abs() + LEAST;
+        let [ends, ends_before] = mean(relations.topology.edges[edge]);
+        let [across, across_before] = mean(relations.topology.across(edge));
+        let expected = 0.25 * ends_before + 0.2 * beside + 0.35 * ends + 0.2 * above;
+        let octave = |x: f32, count| class(x / LEAST, 1.0, count);
+        Known {
+            expected,
+            features: [
+                1.0,
+                ln(ends_before),
+                ln(beside),
+                ln(values),
+                ln(above),
+                ln(own),
+                ln(ends),
+                ln(shape.abs() + LEAST),
+                ln(across),
+                ln(across_before),
+            ],
+            contexts: [
+                octave(beside, 16),
+                octave(above, 16),
+                octave(own, 16),
+                class(expected / LEAST, 2.0, 32),
+                8 * octave(ends_before, 8) + octave(ends, 8),
+                8 * octave(across_before, 8) + octave(across, 8),
+                8 * class((fraction.abs() + LEAST) / LEAST, 1.5, 12) + octave(expected, 8),
+            ],
+            lean: (5.0 * fraction / (expected + 0.05)).clamp(-6.0, 6.0),
+            side: octave(fraction.abs() + LEAST, 8) + if fraction < 0.0 { 8 } else { 0 },
+        }
+    }
+
+    fn learn(
+        &mut self,
+        relations: &Relations,
+        edge: usize,
+        shape: f32,
+        prediction: &Prediction,
+        value: f32,
+        noise: f32,
+    ) {
+        let missed = prediction.each.map(|predicted| value - predicted);
+        self.shapeless[prediction.neighbours].learn(&prediction.shapeless, missed[1], noise);
+        self.full[prediction.neighbours].learn(&prediction.inputs, missed[2], noise);
+        for (mean, x) in self.noise.iter_mut().zip(missed) {
+            *mean += 0.02 * ((x * x).min(1e12) - *mean);
+        }
+        let error = value - prediction.weighed;
+        self.edges[edge] = Coded { is_known: true, value, surprise: value - shape, error, missed };
+        for v in relations.topology.edges[edge] {
+            let [sum, count] = &mut self.around[v as usize];
+            *sum += error.abs();
+            *count += 1.0;
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Offsets that are vectors: of the vertices on the boundary, and of the few that no scalar can place.
+
+use super::coder::{Coder, Exhausted};
+use super::contents::Offset;
+use super::decisions::Rates;
+use super::integers::{Integers, Known};
+use super::linear::Linear;
+use super::logistic::{class, ln};
+use super::relations::Relations;
+
+const LEAST: f32 = 1.0 / 16.0;
+
+const RATES: Rates =
+    Rates { regression: [0.1, 1e-5], mixer: [0.02, 1e-5], memory: 400, trust: 4, margin: 16 };
+
+pub(super) struct Vectors {
+    /// For each component of exceptions, then of boundary vertices: prediction from the vector above and that
+    /// of the other half, and how far it is from the truth.
+    predictors: [Linear<2>; 6],
+    spread: [f32; 6],
+    models: Integers<4, 2>,
+    before: Vec<Offset>,
+}
+
+impl Vectors {
+    pub(super) fn new() -> Self {
+        Self {
+            predictors: [Linear::new([0.2, 0.1]); 6],
+            spread: [4.0; 6],
+            models: Integers::new(RATES, &[[0.1, 0.6, 0.3, 0.1]], [6 * 16, 6 * 16], 6),
+            before: vec![],
+        }
+    }
+
+    pub(super) fn end_level(&mut self, offsets: &[Offset]) {
+        self.before = offsets.to_vec();
+    }
+
+    /// Code the vector of an edge; `offsets` are those of the level so far.
+    pub(super) fn code<C: Coder>(
+        &mut self,
+        coder: &mut C,
+        relations: &Relations,
+        edge: usize,
+        offsets: &[Offset],
+        given: [i32; 3],
+    ) -> Result<[i32; 3], Exhausted> {
+        let above = components(relations.above(edge).map(|e| self.before[e]));
+        let sibling = components(relations.sibling(edge).map(|e| offsets[e]));
+        let boundary = relations.topology.is_boundary_edge(edge);
+        let mut decoded = [0; 3];
+        let mut unusual = 1.0;
+        for axis in 0..3 {
+            let kind = 3 * usize::from(boundary) + axis;
+            let inputs = [above[axis], sibling[axis]];
+            let predicted = self.predictors[kind].predict(&inputs).clamp(-1e9, 1e9);
+            let centre = (predicted.abs() + 0.3).floor().copysign(predicted);
+            let spread = self.spread[kind];
+            let near = 0.125 * above[axis].abs() + 0.25 * sibling[axis].abs() + LEAST;
+            let known = Known {
+                expected: spread,
+                features: [1.0, ln(spread), ln(spread * unusual), ln(near)],
+                contexts: [spread, near].map(|x| 16 * kind + class(x / LEAST, 1.0, 16)),
+                lean: (2.0 * (predicted - centre) / (spread + 0.1)).clamp(-3.0, 3.0),
+                side: kind,
+            };
+            let error = self.models.code(coder, &known, i64::from(given[axis]) - centre as i64)?;
+            decoded[axis] = i32::try_from(centre as i64 + error).map_err(|_| Exhausted)?;
+            let missed = (decoded[axis] as f32 - predicted).abs();
+            self.predictors[kind].learn(&inputs, decoded[axis] as f32 - predicted, spread + 0.5);
+            self.spread[kind] += 0.1 * (missed.min(64.0 * spread) + LEAST - spread);
+            unusual = 0.3 * unusual + 0.7 * (missed + LEAST) / spread;
+        }
+        Ok(decoded)
+    }
+}
+
+/// A scalar counts as no vector: its axis is another.
+fn components(offset: Option<Offset>) -> [f32; 3] {
+    match offset {
+        Some(Offset::Vector(v)) => v.map(|x| x as f32),
+        _ => [0.0; 3],
+    }
+}
