@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 import stages
 from cli.errors import STAGE_FAILED
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
 from cli.options import with_options
 from cli.output import Output, at_least, at_most, lines_of, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
@@ -22,7 +22,6 @@ from stages import (
     CleanParams,
     CompareParams,
     Mesh,
-    MeshError,
     ReplayParams,
     SimplifyParams,
     UsageError,
@@ -31,16 +30,6 @@ from stages.formats.ply import write_ply
 from stages.params import check, param
 from stages.regions import parse_region
 from stages.render import write_png
-
-MeshFile = Annotated[
-    Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)
-]
-NewMesh = Annotated[
-    Path,
-    typer.Argument(
-        metavar="OUT", help="Mesh file to write (.ply, .obj, .off, .stl, .glb).", show_default=False
-    ),
-]
 
 SaveBounds = Annotated[
     Path | None,
@@ -87,10 +76,10 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
     Example: scanloom clean fused.ply clean.ply
     """
     require_new_file(target, MESH_SUFFIXES)
-    mesh = _read(source, out)
-    with _about(source):
+    mesh = read_file(source, out)
+    with about_file(source):
         cleaned = stages.clean(mesh, params)
-    _write(target, cleaned.mesh, out)
+    write_file(target, cleaned.mesh, out)
     out.result({"output": str(target), **cleaned.figures()})
 
 
@@ -156,8 +145,8 @@ def simplify(
                 "leads to no other method than certified."
             )
     regions = [parse_region(text) for text in region or ()]
-    mesh = _read(source, out)
-    with _about(source), out.progress("simplify", "triangles") as progress:
+    mesh = read_file(source, out)
+    with about_file(source), out.progress("simplify", "triangles") as progress:
         simplified = stages.simplify(
             mesh,
             params,
@@ -166,7 +155,7 @@ def simplify(
             partial=partial,
             progress=progress,
         )
-    _write(target, simplified.mesh, out)
+    write_file(target, simplified.mesh, out)
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
@@ -196,7 +185,7 @@ def replay(
     """
     require_new_file(target, MESH_SUFFIXES)
     replayed = stages.load_record(require_file(record)).replay(params)
-    _write(target, replayed.mesh, out)
+    write_file(target, replayed.mesh, out)
     figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
     out.result({"output": str(target), **figures, "collapses": replayed.collapses})
 
@@ -215,7 +204,7 @@ def compare(
 
     Example: scanloom compare fused.ply simplified.ply --json
     """
-    mesh_a, mesh_b = _read(reference, out), _read(other, out)
+    mesh_a, mesh_b = read_file(reference, out), read_file(other, out)
     figures = stages.compare(mesh_a, mesh_b, params).figures()
     out.result(figures, None if out.as_json else _comparison_text(figures))
 
@@ -240,7 +229,7 @@ def certify(
     """
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
-    mesh, reference = _read(result, out), _read(original, out)
+    mesh, reference = read_file(result, out), read_file(original, out)
     with out.progress("certify", "pieces") as progress:
         found = stages.certify(mesh, reference, params, progress=progress)
     if save_bounds is not None:
@@ -271,7 +260,7 @@ def render(
     """
     require_new_file(target, (".png",))
     frames = stages.read_scan(scan).frames if scan is not None else ()
-    mesh = _read(source, out)
+    mesh = read_file(source, out)
     views = stages.viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
     if params.view > len(views):
         raise UsageError(f"--view is {params.view}, but there are only {len(views)} views.")
@@ -280,30 +269,6 @@ def render(
     write_png(target, stages.render(mesh, view, shading=params.shading))  # type: ignore[arg-type]
     figures = {"output": str(target), "view": view.name}
     out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})
-
-
-def _read(path: Path, out: Output) -> Mesh:
-    mesh = stages.read_mesh(require_file(path))
-    for note in mesh.notes:
-        out.remark(f"{path}: {note}")
-    return mesh
-
-
-@contextmanager
-def _about(path: Path) -> Iterator[None]:
-    """Name the file in what a stage says about the mesh it was given."""
-    try:
-        yield
-    except MeshError as error:
-        if error.file != "mesh":
-            raise
-        raise MeshError(str(error).removeprefix("mesh: "), path) from error
-
-
-def _write(path: Path, mesh: Mesh, out: Output) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    stages.write_mesh(path, mesh)
-    out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
 
 
 def _write_bounds(

@@ -13,7 +13,7 @@ from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgr
 from stages.progress import Progress
 
 # What is counted while a stage works.
-_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles"}
+_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles", "remesh": "vertices"}
 # What came out of a stage and what was derived for it, in one line; all figures are in report.json. Where
 # methods differ in what they can tell, the method's name follows that of the stage.
 _HEADLINES = {
@@ -28,6 +28,8 @@ _HEADLINES = {
     "{attribute_scale_m_per_level:.3g} m",
     "simplify certified": "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
     "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off",
+    "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
+    "{exceptions:,} exceptions; {file_bytes:,} bytes",
     "report": "{pictures} pictures",
 }
 

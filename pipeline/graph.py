@@ -1,7 +1,8 @@
 """The stages of the pipeline, declared: what each reads and writes, what decides its result, what it runs.
 
 pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
-(an RGB-D scan is frames from the start, and has no depth stage)
+(an RGB-D scan is frames from the start, and has no depth stage)        └──remesh──▶ remeshed ──▲
+(and remesh is there if it is enabled)
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from pipeline import report
+from pipeline import remeshing, report
+from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
 from stages.clean import VERSION as CLEAN_VERSION
@@ -24,6 +26,7 @@ from stages.formats.ply import read_ply, write_ply
 from stages.fuse import VERSION as FUSE_VERSION
 from stages.fuse import fuse
 from stages.layouts import read_scan
+from stages.remesh import VERSION as REMESH_VERSION
 from stages.sanity import require_poses
 from stages.scan import Scan
 from stages.simplify import VERSION as SIMPLIFY_VERSION
@@ -58,14 +61,25 @@ def _simplify(job: Job) -> Mapping[str, Any]:
     return simplified.figures()
 
 
+def _remesh(job: Job) -> Mapping[str, Any]:
+    mesh = read_ply(job.inputs["simplified"] / "simplified.ply")
+    return remeshing.make(job.folder, mesh, job.config.remesh, job.progress)
+
+
 def _report(job: Job) -> Mapping[str, Any]:
     names = ("fused", "clean", "simplified")
     meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
     pictures = job.folder / "pictures"
     pictures.mkdir()
-    made = report.make(
-        pictures, meshes, _frames(job).frames, job.config.compare, job.config.report, job.progress
-    )
+    frames, params = _frames(job).frames, job.config.report
+    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress)
+    if "remeshed" in job.inputs:
+        levels = remeshing.read_levels(job.inputs["remeshed"])
+        view = report.views_of(meshes["fused"], frames, params)[-1]
+        made["normal_mesh"], drawn = remeshing.report(
+            pictures, meshes["simplified"], levels, view, job.config.compare
+        )
+        made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 
 
@@ -144,9 +158,19 @@ STAGES: tuple[Stage, ...] = (
         results=("simplified.ply",),
     ),
     Stage(
+        name="remesh",
+        version=REMESH_VERSION,
+        reads=("simplified",),
+        writes="remeshed",
+        sections=("remesh",),
+        make=_remesh,
+        libraries=_KERNELS,
+        results=("remeshed.ply", "remeshed.snm", "levels/"),
+    ),
+    Stage(
         name="report",
         version=report.VERSION,
-        reads=("frames", "fused", "clean", "simplified"),
+        reads=("frames", "fused", "clean", "simplified", "remeshed"),
         writes="report",
         sections=("compare", "report"),
         make=_report,
@@ -156,9 +180,21 @@ STAGES: tuple[Stage, ...] = (
 )
 
 
-def plan_for(scan: Scan) -> Sequence[Stage]:
-    """Return the stages a scan goes through: RGB-D frames need no depth stage."""
-    return STAGES if scan.is_stereo else tuple(stage for stage in STAGES if stage.name != "depth")
+def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
+    """Return the stages a scan goes through: not those of `left_out`, and what they write is not read."""
+    stages = [stage for stage in STAGES if stage.name not in left_out(scan, config)]
+    there = {source_of(scan), *(stage.writes for stage in stages)}
+    return [replace(stage, reads=tuple(name for name in stage.reads if name in there)) for stage in stages]
+
+
+def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
+    """Return the stages a scan does not go through, and why."""
+    reasons = {}
+    if not scan.is_stereo:
+        reasons["depth"] = "is not a stage of this scan: it is RGB-D, its depth is measured already"
+    if not config.remesh.enabled:
+        reasons["remesh"] = "is not enabled; set remesh.enabled=true"
+    return reasons
 
 
 def source_of(scan: Scan) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.engine import Outcome
-from stages.compare import CompareParams, compare_surfaces, require_area
+from stages.compare import CompareParams, compare_surfaces
 from stages.mesh import Mesh
 from stages.params import check, param
 from stages.prefetch import read_ahead
@@ -28,7 +28,7 @@ from stages.progress import Progress, silent
 from stages.raycasting import Surface, bounding_box
 from stages.render import Model, Shading, View, viewpoints, write_png
 from stages.scan import Frame, Scan
-from stages.topology import topology
+from stages.topology import require_area, topology
 
 VERSION = 2
 # Of report.json: raised when a name changes its meaning or disappears.
@@ -63,7 +63,7 @@ def make(
 
     Raises
     ------
-    InputError
+    MeshError
         If a mesh has no surface to measure and draw.
     """
     for name, mesh in meshes.items():
@@ -133,9 +133,7 @@ def draw(
     -------
     The names of the files: `<mesh>-<view>.png` and `<mesh>-triangles.png`.
     """
-    # A view is named after its frame; numbers, because the names of files decide nothing here.
-    numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
-    views = viewpoints(next(iter(surfaces.values())).mesh, params.views, frames=numbered, width=params.width)
+    views = views_of(next(iter(surfaces.values())).mesh, frames, params)
     jobs: list[tuple[str, Model, View, Shading]] = []
     for name, surface in surfaces.items():
         model = Model(surface)
@@ -147,6 +145,13 @@ def draw(
     for (file, *_), image in zip(jobs, images, strict=True):
         write_png(folder / file, image)
     return [file for file, *_ in jobs]
+
+
+def views_of(mesh: Mesh, frames: Sequence[Frame], params: ReportParams) -> tuple[View, ...]:
+    """Return where the meshes of a run are drawn from; `mesh` is the fused one."""
+    # A view is named after its frame; numbers, because the names of files decide nothing here.
+    numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
+    return viewpoints(mesh, params.views, frames=numbered, width=params.width)
 
 
 def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], out: Path) -> dict[str, Any]:
@@ -170,6 +175,8 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
         },
         "stages": {outcome.stage: _stage(outcome, out) for outcome in outcomes},
         "mesh": final.get("mesh"),
+        # None unless remesh is enabled.
+        "normal_mesh": final.get("normal_mesh"),
         "pictures": final.get("pictures", []),
     }
 

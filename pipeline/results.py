@@ -6,7 +6,7 @@ of all later stages leave the folder. Only what a run placed there, and nobody c
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +74,14 @@ class Results:
         with explained(f"outdated results cannot be removed from {self._out}"):
             for stage in (*stages, REPORT):
                 self._remove(stage)
+
+    def withdraw_others(self, stages: Collection[str]) -> None:
+        """Remove the files of stages that a run has no more, if there are any."""
+        others = [name for name in self._stages if name not in stages and name != REPORT]
+        if any(self._stages[name]["placed"] for name in others):
+            self.withdraw(others)
+            for name in others:
+                self._stages[name]["placed"] = {}
 
     def write_report(self, text: str) -> Path:
         """Write report.json."""

@@ -15,7 +15,7 @@ from pipeline.digest import scan_digest
 from pipeline.engine import Engine, Outcome, Source, Stage
 from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
 from pipeline.failures import explained
-from pipeline.graph import STAGES, plan_for, source_of
+from pipeline.graph import STAGES, left_out, plan_for, source_of
 from pipeline.report import compose, to_json
 from stages.errors import UsageError
 from stages.layouts import read_scan
@@ -61,8 +61,9 @@ def run(
     Parameters
     ----------
     scan_folder : read only.
-    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/ and, for stereo,
-        points.ply. Files there that a run placed and that belong to no current result are removed.
+    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/, for stereo
+        points.ply, and with `remesh.enabled` remeshed.ply, remeshed.snm and levels/. Files there that a run
+        placed and that belong to no current result are removed.
     until : the last stage to run.
     force : stages to run even though their results are cached.
     cache_dir : see `cache_folder`.
@@ -89,13 +90,12 @@ def run(
     for name in (*force, *([] if until is None else [until])):
         _require_stage(name, known)
     scan = read_scan(scan_folder, config.scan)
-    plan = plan_for(scan)
+    plan = plan_for(scan, config)
     until = until or plan[-1].name
+    absent = left_out(scan, config)
     for name in (*force, until):
-        if name not in [stage.name for stage in plan]:
-            raise UsageError(
-                f"{name} is not a stage of this scan: it is RGB-D, its depth is measured already."
-            )
+        if name in absent:
+            raise UsageError(f"{name} {absent[name]}.")
     return _run(scan, plan, out, config, until, force, cache, events)
 
 
@@ -128,6 +128,7 @@ def _run(
     content = scan_digest(scan, lambda done, total: events(StageProgress("scan", done, total)))
     source = Source(content.digest, scan, content.parts, content.require_unchanged)
     with Engine(plan, config, {source_of(scan): source}, cache, out, events) as engine:
+        engine.results.withdraw_others(names)
         outcomes = tuple(engine.run(until, force))
         final = engine.withdraw_outdated(until)
         report = compose(scan, outcomes, {} if final is None else final.figures, out)

@@ -21,7 +21,9 @@ from stages.inspection import Inspection, inspect
 from stages.layouts import ScanParams, read_scan
 from stages.mesh import Mesh, Texture
 from stages.mesh_files import read_mesh, write_mesh
+from stages.normal_mesh import NormalMesh, Offsets, decode
 from stages.regions import Box, Sphere
+from stages.remesh import RemeshParams, remesh
 from stages.render import View, render
 from stages.scan import Camera, Frame, Scan, StereoRig
 from stages.simplify import Simplified, SimplifyParams, simplify
@@ -48,6 +50,9 @@ __all__ = [
     "Mesh",
     "MeshError",
     "MeshLike",
+    "NormalMesh",
+    "Offsets",
+    "RemeshParams",
     "ReplayParams",
     "Scan",
     "ScanParams",
@@ -65,6 +70,7 @@ __all__ = [
     "certify",
     "clean",
     "compare",
+    "decode",
     "depth",
     "depth_scan",
     "fuse",
@@ -72,6 +78,7 @@ __all__ = [
     "load_record",
     "read_mesh",
     "read_scan",
+    "remesh",
     "render",
     "simplify",
     "to_open3d",

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from stages.convert import MeshLike, as_mesh
-from stages.errors import InputError
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
 from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
-from stages.topology import areas
+from stages.topology import areas, require_area
 
 VERSION = 3
 
@@ -140,7 +139,7 @@ def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **cha
 
     Raises
     ------
-    InputError
+    MeshError
         If a mesh has no triangles, or no area to sample.
     """
     params = resolve(CompareParams, params, changes)
@@ -250,21 +249,3 @@ def _sampled(cumulative: Floats, rows: slice, count: int, rng: np.random.Generat
     root = np.sqrt(v)  # uniform on a triangle: Osada et al. 2002, "Shape distributions", eq. 1
     weights = np.stack([1 - root, root * (1 - w), root * w], axis=1)
     return Located(triangles, weights, np.zeros(len(number)))
-
-
-def require_area(mesh: Mesh, where: str) -> None:
-    """Refuse a mesh that has no surface to measure.
-
-    Raises
-    ------
-    InputError
-        If it has no triangles, no area, or an area beyond floating point; `where` starts the message.
-    """
-    if len(mesh.triangles) == 0:
-        raise InputError("it has no triangles; there is no surface to compare.", where)
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = areas(mesh.vertices, mesh.triangles).sum()
-    if total == 0:
-        raise InputError("all its triangles have zero area; there is no surface to compare.", where)
-    if not np.isfinite(total):
-        raise InputError("its coordinates are too large to measure; is their unit really metres?", where)

@@ -138,6 +138,24 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
     return mesh
 
 
+def require_area(mesh: Mesh, where: str) -> None:
+    """Refuse a mesh that has no surface to work on.
+
+    Raises
+    ------
+    MeshError
+        If it has no triangles, no area, or an area beyond floating point; `where` starts the message.
+    """
+    if len(mesh.triangles) == 0:
+        raise MeshError("it has no triangles; there is no surface.", where)
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = areas(mesh.vertices, mesh.triangles).sum()
+    if total == 0:
+        raise MeshError("all its triangles have zero area; there is no surface.", where)
+    if not np.isfinite(total):
+        raise MeshError("its coordinates are too large; is their unit really metres?", where)
+
+
 def _refuse(where: str, what: str, offenders: NDArray[Any]) -> None:
     first = ", ".join("–".join(map(str, np.atleast_1d(row))) for row in offenders[:3])
     more = ", …" if len(offenders) > 3 else ""

@@ -14,7 +14,7 @@ TEXT = (ROOT / "README.md").read_text()
 
 def test_every_parameter_it_names_exists():
     config = Config()
-    named = re.findall(r"`(depth|fuse|clean|simplify|compare|report)\.(?!json\b)(\w+)`", TEXT)
+    named = re.findall(r"`(depth|fuse|clean|simplify|remesh|compare|report)\.(?!json\b)(\w+)`", TEXT)
     assert len(named) > 15
     for section, name in named:
         assert name in described(type(getattr(config, section))), f"{section}.{name}"

@@ -173,12 +173,29 @@ def _corner_uvs(
     return None
 
 
+def read_vertex_values(path: Path | str, name: str) -> NDArray[np.float64] | None:
+    """Return a property (n,) of the vertices that `read_ply` passes over; None if the file has none.
+
+    Raises
+    ------
+    InputError
+        As `read_ply`.
+    """
+    _, tables = read_tables(Path(path))
+    values = tables.get("vertex", {}).get(name)
+    return values.astype(np.float64) if isinstance(values, np.ndarray) else None
+
+
 def write_ply(
-    path: Path | str, mesh: Mesh, face_values: Mapping[str, NDArray[np.float64]] | None = None
+    path: Path | str,
+    mesh: Mesh,
+    face_values: Mapping[str, NDArray[np.float64]] | None = None,
+    vertex_values: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> None:
     """Write a mesh as binary little-endian PLY; what is read back is equal to the bit.
 
-    `face_values`, (m,) each, become properties of the faces under their names; `read_ply` passes them over.
+    `face_values`, (m,) each, become properties of the faces under their names, `vertex_values`, (n,) each,
+    properties of the vertices; `read_ply` passes them over.
     All numbers are stored as 32-bit floats where that loses nothing (meshes from fusion), else as doubles,
     which MeshLab, Blender, CloudCompare, Open3D and trimesh read as well. A texture's images are written
     beside as NAME_0.png, NAME_1.png, …. The file appears whole or not at all.
@@ -200,6 +217,7 @@ def write_ply(
             comments.append(f"{_TEXTURE_COMMENT} {file.name}")
     face += [(name, _narrowed(values)) for name, values in (face_values or {}).items()]
     vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
+    vertex += [(name, _narrowed(values)) for name, values in (vertex_values or {}).items()]
     _write(path, comments, {"vertex": vertex, "face": face})
 
 

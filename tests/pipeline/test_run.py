@@ -191,6 +191,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
         ("compare.seed=1", ["report"]),
         ("report.width=80", ["report"]),
         ("fuse.memory=3000", []),
+        ("remesh.levels=2", []),
         ("depth.block_size=5", []),
     ],
 )
@@ -335,9 +336,13 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
     ("options", "message"),
     [
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
-        ({"force": ["all"]}, "there is no stage 'all'; known are depth, fuse, clean, simplify, report."),
+        (
+            {"force": ["all"]},
+            "there is no stage 'all'; known are depth, fuse, clean, simplify, remesh, report.",
+        ),
         ({"until": "depth"}, "depth is not a stage of this scan"),
         ({"force": ["depth"]}, "depth is not a stage of this scan"),
+        ({"until": "remesh"}, "remesh is not enabled; set remesh.enabled=true"),
     ],
 )
 def test_stages_that_are_not_there(rgbd, tmp_path, options, message):

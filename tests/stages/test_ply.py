@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError, MeshError, StageError
-from stages.formats.ply import read_ply, write_ply, write_ply_cloud
+from stages.formats.ply import read_ply, read_vertex_values, write_ply, write_ply_cloud
 from stages.mesh import Mesh, Texture
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"
@@ -364,3 +364,14 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
 def test_writing_into_a_missing_folder_is_one_sentence(tmp_path):
     with pytest.raises(StageError, match="cannot be written"):
         write_ply(tmp_path / "none" / "mesh.ply", grid_mesh(5))
+
+
+def test_values_of_vertices_and_faces_are_written_and_passed_over(tmp_path):
+    path = tmp_path / "mesh.ply"
+    square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    confidence = np.array([0.1, 0.5, 1 / 3, 1e-300])
+    write_ply(path, square, {"bound": np.array([0.25, 0.5])}, {"confidence": confidence})
+    np.testing.assert_array_equal(read_vertex_values(path, "confidence"), confidence)
+    assert read_vertex_values(path, "bound") is None
+    assert read_vertex_values(path, "other") is None
+    np.testing.assert_array_equal(read_ply(path).vertices, square.vertices)

@@ -1,0 +1,53 @@
+"""What has to hold of every normal mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from coloured_meshes import assert_same_topology
+from numpy.typing import NDArray
+
+from stages.mesh import Mesh
+from stages.normal_mesh import NormalMesh
+from stages.raycasting import Surface
+from stages.topology import topology
+
+# So that made meshes of some thousand triangles are remeshed in no time.
+SMALL = {"levels": 2, "base_triangles": 120}
+
+
+def diagonal(mesh: Mesh) -> float:
+    return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+
+
+def normals(mesh: Mesh) -> NDArray[np.float64]:
+    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
+    doubled = np.cross(b - a, c - a)
+    return doubled / np.linalg.norm(doubled, axis=1, keepdims=True)
+
+
+def assert_sound(found: NormalMesh, mesh: Mesh, within: float = 1e-6) -> None:
+    """At every level vertices are on the surface, no triangle is flipped or flat, the topology stays."""
+    surface = Surface(mesh)
+    facing = normals(mesh)
+    for level in found.levels:
+        assert surface.closest(level.vertices).distances.max() <= within * diagonal(mesh)
+        assert topology(level).degenerate == 0
+        assert_same_topology(level, mesh)
+    assert found.folded == 0
+    finest = found.mesh
+    middles = finest.vertices[finest.triangles].mean(axis=1)
+    there = facing[surface.closest(middles).triangles]
+    assert (np.einsum("ij,ij->i", normals(finest), there) > 0).all()
+
+
+def assert_on_triangles(level: Mesh, triangles: NDArray[np.int32], mesh: Mesh) -> None:
+    """Each vertex of a level is on the triangle it is said to be on.
+
+    In double precision: of needles, single precision does not know where they are.
+    """
+    # trimesh takes products of lengths below 1e-8 for nothing.
+    scale = 1e6 / diagonal(mesh)
+    corners, points = scale * mesh.vertices[mesh.triangles[triangles]], scale * level.vertices
+    closest = trimesh.triangles.closest_point(corners, points)
+    assert np.linalg.norm(closest - points, axis=1).max() <= 1

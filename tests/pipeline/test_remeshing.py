@@ -1,0 +1,150 @@
+"""The optional stage: what it leaves, what it tells, and that nothing of it stays when it is left out."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from coloured_meshes import MESHES
+
+from pipeline.config import Config
+from pipeline.remeshing import RemeshSection, make, read_levels, report
+from pipeline.run import CACHE_VARIABLE, run
+from stages.compare import CompareParams
+from stages.formats.ply import read_ply
+from stages.layouts import write_scan_json
+from stages.normal_mesh import decode
+from stages.progress import silent
+from stages.remesh import remesh
+from stages.scan import Camera, Frame
+from stages.viewpoints import viewpoints
+
+QUICK = (
+    "fuse.voxel_size=0.03",
+    "report.views=1",
+    "report.width=64",
+    "compare.samples=1000",
+    "remesh.levels=2",
+)
+CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
+PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply"]
+OWN = ["levels", "remeshed.ply", "remeshed.snm"]
+
+
+@pytest.fixture(autouse=True)
+def _no_shared_cache(monkeypatch):
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """Four frames of a wavy wall about a metre away."""
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    v, u = np.mgrid[0:72, 0:96]
+    frames = []
+    for i in range(4):
+        pose = np.eye(4)
+        pose[0, 3] = 0.03 * i
+        depth = 1 + 0.05 * np.sin((u - 47.5) / 12 + 0.2 * i) * np.cos(v / 15)
+        color = np.stack([2 * u, 3 * v, 0 * u + 90], axis=2).astype(np.uint8)
+        files = {kind: folder / f"{kind}-{i}.png" for kind in ("color", "depth")}
+        cv2.imwrite(str(files["color"]), color)
+        cv2.imwrite(str(files["depth"]), np.rint(1000 * depth).astype(np.uint16))
+        frames.append(Frame(str(i), CAMERA, files["color"], depth=files["depth"], world_from_camera=pose))
+    write_scan_json(folder, frames)
+    return folder
+
+
+def quick(*assignments: str) -> Config:
+    return Config().set([*QUICK, *assignments])
+
+
+def names(out: Path) -> list[str]:
+    return sorted(path.name for path in out.iterdir() if path.name != "cache")
+
+
+def ran(result) -> list[str]:
+    return [outcome.stage for outcome in result.stages if not outcome.cached]
+
+
+def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, tmp_path):
+    out = tmp_path / "out"
+    result = run(scan, out, quick("remesh.enabled=true"))
+    assert ran(result) == ["fuse", "clean", "simplify", "remesh", "report"]
+    assert names(out) == sorted([*PLAIN, *OWN])
+    assert sorted(path.name for path in (out / "levels").iterdir()) == [f"level_{i}.ply" for i in range(3)]
+    decoded = decode(out / "remeshed.snm")
+    for level, mesh in enumerate(decoded.levels):
+        np.testing.assert_array_equal(read_ply(out / "levels" / f"level_{level}.ply").vertices, mesh.vertices)
+    assert (out / "remeshed.ply").read_bytes() == (out / "levels" / "level_2.ply").read_bytes()
+
+    told = json.loads((out / "report.json").read_text())
+    assert told["stages"]["remesh"]["figures"]["levels"] == 2
+    for level, figures in enumerate(told["normal_mesh"]["levels"]):
+        mesh = decoded.levels[level]
+        assert (figures["level"], figures["triangles"]) == (level, len(mesh.triangles))
+        assert figures["vertices"] == len(mesh.vertices)
+        assert figures["to_simplified"]["color"]["a_to_b"]["psnr_db"] > 15
+    assert told["mesh"]["triangles"] == len(read_ply(out / "simplified.ply").triangles)
+    for name in ("level_0", "level_1", "level_2", "distance"):
+        assert f"pictures/remeshed-{name}.png" in told["pictures"]
+        assert cv2.imread(str(out / "pictures" / f"remeshed-{name}.png")).shape == (48, 64, 3)
+    assert ran(run(scan, out, quick("remesh.enabled=true"))) == []
+
+
+def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
+    out = tmp_path / "out"
+    plain = run(scan, out, quick())
+    assert [outcome.stage for outcome in plain.stages] == ["fuse", "clean", "simplify", "report"]
+    assert names(out) == PLAIN
+    assert plain.report["normal_mesh"] is None
+    before = sorted(path.name for path in (out / "pictures").iterdir())
+    assert ran(run(scan, out, quick("remesh.enabled=true"))) == ["remesh", "report"]
+    again = run(scan, out, quick())
+    assert ran(again) == []
+    assert names(out) == PLAIN
+    assert sorted(path.name for path in (out / "pictures").iterdir()) == before
+    assert ran(run(scan, out, quick("remesh.enabled=true"))) == []
+    assert names(out) == sorted([*PLAIN, *OWN])
+
+
+def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
+    out = tmp_path / "out"
+    run(scan, out, quick("remesh.enabled=true"))
+    finer = run(scan, out, quick("remesh.enabled=true", "remesh.levels=3"))
+    assert ran(finer) == ["remesh", "report"]
+    assert "levels 2 → 3" in finer.stages[3].reason
+    run(scan, out, quick("remesh.enabled=true"))
+    assert ran(run(scan, out, quick("remesh.enabled=true", "remesh.threads=1"))) == []
+    assert not (out / "levels" / "level_3.ply").exists()
+
+
+def test_until_remesh_has_no_report(scan, tmp_path):
+    result = run(scan, tmp_path / "out", quick("remesh.enabled=true"), until="remesh")
+    assert [outcome.stage for outcome in result.stages] == ["fuse", "clean", "simplify", "remesh"]
+    assert result.report["normal_mesh"] is None
+
+
+def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_path):
+    mesh = MESHES["ring"]()
+    found = remesh(mesh, levels=2, base_triangles=100)
+    view = viewpoints(mesh, 1, width=120)[0]
+    figures, pictures = report(tmp_path, mesh, found.levels, view, CompareParams(samples=20_000))
+    distances = [one["to_simplified"]["distance"]["symmetric"]["rms_m"] for one in figures["levels"]]
+    assert distances == sorted(distances, reverse=True)
+    farthest = figures["levels"][0]["to_simplified"]["distance"]["a_to_b"]["maximum_m"]
+    assert 0 < figures["full_scale_m"] < farthest
+    assert pictures == [*(f"remeshed-level_{level}.png" for level in range(3)), "remeshed-distance.png"]
+    painted = cv2.imread(str(tmp_path / "remeshed-distance.png")).astype(int)
+    # Both ends of the scale are seen: dark blue, and yellow.
+    assert ((painted[..., 0] > painted[..., 1] + 10) & (painted[..., 2] < 120)).any()
+    assert (painted[..., 1] > painted[..., 0] + 60).any()
+
+
+def test_what_is_made_is_read_again(tmp_path):
+    mesh = MESHES["holed"]()
+    figures = make(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), silent)
+    levels = read_levels(tmp_path)
+    assert [len(level.triangles) for level in levels] == [one["triangles"] for one in figures["by_level"]]
