@@ -50,6 +50,20 @@ def at_a_bound() -> ModuleType:
 
 
 @pytest.fixture
+def normal_mesh() -> ModuleType:
+    import normal_mesh
+
+    return normal_mesh
+
+
+@pytest.fixture
+def rates() -> ModuleType:
+    import rate_distortion
+
+    return rate_distortion
+
+
+@pytest.fixture
 def results() -> ModuleType:
     from peers import results
 
@@ -257,3 +271,117 @@ def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound:
     for less in ({"shape_bound_m": 1e-4}, {"color_bound_levels": 1.0}):
         with pytest.raises(SystemExit, match="proof is wrong"):
             at_a_bound.measured_over_proven(globe, dataclasses.replace(ours, **less), 1000)
+
+
+def test_the_near_cube_is_a_closed_unit_cube_facing_outward(normal_mesh: ModuleType):
+    cube = normal_mesh.near_cube()
+
+    assert len(cube.triangles) == 396
+    shape = topology(cube)
+    assert shape.is_closed
+    assert shape.is_manifold
+    assert shape.is_oriented
+    assert shape.euler == 2
+    a, b, c = cube.vertices[cube.triangles].swapaxes(0, 1)
+    assert (np.cross(a, b) * c).sum() / 6 == pytest.approx(1)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(6)
+
+
+def test_triangles_beyond_a_right_angle_are_turned(normal_mesh: ModuleType):
+    cube = normal_mesh.near_cube()
+    other = cube.triangles.copy()
+    other[[7, 300]] = other[[7, 300], ::-1]
+
+    assert normal_mesh.turned(cube, cube) == 0
+    assert normal_mesh.turned(cube, cube.with_(triangles=other)) == 2
+
+
+def test_a_file_is_worth_having_if_none_is_smaller_and_nearer(rates: ModuleType):
+    small, middle, large = (rates.File(*values, "") for values in ((100, 4e-3), (200, 2e-3), (400, 1e-3)))
+    worse = [rates.File(150, 4e-3, ""), rates.File(200, 3e-3, ""), rates.File(500, 1e-3, "")]
+
+    assert rates.frontier([large, *worse, small, middle]) == [small, middle, large]
+
+
+def test_ours_is_a_file_that_exists_and_a_rival_s_lies_between_two(rates: ModuleType):
+    files = [rates.File(*values, "") for values in ((100, 4e-3), (200, 2e-3), (800, 1e-3))]
+
+    assert rates.smallest(files, 2.5e-3) is files[1]
+    assert rates.smallest(files, 2e-3) is files[1]
+    assert rates.smallest(files, 0.9e-3) is None
+    assert rates.size_at(files, 4e-3) == pytest.approx(100)
+    assert rates.size_at(files, 2e-3) == pytest.approx(200)
+    # Halfway in logarithms.
+    assert rates.size_at(files, 2e-3 / 2**0.5) == pytest.approx(400)
+    assert rates.size_at(files, 4.1e-3) is None
+    assert rates.size_at(files, 0.9e-3) is None
+
+
+def test_a_file_s_distance_is_the_larger_of_both_directions(normal_mesh: ModuleType, rates: ModuleType):
+    cube = normal_mesh.near_cube()
+    shifted = cube.with_(vertices=cube.vertices + np.array((0, 0, 0.01)))
+    half = cube.with_(triangles=cube.triangles[:198])
+    original = rates.Original(cube, 20_000)
+
+    # Two of six sides move off the surface, four along it.
+    assert original.file(1, shifted, "").rms == pytest.approx(0.01 / 3, rel=0.05)
+    assert original.file(1, cube, "").rms < 1e-9
+    # All of a part lies on the whole, but the whole is far from the part.
+    assert original.file(1, half, "").rms > 0.1
+    assert rates.File(1, 1e-3, "").decibels == pytest.approx(60)
+
+
+def test_draco_keeps_all_vertices_within_its_grid(normal_mesh: ModuleType):
+    pytest.importorskip("DracoPy")
+    from peers.draco import decoded, encoded
+
+    cube = normal_mesh.near_cube()
+    found = decoded(encoded(cube, 9))
+
+    assert len(found.triangles) == len(cube.triangles)
+    gaps = np.linalg.norm(found.vertices[:, None] - cube.vertices, axis=2)
+    # Half a step of the grid along each axis.
+    assert gaps.min(axis=1).max() <= 3**0.5 / 2 / (2**9 - 1) * (1 + 1e-6)
+    assert len(encoded(cube, 12)) > len(encoded(cube, 9))
+
+
+@pytest.fixture
+def normal_mesh_rates() -> ModuleType:
+    import normal_mesh_rates
+
+    return normal_mesh_rates
+
+
+def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
+    normal_mesh: ModuleType,
+    normal_mesh_rates: ModuleType,
+    rates: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    cube = normal_mesh.near_cube()
+    setting = normal_mesh_rates.Settings(68, 2, (1e-3, 1e-4))
+    monkeypatch.setattr(normal_mesh_rates, "LEVELS", {"cube": (setting,)})
+    monkeypatch.setattr(normal_mesh_rates, "SNM_SHARES", {"cube": (0.5,)})
+    original = rates.Original(cube, 2000)
+
+    coarse, fine = np.array_split(list(normal_mesh_rates.normal_meshes("cube", original)), 2)
+    assert [file.made.split(", ")[1] for file in coarse] == [f"level {level} of 2" for level in range(3)]
+    for files in (coarse, fine):
+        assert np.diff([file.size for file in files]).min() > 0
+    assert all(a.size < b.size for a, b in zip(coarse, fine, strict=True))
+
+    whole = list(normal_mesh_rates.simplified_snm("cube", original))
+    assert len(whole) == len(normal_mesh_rates.SNM_TOLERANCES)
+    for file, tolerance in zip(whole, normal_mesh_rates.SNM_TOLERANCES, strict=True):
+        assert "198 triangles" in file.made
+        # Half a triangulated cube is the cube; only rounding moves it, along three axes.
+        assert file.rms < 3**0.5 * tolerance
+    assert np.diff([file.size for file in whole]).min() > 0
+
+
+def test_a_target_is_missed_above_1(normal_mesh_rates: ModuleType, rates: ModuleType):
+    file = rates.File(300, 1e-3, "")
+
+    assert normal_mesh_rates.over(file, 200) == "1.50"
+    assert normal_mesh_rates.over(file, None) == ""
+    assert normal_mesh_rates.over(None, 200) == ""

@@ -1,0 +1,291 @@
+"""Normal meshes: the papers' tables made again, bytes against Draco's, colours level by level.
+
+    python benches/normal_mesh.py DATA [--only models rates colors] [--mesh cow horse] [--samples 200000]
+                                       [--picture FOLDER]
+
+DATA holds `meshes/`. `pip install '.[bench]'` brings the peers: PyMeshLab, which also measures the distances
+a second time, and Draco. It prints Markdown.
+
+"models": what Li et al. 2002 ran (cow, near-cube), what Guskov et al. 2000 ran (horse), and scans, four of
+them open, at the default tolerance. Exceptions are new vertices that no scalar can place, boundary vertices
+aside, which always have vectors; the papers' counts are beside them. Distances are over the diagonal of the
+original's bounding box: RMS from the original to the result and back, and the largest of both; "check" is the
+same by PyMeshLab's own sampling. "off" is how far the vertices are from the original at most, by PyMeshLab.
+"turned" are triangles that face more than 90° away from the original next to their middle, "flat" those
+without area; "spread" is the standard deviation of edge lengths over their mean. "CPU s" is processor time
+from the file to the result, the bytes of the `.snm` included. "bits" are for each vertex of the result.
+
+"rates": see normal_mesh_rates.py.
+
+"colors": the coloured kitchen scan, and how near the colours of each level are to the original's, sampled on
+the original. "bytes" are those of the file that ends with the level.
+
+With --picture: base, levels and the original painted with its distance to the result, over the diagonal, for
+four meshes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from markdown_tables import print_head, print_row
+from normal_mesh_pictures import draw
+from normal_mesh_rates import print_rates
+from simplify import edge_lengths, smallest_angles, unit_normals
+
+from stages.clean import clean
+from stages.compare import compare
+from stages.layouts import read_scan
+from stages.mesh import Mesh
+from stages.mesh_files import read_mesh
+from stages.normal_mesh import BOUNDARY, EXCEPTION, SCALAR, NormalMesh
+from stages.raycasting import Surface, bounding_box
+from stages.remesh import remesh
+from stages.topology import topology
+from stages.viewpoints import viewpoints
+
+PARTS = ("models", "rates", "colors")
+SHAPE = ["least °", "5 % °", "mean °", "spread", "turned", "flat"]
+SIZE = ["bytes", "bits"]
+MODEL_COLUMNS = [
+    *("model", "triangles", "exceptions", "share", "paper", "boundary"),
+    *("RMS there ×1e-5", "back", "max", "check: RMS there", "back", "max"),
+    *(*SHAPE, *SIZE, "CPU s"),
+]
+LEVEL_COLUMNS = ["model", "level", "triangles", "exceptions", "boundary", "off", *SHAPE, *SIZE]
+COLOR_COLUMNS = [
+    *("level", "vertices", "triangles", "PSNR dB", "RMSE, levels", "RMS there ×1e-5", "back"),
+    *SIZE,
+]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A mesh and how it is remeshed.
+
+    Attributes
+    ----------
+    read : takes DATA.
+    levels : refinements.
+    base_triangles : None for as many as make the result about as large as the input.
+    paper : what the paper reports of exceptions.
+    """
+
+    read: Callable[[Path], Mesh]
+    levels: int
+    base_triangles: int | None = None
+    paper: str = ""
+
+    def remeshed(self, mesh: Mesh) -> NormalMesh:
+        """Remesh with what is not said here at its default."""
+        return remesh(mesh, levels=self.levels, base_triangles=self.base_triangles)
+
+
+def file(name: str) -> Callable[[Path], Mesh]:
+    """Return what reads a mesh."""
+    return lambda data: read_mesh(data / "meshes" / name)
+
+
+def kitchen(data: Path) -> Mesh:
+    """Read a coloured room fused at 2 cm, and make it manifold."""
+    return clean(file("redkitchen_fused_vertexcolor.ply")(data)).mesh
+
+
+def standing_horse(data: Path) -> Mesh:
+    """Read the horse for a picture: the file has its heights along z, and its triangles inside out."""
+    mesh = file("horse.ply")(data)
+    return Mesh(mesh.vertices[:, [1, 2, 0]], mesh.triangles[:, ::-1].copy())
+
+
+def near_cube() -> Mesh:
+    """Make a unit cube of 396 triangles: its edges are cut in 3, 6 and 9 parts along the three axes."""
+    parts = np.array([3, 6, 9])
+    corners = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        i, j = (a.ravel() for a in np.mgrid[0 : parts[u], 0 : parts[v]])
+        for side in (0, 1):
+            square = np.zeros((len(i), 4, 3), np.int64)
+            square[..., axis] = side * parts[axis]
+            square[..., u] = i[:, None] + [0, 1, 1, 0]
+            square[..., v] = j[:, None] + [0, 0, 1, 1]
+            # Seen from outside, u to v turns left on the far side and right on the near one.
+            square = square if side else square[:, ::-1]
+            corners += [square[:, [0, 1, 2]], square[:, [0, 2, 3]]]
+    lattice, triangles = np.unique(np.concatenate(corners).reshape(-1, 3), axis=0, return_inverse=True)
+    return Mesh(lattice / parts, triangles.reshape(-1, 3).astype(np.int32))
+
+
+MODELS = {
+    "cow": Model(file("cow.obj"), 2, 426, "43"),
+    "near-cube": Model(lambda _: near_cube(), 2, 68, "6"),
+    "face": Model(file("face.obj"), 3),
+    "camelhead": Model(file("camelhead.off"), 3),
+    "bunny": Model(file("stanford-bunny.obj"), 3),
+    "sceaux": Model(file("sceaux_mvs_scene_mesh.ply"), 3),
+    "igea": Model(file("igea.ply"), 4),
+    "rocker-arm": Model(file("rocker-arm.obj"), 3),
+    # A closed surface without handles of 234 vertices has 464 triangles.
+    "horse": Model(file("horse.ply"), 4, 464, "644"),
+}
+KITCHEN = Model(kitchen, 3)
+# What it was fused from tells where to look from.
+SCAN = "rgbd/7scenes_redkitchen"
+PICTURED = {
+    "horse": replace(MODELS["horse"], read=standing_horse),
+    **{name: MODELS[name] for name in ("cow", "face")},
+    "kitchen": KITCHEN,
+}
+# Pixels of one mesh in a picture.
+WIDTH = 480
+
+
+def main() -> None:
+    """Print the tables, and draw the pictures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--only", nargs="*", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--mesh", nargs="+", choices=[*MODELS, "kitchen"], default=[*MODELS, "kitchen"])
+    parser.add_argument("--samples", type=int, default=200_000)
+    parser.add_argument("--picture", type=Path, metavar="FOLDER", help="where to draw")
+    options = parser.parse_args()
+    if "models" in options.only:
+        # What is loaded once is loaded now.
+        MODELS["near-cube"].remeshed(near_cube())
+        print_models([name for name in MODELS if name in options.mesh], options.data, options.samples)
+    if "rates" in options.only:
+        for name in ("horse", "cow"):
+            if name in options.mesh:
+                print_rates(name, clean(MODELS[name].read(options.data)).mesh, options.samples)
+    if "colors" in options.only and "kitchen" in options.mesh:
+        print_colors(KITCHEN, options.data, options.samples)
+    if options.picture:
+        options.picture.mkdir(parents=True, exist_ok=True)
+        for name, model in PICTURED.items():
+            if name in options.mesh:
+                mesh = model.read(options.data)
+                frames = read_scan(options.data / SCAN).frames if name == "kitchen" else ()
+                view = viewpoints(mesh, 1, frames=frames, width=WIDTH)[0]
+                draw(mesh, model.remeshed(mesh), view, options.picture / f"normal_mesh_{name}.png")
+
+
+def print_models(names: list[str], data: Path, samples: int) -> None:
+    """Print a row for each model, then one for each of their levels."""
+    print_head(MODEL_COLUMNS, words=2)
+    later = []
+    for name in names:
+        model = MODELS[name]
+        start = time.process_time()
+        mesh = model.read(data)
+        result = model.remeshed(mesh)
+        seconds = time.process_time() - start
+        cells = [name, *counted(mesh, result, model.paper), *measured(mesh, result.mesh, samples)]
+        cells += [*shaped(mesh, result.mesh), *stored(result, len(result.level_ends) - 1), f"{seconds:.2f}"]
+        print_row(cells)
+        later += [[name, *cells] for cells in by_level(mesh, result)]
+    print()
+    print_head(LEVEL_COLUMNS)
+    for cells in later:
+        print_row(cells)
+
+
+def counted(mesh: Mesh, result: NormalMesh, paper: str) -> list[str]:
+    """Return the cells of triangles at each stage, and of the kinds of new vertices."""
+    stages = " → ".join(f"{len(one.triangles):,}" for one in (mesh, *result.levels))
+    kinds = np.concatenate([offsets.kinds for offsets in result.offsets])
+    scalars, exceptions, boundary = (np.count_nonzero(kinds == k) for k in (SCALAR, EXCEPTION, BOUNDARY))
+    share = exceptions / (scalars + exceptions)
+    return [stages, f"{exceptions:,}", f"{share:.2%}", paper, f"{boundary:,}"]
+
+
+def measured(mesh: Mesh, light: Mesh, samples: int) -> list[str]:
+    """Return the cells of distances, by `compare` and by PyMeshLab: there, back, and the largest."""
+    found = compare(mesh, light, samples=samples)
+    there, back = (hausdorff(*pair, samples) for pair in ((mesh, light), (light, mesh)))
+    lengths = (found.a_to_b.rms, found.b_to_a.rms, found.symmetric.maximum)
+    checks = (there["RMS"], back["RMS"], max(there["max"], back["max"]))
+    return [f"{1e5 * length / found.diagonal:.3f}" for length in (*lengths, *checks)]
+
+
+def shaped(mesh: Mesh, light: Mesh) -> list[str]:
+    """Return the cells of the triangles' quality."""
+    angles, lengths = smallest_angles(light), edge_lengths(light)
+    return [
+        f"{angles.min():.2f}",
+        f"{np.percentile(angles, 5):.1f}",
+        f"{angles.mean():.1f}",
+        f"{lengths.std() / lengths.mean():.2f}",
+        f"{turned(mesh, light)}",
+        f"{topology(light).degenerate}",
+    ]
+
+
+def stored(result: NormalMesh, level: int) -> list[str]:
+    """Return the cells of the file that ends with a level."""
+    size = result.level_ends[level]
+    return [f"{size:,}", f"{8 * size / len(result.levels[level].vertices):.2f}"]
+
+
+def by_level(mesh: Mesh, result: NormalMesh) -> Iterator[list[str]]:
+    """Yield the cells of each level: exceptions, the largest distance of a vertex, soundness, bytes."""
+    diagonal = float(np.linalg.norm(np.diff(bounding_box(mesh), axis=0)))
+    for level, light in enumerate(result.levels):
+        kinds = result.offsets[level - 1].kinds if level else np.zeros(0, np.uint8)
+        yield [
+            str(level),
+            f"{len(light.triangles):,}",
+            f"{np.count_nonzero(kinds == EXCEPTION):,}",
+            f"{np.count_nonzero(kinds == BOUNDARY):,}",
+            f"{hausdorff(light, mesh)['max'] / diagonal:.1e}",
+            *shaped(mesh, light),
+            *stored(result, level),
+        ]
+
+
+def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
+    """Return distances from one surface to the other by PyMeshLab, of its vertices if `samples` is 0."""
+    import pymeshlab
+
+    pair = pymeshlab.MeshSet()
+    for one in (mesh, other):
+        pair.add_mesh(pymeshlab.Mesh(one.vertices, one.triangles))
+    found: dict[str, float] = pair.get_hausdorff_distance(
+        sampledmesh=0,
+        targetmesh=1,
+        samplevert=not samples,
+        sampleface=bool(samples),
+        samplenum=samples or len(mesh.vertices),
+    )
+    return found
+
+
+def turned(mesh: Mesh, light: Mesh) -> int:
+    """Count triangles that face away, by more than a right angle, from the original next to their middle."""
+    middles = light.vertices[light.triangles].mean(axis=1)
+    nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
+    return int(np.count_nonzero((unit_normals(light) * unit_normals(mesh)[nearest]).sum(axis=1) < 0))
+
+
+def print_colors(model: Model, data: Path, samples: int) -> None:
+    """Print a row for each level of a mesh with colours."""
+    mesh = model.read(data)
+    result = model.remeshed(mesh)
+    print(f"\n### Colours, {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles\n")
+    print_head(COLOR_COLUMNS)
+    for level, light in enumerate(result.levels):
+        found = compare(mesh, light, samples=samples)
+        assert found.color_a_to_b is not None
+        cells = [str(level), f"{len(light.vertices):,}", f"{len(light.triangles):,}"]
+        cells += [f"{found.color_a_to_b.psnr:.2f}", f"{found.color_a_to_b.rmse:.2f}"]
+        lengths = (found.a_to_b.rms, found.b_to_a.rms)
+        cells += [f"{1e5 * length / found.diagonal:.2f}" for length in lengths]
+        print_row([*cells, *stored(result, level)])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""Pictures of a normal mesh: base, levels, and the original painted with its distance to the result.
+
+Part of normal_mesh.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from stages.distance_map import distance_map
+from stages.mesh import Mesh
+from stages.normal_mesh import NormalMesh
+from stages.raycasting import Surface, bounding_box
+from stages.render import Model, write_png
+from stages.scan import ColorImage
+from stages.viewpoints import View
+
+INK, PAPER = (38, 52, 74), (242, 244, 247)
+HEAD_PX = 32
+# From the right end of the head.
+SCALE_PX, SCALE_END_PX = 120, 80
+
+
+def draw(mesh: Mesh, result: NormalMesh, view: View, path: Path) -> None:
+    """Draw all from one view, side by side, as PNG; colours, where there are any, in a second row."""
+    models = [Model(Surface(light)) for light in result.levels]
+    top = [
+        titled(model.draw(view, "edges"), f"level {level}: {len(light.triangles):,} triangles")
+        for level, (model, light) in enumerate(zip(models, result.levels, strict=True))
+    ]
+    rows = [[*top, distances(mesh, result.mesh, view)]]
+    if mesh.colors is not None:
+        below = [titled(model.draw(view), f"level {level}: colours") for level, model in enumerate(models)]
+        rows.append([*below, titled(Model(Surface(mesh)).draw(view), "original: colours")])
+    write_png(path, np.vstack([np.hstack(row) for row in rows]))
+
+
+def distances(mesh: Mesh, light: Mesh, view: View) -> ColorImage:
+    """Draw a mesh painted with its distance to another, under the scale of the colours."""
+    box = bounding_box(mesh, light)
+    painted, full_scale = distance_map(mesh, Surface(light, box))
+    image = titled(Model(Surface(painted)).draw(view), "original: off by 0 to")
+    ramp = np.linspace(0, 255, SCALE_PX).astype(np.uint8)[:, None]
+    end = image.shape[1] - SCALE_END_PX
+    image[10:22, end - SCALE_PX : end] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    write(image, f"{full_scale / np.linalg.norm(box[1] - box[0]):.1g}", end + 8)
+    return image
+
+
+def titled(image: ColorImage, title: str) -> ColorImage:
+    """Return the picture below a head with a title."""
+    head = np.full((HEAD_PX, image.shape[1], 3), PAPER, np.uint8)
+    write(head, title, 10)
+    return np.vstack([head, image])
+
+
+def write(image: ColorImage, text: str, left: int) -> None:
+    """Write into the head of a picture."""
+    cv2.putText(image, text, (left, 21), cv2.FONT_HERSHEY_SIMPLEX, 0.55, INK, 1, cv2.LINE_AA)
