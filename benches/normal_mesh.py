@@ -1,7 +1,7 @@
 """Normal meshes: the papers' tables made again, bytes against Draco's, colours level by level.
 
-    python benches/normal_mesh.py DATA [--only models rates colors] [--mesh cow horse] [--samples 200000]
-                                       [--picture FOLDER]
+    python benches/normal_mesh.py DATA [--only models rates colors growth] [--mesh cow horse]
+                                       [--samples 200000] [--picture FOLDER]
 
 DATA holds `meshes/`. `pip install '.[bench]'` brings the peers: PyMeshLab, which also measures the distances
 a second time, and Draco. It prints Markdown.
@@ -20,6 +20,9 @@ from the file to the result, the bytes of the `.snm` included. "bits" are for ea
 "colors": the coloured kitchen scan, and how near the colours of each level are to the original's, sampled on
 the original. "bytes" are those of the file that ends with the level.
 
+"growth": made height fields, noisy and coloured, from ten thousand to a million triangles, and what each
+triangle of the input takes.
+
 With --picture: base, levels and the original painted with its distance to the result, over the diagonal, for
 four meshes.
 """
@@ -37,6 +40,7 @@ from markdown_tables import print_head, print_row
 from normal_mesh_pictures import draw
 from normal_mesh_rates import print_rates
 from simplify import edge_lengths, smallest_angles, unit_normals
+from simplify_speed import hills
 
 from stages.clean import clean
 from stages.compare import compare
@@ -49,7 +53,8 @@ from stages.remesh import remesh
 from stages.topology import topology
 from stages.viewpoints import viewpoints
 
-PARTS = ("models", "rates", "colors")
+PARTS = ("models", "rates", "colors", "growth")
+SIZES = (10_000, 100_000, 1_000_000)
 SHAPE = ["least °", "5 % °", "mean °", "spread", "turned", "flat"]
 SIZE = ["bytes", "bits"]
 MODEL_COLUMNS = [
@@ -164,6 +169,8 @@ def main() -> None:
                 print_rates(name, clean(MODELS[name].read(options.data)).mesh, options.samples)
     if "colors" in options.only and "kitchen" in options.mesh:
         print_colors(KITCHEN, options.data, options.samples)
+    if "growth" in options.only:
+        print_growth()
     if options.picture:
         options.picture.mkdir(parents=True, exist_ok=True)
         for name, model in PICTURED.items():
@@ -285,6 +292,20 @@ def print_colors(model: Model, data: Path, samples: int) -> None:
         lengths = (found.a_to_b.rms, found.b_to_a.rms)
         cells += [f"{1e5 * length / found.diagonal:.2f}" for length in lengths]
         print_row([*cells, *stored(result, level)])
+
+
+def print_growth() -> None:
+    """Print a row for each size of a made height field, at the default settings."""
+    print("\n### Growth\n")
+    print_head(["triangles", "of the result", "exceptions", "CPU s", "µs a triangle"], words=0)
+    for size in SIZES:
+        mesh = hills(size)
+        start = time.process_time()
+        result = remesh(mesh)
+        seconds = time.process_time() - start
+        exceptions = sum(offsets.count(EXCEPTION) for offsets in result.offsets)
+        cells = [f"{len(mesh.triangles):,}", f"{len(result.mesh.triangles):,}", f"{exceptions:,}"]
+        print_row([*cells, f"{seconds:.1f}", f"{1e6 * seconds / len(mesh.triangles):.1f}"])
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ def remesh(
     if save_levels is not None:
         require_writable(save_levels)
     mesh = read_file(source, out)
-    with about_file(source), out.progress("remesh", "vertices") as progress:
+    with about_file(source), out.progress("remesh", "levels") as progress:
         found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
     for note in found.mesh.notes[len(mesh.notes) :]:
         out.remark(note)

@@ -13,7 +13,7 @@ from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgr
 from stages.progress import Progress
 
 # What is counted while a stage works.
-_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles", "remesh": "vertices"}
+_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles", "remesh": "levels"}
 # What came out of a stage and what was derived for it, in one line; all figures are in report.json. Where
 # methods differ in what they can tell, the method's name follows that of the stage.
 _HEADLINES = {

@@ -144,7 +144,8 @@ def remesh(
     params : RemeshParams; single fields can be given by name instead.
     confidence : (n,) finite numbers, carried along as colours are, with 8 bits between the least and the
         greatest.
-    progress : called about ten times a second; raising from it stops the work.
+    progress : called about ten times a second with the levels that are done, those of bases that are only
+        tried among them, and those to do at most; raising from it stops the work.
 
     Returns
     -------
@@ -264,7 +265,8 @@ def _warnings(
     if wanted_base and base > _FAR_FROM_WANTED * wanted_base:
         yield (
             f"the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
-            "holes and handles, which all stay, or could not be refined any more with fewer."
+            "holes and handles, which all stay, or could not be refined any more with fewer. "
+            f"The finest level has {len(found.triangles(found.levels)):,}; fewer levels have fewer."
         )
     if found.folded:
         yield f"{found.folded:,} triangles of the finest level are turned over or have no area."

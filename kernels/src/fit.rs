@@ -9,7 +9,7 @@
 
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
-use crate::geometry::{Vec3, add_scaled, cross, dot, nearest_on_triangle, norm2, position, sub};
+use crate::geometry::{Vec3, add_scaled, area, cross, dot, nearest_on_triangle, norm2, position, sub};
 use crate::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::{Mesh, Pin};
 use crate::parallel::{each, fill};
@@ -63,8 +63,8 @@ impl<'a, const D: usize> Samples<'a, D> {
     }
 
     fn area(&self, corners: &[u32; 3]) -> f64 {
-        let [a, b, c] = corners.map(|v| position(&self.input.points[v as usize]));
-        0.5 * norm2(&cross(&sub(&b, &a), &sub(&c, &a))).sqrt()
+        let points = corners.map(|v| position(&self.input.points[v as usize]));
+        area(points.each_ref())
     }
 
     fn weight(&self, i: usize) -> f64 {

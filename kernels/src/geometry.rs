@@ -50,6 +50,19 @@ pub fn norm2(a: &Vec3) -> f64 {
     dot(a, a)
 }
 
+/// The vector with length 1; zero stays zero.
+#[inline]
+pub fn unit(v: &Vec3) -> Vec3 {
+    let length = norm2(v).sqrt();
+    if length > 0.0 { v.map(|x| x / length) } else { [0.0; 3] }
+}
+
+/// The area of a triangle.
+#[inline]
+pub fn area([a, b, c]: [&Vec3; 3]) -> f64 {
+    0.5 * norm2(&cross(&sub(b, a), &sub(c, a))).sqrt()
+}
+
 /// Squared distance of two vertices in space.
 #[inline]
 pub fn distance2<const D: usize>(a: &[f64; D], b: &[f64; D]) -> f64 {

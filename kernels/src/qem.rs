@@ -8,7 +8,7 @@
 
 use crate::connectivity::Connectivity;
 use crate::engine::{Collapsed, Measure, Proposal, Reach};
-use crate::geometry::{Vec3, cross, distance2, dot, midpoint, norm2, position, sub};
+use crate::geometry::{Vec3, distance2, midpoint, position};
 use crate::ids::{EdgeId, VertexId};
 use crate::mesh::{Mesh, Pin};
 use crate::patch::Records;
@@ -84,14 +84,8 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         let ends = mesh.connectivity.ends(edge);
         let across = mesh.connectivity.origin(Connectivity::prev(h));
         let [a, b, c] = [ends[0], ends[1], across].map(|v| position(mesh.point(v)));
-        let along = sub(&b, &a);
-        let outwards = cross(&along, &cross(&along, &sub(&c, &a)));
-        let length = norm2(&outwards).sqrt();
-        if length > 0.0 {
-            let normal = outwards.map(|x| x / length);
-            let importance = 0.5 * (self.importance(ends[0]) + self.importance(ends[1]));
-            quadric.add_plane(BOUNDARY * importance * norm2(&along), &normal, -dot(&normal, &a));
-        }
+        let importance = 0.5 * (self.importance(ends[0]) + self.importance(ends[1]));
+        quadric.add_wall(BOUNDARY * importance, [&a, &b, &c]);
     }
 
     /// The quadric of a vertex, from all that is around it.

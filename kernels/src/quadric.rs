@@ -112,6 +112,19 @@ impl<const K: usize> Quadric<K> {
         self.constant += weight * offset * offset;
     }
 
+    /// Add the squared distance to the wall that stands on the side a–b of a triangle, at a right angle to it; `weight`
+    /// is against the area of the square over the side.
+    #[inline]
+    pub fn add_wall(&mut self, weight: f64, [a, b, c]: [&Vec3; 3]) {
+        let along = sub(b, a);
+        let outwards = cross(&along, &cross(&along, &sub(c, a)));
+        let length = norm2(&outwards).sqrt();
+        if length > 0.0 {
+            let normal = outwards.map(|x| x / length);
+            self.add_plane(weight * norm2(&along), &normal, -dot(&normal, a));
+        }
+    }
+
     /// Multiply the error by a factor.
     pub fn scale(&mut self, factor: f64) {
         self.shape.iter_mut().for_each(|x| *x *= factor);

@@ -1,9 +1,8 @@
 //! How far a level and the input are apart, from samples of both.
 
-use super::half_edge::area;
 use super::level::Level;
 use super::surface::Surface;
-use crate::geometry::Vec3;
+use crate::geometry::{Vec3, area};
 use crate::parallel::fill;
 
 /// The larger of both directions.

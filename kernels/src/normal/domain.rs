@@ -4,7 +4,7 @@
 //! as a + b − c.
 
 use super::base::Base;
-use super::parameters::{Parameter, area};
+use super::parameters::{Parameter, barycentric};
 use super::surface::{Place, Surface};
 use super::topology::{NONE, Topology};
 
@@ -173,12 +173,7 @@ impl<'a> Domain<'a> {
                 self.surface.vertices(slot).map(|v| self.seen_from(&self.parameters[v as usize], t));
             let [Some(a), Some(b), Some(c)] = corners else { continue };
             let [a, b, c] = [a, b, c].map(|x| [x[1], x[2]]);
-            let whole = area(&a, &b, &c);
-            if whole <= 0.0 {
-                continue;
-            }
-            let (u, v) = (area(&at, &b, &c) / whole, area(&a, &at, &c) / whole);
-            let barycentric = [u, v, 1.0 - u - v];
+            let Some(barycentric) = barycentric(&at, [&a, &b, &c]) else { continue };
             let least = barycentric.iter().fold(f64::INFINITY, |least, &x| least.min(x));
             if best.is_none_or(|(most, ..)| least > most) {
                 best = Some((least, slot, barycentric));

@@ -7,10 +7,10 @@
 
 use super::associated::{Chains, TriangleSets};
 use super::parameters::Parameters;
-use super::surface::{Surface, unit};
+use super::surface::Surface;
 use super::unfold::soundness;
 use crate::engine::{Collapsed, Measure, Proposal};
-use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub};
+use crate::geometry::{Vec3, add_scaled, area, cross, distance2, dot, midpoint, norm2, sub, unit};
 use crate::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::legality::keeps_triangles;
 use crate::mesh::Mesh;
@@ -236,11 +236,6 @@ fn quality(a: &Vec3, b: &Vec3, c: &Vec3) -> f64 {
     if sides2 > 0.0 { 4.0 * 3f64.sqrt() * area([a, b, c]) / sides2 } else { 0.0 }
 }
 
-/// The area of a triangle.
-pub fn area([a, b, c]: [&Vec3; 3]) -> f64 {
-    0.5 * norm2(&cross(&sub(b, a), &sub(c, a))).sqrt()
-}
-
 /// Quadrics of the triangles around each vertex, and of walls on the boundary.
 fn quadrics(mesh: &Mesh<3>, importance: &[f64]) -> Vec<Quadric<0>> {
     let mut quadrics = vec![Quadric::default(); mesh.points.len()];
@@ -255,12 +250,9 @@ fn quadrics(mesh: &Mesh<3>, importance: &[f64]) -> Vec<Quadric<0>> {
                 continue;
             }
             let [a, b, c] = [0, 1, 2].map(|k| corners[(i + k) % 3]);
-            let [pa, pb, pc] = [a, b, c].map(|v| mesh.point(v));
-            let along = sub(pb, pa);
-            let outwards = unit(&cross(&along, &cross(&along, &sub(pc, pa))));
             for v in [a, b] {
-                let weight = BOUNDARY * importance * norm2(&along);
-                quadrics[v.index()].add_plane(weight, &outwards, -dot(&outwards, pa));
+                let points = [a, b, c].map(|v| mesh.point(v));
+                quadrics[v.index()].add_wall(BOUNDARY * importance, points);
             }
         }
     }

@@ -6,8 +6,7 @@
 //! much the quadrics there count more in the next one.
 
 use super::base::Base;
-use super::half_edge::area;
-use crate::geometry::Vec3;
+use crate::geometry::{Vec3, area};
 
 /// How much more or less a part may count after one trial.
 const MOST: f64 = 16.0;
@@ -16,9 +15,9 @@ const MOST: f64 = 16.0;
 const INSISTENCE: f64 = 100.0;
 
 /// Make the input count more on base triangles that could not be refined soundly.
-pub fn insist(importance: &mut [f64], triangles: &[[u32; 3]], base: &Base, faulty: &[u32]) {
+pub fn insist(importance: &mut [f64], triangles: &[[u32; 3]], base: &Base, faulty: &[usize]) {
     let mut is_faulty = vec![false; base.triangles.len()];
-    faulty.iter().for_each(|&t| is_faulty[t as usize] = true);
+    faulty.iter().for_each(|&t| is_faulty[t] = true);
     let of = |v: u32| base.parameters[v as usize].triangle as usize;
     for (weight, t) in importance.iter_mut().zip(triangles) {
         if t.iter().any(|&v| is_faulty.get(of(v)).copied().unwrap_or(false)) {

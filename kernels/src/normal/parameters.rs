@@ -8,10 +8,13 @@
 use std::f64::consts::PI;
 
 use crate::geometry::{Vec3, dot, norm2, sub};
-use crate::ids::VertexId;
 use crate::star::Star;
 
 const NONE: u32 = u32::MAX;
+/// Least part of its turn that a triangle keeps in the plane, in radians.
+const LEAST_ANGLE: f64 = 1e-3;
+/// Least height of a triangle in the plane in lengths of its longest side.
+const LEAST_FLATNESS: f64 = 1e-3;
 
 type Point = [f64; 2];
 
@@ -106,7 +109,7 @@ impl Parameters {
             let mut best = (f64::NEG_INFINITY, NONE, [0.0; 3]);
             for triangle in wings() {
                 let corners = self.corners[triangle].map(|v| place(v, &scratch.ring, &scratch.flat));
-                let barycentric = barycentric(&at, &corners);
+                let Some(barycentric) = barycentric(&at, corners.each_ref()) else { continue };
                 let least = barycentric.iter().fold(f64::INFINITY, |least, &x| least.min(x));
                 if least > best.0 {
                     best = (least, triangle as u32, barycentric);
@@ -161,43 +164,26 @@ impl Scratch {
     /// survivor would not see all of them then, on a circle.
     fn lay_out(&mut self, star: &Star<3>, removed: usize) {
         let origin = &star.end_points[removed];
-        let other = 1 - removed;
-        let survivor = (star.ends[other], star.end_points[other]);
+        let survivor = (star.ends[1 - removed].0, star.end_points[1 - removed]);
         self.ring.clear();
-        // The triangle on the left of the edge, seen from the end that goes, starts the turn.
-        let left = removed;
-        let on_left = star.vanishing.len() == 2 || removed == 0;
         let wings = || star.wings.iter().filter(|w| w.end == removed);
-        let mut at: VertexId;
-        if on_left {
-            let (_, apex, point) = star.vanishing[if star.vanishing.len() == 2 { left } else { 0 }];
-            self.ring.extend([(survivor.0.0, survivor.1), (apex.0, point)]);
-            at = apex;
-        } else {
-            // On a boundary, with the only triangle on the right: from the far end to the survivor.
-            let starts = |v: VertexId| wings().all(|w| w.to != v);
-            let first = wings().find(|w| starts(w.from));
-            let Some(first) = first else {
-                let (_, apex, point) = star.vanishing[0];
-                self.ring.extend([(apex.0, point), (survivor.0.0, survivor.1)]);
-                self.flatten(origin, false, 1);
-                return;
-            };
-            self.ring.push((first.from.0, first.from_point));
-            at = first.from;
-        }
-        while let Some(wing) = wings().find(|w| w.from == at) {
-            if self.ring.iter().any(|(v, _)| *v == wing.to.0) {
-                break;
-            }
-            self.ring.push((wing.to.0, wing.to_point));
-            at = wing.to;
-        }
         let closed = star.vanishing.len() == 2;
-        let mut survivor_at = 0;
-        if !on_left {
-            survivor_at = self.ring.len();
-            self.ring.push((survivor.0.0, survivor.1));
+        // A boundary edge has its triangle on the left, seen from its first end.
+        let survivor_first = closed || removed == 0;
+        if survivor_first {
+            let (_, apex, point) = star.vanishing[if closed { removed } else { 0 }];
+            self.ring.extend([survivor, (apex.0, point)]);
+        } else {
+            // The far end of the boundary: where a wing starts, and none ends.
+            let start = wings().find(|w| wings().all(|other| other.to != w.from));
+            self.ring.extend(start.map(|w| (w.from.0, w.from_point)));
+        }
+        while let Some(wing) = wings().find(|w| self.ring.last().is_some_and(|(v, _)| *v == w.from.0)) {
+            self.ring.push((wing.to.0, wing.to_point));
+        }
+        let survivor_at = if survivor_first { 0 } else { self.ring.len() };
+        if !survivor_first {
+            self.ring.push(survivor);
         }
         self.flatten(origin, closed, survivor_at);
     }
@@ -209,8 +195,8 @@ impl Scratch {
         let angle = |i: usize| {
             let (a, b) = (&spokes[i], &spokes[(i + 1) % count]);
             let lengths = (norm2(a) * norm2(b)).sqrt();
-            // Never nothing: every triangle keeps a part of the turn.
-            if lengths > 0.0 { (dot(a, b) / lengths).clamp(-1.0, 1.0).acos().max(1e-3) } else { 1e-3 }
+            let angle = if lengths > 0.0 { (dot(a, b) / lengths).clamp(-1.0, 1.0).acos() } else { 0.0 };
+            angle.max(LEAST_ANGLE)
         };
         let angles: Vec<f64> = (0..gaps).map(angle).collect();
         let total: f64 = angles.iter().sum();
@@ -226,10 +212,8 @@ impl Scratch {
         let s = self.flat[survivor];
         let seen = (0..gaps).all(|i| {
             let j = (i + 1) % count;
-            i == survivor
-                || j == survivor
-                || area(&s, &self.flat[i], &self.flat[j])
-                    > 1e-3 * area_scale(&s, &self.flat[i], &self.flat[j])
+            let corners = [&s, &self.flat[i], &self.flat[j]];
+            i == survivor || j == survivor || area(corners) > LEAST_FLATNESS * longest2(corners)
         });
         if !seen {
             self.flat = directions;
@@ -237,22 +221,20 @@ impl Scratch {
     }
 }
 
-fn area_scale(a: &Point, b: &Point, c: &Point) -> f64 {
-    let d = |p: &Point, q: &Point| (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
-    d(a, b).max(d(b, c)).max(d(c, a))
+/// The longest side of a triangle of the plane, squared.
+fn longest2([a, b, c]: [&Point; 3]) -> f64 {
+    let distance2 = |p: &Point, q: &Point| (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2);
+    distance2(a, b).max(distance2(b, c)).max(distance2(c, a))
 }
 
-/// Twice the area of a triangle, positive if it turns to the left.
-pub fn area(a: &Point, b: &Point, c: &Point) -> f64 {
+/// Twice the area of a triangle of the plane, positive if it turns to the left.
+pub fn area([a, b, c]: [&Point; 3]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// Barycentric coordinates in a triangle of the plane; far outside of one without area.
-pub fn barycentric(p: &Point, [a, b, c]: &[Point; 3]) -> [f64; 3] {
-    let whole = area(a, b, c);
-    if whole <= 0.0 {
-        return [-1e30; 3];
-    }
-    let (u, v) = (area(p, b, c) / whole, area(a, p, c) / whole);
-    [u, v, 1.0 - u - v]
+/// Barycentric coordinates in a triangle of the plane; none in one without area.
+pub fn barycentric(p: &Point, [a, b, c]: [&Point; 3]) -> Option<[f64; 3]> {
+    let whole = area([a, b, c]);
+    let (u, v) = (area([p, b, c]) / whole, area([a, p, c]) / whole);
+    (whole > 0.0).then_some([u, v, 1.0 - u - v])
 }

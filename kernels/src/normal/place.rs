@@ -8,17 +8,19 @@
 use super::associated::Sets;
 use super::domain::Domain;
 use super::grid::Steps;
+use super::level::Level;
 use super::parameters::Parameter;
 use super::predict::Predicted;
 use super::rim::{Rims, Span};
 use super::surface::{Place, Surface};
-use super::topology::{NONE, Topology};
-use crate::geometry::{Vec3, norm2, sub};
+use super::topology::NONE;
+use crate::geometry::{Vec3, distance2};
 use crate::parallel::fill;
 use crate::snm::contents::Offset;
 
-/// How far a line may reach, in lengths of the edge that is split.
+/// How far a line may reach, in lengths of the edge that is split, and how far a nearest point may be.
 const REACH: f64 = 1.0;
+const NEAR: f64 = 2.0;
 /// How far from where it is expected on the base a line may pierce, in lengths of the edge there.
 const ASTRAY: f64 = 1.5;
 /// Least cosine between a line and the normal of a triangle it pierces.
@@ -33,27 +35,16 @@ pub struct Original<'a> {
     pub threads: usize,
 }
 
-/// A level as it is placed: points as the decoder will have them, and where on the surface they lie.
+/// The part of a chain that each boundary edge stands for, by the ends of the edge, sorted.
+pub type Rim = Vec<([u32; 2], Span)>;
+
+/// Where on the input the vertices of a level lie.
 #[derive(Clone, Debug)]
 pub struct Placed {
-    pub points: Vec<Vec3>,
     pub places: Vec<Place>,
-    /// Where on the base they lie.
+    /// The same on the base.
     pub parameters: Vec<Parameter>,
-    /// Boundary edges by their ends, sorted.
-    pub rim: Vec<([u32; 2], Span)>,
-}
-
-/// Where a new vertex is expected on the base, and how far apart the ends of its edge are there.
-#[derive(Clone, Copy, Debug)]
-pub struct Expected {
-    pub triangle: u32,
-    pub barycentric: [f64; 3],
-    pub length: f64,
-}
-
-fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f64::max)
+    pub rim: Rim,
 }
 
 /// A new vertex.
@@ -64,31 +55,40 @@ pub struct Found {
     pub place: Place,
 }
 
-impl Original<'_> {
-    /// The sets that count for a new vertex on an edge of level `level`.
-    fn is_associated(&self, topology: &Topology, level: usize, edge: usize, slot: u32) -> bool {
-        topology.edge_triangles[edge]
-            .iter()
-            .any(|&t| t != NONE && self.sets.holds(t as usize >> (2 * level), slot))
-    }
+/// The search for the new vertices of one level; they go by the edges of the level before.
+pub struct Search<'a> {
+    pub original: &'a Original<'a>,
+    /// The level before, as the decoder will have it, and its number.
+    pub level: &'a Level,
+    pub number: usize,
+    pub placed: &'a Placed,
+    pub predicted: &'a Predicted,
+    pub steps: &'a Steps,
+}
 
-    /// Offsets for the new vertices of one level, and the boundary of the next.
-    pub fn refine(
-        &self,
-        topology: &Topology,
-        level: usize,
-        coarse: &Placed,
-        predicted: &Predicted,
-        steps: &Steps,
-    ) -> (Vec<Found>, Vec<([u32; 2], Span)>) {
-        let n = topology.vertices as u32;
-        let mut rim = Vec::with_capacity(2 * coarse.rim.len());
+/// Where a new vertex is expected on the base, and how far apart the ends of its edge are there.
+#[derive(Clone, Copy, Debug)]
+struct Expected {
+    triangle: u32,
+    barycentric: [f64; 3],
+    length: f64,
+}
+
+fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f64::max)
+}
+
+impl Search<'_> {
+    /// All new vertices, and the boundary they make.
+    pub fn refine(&self) -> (Vec<Found>, Rim) {
+        let topology = &self.level.topology;
+        let mut rim = Vec::with_capacity(2 * self.placed.rim.len());
         let mut on_rim = vec![];
         for (edge, ends) in topology.edges.iter().enumerate().filter(|(e, _)| topology.is_boundary_edge(*e)) {
-            let Ok(known) = coarse.rim.binary_search_by_key(ends, |(ends, _)| *ends) else { continue };
-            let span = coarse.rim[known].1;
-            let (at, place) = self.rims.nearest(&span, &predicted.points[edge]);
-            let middle = n + edge as u32;
+            let Ok(known) = self.placed.rim.binary_search_by_key(ends, |(ends, _)| *ends) else { continue };
+            let span = self.placed.rim[known].1;
+            let (at, place) = self.original.rims.nearest(&span, &self.predicted.points[edge]);
+            let middle = (topology.vertices + edge) as u32;
             rim.push(([ends[0], middle], Span { to: at, ..span }));
             rim.push(([middle, ends[1]], Span { from: at, ..span }));
             on_rim.push((edge, place));
@@ -96,140 +96,122 @@ impl Original<'_> {
         rim.sort_unstable_by_key(|(ends, _)| *ends);
 
         let nowhere = Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] };
-        let mut found =
-            vec![Found { offset: Offset::Scalar(0), point: [0.0; 3], place: nowhere }; topology.edges.len()];
-        fill(&mut found, self.threads, |edge| self.inside(topology, level, coarse, predicted, steps, edge));
+        let nothing = Found { offset: Offset::Scalar(0), point: [0.0; 3], place: nowhere };
+        let mut found = vec![nothing; topology.edges.len()];
+        fill(&mut found, self.original.threads, |edge| {
+            if topology.is_boundary_edge(edge) { nothing } else { self.inside(edge) }
+        });
         for (edge, place) in on_rim {
-            found[edge] = vector_to(place, predicted, steps, edge, true);
+            found[edge] = self.vector(edge, place);
         }
         (found, rim)
     }
 
-    fn inside(
-        &self,
-        topology: &Topology,
-        level: usize,
-        coarse: &Placed,
-        predicted: &Predicted,
-        steps: &Steps,
-        edge: usize,
-    ) -> Found {
-        let (relaxed, unrelaxed) = (&predicted.points[edge], &predicted.unrelaxed[edge]);
-        let along = |from: &Vec3, kind: fn(i32) -> Offset| {
-            self.scalar(topology, level, coarse, predicted, steps, edge, from, kind)
-        };
-        let scalar = along(relaxed, Offset::Scalar);
-        let scalar =
-            scalar.or_else(|| (relaxed != unrelaxed).then(|| along(unrelaxed, Offset::Unrelaxed))?);
-        scalar.unwrap_or_else(|| {
-            let place = self.expected_place(topology, level, coarse, edge).unwrap_or_else(|| {
-                let normal = &predicted.frames[edge][0];
-                self.nearest(topology, level, coarse, edge, relaxed, normal)
-            });
-            vector_to(place, predicted, steps, edge, false)
+    fn inside(&self, edge: usize) -> Found {
+        self.scalar(edge).or_else(|| self.unrelaxed(edge)).unwrap_or_else(|| {
+            let from = &self.predicted.points[edge];
+            let place = self.expected_place(edge);
+            self.vector(
+                edge,
+                place.unwrap_or_else(|| self.nearest(edge, from, &self.predicted.frames[edge][0])),
+            )
         })
     }
 
+    /// The vertex of an edge on the line through where it was predicted.
+    fn scalar(&self, edge: usize) -> Option<Found> {
+        self.along(edge, &self.predicted.points[edge], Offset::Scalar)
+    }
+
+    /// The same from before relaxation, if that is another point.
+    pub fn unrelaxed(&self, edge: usize) -> Option<Found> {
+        let from = &self.predicted.unrelaxed[edge];
+        if self.predicted.points[edge] == *from { None } else { self.along(edge, from, Offset::Unrelaxed) }
+    }
+
     /// The vertex of an edge on the line through `from`, if it pierces the surface near where it is expected.
-    #[allow(clippy::too_many_arguments)]
-    pub fn scalar(
-        &self,
-        topology: &Topology,
-        level: usize,
-        coarse: &Placed,
-        predicted: &Predicted,
-        steps: &Steps,
-        edge: usize,
-        from: &Vec3,
-        kind: impl Fn(i32) -> Offset,
-    ) -> Option<Found> {
-        let [a, b] = topology.edges[edge].map(|v| coarse.points[v as usize]);
-        let reach = REACH * norm2(&sub(&b, &a)).sqrt();
-        let expected = self.expected(topology, level, coarse, edge);
+    fn along(&self, edge: usize, from: &Vec3, kind: fn(i32) -> Offset) -> Option<Found> {
+        let reach = REACH * self.length(edge);
+        let expected = self.expected(edge);
         let accept = |slot: u32, barycentric: &[f64; 3]| {
-            self.is_associated(topology, level, edge, slot)
+            self.is_associated(edge, slot)
                 && expected.is_none_or(|expected| {
-                    self.domain
-                        .parameter(slot, barycentric, expected.triangle)
-                        .is_none_or(|at| apart(&at, &expected.barycentric) <= ASTRAY * expected.length)
+                    let at = self.original.domain.parameter(slot, barycentric, expected.triangle);
+                    at.is_none_or(|at| apart(&at, &expected.barycentric) <= ASTRAY * expected.length)
                 })
         };
-        let (distance, place) =
-            self.surface.pierced(from, &predicted.frames[edge][0], reach, LEAST_COSINE, accept)?;
-        let offset = kind(steps.scalar(distance));
-        Some(Found { offset, point: steps.apply(predicted, edge, &offset), place })
+        let normal = &self.predicted.frames[edge][0];
+        let (distance, place) = self.original.surface.pierced(from, normal, reach, LEAST_COSINE, accept)?;
+        let offset = kind(self.steps.scalar(distance));
+        Some(Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place })
+    }
+
+    /// The vertex of an edge at a place that no scalar leads to.
+    pub fn vector(&self, edge: usize, place: Place) -> Found {
+        let (point, frame) = (&self.predicted.points[edge], &self.predicted.frames[edge]);
+        let offset = match self.steps.vector(point, frame, &place.point) {
+            // Nothing to correct: a scalar says so in less. Only vectors are known on the boundary.
+            Offset::Vector([0, 0, 0]) if !self.level.topology.is_boundary_edge(edge) => Offset::Scalar(0),
+            offset => offset,
+        };
+        Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place }
     }
 
     /// The place of the surface where the vertex of an edge is expected.
-    pub fn expected_place(
-        &self,
-        topology: &Topology,
-        level: usize,
-        coarse: &Placed,
-        edge: usize,
-    ) -> Option<Place> {
-        let expected = self.expected(topology, level, coarse, edge)?;
-        self.domain.located(&self.domain.settled(expected.triangle, expected.barycentric))
+    pub fn expected_place(&self, edge: usize) -> Option<Place> {
+        let expected = self.expected(edge)?;
+        let domain = self.original.domain;
+        domain.located(&domain.settled(expected.triangle, expected.barycentric))
     }
 
     /// Half-way between the ends of an edge on the base, seen from the base triangle of the edge.
-    pub fn expected(
-        &self,
-        topology: &Topology,
-        level: usize,
-        coarse: &Placed,
-        edge: usize,
-    ) -> Option<Expected> {
-        let triangle = topology.edge_triangles[edge][0] >> (2 * level);
-        let [a, b] =
-            topology.edges[edge].map(|v| self.domain.seen_from(&coarse.parameters[v as usize], triangle));
+    fn expected(&self, edge: usize) -> Option<Expected> {
+        let triangle = self.base_triangle(edge);
+        let [a, b] = self.level.topology.edges[edge]
+            .map(|v| self.original.domain.seen_from(&self.placed.parameters[v as usize], triangle));
         let (a, b) = (a?, b?);
         let barycentric = [0, 1, 2].map(|i| 0.5 * (a[i] + b[i]));
         Some(Expected { triangle, barycentric, length: apart(&a, &b) })
     }
 
     /// Where a place lies on the base, for the vertex of an edge.
-    pub fn parameter_of(&self, topology: &Topology, level: usize, edge: usize, place: &Place) -> Parameter {
-        let triangle = topology.edge_triangles[edge][0] >> (2 * level);
-        match self.domain.parameter(place.slot, &place.barycentric, triangle) {
-            Some(barycentric) => self.domain.settled(triangle, barycentric),
-            None => Parameter::NOWHERE,
-        }
+    pub fn parameter(&self, edge: usize, place: &Place) -> Parameter {
+        let (domain, triangle) = (self.original.domain, self.base_triangle(edge));
+        let at = domain.parameter(place.slot, &place.barycentric, triangle);
+        at.map_or(Parameter::NOWHERE, |at| domain.settled(triangle, at))
     }
 
     /// The nearest place of the associated sets that looks along `normal`, or else any way.
-    pub fn nearest(
-        &self,
-        topology: &Topology,
-        level: usize,
-        coarse: &Placed,
-        edge: usize,
-        p: &Vec3,
-        normal: &Vec3,
-    ) -> Place {
-        let set = |slot| self.is_associated(topology, level, edge, slot);
-        let [a, b] = topology.edges[edge].map(|v| coarse.points[v as usize]);
-        let reach = 2.0 * norm2(&sub(&b, &a)).sqrt();
-        let found = self.surface.nearest(p, normal, reach, LEAST_COSINE, set);
-        let found = found.or_else(|| self.surface.nearest(p, normal, f64::INFINITY, f64::NEG_INFINITY, set));
-        // A set is never empty.
-        found.map_or(Place { slot: 0, barycentric: [1.0, 0.0, 0.0], point: *p }, |(_, place)| place)
+    pub fn nearest(&self, edge: usize, p: &Vec3, normal: &Vec3) -> Place {
+        let surface = self.original.surface;
+        let reach = NEAR * self.length(edge);
+        let set = |slot| self.is_associated(edge, slot);
+        let found = surface.nearest(p, normal, reach, LEAST_COSINE, set);
+        found.unwrap_or_else(|| {
+            let all = self.base_triangles(edge).flat_map(|t| self.original.sets.of(t)).copied();
+            surface.nearest_among(p, all)
+        })
     }
-}
 
-/// The vertex of an edge at a place that no scalar leads to.
-pub fn vector_to(
-    place: Place,
-    predicted: &Predicted,
-    steps: &Steps,
-    edge: usize,
-    on_boundary: bool,
-) -> Found {
-    let (point, frame) = (&predicted.points[edge], &predicted.frames[edge]);
-    let offset = match steps.vector(point, frame, &place.point) {
-        // Nothing to correct: a scalar says so in less.
-        Offset::Vector([0, 0, 0]) if !on_boundary => Offset::Scalar(0),
-        offset => offset,
-    };
-    Found { offset, point: steps.apply(predicted, edge, &offset), place }
+    /// The base triangles beside an edge, one or two.
+    fn base_triangles(&self, edge: usize) -> impl Iterator<Item = usize> {
+        let beside = self.level.topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE);
+        beside.map(|t| t as usize >> (2 * self.number))
+    }
+
+    /// The first of them.
+    fn base_triangle(&self, edge: usize) -> u32 {
+        self.level.topology.edge_triangles[edge][0] >> (2 * self.number)
+    }
+
+    /// Whether a triangle of the input is in the sets that count for an edge.
+    fn is_associated(&self, edge: usize, slot: u32) -> bool {
+        self.base_triangles(edge).any(|t| self.original.sets.holds(t, slot))
+    }
+
+    /// Of an edge.
+    fn length(&self, edge: usize) -> f64 {
+        let [a, b] = self.level.topology.edges[edge].map(|v| &self.level.points[v as usize]);
+        distance2(a, b).sqrt()
+    }
 }

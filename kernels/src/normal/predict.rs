@@ -3,9 +3,9 @@
 //! Nothing here may differ from one machine to another: additions, multiplications, divisions and square roots only,
 //! in a fixed order.
 
-use super::surface::{unit, vertex_normals};
+use super::surface::vertex_normals;
 use super::topology::{NONE, Topology};
-use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub};
+use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
 use crate::snm::contents::Scheme;
 
 /// How much of a turn of the Laplacian is taken, and the farthest it may take a vertex, in lengths of its edge.
@@ -40,8 +40,11 @@ pub fn predict(topology: &Topology, points: &[Vec3], scheme: Scheme, relaxations
         .map(|(edge, ends)| frame(topology, points, &normals, edge, ends))
         .collect();
     let unrelaxed = predicted.clone();
-    for _ in 0..relaxations {
-        relax(topology, points, &frames, &mut predicted);
+    if relaxations > 0 {
+        let creases = creases(topology, points);
+        for _ in 0..relaxations {
+            predicted = relaxed(topology, points, &frames, &creases, &predicted);
+        }
     }
     Predicted { points: predicted, unrelaxed, frames }
 }
@@ -78,27 +81,36 @@ fn frame(topology: &Topology, points: &[Vec3], normals: &[Vec3], edge: usize, en
     [normal, tangent, cross(&normal, &tangent)]
 }
 
-/// Whether the triangles beside an inner edge meet at an angle.
-fn is_crease(topology: &Topology, points: &[Vec3], edge: usize) -> bool {
-    let [n, m] = topology.edge_triangles[edge].map(|t| {
-        let [a, b, c] = topology.triangles[t as usize].map(|v| points[v as usize]);
+/// For each edge whether the triangles beside it meet at an angle.
+fn creases(topology: &Topology, points: &[Vec3]) -> Vec<bool> {
+    let of_triangle = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|v| points[v as usize]);
         cross(&sub(&b, &a), &sub(&c, &a))
-    });
-    dot(&n, &m) < CREASE * (norm2(&n) * norm2(&m)).sqrt()
+    };
+    let normals: Vec<Vec3> = topology.triangles.iter().map(of_triangle).collect();
+    let meet = |&[t, u]: &[u32; 2]| {
+        let (n, Some(m)) = (&normals[t as usize], normals.get(u as usize)) else { return false };
+        dot(n, m) < CREASE * (norm2(n) * norm2(m)).sqrt()
+    };
+    topology.edge_triangles.iter().map(meet).collect()
 }
 
-/// One turn of the tangential part of the umbrella Laplacian, equations (2) to (4), on the new vertices that are not
-/// on the boundary. On a crease, along it only: it would be cut off.
-fn relax(topology: &Topology, points: &[Vec3], frames: &[Frame], middles: &mut Vec<Vec3>) {
-    let moved = (0..middles.len()).map(|edge| {
+/// The new vertices after one turn of the tangential part of the umbrella Laplacian, equations (2) to (4); those on the
+/// boundary stay. On a crease, along it only: it would be cut off.
+fn relaxed(
+    topology: &Topology,
+    points: &[Vec3],
+    frames: &[Frame],
+    creases: &[bool],
+    middles: &[Vec3],
+) -> Vec<Vec3> {
+    let moved = |edge: usize| {
         let here = &middles[edge];
         if topology.is_boundary_edge(edge) {
             return *here;
         }
-        let mut sum = [0.0; 3];
-        for v in topology.edges[edge] {
-            sum = add_scaled(&sum, 1.0, &sub(&points[v as usize], here));
-        }
+        let [a, b] = topology.edges[edge].map(|v| &points[v as usize]);
+        let mut sum = add_scaled(&sub(a, here), 1.0, &sub(b, here));
         for t in topology.edge_triangles[edge] {
             for other in topology.triangle_edges[t as usize] {
                 if other as usize != edge {
@@ -108,21 +120,17 @@ fn relax(topology: &Topology, points: &[Vec3], frames: &[Frame], middles: &mut V
         }
         let laplacian = sum.map(|x| x / 6.0);
         let [normal, ..] = &frames[edge];
-        let tangential = if is_crease(topology, points, edge) {
-            let along = unit(&sub(
-                &points[topology.edges[edge][1] as usize],
-                &points[topology.edges[edge][0] as usize],
-            ));
+        let tangential = if creases[edge] {
+            let along = unit(&sub(b, a));
             along.map(|x| x * dot(&laplacian, &along))
         } else {
             add_scaled(&laplacian, -dot(&laplacian, normal), normal)
         };
         // A vertex that left the middle of a long edge for that of its neighbours would crowd the ends of others.
-        let [a, b] = topology.edges[edge].map(|v| points[v as usize]);
-        let most2 = FARTHEST * FARTHEST * distance2(&a, &b);
+        let most2 = FARTHEST * FARTHEST * distance2(a, b);
         let length2 = norm2(&tangential);
         let share = if length2 > most2 { (most2 / length2).sqrt() } else { 1.0 };
         add_scaled(here, share * DAMPING, &tangential)
-    });
-    *middles = moved.collect();
+    };
+    (0..middles.len()).map(moved).collect()
 }

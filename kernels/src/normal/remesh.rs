@@ -7,7 +7,7 @@ use super::domain::Domain;
 use super::grid::{ROUNDED_OFF, Steps, on_grid};
 use super::importance::{insist, weigh};
 use super::level::Level;
-use super::place::{Found, Original, Placed};
+use super::place::{Found, Original, Placed, Search};
 use super::predict::Predicted;
 use super::rim::Rims;
 use super::surface::{Place, Surface};
@@ -90,6 +90,8 @@ struct Input<'a> {
     carried: &'a Carried,
     surface: Surface,
     slots: Vec<u32>,
+    /// A place for each vertex: a corner of any triangle that has it.
+    places: Vec<Place>,
 }
 
 /// Make the normal mesh of a mesh and what its vertices carry.
@@ -116,7 +118,8 @@ pub fn remesh(
     let slots = surface.slots();
     let source = mesh.triangle_source.clone();
     let mesh = Mesh { triangle_source: (0..proper.len() as u32).collect(), ..mesh };
-    let input = Input { points, triangles: &proper, carried, surface, slots };
+    let places = at_vertices(points.len(), &surface);
+    let input = Input { points, triangles: &proper, carried, surface, slots, places };
 
     let mut importance = vec![1.0; proper.len()];
     let mut best: Option<(Rank, NormalMesh)> = None;
@@ -124,7 +127,10 @@ pub fn remesh(
         if trial >= TRIALS && best.as_ref().is_some_and(|(rank, _)| !rank.0) {
             break;
         }
-        progress.tell(trial.min(TRIALS), TRIALS)?;
+        // In levels, the base among them.
+        let each = u64::from(settings.levels) + 1;
+        let progress = &mut progress.part(trial * each, (TRIALS + MENDS) * each);
+        progress.tell(0, each)?;
         let base =
             base::base(mesh.clone(), &input.surface, &importance, settings.target, &input.slots, progress)?;
         let base = in_order(base, &input, &header)?;
@@ -187,8 +193,8 @@ fn in_order(base: Base, input: &Input<'_>, header: &Header) -> Result<Ordered, K
     let channels = if header.channels == 0 {
         vec![]
     } else {
-        let places = at_vertices(&base.vertex_source, &input.surface);
-        let channels = places.iter().map(|place| input.carried.at(&input.surface, place));
+        let places = base.vertex_source.iter().map(|&v| &input.places[v as usize]);
+        let channels = places.map(|place| input.carried.at(&input.surface, place));
         channels.map(|c| in_units(&c, &[0.0; 4], header)).collect()
     };
     let contents = contents::Base { positions, triangles: base.triangles.clone(), channels };
@@ -211,8 +217,8 @@ fn levels_of(
     header: Header,
     settings: &Settings,
     progress: &mut Progress,
-) -> Result<(NormalMesh, Distance, Vec<u32>), KernelError> {
-    let Input { points, triangles, carried, surface, slots } = input;
+) -> Result<(NormalMesh, Distance, Vec<usize>), KernelError> {
+    let Input { points, triangles, carried, surface, slots, places } = input;
     let Ordered { base, contents } = ordered;
     let first = Level::base(&header, contents)?;
     let rims = Rims::new(&base.chains, |t| triangles[t].map(|v| points[v as usize]), slots);
@@ -223,8 +229,7 @@ fn levels_of(
         base.chains.iter().enumerate().map(|(i, chain)| (chain.ends, rims.whole(i as u32))).collect();
     rim.sort_unstable_by_key(|(ends, _)| *ends);
     let mut placed = Placed {
-        points: first.points.clone(),
-        places: at_vertices(&base.vertex_source, surface),
+        places: base.vertex_source.iter().map(|&v| places[v as usize]).collect(),
         parameters: base.vertex_source.iter().map(|&v| base.parameters[v as usize]).collect(),
         rim,
     };
@@ -243,23 +248,29 @@ fn levels_of(
                 break;
             }
         }
-        progress.check()?;
+        progress.tell(levels.len() as u64, u64::from(settings.levels) + 1)?;
         let (predicted, step) = (level.predicted(&header), Steps::of(&header, number));
-        let (mut found, rim) = original.refine(&level.topology, number, &placed, &predicted, &step);
-        unsound = unfold(&original, &level.topology, number, &placed, &predicted, &step, &mut found);
+        let search = Search {
+            original: &original,
+            level,
+            number,
+            placed: &placed,
+            predicted: &predicted,
+            steps: &step,
+        };
+        let (mut found, rim) = search.refine();
+        unsound = unfold(&search, &mut found);
         faulty.extend(unsound.iter().map(|t| t >> (2 * number)));
+        let parameters: Vec<_> =
+            found.iter().enumerate().map(|(edge, f)| search.parameter(edge, &f.place)).collect();
+        placed.parameters.extend(parameters);
+        placed.places.extend(found.iter().map(|f| f.place));
+        placed.rim = rim;
         let refinement = Refinement {
             offsets: found.iter().map(|f| f.offset).collect(),
             channels: channels_of(&found, level, carried, surface, &header),
         };
         let next = level.refined(&header, &step, &predicted, &refinement);
-        let places = found.iter().enumerate();
-        let parameters =
-            places.map(|(edge, f)| original.parameter_of(&level.topology, number, edge, &f.place));
-        placed.parameters.extend(parameters);
-        placed.places.extend(found.iter().map(|f| f.place));
-        placed.points.clone_from(&next.points);
-        placed.rim = rim;
         steps.push(Step { predicted, refinement });
         levels.push(next);
     }
@@ -315,22 +326,15 @@ fn written(
     Ok((writer.finish(), ends))
 }
 
-/// Input vertices as places: a corner of any triangle that has them.
-fn at_vertices(sources: &[u32], surface: &Surface) -> Vec<Place> {
-    let most = sources.iter().map(|&v| v as usize + 1).max().unwrap_or(0);
-    let mut corner = vec![None; most];
-    for slot in 0..surface.len() as u32 {
+/// Vertices of the input as places; those that no triangle has mean nothing.
+fn at_vertices(count: usize, surface: &Surface) -> Vec<Place> {
+    let mut places = vec![Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] }; count];
+    for slot in (0..surface.len() as u32).rev() {
         for (i, v) in surface.vertices(slot).into_iter().enumerate() {
-            if let Some(known) = corner.get_mut(v as usize) {
-                known.get_or_insert((slot, i));
-            }
+            let mut barycentric = [0.0; 3];
+            barycentric[i] = 1.0;
+            places[v as usize] = surface.place(slot, barycentric);
         }
     }
-    let place = |&v: &u32| {
-        let (slot, i) = corner[v as usize].unwrap_or((0, 0));
-        let mut barycentric = [0.0; 3];
-        barycentric[i] = 1.0;
-        surface.place(slot, barycentric)
-    };
-    sources.iter().map(place).collect()
+    places
 }

@@ -1,7 +1,9 @@
 //! The surface that is remeshed: where a line pierces it, and what is nearest.
 
 use crate::bvh::Bvh;
-use crate::geometry::{Vec3, add_scaled, around, cross, dot, nearest_on_triangle, norm2, sub};
+use crate::geometry::{
+    Vec3, add_scaled, around, cross, dot, nearest_on_triangle, norm2, sub, triangle_distance2, unit,
+};
 
 /// How far outside a triangle, in barycentric coordinates, a line still pierces it: it may not slip through between two.
 const SLACK: f64 = 1e-9;
@@ -124,11 +126,10 @@ impl Surface {
         reach: f64,
         least_cosine: f64,
         set: impl Fn(u32) -> bool,
-    ) -> Option<(f64, Place)> {
+    ) -> Option<Place> {
         let least = std::cell::Cell::new(reach * reach);
-        let (slot, d2) = self.tree.nearest(p, (u32::MAX, reach * reach), |slot| {
-            let [a, b, c] = &self.corners[slot as usize];
-            let (_, d2) = nearest_on_triangle(p, [a, b, c]);
+        let (slot, _) = self.tree.nearest(p, (u32::MAX, reach * reach), |slot| {
+            let (_, d2) = nearest_on_triangle(p, self.corners[slot as usize].each_ref());
             // Sets are searched last: most triangles are too far anyway.
             if d2 >= least.get() || !self.faces(slot, n, least_cosine) || !set(slot) {
                 return f64::INFINITY;
@@ -136,19 +137,26 @@ impl Surface {
             least.set(d2);
             d2
         });
-        (slot != u32::MAX).then(|| {
-            let [a, b, c] = &self.corners[slot as usize];
-            let (barycentric, _) = nearest_on_triangle(p, [a, b, c]);
-            (d2.sqrt(), self.place(slot, barycentric))
-        })
+        let found = Some(slot).filter(|&slot| slot != u32::MAX)?;
+        let (barycentric, _) = nearest_on_triangle(p, self.corners[found as usize].each_ref());
+        Some(self.place(found, barycentric))
+    }
+
+    /// The place nearest to `p` on some triangles, of which there is at least one.
+    pub fn nearest_among(&self, p: &Vec3, slots: impl Iterator<Item = u32>) -> Place {
+        let mut best = (f64::INFINITY, 0, [1.0, 0.0, 0.0]);
+        for slot in slots {
+            let (barycentric, d2) = nearest_on_triangle(p, self.corners[slot as usize].each_ref());
+            if d2 < best.0 {
+                best = (d2, slot, barycentric);
+            }
+        }
+        self.place(best.1, best.2)
     }
 
     /// Squared distance to the nearest triangle of all.
     pub fn distance2(&self, p: &Vec3) -> f64 {
-        let to = |slot: u32| {
-            let [a, b, c] = &self.corners[slot as usize];
-            crate::geometry::triangle_distance2(p, [a, b, c])
-        };
+        let to = |slot: u32| triangle_distance2(p, self.corners[slot as usize].each_ref());
         self.tree.nearest(p, (0, f64::INFINITY), to).1
     }
 }
@@ -193,11 +201,4 @@ pub fn vertex_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     }
     normals.iter_mut().for_each(|n| *n = unit(n));
     normals
-}
-
-/// The vector with length 1; zero stays zero.
-#[inline]
-pub fn unit(v: &Vec3) -> Vec3 {
-    let length = norm2(v).sqrt();
-    if length > 0.0 { v.map(|x| x / length) } else { [0.0; 3] }
 }

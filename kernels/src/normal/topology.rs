@@ -79,14 +79,16 @@ impl Topology {
         })
     }
 
+    /// The children of a triangle.
+    pub fn children(&self, t: usize) -> [[u32; 3]; 4] {
+        let [a, b, c] = self.triangles[t];
+        let [ab, bc, ca] = self.triangle_edges[t].map(|e| self.vertices as u32 + e);
+        [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+    }
+
     /// One level finer.
     pub fn subdivided(&self) -> Self {
-        let n = self.vertices as u32;
-        let mut triangles = Vec::with_capacity(4 * self.triangles.len());
-        for (&[a, b, c], edges) in self.triangles.iter().zip(&self.triangle_edges) {
-            let [ab, bc, ca] = edges.map(|e| n + e);
-            triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
-        }
+        let triangles = (0..self.triangles.len()).flat_map(|t| self.children(t)).collect();
         let vertices = self.vertices + self.edges.len();
         Self::numbered(vertices, triangles, self)
     }

@@ -6,13 +6,9 @@
 //! neighbours and near the middle of their edge. What makes the worst triangle around better is taken. Where the
 //! input is not crumpled and a triangle looks away from the surface alone, only the line is tried: a vector costs more.
 
-use super::grid::Steps;
-use super::place::{Found, Original, Placed, vector_to};
-use super::predict::Predicted;
-use super::surface::unit;
-use super::topology::{NONE, Topology};
-use crate::geometry::{Vec3, add_scaled, cross, dot, midpoint, norm2, sub};
-use crate::snm::contents::Offset;
+use super::place::{Found, Search};
+use super::topology::NONE;
+use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
 
 /// Turns over all triangles that are not sound.
 const TURNS: usize = 12;
@@ -43,8 +39,7 @@ const ASIDE: [[f64; 2]; 12] = [
 const LEAST_GAIN: f64 = 1e-6;
 
 /// How sound a triangle is: the cosine between it and the surface at its corners; below −1 for a needle.
-pub fn soundness(points: [&Vec3; 3], normals: [&Vec3; 3]) -> f64 {
-    let [a, b, c] = points;
+pub fn soundness([a, b, c]: [&Vec3; 3], normals: [&Vec3; 3]) -> f64 {
     let (ab, ac, bc) = (sub(b, a), sub(c, a), sub(c, b));
     let normal = cross(&ab, &ac);
     let area = norm2(&normal).sqrt();
@@ -52,15 +47,13 @@ pub fn soundness(points: [&Vec3; 3], normals: [&Vec3; 3]) -> f64 {
     if area <= LEAST_FLATNESS * longest {
         return -2.0;
     }
-    let sum: Vec3 = [0, 1, 2].map(|i| normals.iter().map(|n| n[i]).sum());
+    let sum = sum(normals);
     let length = norm2(&sum).sqrt();
     if length > 0.0 { dot(&normal, &sum) / (area * length) } else { 1.0 }
 }
 
-/// How much three normals agree: the length of their sum.
-fn agreement(normals: [&Vec3; 3]) -> f64 {
-    let sum: Vec3 = std::array::from_fn(|i| normals.iter().map(|n| n[i]).sum());
-    norm2(&sum).sqrt()
+fn sum(vectors: [&Vec3; 3]) -> Vec3 {
+    std::array::from_fn(|i| vectors.iter().map(|v| v[i]).sum())
 }
 
 /// Whether a triangle may stay as it is.
@@ -70,91 +63,115 @@ fn is_sound(soundness: f64) -> bool {
 
 /// The next level while it is being mended.
 struct Fine<'a> {
-    topology: &'a Topology,
-    coarse: &'a Placed,
-    coarse_normals: Vec<Vec3>,
-    coarse_faces: Vec<Vec3>,
+    search: &'a Search<'a>,
     found: &'a mut [Found],
+    /// Of the surface at all vertices, those of the level before first; and of the triangles of that level.
     normals: Vec<Vec3>,
+    coarse_faces: Vec<Vec3>,
 }
 
 impl Fine<'_> {
-    fn point(&self, v: u32) -> &Vec3 {
-        match (v as usize).checked_sub(self.topology.vertices) {
-            Some(edge) => &self.found[edge].point,
-            None => &self.coarse.points[v as usize],
-        }
+    /// The number of the new vertex of an edge.
+    fn vertex(&self, edge: usize) -> usize {
+        self.search.level.points.len() + edge
     }
 
-    fn normal(&self, v: u32) -> &Vec3 {
-        match (v as usize).checked_sub(self.topology.vertices) {
-            Some(edge) => &self.normals[edge],
-            None => &self.coarse_normals[v as usize],
-        }
+    fn point(&self, v: u32) -> &Vec3 {
+        let coarse = &self.search.level.points;
+        coarse.get(v as usize).unwrap_or_else(|| &self.found[v as usize - coarse.len()].point)
     }
 
     /// How sound a child of triangle `t` of the coarse level is: by the surface, or by the triangle too where the
-    /// surface is crumpled.
-    fn soundness(&self, t: u32, corners: &[u32; 3]) -> f64 {
-        let normals = corners.map(|v| self.normal(v));
-        if agreement(normals) >= COHERENT {
-            return soundness(corners.map(|v| self.point(v)), normals);
-        }
-        self.lenient(t, corners)
-    }
-
-    /// The same by the surface or by the triangle, unless the surface is smooth beyond doubt.
-    fn lenient(&self, t: u32, corners: &[u32; 3]) -> f64 {
+    /// surface is crumpled, or, if `lenient`, wherever it is not smooth beyond doubt.
+    fn soundness(&self, t: usize, corners: &[u32; 3], lenient: bool) -> f64 {
         let points = corners.map(|v| self.point(v));
-        let normals = corners.map(|v| self.normal(v));
+        let normals = corners.map(|v| &self.normals[v as usize]);
         let along_surface = soundness(points, normals);
-        if agreement(normals) >= SMOOTH {
+        let enough = if lenient { SMOOTH } else { COHERENT };
+        if norm2(&sum(normals)) >= enough * enough {
             return along_surface;
         }
-        along_surface.max(soundness(points, [&self.coarse_faces[t as usize]; 3]))
+        along_surface.max(soundness(points, [&self.coarse_faces[t]; 3]))
     }
 
-    /// The children of triangle `t` of the coarse level.
-    fn children(&self, t: u32) -> [[u32; 3]; 4] {
-        let n = self.topology.vertices as u32;
-        let [a, b, c] = self.topology.triangles[t as usize];
-        let [ab, bc, ca] = self.topology.triangle_edges[t as usize].map(|e| n + e);
-        [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+    /// The children of triangle `t` of the coarse level that are not sound.
+    fn unsound(&self, t: usize, lenient: bool) -> usize {
+        let children = self.search.level.topology.children(t);
+        children.iter().filter(|corners| !is_sound(self.soundness(t, corners, lenient))).count()
     }
 
     /// The worst of the triangles around the new vertex of an edge.
-    fn worst_around(&self, edge: usize, of: impl Fn(&Self, u32, &[u32; 3]) -> f64) -> f64 {
-        let v = (self.topology.vertices + edge) as u32;
-        let beside = self.topology.edge_triangles[edge].iter().filter(|&&t| t != NONE);
-        let around = beside.flat_map(|&t| self.children(t).map(|corners| (t, corners)));
+    fn worst_around(&self, edge: usize, lenient: bool) -> f64 {
+        let v = self.vertex(edge) as u32;
+        let topology = &self.search.level.topology;
+        let beside = topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE).map(|t| t as usize);
+        let around = beside.flat_map(|t| topology.children(t).map(|corners| (t, corners)));
         let around = around.filter(|(_, corners)| corners.contains(&v));
-        around.map(|(t, corners)| of(self, t, &corners)).fold(f64::INFINITY, f64::min)
+        around.map(|(t, corners)| self.soundness(t, &corners, lenient)).fold(f64::INFINITY, f64::min)
     }
 
     /// Put the new vertex of an edge elsewhere if that makes the worst triangle around it better; whether it did.
-    fn try_out(&mut self, original: &Original<'_>, edge: usize, to: Found, worst: &mut f64) -> bool {
-        let kept = (self.found[edge], self.normals[edge]);
+    fn try_out(&mut self, edge: usize, to: Found, worst: &mut f64) -> bool {
+        let v = self.vertex(edge);
+        let kept = (self.found[edge], self.normals[v]);
         self.found[edge] = to;
-        self.normals[edge] = original.surface.normal_at(&to.place);
-        let now = self.worst_around(edge, Self::soundness);
+        self.normals[v] = self.search.original.surface.normal_at(&to.place);
+        let now = self.worst_around(edge, false);
         let better = now > *worst + LEAST_GAIN;
         if better {
             *worst = now;
         } else {
-            (self.found[edge], self.normals[edge]) = kept;
+            (self.found[edge], self.normals[v]) = kept;
         }
         better
     }
 
+    /// Try other places for the new vertex of an edge; whether one is better.
+    fn mend(&mut self, edge: usize) -> bool {
+        let search = self.search;
+        let mut worst = self.worst_around(edge, false);
+        if search.level.topology.is_boundary_edge(edge) || is_sound(worst) {
+            return false;
+        }
+        let mut moved = search.unrelaxed(edge).is_some_and(|to| self.try_out(edge, to, &mut worst));
+        // A vector costs more: only where a triangle looks away from all.
+        if is_sound(self.worst_around(edge, true)) {
+            return moved;
+        }
+        let frame = &search.predicted.frames[edge];
+        let directions = [self.normals[self.vertex(edge)], frame[0]];
+        let targets = self.targets(edge, frame);
+        let near = targets.iter().flat_map(|p| directions.map(|n| search.nearest(edge, p, &n)));
+        for place in search.expected_place(edge).into_iter().chain(near) {
+            if is_sound(worst) {
+                break;
+            }
+            moved |= self.try_out(edge, search.vector(edge, place), &mut worst);
+        }
+        moved
+    }
+
+    /// Points near which the new vertex of an edge may do better.
+    fn targets(&self, edge: usize, [_, tangent, third]: &[Vec3; 3]) -> Vec<Vec3> {
+        let [a, b] = self.search.level.topology.edges[edge].map(|v| self.point(v));
+        let (middle, mean) = (midpoint(a, b), self.mean_around(edge));
+        let length = distance2(a, b).sqrt();
+        let aside =
+            |&[x, y]: &[f64; 2]| add_scaled(&add_scaled(&middle, x * length, tangent), y * length, third);
+        let mut targets =
+            vec![mean, middle, midpoint(&mean, &middle), midpoint(&mean, &self.found[edge].point)];
+        targets.extend(ASIDE.iter().map(aside));
+        targets
+    }
+
     /// The mean of the six neighbours of a new vertex.
     fn mean_around(&self, edge: usize) -> Vec3 {
-        let n = self.topology.vertices as u32;
-        let ends = self.topology.edges[edge].iter().copied();
-        let beside = self.topology.edge_triangles[edge].iter().filter(|&&t| t != NONE);
-        let others = beside.flat_map(|&t| self.topology.triangle_edges[t as usize]);
-        let others = others.filter(|&e| e as usize != edge).map(|e| n + e);
+        let topology = &self.search.level.topology;
+        let beside = topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE);
+        let others = beside.flat_map(|t| topology.triangle_edges[t as usize]).map(|e| e as usize);
+        let others = others.filter(|&e| e != edge).map(|e| self.vertex(e) as u32);
         let (mut sum, mut count) = ([0.0; 3], 0.0);
-        for v in ends.chain(others) {
+        for v in topology.edges[edge].into_iter().chain(others) {
             sum = add_scaled(&sum, 1.0, self.point(v));
             count += 1.0;
         }
@@ -162,86 +179,30 @@ impl Fine<'_> {
     }
 }
 
-/// Mend what can be mended; returns the triangles of `topology` with children that are not sound, once for
-/// each of these.
-pub fn unfold(
-    original: &Original<'_>,
-    topology: &Topology,
-    level: usize,
-    coarse: &Placed,
-    predicted: &Predicted,
-    steps: &Steps,
-    found: &mut [Found],
-) -> Vec<u32> {
-    let normals = found.iter().map(|f| original.surface.normal_at(&f.place)).collect();
-    let coarse_normals = coarse.places.iter().map(|place| original.surface.normal_at(place)).collect();
-    let coarse_faces = topology.triangles.iter().map(|corners| {
-        let [a, b, c] = corners.map(|v| &coarse.points[v as usize]);
+/// Mend what can be mended; returns the triangles of the level before with children that are not sound, once for each
+/// of these.
+pub fn unfold(search: &Search<'_>, found: &mut [Found]) -> Vec<usize> {
+    let (topology, points) = (&search.level.topology, &search.level.points);
+    let places = search.placed.places.iter().chain(found.iter().map(|f| &f.place));
+    let normals = places.map(|place| search.original.surface.normal_at(place)).collect();
+    let face = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|v| &points[v as usize]);
         unit(&cross(&sub(b, a), &sub(c, a)))
-    });
-    let coarse_faces = coarse_faces.collect();
-    let mut fine = Fine { topology, coarse, coarse_normals, coarse_faces, found, normals };
-    let mut open: Vec<u32> = (0..topology.triangles.len() as u32).collect();
+    };
+    let coarse_faces = topology.triangles.iter().map(face).collect();
+    let mut fine = Fine { search, found, normals, coarse_faces };
+    let mut open: Vec<usize> = (0..topology.triangles.len()).collect();
     for _ in 0..TURNS {
-        open.retain(|&t| fine.children(t).iter().any(|corners| !is_sound(fine.soundness(t, corners))));
-        if open.is_empty() {
-            break;
-        }
+        open.retain(|&t| fine.unsound(t, false) > 0);
         let mut moved = false;
         for &t in &open {
-            for edge in topology.triangle_edges[t as usize].map(|e| e as usize) {
-                let mut worst = fine.worst_around(edge, Fine::soundness);
-                if topology.is_boundary_edge(edge) || is_sound(worst) {
-                    continue;
-                }
-                let from = &predicted.unrelaxed[edge];
-                let near = if predicted.points[edge] == *from {
-                    None
-                } else {
-                    original.scalar(topology, level, coarse, predicted, steps, edge, from, Offset::Unrelaxed)
-                };
-                if let Some(near) = near {
-                    moved |= fine.try_out(original, edge, near, &mut worst);
-                }
-                // A vector costs more: only where a triangle looks away from all.
-                if is_sound(fine.worst_around(edge, Fine::lenient)) {
-                    continue;
-                }
-                let [a, b] = topology.edges[edge].map(|v| *fine.point(v));
-                let (middle, mean) = (midpoint(&a, &b), fine.mean_around(edge));
-                let before = fine.found[edge].point;
-                let [_, tangent, third] = &predicted.frames[edge];
-                let length = norm2(&sub(&b, &a)).sqrt();
-                let aside = ASIDE
-                    .iter()
-                    .map(|[x, y]| add_scaled(&add_scaled(&middle, x * length, tangent), y * length, third));
-                let towards = [mean, middle, midpoint(&mean, &middle), midpoint(&mean, &before)];
-                let direction = *fine.normal((topology.vertices + edge) as u32);
-                let expected = original.expected_place(topology, level, coarse, edge);
-                let near = towards.into_iter().chain(aside).flat_map(|target| {
-                    [direction, predicted.frames[edge][0]]
-                        .map(|normal| original.nearest(topology, level, coarse, edge, &target, &normal))
-                });
-                for place in expected.into_iter().chain(near) {
-                    if is_sound(worst) {
-                        break;
-                    }
-                    moved |= fine.try_out(
-                        original,
-                        edge,
-                        vector_to(place, predicted, steps, edge, false),
-                        &mut worst,
-                    );
-                }
+            for edge in topology.triangle_edges[t] {
+                moved |= fine.mend(edge as usize);
             }
         }
         if !moved {
             break;
         }
     }
-    let unsound = |t: &u32| {
-        let count = fine.children(*t).iter().filter(|c| !is_sound(fine.lenient(*t, c))).count();
-        std::iter::repeat_n(*t, count)
-    };
-    open.iter().flat_map(unsound).collect()
+    open.iter().flat_map(|&t| std::iter::repeat_n(t, fine.unsound(t, true))).collect()
 }
