@@ -64,6 +64,7 @@ LEVELS = {
         Settings(1350, 4, (2e-4,)),
         Settings(1500, 4, (2e-4, 1.5e-4, 1e-4)),
         Settings(800, 5, (1.1e-4, 1e-4, 9e-5)),
+        Settings(1000, 5, (1.2e-4, 1.1e-4)),
     ),
     # Without levels its files are smaller at every distance; these show by how much.
     "cow": (

@@ -369,9 +369,10 @@ def remesh(
     confidence: NDArray[np.float64],
     triangles: NDArray[np.int32],
     *,
-    levels: int,
+    levels: int | None,
     base_triangles: int,
     base_error: float,
+    at_any_price: bool,
     max_error: float,
     butterfly: bool,
     relaxations: int,
@@ -382,9 +383,10 @@ def remesh(
 ) -> NormalMesh:
     """Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
 
-    `base_triangles` is 0 and `base_error` infinite for no such limit; `max_error` is 0 not to stop early;
-    `tolerance` is a share of the diagonal, `color_tolerance` in levels, 0 threads for all cores. Raises
-    InvalidMeshError for a mesh it cannot work on.
+    Without `levels` there are as many as suit the input. `base_triangles` is 0 and `base_error` infinite for
+    no such limit, kept `at_any_price` or not; `max_error` is 0 not to stop early; `tolerance` is a share of
+    the diagonal, `color_tolerance` in levels, 0 threads for all cores. Raises InvalidMeshError for a mesh it
+    cannot work on.
     """
 
 def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:

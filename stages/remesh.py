@@ -26,6 +26,9 @@ VERSION = 1
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5
 
+# Of a base that is made without saying how many levels it will get.
+_MOST_LEVELS = 4
+
 _HOW_FAR = "How far"
 _HOW = "How"
 _FILE = "What the file keeps"
@@ -35,17 +38,19 @@ _FILE = "What the file keeps"
 class RemeshParams:
     """How many levels a normal mesh gets, of what base, and how exactly they are kept."""
 
-    levels: int = param(
-        4,
-        "Refinements of the base mesh; each makes four triangles of one.",
+    levels: int | None = param(
+        None,
+        "Refinements of the base mesh; each makes four triangles of one. Default: as many, from 1 to 4, as "
+        "give the finest level about as many triangles as the input; with max_error at most 4.",
         group=_HOW_FAR,
         low=0,
         high=10,
     )
     base_triangles: int | None = param(
         None,
-        "Triangles of the base mesh. Default: so many that the finest level has about as many as the input, "
-        "unless base_error is given.",
+        "Triangles of the base mesh; more are left only where fewer could not be refined. Default, unless "
+        "base_error is given: so many that the finest level has about as many as the input, or more, where "
+        "fewer would be far from it.",
         group=_HOW_FAR,
         low=1,
     )
@@ -114,7 +119,8 @@ class RemeshParams:
         """Return how many base triangles are wanted for an input of so many; 0 if `base_error` decides."""
         if self.base_triangles is not None:
             return self.base_triangles
-        return 0 if self.base_error is not None else max(round(triangles / 4**self.levels), 1)
+        levels = _MOST_LEVELS if self.levels is None else self.levels
+        return 0 if self.base_error is not None else max(round(triangles / 4**levels), 1)
 
 
 def remesh(
@@ -216,6 +222,7 @@ def _remeshed(
         levels=params.levels,
         base_triangles=wanted_base,
         base_error=np.inf if params.base_error is None else params.base_error,
+        at_any_price=params.base_triangles is not None or params.base_error is not None,
         max_error=params.max_error or 0.0,
         butterfly=params.scheme == "butterfly",
         relaxations=params.relaxations,
@@ -262,10 +269,11 @@ def _warnings(
             "triangles that touched there has its own."
         )
     base = len(found.triangles(0))
-    if wanted_base and base > _FAR_FROM_WANTED * wanted_base:
+    asked = params.base_triangles is not None or params.levels is not None
+    if asked and wanted_base and base > _FAR_FROM_WANTED * wanted_base:
         yield (
             f"the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
-            "holes and handles, which all stay, or could not be refined any more with fewer. "
+            "holes and handles, which all stay, or could not be refined well with fewer. "
             f"The finest level has {len(found.triangles(found.levels)):,}; fewer levels have fewer."
         )
     if found.folded:

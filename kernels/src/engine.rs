@@ -71,6 +71,12 @@ pub trait Measure<const D: usize> {
         proposal: &mut Proposal<D, Self::Change>,
     ) -> Result<(), Self::Bound>;
 
+    /// What a proposal turns out to cost, where that takes more than `priority` looks at: an edge that costs more than
+    /// the next one waits for its turn.
+    fn cost(&self, _: &Proposal<D, Self::Change>) -> f64 {
+        f64::NEG_INFINITY
+    }
+
     /// Record a collapse. `mesh` is as it is now; `star` as it was, with the triangles that vanished and those
     /// that moved from the removed end to the survivor.
     fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, change: Self::Change);
@@ -84,6 +90,8 @@ pub enum Refusal<B> {
     Barred(B),
     /// Its proposal was refused: any change of its star can help.
     Bound(B),
+    /// It costs more than the next one, and is in the queue again where it belongs.
+    Later,
     /// Its star reaches the rim of the patch, where others know more.
     Rim,
 }
@@ -257,7 +265,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             Ok(collapsed) => Step::Collapsed(collapsed),
             Err(refusal) => {
                 // What the rim forbids here may be allowed in another patch: the edge stays open.
-                if refusal != Refusal::Rim {
+                if !matches!(refusal, Refusal::Rim | Refusal::Later) {
                     self.refusals[edge.index()] = Some(refusal);
                     for v in self.mesh.connectivity.ends(edge) {
                         self.stuck[v.index()] = true;
@@ -281,6 +289,12 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         let mut proposal = self.measure.propose(&self.mesh, &self.star).map_err(Refusal::Bound)?;
         keeps_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;
         self.measure.judge(&self.mesh, &self.star, &mut proposal).map_err(Refusal::Bound)?;
+        let cost = self.measure.cost(&proposal);
+        if cost > priority && self.queue.first().is_some_and(|(_, next)| next < cost) {
+            self.queue.set(edge, cost);
+            return Err(Refusal::Later);
+        }
+        let priority = priority.max(cost);
 
         let survivor = self.star.ends[proposal.survivor];
         let collapsed = self.mesh.collapse(edge, survivor, proposal.point);

@@ -2,7 +2,7 @@
 
 use scanloom_kernels::geometry::Vec3;
 use scanloom_kernels::mesh::Mesh;
-use scanloom_kernels::normal::base::{Base, Target, base};
+use scanloom_kernels::normal::base::{Base, Target, coarse};
 use scanloom_kernels::normal::butterfly::middles;
 use scanloom_kernels::normal::carried::Carried;
 use scanloom_kernels::normal::decode::decode;
@@ -38,17 +38,19 @@ fn base_of(points: &[Vec3], triangles: &[[u32; 3]], wanted: usize) -> (Base, Sur
     let mesh = Mesh::new(points.to_vec(), triangles).unwrap();
     let surface = Surface::new(points, triangles, 1);
     let numbers: Vec<u32> = (0..triangles.len() as u32).collect();
-    let target = Target { triangles: wanted, error: f64::INFINITY };
+    let target = Target { triangles: wanted, error: f64::INFINITY, at_any_price: true };
     let control = Control::default();
-    let importance = vec![1.0; triangles.len()];
-    let made = base(mesh, &surface, &importance, target, &numbers, &mut Progress::new(&control)).unwrap();
+    let importance = vec![1.0; points.len()];
+    let progress = &mut Progress::new(&control);
+    let coarse = coarse(mesh, &surface, target, progress).unwrap();
+    let made = coarse.base(&importance, &numbers, progress).unwrap();
     (made, surface)
 }
 
 fn settings(levels: u8, scheme: Scheme) -> Settings {
     Settings {
-        levels,
-        target: Target { triangles: 60, error: f64::INFINITY },
+        levels: Some(levels),
+        target: Target { triangles: 60, error: f64::INFINITY, at_any_price: true },
         max_error: 0.0,
         scheme,
         relaxations: 1,

@@ -77,6 +77,29 @@ def test_by_default_the_result_is_about_as_large_as_the_input() -> None:
     assert 0.7 * len(mesh.triangles) <= len(found.mesh.triangles) <= 1.5 * len(mesh.triangles)
 
 
+def rough(scale: float) -> Mesh:
+    """Return a sheet with holes and noise."""
+    mesh = coloured_meshes.holed()
+    noise = np.random.default_rng(0).normal(scale=scale, size=mesh.vertices.shape)
+    return mesh.with_(vertices=mesh.vertices + noise)
+
+
+def test_the_rougher_the_input_the_fewer_levels_it_gets() -> None:
+    found = [remesh(rough(scale)) for scale in (0.0, 0.003, 0.01)]
+    assert [len(one.offsets) for one in found] == [3, 2, 1]
+    for one in found:
+        assert 0.5 < len(one.mesh.triangles) / len(rough(0).triangles) < 2
+
+
+def test_a_base_of_a_given_size_is_made_where_the_default_stops_before() -> None:
+    mesh = rough(0.006)
+    wanted = round(len(mesh.triangles) / 64)
+    assert len(remesh(mesh, levels=3, base_triangles=wanted).base.triangles) <= wanted
+    by_default = remesh(mesh, levels=3)
+    assert len(by_default.base.triangles) > 2 * wanted
+    assert any(f"not {wanted:,}" in warning for warning in by_default.warnings)
+
+
 def test_no_level_is_the_base_alone() -> None:
     found = remesh(coloured_meshes.ball(), levels=0, base_triangles=100)
     assert len(found.levels) == 1

@@ -48,7 +48,6 @@ impl TriangleSets {
         let mut seen = vec![NONE; self.originals + self.starts.len() - 1];
         let mut open = vec![];
         for (set, triangle) in triangles.enumerate() {
-            let first = sets.members.len();
             open.push(self.node[triangle]);
             while let Some(node) = open.pop() {
                 if std::mem::replace(&mut seen[node as usize], set as u32) == set as u32 {
@@ -62,9 +61,9 @@ impl TriangleSets {
                     }
                 }
             }
-            sets.members[first..].sort_unstable();
             sets.starts.push(sets.members.len());
         }
+        sets.sort(number.len());
         sets
     }
 }
@@ -77,6 +76,25 @@ pub struct Sets {
 }
 
 impl Sets {
+    /// Sort each set, of numbers below `count`: listed by number and dealt out again, all are sorted at once.
+    fn sort(&mut self, count: usize) {
+        let mut ends = vec![0u32; count + 1];
+        self.members.iter().for_each(|&member| ends[member as usize + 1] += 1);
+        (0..count).for_each(|i| ends[i + 1] += ends[i]);
+        let mut set_of = vec![(0, 0); self.members.len()];
+        for set in 0..self.starts.len() - 1 {
+            for &member in &self.members[self.starts[set]..self.starts[set + 1]] {
+                set_of[ends[member as usize] as usize] = (set as u32, member);
+                ends[member as usize] += 1;
+            }
+        }
+        let mut next = self.starts.clone();
+        for (set, member) in set_of {
+            self.members[next[set as usize]] = member;
+            next[set as usize] += 1;
+        }
+    }
+
     pub fn of(&self, set: usize) -> &[u32] {
         &self.members[self.starts[set]..self.starts[set + 1]]
     }

@@ -12,20 +12,18 @@ use crate::ids::HalfedgeId;
 use crate::mesh::Mesh;
 use crate::progress::Progress;
 
-/// What shapes are usable: the next row counts where the one before leads no further at any cost.
+/// What shapes are usable: the next row counts where the one before leads no further.
 const RULES: [Rule; 3] = [
     Rule { quality: 0.1, neighbours: 10 },
     Rule { quality: 0.05, neighbours: 12 },
     Rule { quality: 0.01, neighbours: 20 },
 ];
 /// Triangles are tried out once there are at most so many times those wanted.
-const CAREFUL: usize = 8;
-/// The dearest collapse rises from turn to turn by this.
-const RISE: f64 = 3.0;
-/// It starts from this part of the diagonal's fourth power, below what single precision tells apart, and ends here.
-/// What is dearer goes only if all its triangles can be refined: a base of a given size is not worth any price.
-const START: f64 = 1e-18;
+const CAREFUL: usize = 4;
+/// The dearest collapse, as a part of the diagonal's fourth power: a base of some size is not worth any price. And the
+/// dearest without trying its triangles out.
 const DEAR: f64 = 2e-5;
+const CHEAP: f64 = 2e-8;
 
 /// How far the base goes: whatever comes first.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +32,8 @@ pub struct Target {
     pub triangles: usize,
     /// Root of the mean squared distance from the planes a vertex stands for.
     pub error: f64,
+    /// Go on beyond what is dear, as long as all triangles of a collapse can be refined.
+    pub at_any_price: bool,
 }
 
 /// A base mesh and what it stands for.
@@ -89,46 +89,66 @@ impl Base {
     }
 }
 
-/// Collapse as far as asked, or as can be. The cost of a collapse depends on more than its edge, so the order is kept
-/// by a limit that rises: what is dearer than that waits. `importance` is by how much each triangle's error counts;
-/// `number` gives the number of each original triangle in the sets.
+/// A mesh on its way to the base, coarse enough that from here on it pays to try triangles out.
+#[derive(Clone)]
+pub struct Coarse<'a> {
+    mesh: Mesh<3>,
+    measure: HalfEdge<'a>,
+    /// Of costs.
+    unit: f64,
+    target: Target,
+}
+
+/// Collapse as far as no care is needed.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
-pub fn base(
-    mut mesh: Mesh<3>,
-    surface: &Surface,
-    importance: &[f64],
+pub fn coarse<'a>(
+    mesh: Mesh<3>,
+    surface: &'a Surface,
     target: Target,
-    number: &[u32],
     progress: &mut Progress,
-) -> Result<Base, KernelError> {
-    let mut measure = HalfEdge::new(&mesh, surface, importance, target.error, RULES[0]);
+) -> Result<Coarse<'a>, KernelError> {
+    let mut measure = HalfEdge::new(&mesh, surface, target.error, RULES[0]);
     let size = diagonal(&around(mesh.connectivity.vertices().map(|v| *mesh.point(v))));
     let unit = size.powi(4);
-    let many = target.triangles.saturating_mul(CAREFUL);
-    measure.limit = START * unit;
-    let mut rules = RULES.iter();
-    while mesh.connectivity.triangle_count() > target.triangles {
-        measure.careful = mesh.connectivity.triangle_count() <= many;
-        let triangles = if measure.careful || measure.strict { target.triangles } else { many };
-        let mut engine = Engine::new(mesh, measure);
-        let until = Until { triangles, priority: engine.measure().limit, ..Until::EXHAUSTED };
-        engine.run(until, progress)?;
-        (mesh, measure, ..) = engine.into_parts();
-        if mesh.connectivity.triangle_count() <= triangles {
-            continue;
+    measure.limit = CHEAP * unit;
+    let coarse = Coarse { mesh, measure, unit, target };
+    coarse.collapsed(target.triangles.saturating_mul(CAREFUL), progress)
+}
+
+impl Coarse<'_> {
+    /// Collapse to the base, or as far as can be. `importance` is by how much the error at each vertex of the input
+    /// counts; `number` gives the number of each original triangle in the sets.
+    ///
+    /// # Errors
+    /// [`KernelError::Interrupted`].
+    pub fn base(
+        mut self,
+        importance: &[f64],
+        number: &[u32],
+        progress: &mut Progress,
+    ) -> Result<Base, KernelError> {
+        self.measure.weigh(importance);
+        (self.measure.careful, self.measure.limit) = (true, DEAR * self.unit);
+        let wanted = self.target.triangles;
+        self = self.collapsed(wanted, progress)?;
+        (self.measure.strict, self.measure.limit) = (true, f64::INFINITY);
+        for rule in RULES {
+            if self.target.at_any_price && self.mesh.connectivity.triangle_count() > wanted {
+                self.measure.rule = rule;
+                self = self.collapsed(wanted, progress)?;
+            }
         }
-        if measure.strict {
-            let Some(&rule) = rules.next() else { break };
-            measure.rule = rule;
-        } else if measure.limit > DEAR * unit {
-            (measure.strict, measure.limit) = (true, f64::INFINITY);
-        } else {
-            measure.limit *= RISE;
-        }
+        Ok(described(&self.mesh, &self.measure, number))
     }
-    Ok(described(&mesh, &measure, number))
+
+    fn collapsed(self, triangles: usize, progress: &mut Progress) -> Result<Self, KernelError> {
+        let mut engine = Engine::new(self.mesh, self.measure);
+        engine.run(Until { triangles, ..Until::EXHAUSTED }, progress)?;
+        let (mesh, measure, ..) = engine.into_parts();
+        Ok(Self { mesh, measure, ..self })
+    }
 }
 
 fn described(mesh: &Mesh<3>, measure: &HalfEdge<'_>, number: &[u32]) -> Base {

@@ -5,62 +5,97 @@ use super::surface::Surface;
 use crate::geometry::{Vec3, area};
 use crate::parallel::fill;
 
-/// The larger of both directions.
+/// A level, and the slots of the input's triangles that its vertices lie on: what is near is found sooner.
+pub struct Fine<'a> {
+    pub level: &'a Level,
+    pub slots: &'a [u32],
+}
+
+/// Mean squares of the distance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distance {
-    pub largest: f64,
+    /// The larger of both directions, over the areas.
     pub mean_square: f64,
-    /// Squared, from each vertex of the input to the level.
+    /// From each triangle of the input to the level.
     pub from_input: Vec<f64>,
 }
 
 /// Most samples along a side of a triangle.
 const MOST: usize = 24;
 
-/// From each vertex of the input, and from about as many points of the level, evenly over each of its triangles.
-pub fn distance(
+impl Fine<'_> {
+    fn corners(&self, t: usize) -> [Vec3; 3] {
+        self.level.topology.triangles[t].map(|v| self.level.points[v as usize])
+    }
+
+    fn distance2_from(&self, t: usize, p: &Vec3, surface: &Surface) -> f64 {
+        surface.nearest_slot(p, self.level.topology.triangles[t].map(|v| self.slots[v as usize])).1
+    }
+}
+
+/// From the middle of each triangle of the input and of the level.
+pub fn mean_square(
     points: &[Vec3],
     triangles: &[[u32; 3]],
     surface: &Surface,
-    level: &Level,
+    fine: &Fine<'_>,
     threads: usize,
 ) -> Distance {
-    let fine = Surface::new(&level.points, &level.topology.triangles, threads);
-    let mut from_input = vec![0.0; points.len()];
-    fill(&mut from_input, threads, |v| fine.distance2(&points[v]));
+    let own = &fine.level.topology.triangles;
+    let level = Surface::new(&fine.level.points, own, threads);
+    let corners = |t: usize| triangles[t].map(|v| points[v as usize]);
+    let mut from_input = vec![0.0; triangles.len()];
+    fill(&mut from_input, threads, |t| level.nearest_slot(&middle(&corners(t)), []).1);
+    let mut from_level = vec![0.0; own.len()];
+    fill(&mut from_level, threads, |t| fine.distance2_from(t, &middle(&fine.corners(t)), surface));
+    let there = mean(&from_input, corners);
+    Distance { mean_square: there.max(mean(&from_level, |t| fine.corners(t))), from_input }
+}
 
-    let own = &level.topology.triangles;
+/// The largest distance there is from any vertex of the input, and from about as many points of the level, evenly over
+/// each of its triangles.
+pub fn largest(
+    points: &[Vec3],
+    triangles: &[[u32; 3]],
+    surface: &Surface,
+    fine: &Fine<'_>,
+    threads: usize,
+) -> f64 {
+    let own = &fine.level.topology.triangles;
+    let level = Surface::new(&fine.level.points, own, threads);
+    let mut from_input = vec![0.0; points.len()];
+    fill(&mut from_input, threads, |v| level.nearest_slot(&points[v], []).1);
     let side = ((triangles.len() as f64 / own.len().max(1) as f64).sqrt().ceil() as usize).clamp(2, MOST);
-    let mut from_level = vec![[0.0; 2]; own.len()];
+    let mut from_level = vec![0.0; own.len()];
     fill(&mut from_level, threads, |t| {
-        let corners = own[t].map(|v| &level.points[v as usize]);
-        let (mut sum, mut largest) = (0.0, 0.0f64);
+        let corners = fine.corners(t);
+        let mut largest = 0.0f64;
         // Middles of the small triangles that stand upright when each side is cut into so many parts.
         for i in 0..side {
             for j in 0..side - i {
                 let [u, v] = [i, j].map(|k| (k as f64 + 1.0 / 3.0) / side as f64);
                 let weights = [u, v, 1.0 - u - v];
                 let p: Vec3 = std::array::from_fn(|x| (0..3).map(|k| weights[k] * corners[k][x]).sum());
-                let distance2 = surface.distance2(&p);
-                sum += distance2;
-                largest = largest.max(distance2);
+                largest = largest.max(fine.distance2_from(t, &p, surface));
             }
         }
-        [sum / (side * (side + 1) / 2) as f64, largest]
+        largest
     });
-
-    let mean = |triangles: &[[u32; 3]], points: &[Vec3], of: &dyn Fn(usize, &[u32; 3]) -> f64| {
-        let (mut sum, mut whole) = (0.0, 0.0);
-        for (t, corners) in triangles.iter().enumerate() {
-            let area = area(corners.map(|v| &points[v as usize]));
-            sum += area * of(t, corners);
-            whole += area;
-        }
-        if whole > 0.0 { sum / whole } else { 0.0 }
-    };
-    let there = mean(triangles, points, &|_, t| t.iter().map(|&v| from_input[v as usize]).sum::<f64>() / 3.0);
-    let back = mean(own, &level.points, &|t, _| from_level[t][0]);
     let used = triangles.iter().flatten().map(|&v| from_input[v as usize]);
-    let largest2 = used.chain(from_level.iter().map(|[_, largest]| *largest)).fold(0.0, f64::max);
-    Distance { largest: largest2.sqrt(), mean_square: there.max(back), from_input }
+    used.chain(from_level).fold(0.0, f64::max).sqrt()
+}
+
+fn middle([a, b, c]: &[Vec3; 3]) -> Vec3 {
+    std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0)
+}
+
+/// Mean over triangles by their area.
+fn mean(values: &[f64], corners: impl Fn(usize) -> [Vec3; 3]) -> f64 {
+    let (mut sum, mut whole) = (0.0, 0.0);
+    for (t, value) in values.iter().enumerate() {
+        let area = area(corners(t).each_ref());
+        sum += area * value;
+        whole += area;
+    }
+    if whole > 0.0 { sum / whole } else { 0.0 }
 }

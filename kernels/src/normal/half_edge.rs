@@ -34,6 +34,8 @@ const REACH: f64 = 0.6;
 const LEAST_SOUNDNESS: f64 = 0.3;
 /// Where a surface is smooth, one refinement leaves about this part of the squared error: what is left counts so much more.
 const LEFT: f64 = 16.0;
+/// Trials that are remembered, a power of two: a collapse leaves most triangles of later ones as they were.
+const REMEMBERED: usize = 1 << 16;
 
 /// What shapes are usable at all: least quality of a triangle (1 for equal sides, 0 for none) and most neighbours of
 /// a vertex.
@@ -45,15 +47,27 @@ pub struct Rule {
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Refused {
-    /// No usable shape, or too dear for now.
+    /// No usable shape, or too dear.
     Shape,
     /// Beyond the error.
     Error,
 }
 
+/// A triangle of the input's vertices, from its smallest number on, and what a trial left of its squared error.
+#[derive(Clone, Copy, Debug)]
+struct Tried {
+    corners: [u32; 3],
+    left: Option<f64>,
+}
+
+#[derive(Clone, Debug)]
 pub struct HalfEdge<'a> {
     surface: &'a Surface,
     quadrics: Vec<Quadric<0>>,
+    /// By how much the error at each vertex counts.
+    importance: Vec<f64>,
+    /// By a hash of their corners.
+    tried: Vec<Tried>,
     /// Squared error that no vertex may pass.
     error2: f64,
     pub triangles: TriangleSets,
@@ -64,17 +78,19 @@ pub struct HalfEdge<'a> {
     pub careful: bool,
     /// Whether triangles that turn away or cannot be refined are refused, not only dear.
     pub strict: bool,
-    /// The dearest collapse allowed for now.
+    /// The dearest collapse allowed.
     pub limit: f64,
 }
 
 impl<'a> HalfEdge<'a> {
-    pub fn new(mesh: &Mesh<3>, surface: &'a Surface, importance: &[f64], error: f64, rule: Rule) -> Self {
+    pub fn new(mesh: &Mesh<3>, surface: &'a Surface, error: f64, rule: Rule) -> Self {
         let corners: Vec<[u32; 3]> =
             mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0)).collect();
         Self {
             surface,
-            quadrics: quadrics(mesh, importance),
+            quadrics: quadrics(mesh),
+            importance: vec![1.0; mesh.points.len()],
+            tried: vec![Tried { corners: [u32::MAX; 3], left: None }; REMEMBERED],
             error2: error * error,
             triangles: TriangleSets::new(corners.len()),
             chains: Chains::new(&mesh.connectivity),
@@ -84,6 +100,12 @@ impl<'a> HalfEdge<'a> {
             strict: false,
             limit: f64::INFINITY,
         }
+    }
+
+    /// Make what each vertex stands for count by a factor.
+    pub fn weigh(&mut self, importance: &[f64]) {
+        self.quadrics.iter_mut().zip(importance).for_each(|(quadric, factor)| quadric.scale(*factor));
+        self.importance.copy_from_slice(importance);
     }
 
     fn together(&self, ends: [VertexId; 2]) -> Quadric<0> {
@@ -100,10 +122,17 @@ impl<'a> HalfEdge<'a> {
         together.error(mesh.point(ends[survivor])) + EVENNESS * together.area * distance2(a, b)
     }
 
-    /// The cost with all that its triangles add; none if they are not usable.
-    fn full_cost(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize, cost: f64) -> Option<f64> {
+    /// The cost with all that its triangles add; none if they are not usable, or where it passes `limit`.
+    fn full_cost(
+        &mut self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        survivor: usize,
+        cost: f64,
+        limit: f64,
+    ) -> Option<f64> {
         let normals = self.surface.normals();
-        let point = &star.end_points[survivor];
+        let (end, point) = (star.ends[survivor], &star.end_points[survivor]);
         // A corner across from the edge is a neighbour of both ends.
         let neighbours = star.spokes.len() - star.vanishing.len();
         if neighbours > self.rule.neighbours {
@@ -112,65 +141,69 @@ impl<'a> HalfEdge<'a> {
                 return None;
             }
         }
-        let (mut worst, mut factor, mut left) = (1.0f64, 1.0, 0.0);
-        for wing in star.wings.iter().filter(|wing| wing.end != survivor) {
+        let moved = || star.wings.iter().filter(|wing| wing.end != survivor);
+        let (mut worst, mut factor) = (1.0f64, 1.0);
+        for wing in moved() {
             let (from, to) = (&wing.from_point, &wing.to_point);
             let new = quality(point, from, to);
             if new < self.rule.quality && new < quality(&star.end_points[wing.end], from, to) {
                 return None;
             }
             worst = worst.min(new);
-            let at = [star.ends[survivor], wing.from, wing.to].map(|v| &normals[v.index()]);
             let normal = cross(&sub(from, point), &sub(to, point));
             let bound = LEAST_COSINE * norm2(&normal).sqrt();
-            if at.iter().any(|n| dot(n, &normal) < bound) {
+            if [end, wing.from, wing.to].iter().any(|v| dot(&normals[v.index()], &normal) < bound) {
                 if self.strict {
                     return None;
                 }
                 factor *= TURNED;
             }
-            if self.careful || self.strict {
-                match self.left_by_refinement([point, from, to], at) {
-                    Some(error) => left += error,
-                    None if self.strict => return None,
-                    None => factor *= UNFIT,
-                }
-            }
         }
         let crowd = neighbours.saturating_sub(6) as f64;
-        Some((1.0 + CROWD * crowd * crowd) * factor / (worst * worst * worst) * cost.max(LEFT * left))
-    }
-
-    /// What is left of the squared error of a triangle once it is refined; none if it cannot be: if the lines through the
-    /// middles of its sides do not pierce the surface near by, or the four triangles that makes do not look along it.
-    fn left_by_refinement(&self, corners: [&Vec3; 3], at: [&Vec3; 3]) -> Option<f64> {
-        let (mut points, mut normals) = ([[0.0; 3]; 6], [[0.0; 3]; 6]);
-        for i in 0..3 {
-            let j = (i + 1) % 3;
-            (points[i], normals[i]) = (*corners[i], *at[i]);
-            let normal = unit(&add_scaled(at[i], 1.0, at[j]));
-            let reach = REACH * distance2(corners[i], corners[j]).sqrt();
-            let middle = midpoint(corners[i], corners[j]);
-            let (_, place) = self.surface.pierced(&middle, &normal, reach, LEAST_COSINE, |_, _| true)?;
-            points[3 + i] = place.point;
-            normals[3 + i] = unit(&self.surface.normal_at(&place));
-        }
-        let mut left = 0.0;
-        for child in [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]] {
-            let [a, b, c] = child.map(|i| &points[i]);
-            if soundness([a, b, c], child.map(|i| &normals[i])) < LEAST_SOUNDNESS {
+        factor *= (1.0 + CROWD * crowd * crowd) / (worst * worst * worst);
+        let (mut left, careful) = (0.0, self.careful);
+        for wing in moved().filter(|_| careful) {
+            // Trials take most of the time.
+            if factor * cost.max(LEFT * left) > limit {
                 return None;
             }
-            let middle: Vec3 = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
-            left += area([a, b, c]) * self.surface.distance2(&middle);
+            match self.tried([end, wing.from, wing.to], [point, &wing.from_point, &wing.to_point]) {
+                Some(error) => left += error,
+                None if self.strict => return None,
+                None => factor *= UNFIT,
+            }
         }
-        Some(left)
+        Some(factor * cost.max(LEFT * left)).filter(|full| *full <= limit)
+    }
+
+    /// What [`left_by_refinement`] says of a triangle, weighed.
+    fn tried(&mut self, vertices: [VertexId; 3], points: [&Vec3; 3]) -> Option<f64> {
+        let first = if vertices[0] < vertices[1].min(vertices[2]) {
+            0
+        } else if vertices[1] < vertices[2] {
+            1
+        } else {
+            2
+        };
+        let turned = [0, 1, 2].map(|i| (first + i) % 3);
+        let corners = turned.map(|i| vertices[i].0);
+        let hash = corners.iter().fold(0u32, |hash, v| (hash ^ v).wrapping_mul(0x9E37_79B1).rotate_left(15));
+        let place = hash as usize % REMEMBERED;
+        if self.tried[place].corners != corners {
+            let normals = self.surface.normals();
+            let normals = corners.map(|v| &normals[v as usize]);
+            let left = left_by_refinement(self.surface, turned.map(|i| points[i]), normals);
+            self.tried[place] = Tried { corners, left };
+        }
+        let importance = corners.iter().map(|&v| self.importance[v as usize]).sum::<f64>() / 3.0;
+        self.tried[place].left.map(|left| importance * left)
     }
 }
 
 impl Measure<3> for HalfEdge<'_> {
     type Bound = Refused;
-    type Change = ();
+    /// The cost.
+    type Change = f64;
 
     fn priority(&self, mesh: &Mesh<3>, edge: EdgeId) -> Result<f64, Refused> {
         let ends = mesh.connectivity.ends(edge);
@@ -178,34 +211,38 @@ impl Measure<3> for HalfEdge<'_> {
         if least.is_finite() { Ok(least) } else { Err(Refused::Shape) }
     }
 
-    fn propose(&mut self, mesh: &Mesh<3>, star: &Star<3>) -> Result<Proposal<3, ()>, Refused> {
+    fn propose(&mut self, mesh: &Mesh<3>, star: &Star<3>) -> Result<Proposal<3, f64>, Refused> {
         let costs = [0, 1].map(|end| self.cost(mesh, star.edge, star.ends, end));
         let together = self.together(star.ends);
         let better = usize::from(costs[1] < costs[0]);
-        let mut refused = Refused::Shape;
+        let mut best: Result<Proposal<3, f64>, Refused> = Err(Refused::Shape);
         for survivor in [better, 1 - better] {
-            let point = star.end_points[survivor];
+            let (cost, point) = (costs[survivor], star.end_points[survivor]);
             if together.error(&point) > self.error2 * together.area {
-                refused = Refused::Error;
+                best = best.or(Err(Refused::Error));
                 continue;
             }
-            // The limit may be infinite; an end that stays never goes.
-            if costs[survivor] > self.limit.min(f64::MAX) || keeps_triangles(star, &point).is_err() {
+            // An end that stays never goes.
+            let limit = best.as_ref().map_or(self.limit, |best| best.change);
+            if !cost.is_finite() || cost > limit || keeps_triangles(star, &point).is_err() {
                 continue;
             }
-            let full = self.full_cost(mesh, star, survivor, costs[survivor]);
-            if full.is_some_and(|full| full <= self.limit) {
-                return Ok(Proposal { survivor, point, change: () });
+            if let Some(full) = self.full_cost(mesh, star, survivor, cost, limit) {
+                best = Ok(Proposal { survivor, point, change: full });
             }
         }
-        Err(refused)
+        best
     }
 
-    fn judge(&mut self, _: &Mesh<3>, _: &Star<3>, _: &mut Proposal<3, ()>) -> Result<(), Refused> {
+    fn cost(&self, proposal: &Proposal<3, f64>) -> f64 {
+        proposal.change
+    }
+
+    fn judge(&mut self, _: &Mesh<3>, _: &Star<3>, _: &mut Proposal<3, f64>) -> Result<(), Refused> {
         Ok(())
     }
 
-    fn commit(&mut self, mesh: &Mesh<3>, star: &Star<3>, collapsed: &Collapsed, (): ()) {
+    fn commit(&mut self, mesh: &Mesh<3>, star: &Star<3>, collapsed: &Collapsed, _: f64) {
         let removed = usize::from(star.ends[1] == collapsed.removed);
         let moved = || star.wings.iter().filter(|w| w.end == removed).map(|w| w.triangle.index());
         let around = moved().chain(star.vanishing.iter().map(|(t, _, _)| t.index()));
@@ -230,6 +267,33 @@ impl Measure<3> for HalfEdge<'_> {
     }
 }
 
+/// What is left of the squared error of a triangle once it is refined; none if it cannot be: if the lines through the
+/// middles of its sides do not pierce the surface near by, or the four triangles that makes do not look along it.
+fn left_by_refinement(surface: &Surface, corners: [&Vec3; 3], at: [&Vec3; 3]) -> Option<f64> {
+    let (mut points, mut normals, mut slots) = ([[0.0; 3]; 6], [[0.0; 3]; 6], [0; 3]);
+    for i in 0..3 {
+        let j = (i + 1) % 3;
+        (points[i], normals[i]) = (*corners[i], *at[i]);
+        let normal = unit(&add_scaled(at[i], 1.0, at[j]));
+        let reach = REACH * distance2(corners[i], corners[j]).sqrt();
+        let middle = midpoint(corners[i], corners[j]);
+        let (_, place) = surface.pierced(&middle, &normal, reach, LEAST_COSINE, |_, _| true)?;
+        slots[i] = place.slot;
+        points[3 + i] = place.point;
+        normals[3 + i] = unit(&surface.normal_at(&place));
+    }
+    let mut left = 0.0;
+    for child in [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]] {
+        let [a, b, c] = child.map(|i| &points[i]);
+        if soundness([a, b, c], child.map(|i| &normals[i])) < LEAST_SOUNDNESS {
+            return None;
+        }
+        let middle: Vec3 = std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0);
+        left += area([a, b, c]) * surface.nearest_slot(&middle, slots).1;
+    }
+    Some(left)
+}
+
 /// 4√3 · area over the sum of the squared sides: 1 for equal sides, 0 for a needle.
 fn quality(a: &Vec3, b: &Vec3, c: &Vec3) -> f64 {
     let sides2 = distance2(a, b) + distance2(b, c) + distance2(c, a);
@@ -237,13 +301,11 @@ fn quality(a: &Vec3, b: &Vec3, c: &Vec3) -> f64 {
 }
 
 /// Quadrics of the triangles around each vertex, and of walls on the boundary.
-fn quadrics(mesh: &Mesh<3>, importance: &[f64]) -> Vec<Quadric<0>> {
+fn quadrics(mesh: &Mesh<3>) -> Vec<Quadric<0>> {
     let mut quadrics = vec![Quadric::default(); mesh.points.len()];
     for t in mesh.connectivity.triangles() {
         let corners = mesh.connectivity.corners(t);
-        let importance = importance[mesh.triangle_source[t.index()] as usize];
-        let mut quadric = Quadric::of_triangle(corners.map(|v| mesh.point(v)), 0.0);
-        quadric.scale(importance);
+        let quadric = Quadric::of_triangle(corners.map(|v| mesh.point(v)), 0.0);
         corners.iter().for_each(|v| quadrics[v.index()].add(&quadric));
         for i in 0..3 {
             if mesh.connectivity.twin(HalfedgeId::from_index(3 * t.index() + i)).is_some() {
@@ -252,7 +314,7 @@ fn quadrics(mesh: &Mesh<3>, importance: &[f64]) -> Vec<Quadric<0>> {
             let [a, b, c] = [0, 1, 2].map(|k| corners[(i + k) % 3]);
             for v in [a, b] {
                 let points = [a, b, c].map(|v| mesh.point(v));
-                quadrics[v.index()].add_wall(BOUNDARY * importance, points);
+                quadrics[v.index()].add_wall(BOUNDARY, points);
             }
         }
     }

@@ -14,28 +14,27 @@ const MOST: f64 = 16.0;
 /// How much more a part counts where triangles turned over.
 const INSISTENCE: f64 = 100.0;
 
-/// Make the input count more on base triangles that could not be refined soundly.
-pub fn insist(importance: &mut [f64], triangles: &[[u32; 3]], base: &Base, faulty: &[usize]) {
+/// Make vertices of the input count more on base triangles that could not be refined soundly.
+pub fn insist(importance: &mut [f64], base: &Base, faulty: &[usize]) {
     let mut is_faulty = vec![false; base.triangles.len()];
     faulty.iter().for_each(|&t| is_faulty[t] = true);
-    let of = |v: u32| base.parameters[v as usize].triangle as usize;
-    for (weight, t) in importance.iter_mut().zip(triangles) {
-        if t.iter().any(|&v| is_faulty.get(of(v)).copied().unwrap_or(false)) {
+    for (weight, parameter) in importance.iter_mut().zip(&base.parameters) {
+        if is_faulty.get(parameter.triangle as usize).copied().unwrap_or(false) {
             *weight *= INSISTENCE;
         }
     }
 }
 
-/// Multiply the importance of the input's triangles by what a trial with this base says. `error2` are squared distances of
-/// the input's vertices from its finest level.
+/// Multiply the importance of the input's vertices by what a trial with this base says. `error2` are the mean squares of
+/// the distance of the input's triangles from its finest level.
 pub fn weigh(importance: &mut [f64], points: &[Vec3], triangles: &[[u32; 3]], base: &Base, error2: &[f64]) {
     let of = |v: u32| base.parameters[v as usize].triangle as usize;
     let mut share = vec![0.0; base.triangles.len()];
-    for t in triangles {
+    for (t, error2) in triangles.iter().zip(error2) {
         let area = area(t.map(|v| &points[v as usize]));
         for &v in t {
             if let Some(sum) = share.get_mut(of(v)) {
-                *sum += area / 3.0 * error2[v as usize];
+                *sum += area / 3.0 * error2;
             }
         }
     }
@@ -43,9 +42,8 @@ pub fn weigh(importance: &mut [f64], points: &[Vec3], triangles: &[[u32; 3]], ba
     let mean = total / share.len().max(1) as f64;
     if mean > 0.0 {
         let factor: Vec<f64> = share.iter().map(|s| (s / mean).sqrt().clamp(1.0 / MOST, MOST)).collect();
-        for (weight, t) in importance.iter_mut().zip(triangles) {
-            let sum: f64 = t.iter().map(|&v| factor.get(of(v)).copied().unwrap_or(1.0)).sum();
-            *weight *= sum / 3.0;
+        for (weight, parameter) in importance.iter_mut().zip(&base.parameters) {
+            *weight *= factor.get(parameter.triangle as usize).copied().unwrap_or(1.0);
         }
     }
 }

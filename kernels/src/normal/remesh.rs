@@ -2,7 +2,7 @@
 
 use super::base::{self, Base, Target};
 use super::carried::Carried;
-use super::distance::{Distance, distance};
+use super::distance::{Distance, Fine, largest, mean_square};
 use super::domain::Domain;
 use super::grid::{ROUNDED_OFF, Steps, on_grid};
 use super::importance::{insist, weigh};
@@ -20,9 +20,11 @@ use crate::snm::contents::{self, Header, Refinement, Scheme};
 use crate::snm::{Writer, canonical};
 
 /// Bases that are tried; the one whose finest level comes closest is taken.
-const TRIALS: u64 = 2;
+const TRIALS: u64 = 4;
 /// Bases that are tried beyond that where triangles turn over.
 const MENDS: u64 = 1;
+/// Levels at most where their number is not given.
+const MOST_LEVELS: u8 = 4;
 /// Steps of a level in those of the next finer one: what is wrong early spreads far.
 const STEP_RATIO: f32 = 0.625;
 /// Bits of the mantissas of steps: the file is shorter for round numbers.
@@ -35,7 +37,9 @@ const MOST_GRID_POINTS: f64 = (1u32 << 29) as f64;
 /// What a normal mesh is made with.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    pub levels: u8,
+    /// At most. If not given, so many that the finest has about as many triangles as the input, or four if `max_error`
+    /// says how many.
+    pub levels: Option<u8>,
     pub target: Target,
     /// Stop at the first level that is nowhere farther from the input; 0 not to stop.
     pub max_error: f64,
@@ -108,7 +112,7 @@ pub fn remesh(
 ) -> Result<NormalMesh, KernelError> {
     let mesh = Mesh::new(points.to_vec(), triangles)?;
     let used = || mesh.connectivity.vertices().map(|v| *mesh.point(v));
-    let header = header(around(used()), carried, settings)?;
+    let mut header = header(around(used()), carried, settings)?;
     let shift = header.origin.map(|k| k as f64 * f64::from(header.grid));
     let points: Vec<Vec3> = points.iter().map(|p| sub(p, &shift)).collect();
     let mesh = Mesh { points: points.clone(), ..mesh };
@@ -117,38 +121,42 @@ pub fn remesh(
     let surface = Surface::new(&points, &proper, settings.threads);
     let slots = surface.slots();
     let source = mesh.triangle_source.clone();
-    let mesh = Mesh { triangle_source: (0..proper.len() as u32).collect(), ..mesh };
     let places = at_vertices(points.len(), &surface);
     let input = Input { points, triangles: &proper, carried, surface, slots, places };
 
-    let mut importance = vec![1.0; proper.len()];
-    let mut best: Option<(Rank, NormalMesh)> = None;
+    let mut importance = vec![1.0; input.points.len()];
+    let coarse = base::coarse(mesh, &input.surface, settings.target, progress)?;
+    let mut best: Option<(Rank, contents::Base, NormalMesh)> = None;
     for trial in 0..TRIALS + MENDS {
-        if trial >= TRIALS && best.as_ref().is_some_and(|(rank, _)| !rank.0) {
+        if trial >= TRIALS && best.as_ref().is_some_and(|(rank, ..)| !rank.0) {
             break;
         }
         // In levels, the base among them.
-        let each = u64::from(settings.levels) + 1;
+        let each = u64::from(settings.levels.unwrap_or(MOST_LEVELS)) + 1;
         let progress = &mut progress.part(trial * each, (TRIALS + MENDS) * each);
         progress.tell(0, each)?;
-        let base =
-            base::base(mesh.clone(), &input.surface, &importance, settings.target, &input.slots, progress)?;
+        let base = coarse.clone().base(&importance, &input.slots, progress)?;
+        if settings.levels.is_none() && settings.max_error <= 0.0 && trial == 0 {
+            header.levels = levels_for(base.triangles.len(), input.triangles.len());
+        }
         let base = in_order(base, &input, &header)?;
         let (made, last, unsound) = levels_of(&input, &base, header, settings, progress)?;
         let rank = (!unsound.is_empty(), made.levels.len(), last.mean_square);
-        if best.as_ref().is_none_or(|(least, _)| rank < *least) {
-            best = Some((rank, made));
+        let Ordered { base, contents } = base;
+        if best.as_ref().is_none_or(|(least, ..)| rank < *least) {
+            best = Some((rank, contents, made));
         }
         if last.mean_square == 0.0 {
             break;
         }
-        weigh(&mut importance, &input.points, input.triangles, &base.base, &last.from_input);
-        insist(&mut importance, input.triangles, &base.base, &unsound);
+        weigh(&mut importance, &input.points, input.triangles, &base, &last.from_input);
+        insist(&mut importance, &base, &unsound);
     }
-    let (_, mut made) = best.ok_or(KernelError::Interrupted)?;
+    let (_, contents, mut made) = best.ok_or(KernelError::Interrupted)?;
     if let Some(origin) = &mut made.origin {
         origin.triangles.iter_mut().for_each(|t| *t = source[*t as usize]);
     }
+    (made.file, made.ends) = written(&made.header, &contents, &made.levels, &made.steps)?;
     Ok(made)
 }
 
@@ -171,8 +179,14 @@ fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Result<H
         step_ratio: STEP_RATIO,
         channels: carried.channels(),
         units: carried.units(settings.color_tolerance),
-        levels: settings.levels,
+        levels: settings.levels.unwrap_or(MOST_LEVELS),
     })
+}
+
+/// Levels after which a base has about as many triangles as are wanted.
+fn levels_for(base: usize, triangles: usize) -> u8 {
+    let growth = triangles as f64 / base.max(1) as f64;
+    (1..MOST_LEVELS).find(|&level| growth < 2.0 * 4f64.powi(level.into())).unwrap_or(MOST_LEVELS)
 }
 
 /// A number that is not larger and has a short mantissa.
@@ -238,17 +252,21 @@ fn levels_of(
     let mut last = None;
     while let Some(level) = levels.last() {
         let number = levels.len() - 1;
-        let is_finest = number == usize::from(settings.levels);
+        let is_finest = number == usize::from(header.levels);
         if is_finest || settings.max_error > 0.0 {
-            let found = distance(points, triangles, surface, level, settings.threads);
-            let is_close = found.largest <= settings.max_error;
-            reached.push(found.largest);
-            last = Some(found);
-            if is_finest || is_close {
+            let slots: Vec<u32> = placed.places.iter().map(|place| place.slot).collect();
+            let fine = Fine { level, slots: &slots };
+            let mut is_last = is_finest;
+            if settings.max_error > 0.0 {
+                reached.push(largest(points, triangles, surface, &fine, settings.threads));
+                is_last |= reached[number] <= settings.max_error;
+            }
+            if is_last {
+                last = Some(mean_square(points, triangles, surface, &fine, settings.threads));
                 break;
             }
         }
-        progress.tell(levels.len() as u64, u64::from(settings.levels) + 1)?;
+        progress.tell(levels.len() as u64, u64::from(header.levels) + 1)?;
         let (predicted, step) = (level.predicted(&header), Steps::of(&header, number));
         let search = Search {
             original: &original,
@@ -275,22 +293,18 @@ fn levels_of(
         levels.push(next);
     }
     let last = last.ok_or(KernelError::Interrupted)?;
-    if steps.len() < usize::from(settings.levels) {
+    if steps.len() < usize::from(header.levels) {
         // Steps depend on how many levels there are.
-        let fewer = Settings { levels: steps.len() as u8, ..settings.clone() };
-        return levels_of(input, ordered, Header { levels: fewer.levels, ..header }, &fewer, progress);
+        let header = Header { levels: steps.len() as u8, ..header };
+        return levels_of(input, ordered, header, settings, progress);
     }
-    if settings.max_error <= 0.0 {
-        reached.clear();
-    }
-    let (file, ends) = written(&header, contents, &levels, &steps)?;
     let origin = Some(Origin {
         base_source: base.vertex_source.clone(),
         triangles: placed.places.iter().map(|place| surface.triangle(place.slot)).collect(),
         unsound: unsound.len(),
         reached,
     });
-    Ok((NormalMesh { header, levels, steps, file, ends, origin }, last, faulty))
+    Ok((NormalMesh { header, levels, steps, file: vec![], ends: vec![], origin }, last, faulty))
 }
 
 fn channels_of(

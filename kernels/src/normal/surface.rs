@@ -154,10 +154,14 @@ impl Surface {
         self.place(best.1, best.2)
     }
 
-    /// Squared distance to the nearest triangle of all.
-    pub fn distance2(&self, p: &Vec3) -> f64 {
+    /// The slot of the nearest triangle of all, and its squared distance: sooner if one of the slots `near` is near.
+    pub fn nearest_slot(&self, p: &Vec3, near: impl IntoIterator<Item = u32>) -> (u32, f64) {
         let to = |slot: u32| triangle_distance2(p, self.corners[slot as usize].each_ref());
-        self.tree.nearest(p, (0, f64::INFINITY), to).1
+        let closer = |best: (u32, f64), slot: u32| {
+            let d = to(slot);
+            if d < best.1 { (slot, d) } else { best }
+        };
+        self.tree.nearest(p, near.into_iter().fold((0, f64::INFINITY), closer), to)
     }
 }
 

@@ -194,15 +194,21 @@ pub fn unfold(search: &Search<'_>, found: &mut [Found]) -> Vec<usize> {
     let mut open: Vec<usize> = (0..topology.triangles.len()).collect();
     for _ in 0..TURNS {
         open.retain(|&t| fine.unsound(t, false) > 0);
-        let mut moved = false;
+        // What makes one triangle better may turn its neighbour over.
+        let mut beside = vec![];
         for &t in &open {
             for edge in topology.triangle_edges[t] {
-                moved |= fine.mend(edge as usize);
+                if fine.mend(edge as usize) {
+                    beside.extend(topology.edge_triangles[edge as usize].into_iter().filter(|&t| t != NONE));
+                }
             }
         }
-        if !moved {
+        if beside.is_empty() {
             break;
         }
+        open.extend(beside.into_iter().map(|t| t as usize));
+        open.sort_unstable();
+        open.dedup();
     }
     open.iter().flat_map(|&t| std::iter::repeat_n(t, fine.unsound(t, true))).collect()
 }

@@ -166,8 +166,8 @@ impl NormalMesh {
 
 /// Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
 #[pyfunction]
-#[pyo3(signature = (vertices, colors, confidence, triangles, *, levels, base_triangles, base_error, max_error,
-                    butterfly, relaxations, tolerance, color_tolerance, threads, progress))]
+#[pyo3(signature = (vertices, colors, confidence, triangles, *, levels, base_triangles, base_error, at_any_price,
+                    max_error, butterfly, relaxations, tolerance, color_tolerance, threads, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn remesh(
     py: Python<'_>,
@@ -175,9 +175,10 @@ pub fn remesh(
     colors: PyReadonlyArray2<'_, u8>,
     confidence: PyReadonlyArray1<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
-    levels: u8,
+    levels: Option<u8>,
     base_triangles: usize,
     base_error: f64,
+    at_any_price: bool,
     max_error: f64,
     butterfly: bool,
     relaxations: u8,
@@ -211,7 +212,7 @@ pub fn remesh(
     let carried = Carried { colors, confidence };
     let settings = Settings {
         levels,
-        target: Target { triangles: base_triangles, error: base_error },
+        target: Target { triangles: base_triangles, error: base_error, at_any_price },
         max_error,
         scheme: if butterfly { Scheme::Butterfly } else { Scheme::Linear },
         relaxations,
