@@ -21,7 +21,7 @@ import numpy as np
 
 from stages.errors import StageError
 from stages.progress import Progress, silent
-from stages.scan import Frame, Scan
+from stages.scan import Frame, Packed, Scan
 
 # No stage computes with these; in many layouts both come from file names.
 _SHOWN_TO_PEOPLE = frozenset({"name", "timestamp"})
@@ -111,7 +111,8 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
 
     A file that cannot be read counts as "unreadable"; the stage that needs it decides what to do about it.
     """
-    paths = sorted({v for frame in scan.frames for v in vars(frame).values() if isinstance(v, Path)})
+    held = [v.file if isinstance(v, Packed) else v for frame in scan.frames for v in vars(frame).values()]
+    paths = sorted({value for value in held if isinstance(value, Path)})
     signatures = [_signature(path) for path in paths]
     contents: dict[Path, str] = {}
     with ThreadPoolExecutor(os.cpu_count()) as threads:
@@ -148,6 +149,8 @@ def _frame(frame: Frame, contents: Mapping[Path, str]) -> dict[str, Any]:
 def _plain(value: Any, contents: Mapping[Path, str]) -> Any:
     if isinstance(value, Path):
         return {"file": contents[value]}
+    if isinstance(value, Packed):
+        return {"file": contents[value.file], "name": value.name}
     if isinstance(value, np.ndarray):
         data = np.ascontiguousarray(value)
         return {

@@ -207,7 +207,7 @@ def fuse(
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
             view = read_posed_depth(frame, plan.limits)
-            image = read_matching_color(frame) if color else None
+            image = read_matching_color(frame, view.surface.depth) if color else None
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
         return _Prepared(view, plan.layers(view), image)

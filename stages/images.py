@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scan import Camera, ColorImage, DepthImage, Frame
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Packed, scaled
 
 # No camera in use makes larger images; a header that promises more is damaged or hostile.
 MAX_PIXELS = 1 << 27
@@ -41,9 +41,10 @@ def read_color(frame: Frame) -> ColorImage | None:
     if frame.color is None:
         return None
     image = _color(frame.color, frame.name)
-    if frame.depth is None or not frame.camera.distortion:
+    camera = frame.color_camera or frame.camera
+    if frame.depth is None or not camera.distortion:
         return image
-    return cast(ColorImage, _undistorted(image, frame.camera, smooth=True))
+    return cast(ColorImage, _undistorted(image, camera, smooth=True))
 
 
 def read_right(frame: Frame) -> ColorImage | None:
@@ -64,8 +65,10 @@ def read_depth(frame: Frame) -> DepthImage | None:
     if isinstance(frame.depth, np.ndarray):
         depth = np.asarray(frame.depth, np.float32)
     else:
-        depth = _depth_file(frame.depth, frame)
+        depth = _stored_depth(frame.depth, frame)
     require_size(depth, frame.camera, frame.depth, frame.name)
+    if frame.confidence is not None:
+        depth[_confidence(frame.confidence, frame) < frame.least_confidence] = 0
     if frame.camera.distortion:
         depth = cast(DepthImage, _undistorted(depth, frame.camera, smooth=False))
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
@@ -87,12 +90,19 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
             raise InputError(f"the depth map cannot be read ({error}).", path) from error
     else:
         raw = _decode(path)
+    return require_raw_depth(raw, path)
+
+
+def require_raw_depth(raw: NDArray[Any], source: Path | str) -> NDArray[Any]:
+    """Return the values of a depth map, or raise InputError where they are none."""
     if raw.ndim != 2:
-        raise InputError("a depth map of one channel is expected; this is a colour image.", path)
+        raise InputError("a depth map of one channel is expected; this is a colour image.", source)
     if raw.dtype == np.uint8:
-        raise InputError("the depth map has 8 bits a pixel; 16-bit or float depth is expected.", path)
+        raise InputError("the depth map has 8 bits a pixel; 16-bit or float depth is expected.", source)
     if raw.dtype.kind not in "uif" or raw.size > MAX_PIXELS:
-        raise InputError(f"16-bit or float depth is expected; this is {raw.shape} of type {raw.dtype}.", path)
+        raise InputError(
+            f"16-bit or float depth is expected; this is {raw.shape} of type {raw.dtype}.", source
+        )
     return raw
 
 
@@ -126,7 +136,11 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
             f"the image is {width}×{height}, but its camera is calibrated for "
             f"{camera.width}×{camera.height}. "
             "Give images of the calibrated size, or the calibration of this size.",
-            source if isinstance(source, Path) else f"frame {name}",
+            source
+            if isinstance(source, Path)
+            else str(source)
+            if isinstance(source, Packed)
+            else f"frame {name}",
         )
 
 
@@ -143,17 +157,16 @@ def _undistortion(camera: Camera, width: int, height: int) -> tuple[NDArray[Any]
     """Return the maps for images of a size, the camera's matrix scaled to it."""
     import cv2
 
-    sx, sy = width / camera.width, height / camera.height
-    matrix = camera.matrix
-    matrix[0] = (camera.fx * sx, 0, (camera.cx + 0.5) * sx - 0.5)
-    matrix[1] = (0, camera.fy * sy, (camera.cy + 0.5) * sy - 0.5)
+    matrix = scaled(camera, width, height).matrix
     distortion = np.array(camera.distortion)
     return cv2.initUndistortRectifyMap(matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1)
 
 
-def _color(source: Path | ColorImage, name: str) -> ColorImage:
+def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
     import cv2
 
+    if isinstance(source, Packed):
+        source, name = source.load(), str(source)
     if isinstance(source, Path):
         image = _decode(source)
         if image.dtype != np.uint8:
@@ -174,12 +187,32 @@ def _color(source: Path | ColorImage, name: str) -> ColorImage:
     return cast(ColorImage, cv2.cvtColor(image, code))
 
 
-def _depth_file(path: Path, frame: Frame) -> DepthImage:
-    raw = read_raw_depth(path)
+def _stored_depth(source: Path | Packed, frame: Frame) -> DepthImage:
+    if isinstance(source, Path):
+        raw = read_raw_depth(source)
+    else:
+        raw = require_raw_depth(source.load(), str(source))
     depth = cast(DepthImage, raw.astype(np.float32) / np.float32(frame.depth_scale))
     for marker in frame.depth_missing:
         depth[raw == marker] = 0
     return depth
+
+
+def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDArray[np.uint8]:
+    """Return the confidence in the size of the depth map, never averaged."""
+    import cv2
+
+    if isinstance(source, Path):
+        image = _decode(source)
+    else:
+        image = source.load() if isinstance(source, Packed) else source
+    if image.ndim != 2 or image.dtype != np.uint8:
+        where = source if isinstance(source, Path) else f"frame {frame.name}"
+        raise InputError(
+            f"confidence of 8 bits in one channel is expected, not {image.shape} {image.dtype}.", where
+        )
+    size = (frame.camera.width, frame.camera.height)
+    return cast("NDArray[np.uint8]", cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))
 
 
 def _decode(path: Path) -> NDArray[Any]:

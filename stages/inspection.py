@@ -15,6 +15,7 @@ import numpy as np
 
 from stages import sanity
 from stages.errors import InputError
+from stages.fusion.posed_depth import read_matching_color
 from stages.images import image_size, read_color, read_depth, read_raw_depth, read_right
 from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
 
@@ -178,7 +179,7 @@ def inspect(scan: Scan) -> Inspection:
     elif scan.rig is None:
         depth, said = _depth_range([one.depth for one in samples], scan.frames[0].depth_scale)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
-        pairs = [(one.color, one.depth) for one in samples]
+        pairs = [(_matching(one), one.depth) for one in samples]
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs)
     return Inspection(
         scan=scan,
@@ -215,6 +216,13 @@ def _sample(frame: Frame) -> _Sample | InputError:
         return _Sample(frame, read_color(frame), read_right(frame), read_depth(frame))
     except InputError as error:
         return error
+
+
+def _matching(sample: _Sample) -> ColorImage | None:
+    """Return the colour as the depth camera sees it, where the two are known apart."""
+    if sample.color is None or sample.depth is None or sample.frame.color_camera is None:
+        return sample.color
+    return read_matching_color(sample.frame, sample.depth)
 
 
 def _path(frames: Sequence[Frame]) -> tuple[Path3D | None, list[str]]:

@@ -6,9 +6,10 @@ Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,20 @@ class Camera:
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
 
 
+def scaled(camera: Camera, width: int, height: int) -> Camera:
+    """Return the camera of the same images in another size; pixel centres stay at whole numbers."""
+    sx, sy = width / camera.width, height / camera.height
+    return Camera(
+        width,
+        height,
+        camera.fx * sx,
+        camera.fy * sy,
+        (camera.cx + 0.5) * sx - 0.5,
+        (camera.cy + 0.5) * sy - 0.5,
+        camera.distortion,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class StereoRig:
     """Two cameras fixed to each other.
@@ -72,10 +87,31 @@ class StereoRig:
 
 
 @dataclass(frozen=True, eq=False)
+class Packed:
+    """An image inside a file that holds more: a frame of a video, an entry of an archive.
+
+    Attributes
+    ----------
+    file : what holds it; another content of it is another image.
+    name : of the image in the file, for messages and so that images of one file differ.
+    load : returns it, (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of `depth_scale` for
+        depth, (h, w) uint8 for confidence; raises InputError. Any thread may call it, any number of times.
+    """
+
+    file: Path
+    name: str
+    load: Callable[[], NDArray[Any]]
+
+    def __str__(self) -> str:
+        """Return how messages call the image."""
+        return f"{self.file}: {self.name}"
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One moment of a scan: a colour image and either a right image or a depth map.
 
-    Images are files, read when asked for (see stages.images), or arrays in memory.
+    Images are files or parts of files, read when asked for (see stages.images), or arrays in memory.
 
     Attributes
     ----------
@@ -88,17 +124,28 @@ class Frame:
     depth_missing : raw values that mark a missing depth, beside 0.
     world_from_camera : (4, 4) float64 rigid, metres; None where the scan has no pose for the frame.
     timestamp : nanoseconds, or None.
+    color_camera : of the colour image of an RGB-D frame, for any of its sizes; None where that image shows
+        what the depth map shows, in whatever size.
+    color_from_depth : (4, 4) float64, metres: takes points of the depth camera to the colour camera; None
+        where both stand in one place.
+    confidence : how far each depth is to be trusted, (h, w) of the depth map's size or of another; higher is
+        better.
+    least_confidence : depth of less is missing.
     """
 
     name: str
     camera: Camera
-    color: Path | ColorImage | None = None
+    color: Path | Packed | ColorImage | None = None
     right: Path | ColorImage | None = None
-    depth: Path | DepthImage | None = None
+    depth: Path | Packed | DepthImage | None = None
     depth_scale: float = 1000.0
     depth_missing: tuple[int, ...] = ()
     world_from_camera: Pose | None = None
     timestamp: int | None = None
+    color_camera: Camera | None = None
+    color_from_depth: Pose | None = None
+    confidence: Path | Packed | NDArray[np.uint8] | None = None
+    least_confidence: int = 0
 
 
 @dataclass(frozen=True)

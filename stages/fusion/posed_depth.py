@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.fusion.depth_filter import Surface, surface
 from stages.images import read_color, read_depth
-from stages.scan import Camera, ColorImage, Frame, Pose
+from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose, scaled
 
 # Poses come from text with few digits and from trackers that drift off rotation a little.
 _RIGID_TOLERANCE = 1e-2
@@ -80,8 +80,13 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     return PosedDepth(seen, camera, pose, valid)
 
 
-def read_matching_color(frame: Frame) -> ColorImage:
+def read_matching_color(frame: Frame, depth: DepthImage) -> ColorImage:
     """Read a frame's colour image in the size and geometry of its depth map.
+
+    Parameters
+    ----------
+    frame : with colour.
+    depth : (h, w) metres, of the frame; where it is 0, a colour means little if the cameras stand apart.
 
     Raises
     ------
@@ -94,9 +99,37 @@ def read_matching_color(frame: Frame) -> ColorImage:
     if color is None:
         raise InputError("there is no colour image, while other frames have one.", f"frame {frame.name}")
     size = (frame.camera.width, frame.camera.height)
+    if frame.color_camera is not None:
+        return _seen_by_depth(color, frame, frame.color_camera, depth)
     if (color.shape[1], color.shape[0]) != size:
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
     return np.ascontiguousarray(color)
+
+
+def _seen_by_depth(color: ColorImage, frame: Frame, camera: Camera, depth: DepthImage) -> ColorImage:
+    """Return the colour at the pixels of the depth map, looked up through the colour camera."""
+    import cv2
+
+    # Sampled at the depth map's spacing: what is finer is averaged first.
+    spacing = (camera.fx / camera.width * color.shape[1]) / frame.camera.fx
+    if spacing > 1:
+        smaller = (max(round(color.shape[1] / spacing), 1), max(round(color.shape[0] / spacing), 1))
+        color = np.asarray(cv2.resize(color, smaller, interpolation=cv2.INTER_AREA), np.uint8)
+    to = scaled(camera, color.shape[1], color.shape[0])
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    z = np.where(depth > 0, depth, 1).astype(np.float64)
+    x, y = ((columns - frame.camera.cx) / frame.camera.fx * z, (rows - frame.camera.cy) / frame.camera.fy * z)
+    points = np.stack([x, y, z])
+    if frame.color_from_depth is not None:
+        pose = np.asarray(frame.color_from_depth, np.float64)
+        points = np.tensordot(pose[:3, :3], points, 1) + pose[:3, 3, None, None]
+    behind = points[2] <= 0
+    points[2][behind] = 1
+    across = np.where(behind, -1, points[0] / points[2] * to.fx + to.cx).astype(np.float32)
+    down = np.where(behind, -1, points[1] / points[2] * to.fy + to.cy).astype(np.float32)
+    return np.asarray(
+        cv2.remap(color, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8
+    )
 
 
 def _pose(frame: Frame) -> Pose:
