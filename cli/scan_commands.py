@@ -11,7 +11,7 @@ import stages
 from cli.options import as_typed, with_options
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, new_folder, require_new_file, require_scan
-from stages import DepthParams, FuseParams, InputError, ScanParams
+from stages import DepthParams, FuseParams, InputError, RegisterParams, ScanParams
 from stages.sanity import require_poses
 
 ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
@@ -21,6 +21,7 @@ def add_to(app: typer.Typer) -> None:
     """Register the commands."""
     app.command("inspect", rich_help_panel="From scan to mesh")(with_options(inspect))
     app.command("depth", rich_help_panel="One stage at a time")(with_options(depth))
+    app.command("register", rich_help_panel="One stage at a time")(with_options(register))
     app.command("fuse", rich_help_panel="One stage at a time")(with_options(fuse))
 
 
@@ -53,6 +54,37 @@ def depth(
     source = stages.read_scan(require_scan(folder), scan)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, stages.depth_scan(source, params, progress), len(source.frames))
+    out.result({"output": str(target), **figures})
+
+
+def register(
+    folder: ScanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUTDIR", help="Folder for poses and cloud.", show_default=False)
+    ],
+    scan: ScanParams,
+    params: RegisterParams,
+    out: Output,
+) -> None:
+    """Find the camera poses of a scan with depth from what its frames show; poses it has are not used.
+
+    OUTDIR gets trajectory.tum (camera-to-world), registration.json (matrices, edges, pieces, where the chain
+    broke) and path.ply, a coloured cloud with the camera's path in red.
+
+    Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
+    """
+    from pipeline.registering import write
+
+    source = stages.read_scan(require_scan(folder), scan, complete=False)
+    if source.is_stereo:
+        raise InputError(
+            f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR`, register OUTDIR, "
+            "or `scanloom run` for the whole way.",
+            folder,
+        )
+    stages.layouts.require_complete(source, folder, posed=False)
+    with new_folder(target) as draft, out.progress("register", "frames") as progress:
+        figures = write(draft, stages.register(source, params, progress=progress))
     out.result({"output": str(target), **figures})
 
 

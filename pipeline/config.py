@@ -12,6 +12,7 @@ from stages.compare import CompareParams
 from stages.depth import DepthParams
 from stages.fuse import FuseParams
 from stages.layouts import ScanParams
+from stages.register import RegisterParams
 from stages.simplify import SimplifyParams
 
 
@@ -21,6 +22,7 @@ class Config(Sections):
 
     scan: ScanParams = field(default_factory=ScanParams)
     depth: DepthParams = field(default_factory=DepthParams)
+    register: RegisterParams = field(default_factory=RegisterParams)
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)

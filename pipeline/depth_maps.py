@@ -108,7 +108,7 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
         depth_missing=(),
         timestamp=None,
     )
-    return _Written(kept, *_cloud(result.depth, result.color, frame, budget), result.figures())
+    return _Written(kept, *cloud_of(result.depth, result.color, frame, budget), result.figures())
 
 
 def depth_scale(max_depth: float) -> float:
@@ -135,7 +135,7 @@ def _grey_or_bgr(color: ColorImage) -> ColorImage:
     return grey if is_grey else color[:, :, ::-1]
 
 
-def _cloud(
+def cloud_of(
     depth: DepthImage, color: ColorImage, frame: Frame, budget: int
 ) -> tuple[NDArray[np.float32], ColorImage]:
     """Return at most `budget` of a frame's points in the world, evenly taken from its pixels."""

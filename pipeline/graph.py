@@ -1,8 +1,9 @@
 """The stages of the pipeline, declared: what each reads and writes, what decides its result, what it runs.
 
 pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
-(an RGB-D scan is frames from the start, and has no depth stage)        └──remesh──▶ remeshed ──▲
-(and remesh is there if it is enabled)
+                   └─register─▶ posed ─▲                               └──remesh──▶ remeshed ──▲
+(an RGB-D scan is frames from the start, and has no depth stage; register is there where poses are missing,
+and remesh if it is enabled)
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from pipeline import remeshing, report
+from pipeline import registering, remeshing, report
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
@@ -26,6 +27,8 @@ from stages.formats.ply import read_ply, write_ply
 from stages.fuse import VERSION as FUSE_VERSION
 from stages.fuse import fuse
 from stages.layouts import read_scan
+from stages.register import VERSION as REGISTER_VERSION
+from stages.register import register
 from stages.remesh import VERSION as REMESH_VERSION
 from stages.sanity import require_poses
 from stages.scan import Scan
@@ -37,6 +40,11 @@ def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
     measured = depth_scan(scan, job.config.depth, job.progress)
     return _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
+
+
+def _register(job: Job) -> Mapping[str, Any]:
+    found = register(_frames(job), job.config.register, progress=job.progress)
+    return _with_skipped(registering.write(job.folder, found))
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
@@ -94,10 +102,12 @@ def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _frames(job: Job) -> Scan:
-    """Return the RGB-D scan, or the one the depth stage left in its folder."""
+    """Return the RGB-D scan, or the one the depth stage left, with the poses that were found."""
     frames = job.inputs["frames"]
     # No message should name the cache's folder, which is that of the depth stage's scan.
-    return replace(read_scan(frames), folder=None) if isinstance(frames, Path) else frames
+    if isinstance(frames, Path):
+        frames = replace(read_scan(frames, complete=False), folder=None)
+    return registering.placed(frames, job.inputs["posed"]) if "posed" in job.inputs else frames
 
 
 def _version(*distributions: str) -> str:
@@ -129,9 +139,19 @@ STAGES: tuple[Stage, ...] = (
         results=("points.ply",),
     ),
     Stage(
+        name="register",
+        version=REGISTER_VERSION,
+        reads=("frames",),
+        writes="posed",
+        sections=("register",),
+        make=_register,
+        libraries=_OPENCV | _OPEN3D,
+        results=("trajectory.tum", "path.ply"),
+    ),
+    Stage(
         name="fuse",
         version=FUSE_VERSION,
-        reads=("frames",),
+        reads=("frames", "posed"),
         writes="fused",
         sections=("fuse",),
         make=_fuse,
@@ -170,7 +190,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="report",
         version=report.VERSION,
-        reads=("frames", "fused", "clean", "simplified", "remeshed"),
+        reads=("frames", "posed", "fused", "clean", "simplified", "remeshed"),
         writes="report",
         sections=("compare", "report"),
         make=_report,
@@ -192,9 +212,21 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
     reasons = {}
     if not scan.is_stereo:
         reasons["depth"] = "is not a stage of this scan: it is RGB-D, its depth is measured already"
+    if not is_registered(scan, config):
+        why = (
+            "is switched off"
+            if config.register.enabled is False
+            else "its frames have poses; set register.enabled=true to find others"
+        )
+        reasons["register"] = f"is not a stage of this scan: {why}"
     if not config.remesh.enabled:
         reasons["remesh"] = "is not enabled; set remesh.enabled=true"
     return reasons
+
+
+def is_registered(scan: Scan, config: Config) -> bool:
+    """Return whether the poses of a scan are found: those it lacks, or all, if asked for."""
+    return not scan.has_poses if config.register.enabled is None else config.register.enabled
 
 
 def source_of(scan: Scan) -> str:

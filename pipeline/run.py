@@ -15,10 +15,10 @@ from pipeline.digest import scan_digest
 from pipeline.engine import Engine, Outcome, Source, Stage
 from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
 from pipeline.failures import explained
-from pipeline.graph import STAGES, left_out, plan_for, source_of
+from pipeline.graph import STAGES, is_registered, left_out, plan_for, source_of
 from pipeline.report import compose, to_json
 from stages.errors import UsageError
-from stages.layouts import read_scan
+from stages.layouts import read_scan, require_complete
 from stages.scan import Scan
 
 CACHE_VARIABLE = "SCANLOOM_CACHE"
@@ -89,7 +89,8 @@ def run(
     known = [stage.name for stage in STAGES]
     for name in (*force, *([] if until is None else [until])):
         _require_stage(name, known)
-    scan = read_scan(scan_folder, config.scan)
+    scan = read_scan(scan_folder, config.scan, complete=False)
+    require_complete(scan, scan_folder, posed=not is_registered(scan, config))
     plan = plan_for(scan, config)
     until = until or plan[-1].name
     absent = left_out(scan, config)

@@ -23,6 +23,7 @@ from stages.mesh import Mesh, Texture
 from stages.mesh_files import read_mesh, write_mesh
 from stages.normal_mesh import NormalMesh, Offsets, decode
 from stages.regions import Box, Sphere
+from stages.register import RegisterParams, Registration, register
 from stages.remesh import RemeshParams, remesh
 from stages.render import View, render
 from stages.scan import Camera, Frame, Scan, StereoRig
@@ -52,6 +53,8 @@ __all__ = [
     "MeshLike",
     "NormalMesh",
     "Offsets",
+    "RegisterParams",
+    "Registration",
     "RemeshParams",
     "ReplayParams",
     "Scan",
@@ -78,6 +81,7 @@ __all__ = [
     "load_record",
     "read_mesh",
     "read_scan",
+    "register",
     "remesh",
     "render",
     "simplify",

@@ -178,6 +178,11 @@ class Scan:
     missing: tuple[str, ...] = ()
 
     @property
+    def has_poses(self) -> bool:
+        """Return whether any frame has a pose."""
+        return any(frame.world_from_camera is not None for frame in self.frames)
+
+    @property
     def is_stereo(self) -> bool:
         """Return whether depth must still be computed from pairs."""
         return self.rig is not None

@@ -130,6 +130,17 @@ def read_tum(path: Path) -> Trajectory:
     return Trajectory(poses, np.array(times, np.int64))
 
 
+def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> None:
+    """Write TUM lines, as `read_tum` reads them: times in seconds, camera-to-world poses in metres."""
+    from scipy.spatial.transform import Rotation
+
+    lines = ["# seconds tx ty tz qx qy qz qw"]
+    for time, pose in zip(seconds, poses, strict=True):
+        turn = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        lines.append(" ".join([f"{time:.9f}", *(f"{value:.9f}" for value in (*pose[:3, 3], *turn))]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
 def read_log(path: Path) -> Trajectory:
     """Read a Redwood or Open3D `.log`: a header of three integers, then four rows; camera-to-world."""
     content = list(_number_lines(path))

@@ -2,8 +2,8 @@
 
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
-from stages.layouts.read import read_scan, recognise
+from stages.layouts.read import read_scan, recognise, require_complete
 from stages.layouts.scan_json import write_scan_json
 from stages.layouts.table import LAYOUTS
 
-__all__ = ["LAYOUTS", "Layout", "ScanParams", "read_scan", "recognise", "write_scan_json"]
+__all__ = ["LAYOUTS", "Layout", "ScanParams", "read_scan", "recognise", "require_complete", "write_scan_json"]

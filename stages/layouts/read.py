@@ -36,12 +36,19 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     _require_folder(folder)
     layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
     scan = _without_still_poses(layout.read(folder, options))
-    if complete and scan.missing:
-        raise InputError("; and ".join(f"no {what}" for what in scan.missing) + ".", folder)
+    if complete:
+        require_complete(scan, folder)
     scan = _without_lost(_without_absent(scan), folder)
     _require_equal_sides(scan.frames, folder)
     warnings = (*scan.warnings, *_time_warnings(scan.frames))
     return replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+
+
+def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
+    """Raise InputError if a scan lacks what a mesh needs; poses only if it has to be `posed`."""
+    lacking = [what for what in scan.missing if posed or not what.startswith("poses:")]
+    if lacking:
+        raise InputError("; and ".join(f"no {what}" for what in lacking) + ".", folder)
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:

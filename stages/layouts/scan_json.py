@@ -135,7 +135,11 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                 timestamp=_timestamp(entry, name, path),
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder)
+    posed = any(frame.world_from_camera is not None for frame in frames)
+    lacking = (
+        () if posed or not frames else ("poses: no frame has one; name a trajectory with scan.poses=FILE",)
+    )
+    return Scan(LAYOUT.name, frames, None, folder, missing=lacking)
 
 
 def _name(entry: object, position: int, path: Path) -> str:

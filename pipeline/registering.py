@@ -1,0 +1,89 @@
+"""Leave poses that were found as files, and give them to the frames they are of.
+
+trajectory.tum      a pose a line, camera-to-world, of the frames that are used
+registration.json   the same as matrices by the frame's place in the scan; edges, pieces, breaks
+path.ply            a coloured cloud of what the frames show, and the camera's path in red
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.depth_maps import cloud_of
+from stages.errors import InputError
+from stages.formats.ply import write_ply_cloud
+from stages.formats.trajectories import write_tum
+from stages.fusion.posed_depth import read_matching_color
+from stages.images import read_depth
+from stages.register import Registration
+from stages.scan import ColorImage, Frame, Scan
+
+# Points in the cloud: enough to judge the poses by.
+_MAX_POINTS = 500_000
+# Points between two camera positions.
+_PATH_POINTS = 20
+_PATH_COLOR = (255, 0, 0)
+_FILE = "registration.json"
+
+
+def write(folder: Path, found: Registration) -> Mapping[str, Any]:
+    """Write the files into an empty folder, and return figures."""
+    placed = [
+        (place, frame, pose)
+        for place, frame in zip(found.places, found.frames, strict=True)
+        if (pose := frame.world_from_camera) is not None
+    ]
+    times = [place if frame.timestamp is None else frame.timestamp / 1e9 for place, frame, _ in placed]
+    write_tum(folder / "trajectory.tum", times, [pose for *_, pose in placed])
+    document = {
+        "poses": {str(place): pose.tolist() for place, _, pose in placed},
+        "pieces": [list(piece) for piece in found.pieces],
+        "edges": [dict(edge) for edge in found.edges],
+        "breaks": [{"frame": one.name, "reason": one.reason} for one in found.breaks],
+        "skipped": [{"frame": one.name, "reason": one.reason} for one in found.skipped],
+    }
+    (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_ply_cloud(folder / "path.ply", *_cloud(found.frames))
+    return found.figures()
+
+
+def placed(scan: Scan, folder: Path) -> Scan:
+    """Return the frames of a scan that poses were found for, with these."""
+    poses = json.loads((folder / _FILE).read_text(encoding="utf-8"))["poses"]
+    frames = [
+        replace(scan.frames[int(place)], world_from_camera=np.array(pose)) for place, pose in poses.items()
+    ]
+    return replace(scan, frames=frames, missing=())
+
+
+def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:
+    points, colors = [], []
+    for frame in frames:
+        try:
+            depth = read_depth(frame)
+            if depth is None:
+                continue
+            shown = (
+                np.full((*depth.shape, 3), 160, np.uint8)
+                if frame.color is None
+                else read_matching_color(frame, depth)
+            )
+        except InputError:
+            continue
+        some, their = cloud_of(depth, shown, frame, max(1, _MAX_POINTS // len(frames)))
+        points.append(some)
+        colors.append(their)
+    centres = np.array([pose[:3, 3] for frame in frames if (pose := frame.world_from_camera) is not None])
+    share = np.linspace(0, 1, _PATH_POINTS, endpoint=False)[:, None]
+    path = [a + share * (b - a) for a, b in itertools.pairwise(centres)]
+    points += [np.asarray(line, np.float32) for line in path]
+    colors += [np.full((len(line), 3), _PATH_COLOR, np.uint8) for line in path]
+    return np.concatenate(points), np.concatenate(colors)

@@ -1,0 +1,278 @@
+"""Registration: poses for frames that have none, from what they show."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.formats.trajectories import inverted
+from stages.images import read_depth
+from stages.params import check, param, resolve
+from stages.progress import Progress, silent
+from stages.registration.chain import Chain, key_edges, key_frames, make_chain
+from stages.registration.graph import Edge, pieces
+from stages.registration.loops import loops
+from stages.registration.motion import Motion, NoMotion, angle
+from stages.registration.odometry import one_thread_each
+from stages.registration.placing import placed_pieces
+from stages.scan import Frame, Pose, Scan, SkippedFrame
+
+VERSION = 1
+
+# Depth is used up to so many times its median in so many frames.
+_MEDIANS, _SAMPLED = 2.5, 7
+_STILL_M, _STILL_RAD = 0.005, np.radians(0.5)
+_DARK = 8.0
+
+_HOW = "How"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterParams:
+    """How poses are found for frames that have none."""
+
+    enabled: bool | None = param(
+        None,
+        "Find poses: by default only where the scan has none; true finds them anew, false refuses such "
+        "a scan.",
+    )
+    max_depth: float | None = param(
+        None,
+        "Depth beyond this is not used to find poses. Default: 2.5 times the median depth of the scan.",
+        group=_HOW,
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Poses of a scan's frames.
+
+    Attributes
+    ----------
+    frames : those of the largest piece, each with a pose; the first one's camera is the world.
+    places : of these frames in the scan.
+    skipped : all others, and why.
+    pieces : names of the frames of each piece, the largest first: poses of different pieces say nothing
+        about each other.
+    poses : world_from_camera of every frame that has one, by its place in the scan; in its piece's world.
+    edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m,
+        points, is_loop, is_used.
+    breaks : where a frame could not be placed to the one before: its name, and why.
+    key_frames : places in the scan.
+    warnings : what is odd.
+    seconds : of the work.
+    """
+
+    frames: tuple[Frame, ...]
+    places: tuple[int, ...]
+    skipped: tuple[SkippedFrame, ...]
+    pieces: tuple[tuple[str, ...], ...]
+    poses: dict[int, Pose]
+    edges: tuple[dict[str, Any], ...]
+    breaks: tuple[SkippedFrame, ...]
+    key_frames: tuple[int, ...]
+    warnings: tuple[str, ...]
+    seconds: float
+
+    def figures(self) -> dict[str, Any]:
+        """Return what a report says of it, as JSON values."""
+        used = [edge for edge in self.edges if edge["is_used"]]
+        centres = np.array(
+            [pose[:3, 3] for frame in self.frames if (pose := frame.world_from_camera) is not None]
+        )
+        return {
+            "frames": len(self.frames),
+            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "pieces": [len(piece) for piece in self.pieces],
+            "key_frames": len(self.key_frames),
+            "edges": len(used),
+            "loops": sum(edge["is_loop"] for edge in used),
+            "loops_refused": sum(not edge["is_used"] for edge in self.edges),
+            "median_fitness": _median([edge["fitness"] for edge in used]),
+            "median_rmse_m": _median([edge["rmse_m"] for edge in used]),
+            "path_m": float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()) if len(centres) else 0.0,
+            "breaks": [{"frame": one.name, "reason": one.reason} for one in self.breaks],
+            "warnings": list(self.warnings),
+        }
+
+
+def register(
+    scan: Scan | Sequence[Frame],
+    params: RegisterParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Any,
+) -> Registration:
+    """Find the poses of frames with depth from what they show; poses they have are not used.
+
+    Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
+    Key frames that may show the same place, because their poses or their looks say so, are placed to each
+    other, and a robust pose graph makes all agree. Frames that cannot be joined are pieces of their own.
+    Equal input gives equal bits, on any number of threads.
+
+    Parameters
+    ----------
+    scan : frames in the order they were taken, with depth; colour helps.
+    params : RegisterParams; single fields can be given by name instead.
+    progress : called with the frames that are done and their number.
+
+    Raises
+    ------
+    InputError
+        If fewer than two frames can be used, or no two of them can be placed to each other.
+
+    References
+    ----------
+    Choi, Zhou and Koltun, "Robust reconstruction of indoor scenes", 2015; odometry and pose graph are
+    Open3D's, features and perspective-n-point OpenCV's.
+    """
+    params = resolve(RegisterParams, params, changes)
+    frames = list(scan.frames if isinstance(scan, Scan) else scan)
+    where = scan.folder if isinstance(scan, Scan) else None
+    began = time.perf_counter()
+    max_depth = params.max_depth or _max_depth(frames)
+    with one_thread_each():
+        chain = make_chain(frames, max_depth, progress)
+        if len(chain.seen) < 2:
+            first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
+            raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
+        keys, starts = key_frames(chain)
+        edges = list(key_edges(frames, chain, keys, starts, max_depth))
+        if params.loops:
+            edges += loops(frames, chain, keys, starts, max_depth)
+    groups = pieces(len(keys), edges)
+    poses, used, wrong = placed_pieces(chain, keys, starts, groups, edges)
+    return _result(frames, chain, keys, groups, poses, used, wrong, began, where)
+
+
+def _max_depth(frames: Sequence[Frame]) -> float:
+    """Return how far depth is used: what is far is measured worse, and tells less of the motion."""
+    medians = []
+    for i in np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).round().astype(int)) if frames else ():
+        try:
+            depth = read_depth(frames[i])
+        except InputError:
+            continue
+        if depth is not None and depth.any():
+            medians.append(float(np.median(depth[depth > 0])))
+    return _MEDIANS * float(np.median(medians)) if medians else np.inf
+
+
+def _result(
+    frames: Sequence[Frame],
+    chain: Chain,
+    keys: Sequence[int],
+    groups: Sequence[Sequence[int]],
+    poses: dict[int, Pose],
+    used: Sequence[Edge],
+    wrong: Sequence[Edge],
+    began: float,
+    where: Path | None,
+) -> Registration:
+    piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
+    numbers = chain.numbers
+    piece_of = {n: piece_of_key[max(key for key in keys if key <= n)] for n in numbers}
+    sizes = [[n for n in numbers if piece_of[n] == piece] for piece in range(len(groups))]
+    order = sorted(range(len(groups)), key=lambda piece: (-len(sizes[piece]), piece))
+    largest = sizes[order[0]]
+    breaks = tuple(
+        SkippedFrame(frames[numbers[numbers.index(n) + 1]].name, motion.reason)
+        for n, motion in sorted(chain.motions.items())
+        if isinstance(motion, NoMotion)
+    )
+    if len(largest) < 2:
+        raise InputError(
+            f"no two of its {len(numbers)} frames can be placed to each other (frame {breaks[0].name}: "
+            f"{breaks[0].reason}). If poses are known, name them with scan.poses=FILE.",
+            where,
+        )
+    rank = {piece: i for i, piece in enumerate(order)}
+    apart = [
+        SkippedFrame(
+            frames[n].name,
+            f"it is in piece {rank[piece_of[n]] + 1} of {len(order)}, which could not be joined to the first",
+        )
+        for n in numbers
+        if piece_of[n] != order[0]
+    ]
+    origin = inverted(poses[largest[0]])
+    return Registration(
+        frames=tuple(replace(frames[n], world_from_camera=origin @ poses[n]) for n in largest),
+        places=tuple(largest),
+        skipped=(*chain.skipped, *apart),
+        pieces=tuple(tuple(frames[n].name for n in sizes[piece]) for piece in order),
+        poses=poses,
+        edges=tuple(
+            _edge(edge, keys, is_used) for edges, is_used in ((used, True), (wrong, False)) for edge in edges
+        ),
+        breaks=breaks,
+        key_frames=tuple(keys),
+        warnings=tuple(_warnings(frames, chain, len(order), breaks, [poses[n] for n in largest])),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _edge(edge: Edge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
+    return {
+        "source": keys[edge.source],
+        "target": keys[edge.target],
+        "fitness": edge.motion.fitness,
+        "rmse_m": edge.motion.rmse_m,
+        "points": edge.motion.points,
+        "is_loop": not edge.is_certain,
+        "is_used": is_used,
+    }
+
+
+def _warnings(
+    frames: Sequence[Frame],
+    chain: Chain,
+    count: int,
+    breaks: Sequence[SkippedFrame],
+    poses: Sequence[Pose],
+) -> Iterator[str]:
+    motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
+    if count > 1:
+        yield (
+            f"the frames fall into {count} pieces that could not be joined; only the largest is used. "
+            f"The chain broke at {breaks[0].name}"
+            + (f" and {len(breaks) - 1} more" if len(breaks) > 1 else "")
+            + f": {breaks[0].reason}"
+        )
+    split = [motion for motion in motions if motion.is_split]
+    if len(split) > 0.1 * max(len(motions), 1):
+        yield (
+            f"in {len(split)} of {len(motions)} steps what is recognised and the surfaces move differently: "
+            "something in view moves on its own (a person, a turntable), or colour and depth do not "
+            "belong together"
+        )
+    if poses and all(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3]) < _STILL_M for pose in poses):
+        turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
+        if turned < _STILL_RAD:
+            yield "the camera does not move: all frames show the scene from one place"
+    dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
+    if dark:
+        yield f"{len(dark)} colour images are black, the first is that of frame {frames[dark[0]].name}"
+    same = sum(
+        np.linalg.norm(m.target_from_source[:3, 3]) < 1e-5 and angle(m.target_from_source) < 1e-5
+        for m in motions
+    )
+    if same:
+        yield f"{same} frames are the same as the one before"
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if len(values) else 0.0

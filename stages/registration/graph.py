@@ -1,0 +1,94 @@
+"""Poses that agree best with all motions between them, wrong ones left out (Choi, Zhou and Koltun 2015)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages._open3d import open3d
+from stages.registration.motion import Motion
+from stages.scan import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A motion between two of the poses.
+
+    Attributes
+    ----------
+    source, target : their numbers.
+    motion : target_from_source.
+    is_certain : it is kept whatever the others say: views that follow each other.
+    """
+
+    source: int
+    target: int
+    motion: Motion
+    is_certain: bool
+
+
+def pieces(count: int, edges: Sequence[Edge]) -> list[list[int]]:
+    """Return the numbers below `count` in sets that edges join, the largest first, each in order."""
+    root = list(range(count))
+
+    def find(i: int) -> int:
+        while root[i] != i:
+            root[i] = root[root[i]]
+            i = root[i]
+        return i
+
+    for edge in edges:
+        a, b = find(edge.source), find(edge.target)
+        root[max(a, b)] = min(a, b)
+    found: dict[int, list[int]] = {}
+    for i in range(count):
+        found.setdefault(find(i), []).append(i)
+    return sorted(found.values(), key=lambda piece: (-len(piece), piece[0]))
+
+
+def optimised(
+    starts: Mapping[int, Pose], edges: Sequence[Edge], reach: float
+) -> tuple[dict[int, Pose], list[Edge]]:
+    """Return the poses of one piece, the first as it was, and the edges that were found to be wrong.
+
+    Parameters
+    ----------
+    starts : world_from_camera of each number, metres.
+    edges : among these numbers.
+    reach : distance in metres within which surfaces count as the same.
+    """
+    o3d = open3d()
+    registration = o3d.pipelines.registration
+    numbers = sorted(starts)
+    place = {number: i for i, number in enumerate(numbers)}
+    graph = registration.PoseGraph()
+    for number in numbers:
+        graph.nodes.append(registration.PoseGraphNode(np.ascontiguousarray(starts[number])))
+    for edge in edges:
+        graph.edges.append(
+            registration.PoseGraphEdge(
+                place[edge.source],
+                place[edge.target],
+                np.ascontiguousarray(edge.motion.target_from_source),
+                np.ascontiguousarray(edge.motion.information),
+                not edge.is_certain,
+            )
+        )
+    if len(numbers) > 1:
+        registration.global_optimization(
+            graph,
+            registration.GlobalOptimizationLevenbergMarquardt(),
+            registration.GlobalOptimizationConvergenceCriteria(),
+            registration.GlobalOptimizationOption(
+                max_correspondence_distance=reach,
+                edge_prune_threshold=0.25,
+                preference_loop_closure=1.0,
+                reference_node=0,
+            ),
+        )
+    poses = {number: np.array(graph.nodes[i].pose) for number, i in place.items()}
+    kept = {(edge.source_node_id, edge.target_node_id) for edge in graph.edges}
+    wrong = [edge for edge in edges if (place[edge.source], place[edge.target]) not in kept]
+    return poses, wrong

@@ -1,0 +1,141 @@
+"""A frame as registration needs it: depth to align, and what can be recognised in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.errors import InputError
+from stages.fusion.posed_depth import read_matching_color
+from stages.images import read_depth
+from stages.registration.features import Features, features_of
+from stages.scan import Camera, DepthImage, Frame, scaled
+
+# Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
+_WIDEST = 400
+# Points from which the firmness of a view is measured.
+_SAMPLED = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame that was read.
+
+    Attributes
+    ----------
+    name : of the frame.
+    camera : of the depth, without distortion.
+    image : Open3D's RGB-D image on tensors, metres.
+    features : points that can be recognised in other views; none without colour.
+    firmness : how well the surface alone holds a view in place, 0 to 1/3: the least eigenvalue of the mean
+        of squared motions along the normals, for unit motions of the camera (lengths in median depths).
+    depth_m : the median depth.
+    mean_color : mean of the grey image, 0 to 255; NaN without colour.
+    """
+
+    name: str
+    camera: Camera
+    image: Any
+    features: Features
+    firmness: float
+    depth_m: float
+    mean_color: float
+
+
+def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> View:
+    """Read a frame, and find its features unless they are known.
+
+    Raises
+    ------
+    InputError
+        If it has no depth, or cannot be read.
+    """
+    import cv2
+
+    depth = read_depth(frame)
+    if depth is None:
+        raise InputError("there is no depth map.", f"frame {frame.name}")
+    depth[depth > max_depth] = 0
+    valid = depth[depth > 0]
+    if valid.size == 0:
+        raise InputError("no pixel has a depth.", f"frame {frame.name}")
+    grey = None
+    features = Features.none() if known is None else known
+    if frame.color is not None and known is None:
+        grey = np.asarray(cv2.cvtColor(read_matching_color(frame, depth), cv2.COLOR_RGB2GRAY), np.uint8)
+        features = features_of(grey, depth, _pinhole(frame.camera))
+    step = max(-(-frame.camera.width // _WIDEST), 1)
+    small = _smaller(depth, step)
+    camera = scaled(_pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
+    return View(
+        name=frame.name,
+        camera=camera,
+        image=_image(small),
+        features=features,
+        firmness=_firmness(small, camera),
+        depth_m=float(np.median(valid)),
+        mean_color=float("nan") if grey is None else float(grey.mean()),
+    )
+
+
+def _pinhole(camera: Camera) -> Camera:
+    return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+
+
+def _smaller(depth: DepthImage, step: int) -> DepthImage:
+    """Return the median of what each block of pixels holds: no mean across an edge, no hole of a pixel."""
+    height, width = (side // step for side in depth.shape)
+    blocks = depth[: height * step, : width * step].reshape(height, step, width, step).swapaxes(1, 2)
+    values = np.where(blocks > 0, blocks, np.inf).reshape(height, width, step * step)
+    values.sort(axis=2)
+    count = np.isfinite(values).sum(axis=2)
+    median = np.take_along_axis(values, np.maximum(count - 1, 0)[..., None] // 2, axis=2)[..., 0]
+    return np.where(count > 0, median, 0).astype(np.float32)
+
+
+def _image(depth: NDArray[np.float32]) -> Any:
+    o3d = open3d()
+    # Colours are not used: surfaces alone align better where colour and depth are not registered exactly.
+    blank = np.zeros((*depth.shape, 3), np.uint8)
+    color, metres = (o3d.t.geometry.Image(o3d.core.Tensor(image)) for image in (blank, depth))
+    return o3d.t.geometry.RGBDImage(color, metres)
+
+
+def _firmness(depth: NDArray[np.float32], camera: Camera) -> float:
+    """Return the least eigenvalue of the point-to-plane system, see `View`."""
+    import cv2
+
+    smooth = cv2.medianBlur(depth, 5)
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    rays = np.stack(
+        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(depth.shape)], 2
+    )
+    points = rays * smooth[..., None]
+    gap = 4
+    across = points[gap:-gap, 2 * gap :] - points[gap:-gap, : -2 * gap]
+    down = points[2 * gap :, gap:-gap] - points[: -2 * gap, gap:-gap]
+    normals = np.cross(across, down)
+    lengths = np.linalg.norm(normals, axis=2)
+    middle = points[gap:-gap, gap:-gap]
+    corners = [
+        smooth[gap:-gap, 2 * gap :],
+        smooth[gap:-gap, : -2 * gap],
+        smooth[2 * gap :, gap:-gap],
+        smooth[: -2 * gap, gap:-gap],
+    ]
+    least, most = np.min(corners, axis=0), np.max(corners, axis=0)
+    sound = (least > 0) & (most - least < 0.1 * most) & (lengths > 0) & (middle[..., 2] > 0)
+    if np.count_nonzero(sound) < 100:
+        return 0.0
+    chosen = np.flatnonzero(sound)
+    chosen = chosen[:: max(len(chosen) // _SAMPLED, 1)]
+    n = normals.reshape(-1, 3)[chosen] / lengths.reshape(-1, 1)[chosen]
+    p = middle.reshape(-1, 3)[chosen]
+    centre = p.mean(axis=0)
+    unit = np.sqrt(((p - centre) ** 2).sum(axis=1).mean())
+    rows6 = np.concatenate([np.cross((p - centre) / unit, n), n], axis=1)
+    return float(np.linalg.eigvalsh(rows6.T @ rows6 / len(rows6))[0])
