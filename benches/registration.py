@@ -1,0 +1,242 @@
+"""Poses found against true ones, ours beside Open3D's odometry. Prints a Markdown table.
+
+python benches/registration.py SCAN [SCAN ...] [--meshes]
+
+Each SCAN has true poses, which are hidden from all. ATE is the root mean square distance of camera centres
+after the best rigid motion (Umeyama 1991); "scaled" after the best motion with a scale, which takes out
+what the depth calibration and the truth disagree by. RPE is the median error of the motion from each frame
+to the next. Rivals chain Open3D's odometry from frame to frame with its defaults, from files to poses:
+"hybrid" (Park, Zhou and Koltun 2017, of the legacy and the tensor pipeline) and "point to plane". Stereo
+scans are matched first, which is not timed. With --meshes, the root mean square distance of the mesh fused
+from the poses to that from the true ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markdown_tables import print_head, print_row
+
+from stages._open3d import open3d
+from stages.compare import compare
+from stages.depth import DepthMap, depth_scan
+from stages.formats.trajectories import inverted
+from stages.fuse import fuse
+from stages.fusion.posed_depth import read_matching_color
+from stages.images import read_depth
+from stages.layouts import read_scan
+from stages.mesh import Mesh
+from stages.register import register
+from stages.registration.motion import angle
+from stages.scan import Frame, Pose
+
+# Open3D's examples cut depth here, in metres.
+_TRUNCATION = 4.0
+
+
+def ours(frames: Sequence[Frame]) -> dict[int, Pose]:
+    """Find poses as `scanloom run` does."""
+    found = register(frames)
+    return {place: _pose(frame) for place, frame in zip(found.places, found.frames, strict=True)}
+
+
+def without_loops(frames: Sequence[Frame]) -> dict[int, Pose]:
+    """Find poses as we do, but close no loops."""
+    found = register(frames, loops=False)
+    return {place: _pose(frame) for place, frame in zip(found.places, found.frames, strict=True)}
+
+
+def legacy_hybrid(frames: Sequence[Frame]) -> dict[int, Pose]:
+    """Chain Open3D's legacy odometry."""
+    o3d = open3d()
+    camera = frames[0].camera
+    intrinsic = o3d.camera.PinholeCameraIntrinsic(
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    )
+    hybrid = o3d.pipelines.odometry.RGBDOdometryJacobianFromHybridTerm()
+
+    def image(frame: Frame) -> Any:
+        depth, color = _images(frame)
+        return o3d.geometry.RGBDImage.create_from_color_and_depth(
+            o3d.geometry.Image(color), o3d.geometry.Image(depth), depth_scale=1.0, depth_trunc=_TRUNCATION
+        )
+
+    def step(source: Any, target: Any) -> Pose:
+        option = o3d.pipelines.odometry.OdometryOption()
+        found = o3d.pipelines.odometry.compute_rgbd_odometry(
+            source, target, intrinsic, np.eye(4), hybrid, option
+        )
+        return np.asarray(found[1])
+
+    return _chained(frames, image, step)
+
+
+def tensor(method: str) -> Callable[[Sequence[Frame]], dict[int, Pose]]:
+    """Return a function that chains Open3D's tensor odometry of a method."""
+
+    def chain(frames: Sequence[Frame]) -> dict[int, Pose]:
+        o3d = open3d()
+        odometry = o3d.t.pipelines.odometry
+        matrix = o3d.core.Tensor(frames[0].camera.matrix)
+
+        def image(frame: Frame) -> Any:
+            depth, color = _images(frame)
+            both = (o3d.t.geometry.Image(o3d.core.Tensor(one)) for one in (color, depth))
+            return o3d.t.geometry.RGBDImage(*both)
+
+        def step(source: Any, target: Any) -> Pose:
+            found = odometry.rgbd_odometry_multi_scale(
+                source,
+                target,
+                matrix,
+                o3d.core.Tensor(np.eye(4)),
+                1.0,
+                _TRUNCATION,
+                method=getattr(odometry.Method, method),
+            )
+            return np.asarray(found.transformation.numpy())
+
+        return _chained(frames, image, step)
+
+    return chain
+
+
+RIVALS: dict[str, Callable[[Sequence[Frame]], dict[int, Pose]]] = {
+    "scanloom": ours,
+    "scanloom, no loops": without_loops,
+    "Open3D legacy, hybrid": legacy_hybrid,
+    "Open3D tensor, hybrid": tensor("Hybrid"),
+    "Open3D tensor, point to plane": tensor("PointToPlane"),
+}
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
+    parser.add_argument("--meshes", action="store_true", help="fuse and compare meshes too")
+    options = parser.parse_args()
+    columns = ["scan", "poses", "frames", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °", "frames/s"]
+    print_head([*columns, *["mesh RMS mm"] * options.meshes], words=2)
+    for folder in options.scans:
+        truth = frames_of(folder)
+        hidden = [replace(frame, world_from_camera=None) for frame in truth]
+        true_mesh = fuse(truth).mesh if options.meshes else None
+        for name, find in RIVALS.items():
+            started = time.perf_counter()
+            try:
+                poses = find(hidden)
+            except RuntimeError as error:
+                print_row([folder.name, name, f"failed: {error}"[:60]])
+                continue
+            speed = len(truth) / (time.perf_counter() - started)
+            cells = [
+                folder.name,
+                name,
+                f"{len(poses)} of {len(truth)}",
+                *_errors(truth, poses),
+                f"{speed:.1f}",
+            ]
+            if true_mesh is not None:
+                cells.append(f"{1000 * _mesh_distance(truth, poses, true_mesh):.1f}")
+            print_row(cells)
+
+
+def frames_of(folder: Path) -> list[Frame]:
+    """Return the frames of a scan with true poses and depth; pairs are matched."""
+    scan = read_scan(folder)
+    if not scan.is_stereo:
+        return list(scan.frames)
+    return [
+        replace(frame, color=result.color, depth=result.depth, right=None)
+        for frame, result in depth_scan(scan)
+        if isinstance(result, DepthMap)
+    ]
+
+
+def umeyama(a: np.ndarray, b: np.ndarray, *, scale: bool) -> tuple[Pose, float]:
+    """Return the motion (and scale) that brings points onto others with the least squared distance."""
+    centred = a - a.mean(axis=0), b - b.mean(axis=0)
+    u, size, vt = np.linalg.svd(centred[0].T @ centred[1])
+    mirror = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
+    factor = float(np.trace(np.diag(size) @ mirror) / (centred[0] ** 2).sum()) if scale else 1.0
+    pose = np.eye(4)
+    pose[:3, :3] = (u @ mirror @ vt).T
+    pose[:3, 3] = b.mean(axis=0) - factor * pose[:3, :3] @ a.mean(axis=0)
+    return pose, factor
+
+
+def _errors(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
+    places = sorted(poses)
+    a, b = (
+        np.array([one[:3, 3] for one in of])
+        for of in ([poses[p] for p in places], [_pose(truth[p]) for p in places])
+    )
+    path = np.linalg.norm(np.diff(b, axis=0), axis=1).sum()
+    ates = []
+    for scale in (False, True):
+        pose, factor = umeyama(a, b, scale=scale)
+        off = factor * a @ pose[:3, :3].T + pose[:3, 3] - b
+        ates.append(float(np.sqrt((off**2).sum(axis=1).mean())))
+    steps = [
+        inverted(inverted(_pose(truth[p])) @ _pose(truth[q])) @ inverted(poses[p]) @ poses[q]
+        for p, q in itertools.pairwise(places)
+    ]
+    shift = float(np.median([np.linalg.norm(step[:3, 3]) for step in steps]))
+    turn = float(np.degrees(np.median([angle(step) for step in steps])))
+    return [
+        f"{1000 * ates[0]:.1f}",
+        f"{ates[0] / path:.2%}",
+        f"{1000 * ates[1]:.1f}",
+        f"{1000 * shift:.1f}",
+        f"{turn:.2f}",
+    ]
+
+
+def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Mesh) -> float:
+    places = sorted(poses)
+    aligned, _ = umeyama(
+        np.array([poses[p][:3, 3] for p in places]),
+        np.array([_pose(truth[p])[:3, 3] for p in places]),
+        scale=False,
+    )
+    mesh = fuse([replace(truth[p], world_from_camera=aligned @ poses[p]) for p in places]).mesh
+    return compare(true_mesh, mesh, samples=200_000).symmetric.rms
+
+
+def _chained(
+    frames: Sequence[Frame], image: Callable[[Frame], Any], step: Callable[[Any, Any], Pose]
+) -> dict[int, Pose]:
+    poses = {0: np.eye(4)}
+    before = image(frames[0])
+    for place, frame in enumerate(frames[1:], 1):
+        now = image(frame)
+        poses[place] = poses[place - 1] @ step(now, before)
+        before = now
+    return poses
+
+
+def _images(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    depth = read_depth(frame)
+    if depth is None:
+        raise ValueError(f"frame {frame.name} has no depth")
+    return depth, read_matching_color(frame, depth)
+
+
+def _pose(frame: Frame) -> Pose:
+    if frame.world_from_camera is None:
+        raise ValueError(f"frame {frame.name} has no pose")
+    return frame.world_from_camera
+
+
+if __name__ == "__main__":
+    main()
