@@ -23,6 +23,9 @@ from stages.scan import Pose
 # How far a rotation may be from orthonormal: files round to about six digits.
 RIGID_TOLERANCE = 1e-3
 
+# From a camera with y up and z back (OpenGL) to one with y down and z forward.
+_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+
 T = TypeVar("T")
 
 
@@ -272,6 +275,11 @@ def inverted(pose: Pose) -> Pose:
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
     return inverse
+
+
+def from_opengl(pose: Pose) -> Pose:
+    """Return the world_from_camera of a camera whose own axes were OpenGL's: x right, y up, z back."""
+    return np.asarray(pose @ _FLIP)
 
 
 def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | None:

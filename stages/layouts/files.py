@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from stages.errors import InputError
 from stages.images import image_size
@@ -46,6 +46,22 @@ def first_existing(folder: Path, *names: str) -> Path | None:
 def has(folder: Path, *names: str) -> bool:
     """Say whether all of these files or folders are there."""
     return all((folder / name).exists() for name in names)
+
+
+def inside(folder: Path, value: object, what: str, file: Path) -> Path:
+    """Return the path that a file names by `what`: the file may come from anywhere, so it stays inside.
+
+    Raises
+    ------
+    InputError
+        If it is no relative path, or leaves the folder.
+    """
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise InputError(f"{what} is not a path inside the folder.", file)
+    relative = PurePosixPath(value.replace("\\", "/"))
+    if relative.is_absolute() or ".." in relative.parts:
+        raise InputError(f"{what} is not a path inside the folder.", file)
+    return folder / relative
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:

@@ -47,6 +47,13 @@ class ScanParams:
         low=0,
         low_open=True,
     )
+    least_confidence: int | None = param(
+        None,
+        "Depth of less confidence is left out. Polycam has 0, 127, 255, other phones 0, 1, 2; by default all of "
+        "the middle one and more is kept.",
+        low=0,
+        high=255,
+    )
     check_poses: bool = param(
         True,
         "Stop when the depth of the frames fits together clearly better under another reading of the poses: "

@@ -29,8 +29,6 @@ REFUSED: tuple[Refused, ...] = (
     Refused("ICL-NUIM", ("associations.txt", "*.gt.freiburg")),
     Refused("ScanNet (.sens)", ("*.sens",), "Extract it, then write color/, depth/ and scan.json."),
     Refused("ScanNet", ("color", "depth", "pose", "intrinsic")),
-    Refused("nerfstudio or instant-ngp", ("transforms*.json",)),
-    Refused("Polycam", ("keyframes", "keyframes/*cameras")),
     Refused("Record3D", ("metadata.json", "rgb")),
     Refused("Record3D (.r3d)", ("*.r3d",)),
     Refused("Stray Scanner", ("odometry.csv", "camera_matrix.csv")),

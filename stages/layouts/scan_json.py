@@ -25,11 +25,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
+from stages.layouts.files import inside
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Scan
 
@@ -153,15 +154,7 @@ def _image(entry: dict[str, Any], key: str, name: str, path: Path) -> Path | Non
     value = entry.get(key)
     if value is None:
         return None
-    # A scan is read from its own folder only: the file may come from anywhere.
-    if (
-        not isinstance(value, str)
-        or not value
-        or PurePosixPath(value).is_absolute()
-        or ".." in value.split("/")
-    ):
-        raise InputError(f"frame {name}: {key} is not a path inside the folder.", path)
-    return path.parent / value
+    return inside(path.parent, value, f"frame {name}: {key}", path)
 
 
 def _pose(entry: dict[str, Any], name: str, path: Path) -> Any:

@@ -6,7 +6,9 @@ from stages.layouts import (
     euroc,
     kitti,
     middlebury,
+    nerfstudio,
     plain_stereo,
+    polycam,
     redwood,
     scan_json,
     seven_scenes,
@@ -23,6 +25,8 @@ DISTINCT: tuple[Layout, ...] = (
     euroc.LAYOUT,
     kitti.LAYOUT,
     middlebury.LAYOUT,
+    nerfstudio.LAYOUT,
+    polycam.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (

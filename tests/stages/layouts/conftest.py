@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from stages.fusion.posed_depth import read_matching_color
 from stages.images import read_depth
 
 PIXEL = (26, 17)
@@ -42,6 +43,40 @@ class TinyWorld:
         image[0, 0] = 0
         image[0, 1] = 65535
         assert cv2.imwrite(str(path), image)
+
+    def dotted(self, factor: int) -> np.ndarray:
+        """Grey RGB image, `factor` times as large, that is green where the known pixel looks."""
+        image = np.full((24 * factor, 32 * factor, 3), 90, np.uint8)
+        u, v = PIXEL
+        image[v * factor : (v + 1) * factor, u * factor : (u + 1) * factor] = (10, 240, 30)
+        return image
+
+    def dotted_file(self, path: Path, factor: int) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), np.ascontiguousarray(self.dotted(factor)[:, :, ::-1]))
+
+    def scaled_intrinsics(self, factor: int) -> dict[str, float]:
+        """The camera of an image `factor` times as large; pixel centres are at whole numbers."""
+        fx, fy, cx, cy = INTRINSICS
+        return {
+            "fx": fx * factor,
+            "fy": fy * factor,
+            "cx": (cx + 0.5) * factor - 0.5,
+            "cy": (cy + 0.5) * factor - 0.5,
+        }
+
+    def opengl(self, pose: np.ndarray) -> np.ndarray:
+        """The same camera-to-world pose for a camera with y up and z back."""
+        turned = pose.copy()
+        turned[:3, 1:3] *= -1
+        return turned
+
+    def green_is_at_the_pixel(self, frame) -> bool:
+        """Whether the colour that goes with the known pixel is the dot's, and that of others is not."""
+        u, v = PIXEL
+        color = read_matching_color(frame, read_depth(frame)).astype(int)
+        green = color[:, :, 1] - color[:, :, 0]
+        return green[v, u] > 200 and np.count_nonzero(green > 100) == 1
 
     def seen(self, frame) -> np.ndarray:
         """World point at the known pixel, from the frame's own depth, camera and pose."""

@@ -24,6 +24,9 @@ def touch(folder, *names):
         (["image_2", "image_3", "calib.txt"], "kitti"),
         (["image_l", "image_r", "calib.txt"], "kitti"),
         (["im0.png", "im1.png", "calib.txt"], "middlebury"),
+        (["transforms.json", "images"], "nerfstudio"),
+        (["transforms_train.json", "train"], "nerfstudio"),
+        (["keyframes/cameras"], "polycam"),
         (["left", "right"], "plain-stereo"),
         (["image_l", "image_r"], "plain-stereo"),
         (["view1.png", "view5.png"], "pair"),
@@ -43,8 +46,6 @@ def test_signatures(tmp_path, names, layout):
     [
         (["color", "depth", "pose", "intrinsic"], "ScanNet"),
         (["scene0000_00.sens"], "ScanNet"),
-        (["transforms.json", "images"], "nerfstudio"),
-        (["keyframes/cameras"], "Polycam"),
         (["metadata.json", "rgb", "depth"], "Record3D"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4"], "Stray Scanner"),
         (["lowres_wide.traj", "lowres_depth"], "ARKitScenes"),
