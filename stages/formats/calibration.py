@@ -30,7 +30,7 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
     `intrinsic_matrix` (which Open3D stores column-major), and `distortion`. A stated size that differs
     from the images' is refused.
     """
-    if path.suffix == ".txt":
+    if path.suffix in (".txt", ".csv"):
         return matrix_camera(_text_matrix(path), (), width, height, path)
     return camera_from_table(documents.read_document(path), width, height, path)
 

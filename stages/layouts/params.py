@@ -49,8 +49,8 @@ class ScanParams:
     )
     least_confidence: int | None = param(
         None,
-        "Depth of less confidence is left out. Polycam has 0, 127, 255, other phones 0, 1, 2; by default all of "
-        "the middle one and more is kept.",
+        "Depth of less confidence is left out: Polycam has 0, 127 and 255, other phones 0, 1 and 2. "
+        "By default only the lowest is left out.",
         low=0,
         high=255,
     )

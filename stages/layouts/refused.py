@@ -31,7 +31,6 @@ REFUSED: tuple[Refused, ...] = (
     Refused("ScanNet", ("color", "depth", "pose", "intrinsic")),
     Refused("Record3D", ("metadata.json", "rgb")),
     Refused("Record3D (.r3d)", ("*.r3d",)),
-    Refused("Stray Scanner", ("odometry.csv", "camera_matrix.csv")),
     Refused("ARKitScenes", ("lowres_wide.traj", "lowres_depth")),
     Refused("COLMAP", ("cameras.*", "images.*")),
     Refused("COLMAP", ("sparse/0/cameras.*", "sparse/0/images.*")),

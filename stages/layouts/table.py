@@ -13,6 +13,7 @@ from stages.layouts import (
     scan_json,
     seven_scenes,
     single_pair,
+    stray_scanner,
     tum,
 )
 from stages.layouts.layout import Layout
@@ -27,6 +28,7 @@ DISTINCT: tuple[Layout, ...] = (
     middlebury.LAYOUT,
     nerfstudio.LAYOUT,
     polycam.LAYOUT,
+    stray_scanner.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (
