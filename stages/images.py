@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.formats.exr import exr_size, read_exr
 from stages.scan import Camera, ColorImage, DepthImage, Frame, Packed, scaled
 
 # No camera in use makes larger images; a header that promises more is damaged or hostile.
@@ -88,6 +89,8 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
             raw: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError, EOFError) as error:
             raise InputError(f"the depth map cannot be read ({error}).", path) from error
+    elif path.suffix.lower() == ".exr":
+        raw = read_exr(path)
     else:
         raw = _decode(path)
     return require_raw_depth(raw, path)
@@ -117,6 +120,8 @@ def image_size(path: Path) -> tuple[int, int]:
     if path.suffix == ".npy":
         height, width = read_raw_depth(path).shape
         return width, height
+    if path.suffix.lower() == ".exr":
+        return exr_size(path)
     try:
         with path.open("rb") as file:
             size = _promised_size(file.read(_HEADER_BYTES))

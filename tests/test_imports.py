@@ -19,11 +19,12 @@ MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py")
 # What a distribution is imported as, where that is not its own name.
 IMPORTED_AS = {
     "opencv-contrib-python-headless": "cv2",
+    "openexr": "OpenEXR",
     "pillow": "PIL",
     "pyyaml": "yaml",
     "libusb-package": "libusb_package",
 }
-HEAVY = ("open3d", "cv2", "scipy", "trimesh")
+HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 
 
 def imported(path: Path) -> set[str]:

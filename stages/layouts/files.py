@@ -12,7 +12,7 @@ from stages.images import image_size
 from stages.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
-DEPTHS = (*IMAGES, ".npy", ".pfm")
+DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")
 
 
 def numbers(name: str) -> tuple[int, ...]:

@@ -2,6 +2,7 @@ import json
 import math
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from stages.errors import InputError
@@ -140,6 +141,16 @@ def test_depth_in_another_unit_can_be_stated(scan_folder, tiny):
     for number in (2, 10):
         tiny.depth(scan_folder / "depth" / f"{number}.png", 5000)
     np.testing.assert_allclose(points(scan_folder, tiny, depth_scale=5000), tiny.points, atol=1e-6)
+
+
+def test_depth_of_a_renderer_is_in_the_unit_of_the_world(scan_folder, tiny):
+    content = document(tiny)
+    for entry in content["frames"]:
+        entry["depth_file_path"] = entry["depth_file_path"].replace(".png", ".exr")
+        depth = {"Z": np.full((24, 32), 2, np.float32)}
+        OpenEXR.File({}, depth).write(str(scan_folder / entry["depth_file_path"]))
+    write(scan_folder, content)
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
 def test_distortion_has_opencvs_order(scan_folder, tiny):
