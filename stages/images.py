@@ -133,6 +133,27 @@ def image_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
+def decode_color(data: bytes, source: Path | str) -> ColorImage:
+    """Return an encoded image (PNG, JPEG, …) as (h, w, 3) uint8 RGB.
+
+    Raises
+    ------
+    InputError
+        If it does not decode or holds other than 8 bits a channel; `source` is named.
+    """
+    import cv2
+
+    image = _decoded(data, source)
+    if image.dtype != np.uint8:
+        raise InputError(
+            f"a colour image of 8 bits a channel is expected; this one is {image.dtype}.", source
+        )
+    if image.ndim == 2:
+        return cast(ColorImage, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
+    code = cv2.COLOR_BGRA2RGB if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return cast(ColorImage, cv2.cvtColor(image, code))
+
+
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
     """Raise InputError unless the image has the size the camera was calibrated for."""
     height, width = image.shape[:2]
@@ -173,23 +194,13 @@ def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
     if isinstance(source, Packed):
         source, name = source.load(), str(source)
     if isinstance(source, Path):
-        image = _decode(source)
-        if image.dtype != np.uint8:
-            raise InputError(
-                f"a colour image of 8 bits a channel is expected; this one is {image.dtype}.", source
-            )
-    else:
-        image = np.asarray(source)
-        if image.dtype != np.uint8 or image.ndim not in (2, 3):
-            raise InputError(
-                f"colour must be (h, w, 3) uint8, not {image.shape} {image.dtype}.", f"frame {name}"
-            )
-        if image.ndim == 3:
-            return np.ascontiguousarray(image[:, :, :3])
-    if image.ndim == 2:
-        return cast(ColorImage, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
-    code = cv2.COLOR_BGRA2RGB if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
-    return cast(ColorImage, cv2.cvtColor(image, code))
+        return decode_color(_file_bytes(source), source)
+    image = np.asarray(source)
+    if image.dtype != np.uint8 or image.ndim not in (2, 3):
+        raise InputError(f"colour must be (h, w, 3) uint8, not {image.shape} {image.dtype}.", f"frame {name}")
+    if image.ndim == 3:
+        return np.ascontiguousarray(image[:, :, :3])
+    return cast(ColorImage, cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
 
 
 def _stored_depth(source: Path | Packed, frame: Frame) -> DepthImage:
@@ -221,23 +232,30 @@ def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDAr
 
 
 def _decode(path: Path) -> NDArray[Any]:
-    import cv2
+    return _decoded(_file_bytes(path), path)
 
+
+def _file_bytes(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(f"the image cannot be opened ({error}).", path) from error
+
+
+def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
+    import cv2
+
     if _is_cut_short(data):
-        raise InputError("the image is cut short; copy it again or leave the frame out.", path)
+        raise InputError("the image is cut short; copy it again or leave the frame out.", source)
     size = _promised_size(data)
     if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
-        raise InputError(f"the image claims to be {size[0]}×{size[1]} pixels; its header is damaged.", path)
+        raise InputError(f"the image claims to be {size[0]}×{size[1]} pixels; its header is damaged.", source)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
         image = None
     if image is None:
-        raise InputError("the image does not decode; it is damaged or of an unknown format.", path)
+        raise InputError("the image does not decode; it is damaged or of an unknown format.", source)
     return np.asarray(image)
 
 

@@ -41,8 +41,13 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
 
 def read_json(path: Path) -> object:
     """Return a JSON file's content; NaN and infinite numbers are let through for the checks that follow."""
+    return parse_json(read_text(path), path)
+
+
+def parse_json(text: str, path: Path) -> object:
+    """Return the content of JSON text that comes from `path`, as `read_json` does."""
     try:
-        document: object = json.loads(read_text(path))
+        document: object = json.loads(text)
     except (ValueError, RecursionError) as error:
         line = f"; look at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         raise InputError(f"the file is not valid JSON{line}.", path) from error

@@ -118,6 +118,8 @@ def _header(data: bytes, path: Path) -> _Header:
         compression = attributes[b"compression"][0]
     except (KeyError, ValueError, IndexError, struct.error) as error:
         raise InputError("the header of the image is damaged.", path) from error
+    if compression >= len(_ROWS):
+        raise InputError("its kind of compression is not read; write it with ZIP.", path)
     width, height = right - left + 1, bottom - top + 1
     if not (width > 0 and height > 0 and channels > 0 and width * height * channels <= MAX_PIXELS):
         raise InputError(
@@ -154,8 +156,6 @@ def _channel_count(table: bytes) -> int:
 
 def _is_cut_short(data: bytes, header: _Header) -> bool:
     """Say whether a chunk that the table of chunks names is not all there."""
-    if header.compression >= len(_ROWS):
-        return False
     count = -(-header.height // _ROWS[header.compression])
     if header.end + 8 * count > len(data):
         return True

@@ -29,8 +29,6 @@ REFUSED: tuple[Refused, ...] = (
     Refused("ICL-NUIM", ("associations.txt", "*.gt.freiburg")),
     Refused("ScanNet (.sens)", ("*.sens",), "Extract it, then write color/, depth/ and scan.json."),
     Refused("ScanNet", ("color", "depth", "pose", "intrinsic")),
-    Refused("Record3D", ("metadata.json", "rgb")),
-    Refused("Record3D (.r3d)", ("*.r3d",)),
     Refused("ARKitScenes", ("lowres_wide.traj", "lowres_depth")),
     Refused("COLMAP", ("cameras.*", "images.*")),
     Refused("COLMAP", ("sparse/0/cameras.*", "sparse/0/images.*")),

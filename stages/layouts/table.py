@@ -9,6 +9,7 @@ from stages.layouts import (
     nerfstudio,
     plain_stereo,
     polycam,
+    record3d,
     redwood,
     scan_json,
     seven_scenes,
@@ -28,6 +29,7 @@ DISTINCT: tuple[Layout, ...] = (
     middlebury.LAYOUT,
     nerfstudio.LAYOUT,
     polycam.LAYOUT,
+    record3d.LAYOUT,
     stray_scanner.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.

@@ -27,6 +27,8 @@ def touch(folder, *names):
         (["transforms.json", "images"], "nerfstudio"),
         (["transforms_train.json", "train"], "nerfstudio"),
         (["keyframes/cameras"], "polycam"),
+        (["metadata.json", "rgb", "depth"], "record3d"),
+        (["take.r3d"], "record3d"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),
         (["left", "right"], "plain-stereo"),
         (["image_l", "image_r"], "plain-stereo"),
@@ -47,7 +49,6 @@ def test_signatures(tmp_path, names, layout):
     [
         (["color", "depth", "pose", "intrinsic"], "ScanNet"),
         (["scene0000_00.sens"], "ScanNet"),
-        (["metadata.json", "rgb", "depth"], "Record3D"),
         (["lowres_wide.traj", "lowres_depth"], "ARKitScenes"),
         (["sparse/0/cameras.bin", "sparse/0/images.bin"], "COLMAP"),
         (["traj.txt", "results"], "Replica"),
