@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.formats.exr import exr_size, read_exr
-from stages.scan import Camera, ColorImage, DepthImage, Frame, Packed, scaled
+from stages.scan import MAX_PIXELS, Camera, ColorImage, DepthImage, Frame, Packed, scaled
 
-# No camera in use makes larger images; a header that promises more is damaged or hostile.
-MAX_PIXELS = 1 << 27
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
 _HEADER_BYTES = 1 << 19
 _PNG_START = b"\x89PNG\r\n\x1a\n"

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 Pose = NDArray[np.float64]
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
+# No camera in use makes larger images; a header that promises more is damaged or hostile.
+MAX_PIXELS = 1 << 27
 
 
 @dataclass(frozen=True)

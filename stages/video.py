@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from stages.errors import InputError
-from stages.images import MAX_PIXELS
-from stages.scan import ColorImage
+from stages.scan import MAX_PIXELS, ColorImage
 
 # The last frames stay in memory: threads ask for neighbours in an order of their own.
 _KEPT_BYTES = 1 << 27

@@ -18,9 +18,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.scan import MAX_PIXELS
 
-# No depth camera makes larger maps; a header that promises more is damaged or hostile.
-MAX_PIXELS = 1 << 27
 _HEADER_BYTES = 1 << 19
 _START = b"v/1\x01"
 # Flags of the version: tiles, deep pixels, several parts.
