@@ -306,8 +306,10 @@ def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | No
             path,
         )
     rotation = top[:, :3]
-    deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-    if deviation > RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+    with np.errstate(over="ignore", invalid="ignore"):
+        deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    # Numbers that overflow leave NaN, which is not within the tolerance either.
+    if not deviation <= RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         kind = "mirrors (determinant -1)" if deviation <= RIGID_TOLERANCE else "is not a rotation"
         raise InputError(
             f"{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} where 0.001 is allowed.",
@@ -342,7 +344,7 @@ def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
     """Return a (4, 4) float64 matrix from nested rows or 16 numbers in a row."""
     try:
         matrix = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, (0, 0, 0, 1)])

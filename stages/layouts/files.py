@@ -56,12 +56,19 @@ def inside(folder: Path, value: object, what: str, file: Path) -> Path:
     InputError
         If it is no relative path, or leaves the folder.
     """
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise InputError(f"{what} is not a path inside the folder.", file)
-    relative = PurePosixPath(value.replace("\\", "/"))
-    if relative.is_absolute() or ".." in relative.parts:
+    relative = PurePosixPath(value.replace("\\", "/") if isinstance(value, str) else "/")
+    parts = relative.parts
+    if not parts or relative.is_absolute() or ".." in parts or not all(_is_name(part) for part in parts):
         raise InputError(f"{what} is not a path inside the folder.", file)
     return folder / relative
+
+
+def _is_name(part: str) -> bool:
+    """Say whether a file can be called so: JSON can hold half a character, and any length."""
+    try:
+        return "\0" not in part and len(part.encode()) <= 255
+    except UnicodeEncodeError:
+        return False
 
 
 def common_size(paths: Sequence[Path]) -> tuple[int, int]:

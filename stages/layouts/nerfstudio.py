@@ -163,14 +163,13 @@ def _cameras(
             sizes = [common_size(colors)] * len(tables)
             break
         sizes.append((_pixels(width, "w", path), _pixels(height, "h", path)))
-    cameras = []
-    for table, (width, height) in zip(tables, sizes, strict=True):
-        stated = stated_camera(options, folder, width, height)
-        cameras.append(stated or _camera(table, width, height, path))
-    return cameras
+    stated = {size: stated_camera(options, folder, *size) for size in set(sizes)}
+    for table in tables:
+        _require_pinhole(table, path)
+    return [stated[size] or _camera(table, *size, path) for table, size in zip(tables, sizes, strict=True)]
 
 
-def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camera:
+def _require_pinhole(table: dict[str, Any], path: Path) -> None:
     model = table.get("camera_model", "OPENCV")
     if model not in _MODELS or table.get("is_fisheye"):
         kind = "a fisheye camera" if table.get("is_fisheye") else f"camera_model {str(model)[:40]!r}"
@@ -179,6 +178,9 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
             "Rectify the images and depth maps to PINHOLE first.",
             path,
         )
+
+
+def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camera:
     if _number(table, "k4", path, 0.0):
         raise InputError(
             "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.", path

@@ -182,6 +182,9 @@ def test_distortion_has_opencvs_order(scan_folder, tiny):
         ({"frames": [1]}, "frame 0 is not a table"),
         ({"frames": [{"file_path": "a.png", "depth_file_path": "../b.png"}]}, "not a path inside the folder"),
         ({"frames": [{"file_path": "/a.png", "depth_file_path": "b.png"}]}, "not a path inside the folder"),
+        ({"frames": [{"file_path": "a.png", "depth_file_path": ""}]}, "not a path inside the folder"),
+        ({"frames": [{"file_path": "\ud800", "depth_file_path": "b.png"}]}, "not a path inside the folder"),
+        ({"frames": [{"file_path": "a" * 300, "depth_file_path": "b.png"}]}, "not a path inside the folder"),
         (
             {"frames": [{"file_path": "images/2.png", "depth_file_path": "depth/2.png"}]},
             "frame 2: transform_matrix is not a 4x4",
@@ -192,6 +195,18 @@ def test_what_cannot_be_right_is_one_sentence(scan_folder, tiny, change, message
     write(scan_folder, document(tiny) | change)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
+
+
+def test_stated_intrinsics_do_not_make_a_pinhole_of_a_fisheye(scan_folder, tiny):
+    write(scan_folder, document(tiny) | {"camera_model": "OPENCV_FISHEYE"})
+    with pytest.raises(InputError, match="Rectify"):
+        read_scan(scan_folder, ScanParams(intrinsics="400,400,65.5,49.5"))
+
+
+def test_intrinsics_are_stated_for_the_size_of_the_colour_image(scan_folder, tiny):
+    write(scan_folder, document(tiny) | {"fl_x": 1, "fl_y": 1})
+    seen = points(scan_folder, tiny, intrinsics="400,400,65.5,49.5")
+    np.testing.assert_allclose(seen, tiny.points, atol=1e-6)
 
 
 def test_a_file_that_is_no_list_is_one_sentence(scan_folder):

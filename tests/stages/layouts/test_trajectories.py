@@ -72,6 +72,8 @@ def test_a_pose_all_of_one_infinite_mark_is_lost(tmp_path, mark):
     [
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 nan 0 1 0 0 0 0 1 0\n", "line 2: .*not finite"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: .*not rigid"),
+        ("a.txt", "1e308 1e308 0 0 -1e308 1e308 0 0 0 0 1 0\n", "line 1: .*not rigid"),
+        ("a.json", f"[[{10**400}, 0, 0, 0]]", "pose 0 is not a 4x4 matrix"),
         ("a.txt", "-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: .*mirrors"),
         ("a.txt", "1.01 0 0 0 0 1 0 0 0 0 1 0\n", "off by 0.02"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0 5 5 5 1\n", "last row .* 5 5 5 1.*column-major"),
