@@ -6,7 +6,6 @@ The header is read here, and what it promises is checked before the library allo
 from __future__ import annotations
 
 import contextlib
-import io
 import struct
 import sys
 import threading
@@ -78,7 +77,7 @@ def read_exr(path: Path) -> NDArray[Any]:
         raise InputError("the image is cut short; copy it again or leave the frame out.", path)
     try:
         with _printing, contextlib.redirect_stdout(sys.stderr):
-            file = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0)
+            file = OpenEXR.File(str(path), separate_channels=True)
         channels = {name: channel.pixels for name, channel in file.channels().items()}
     except (RuntimeError, ValueError, IndexError, MemoryError) as error:
         raise InputError("the image does not decode; it is damaged.", path) from error

@@ -45,10 +45,10 @@ class TinyWorld:
         assert cv2.imwrite(str(path), image)
 
     def dotted(self, factor: int) -> np.ndarray:
-        """Grey RGB image, `factor` times as large, that is green where the known pixel looks."""
+        """Grey RGB image, `factor` times as large, with a greenish dot where the known pixel looks."""
         image = np.full((24 * factor, 32 * factor, 3), 90, np.uint8)
         u, v = PIXEL
-        image[v * factor : (v + 1) * factor, u * factor : (u + 1) * factor] = (10, 240, 30)
+        image[v * factor : (v + 1) * factor, u * factor : (u + 1) * factor] = (10, 240, 120)
         return image
 
     def dotted_file(self, path: Path, factor: int) -> None:
