@@ -35,7 +35,7 @@ _CAMERA_KEYS = (
     *("k4", "camera_model", "is_fisheye"),
 )
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
-# Whether it is read or not, the depth of a frame stands under one of these.
+# nerfstudio's name of a frame's depth map, and instant-ngp's.
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 
 

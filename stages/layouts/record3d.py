@@ -77,6 +77,7 @@ def _read_folder(folder: Path, options: ScanParams) -> Scan:
     moments = _moments(documents.read_json(path), names, path, options, folder)
     size, color_size = (common_size(stream) for stream in zip(*pairs, strict=True))
     least, warnings = _trust(options, folder, bool(trusts))
+    scale = options.depth_scale or _units_a_metre([depth for depth, _ in pairs])
     by_number = {numbers(file.stem): file for file in trusts}
     frames = []
     for (depth, color), moment in zip(pairs, moments, strict=True):
@@ -87,7 +88,7 @@ def _read_folder(folder: Path, options: ScanParams) -> Scan:
                 camera=seen_in(moment.camera, size, "the depth maps", path),
                 color=color,
                 depth=depth,
-                depth_scale=options.depth_scale or _unit(depths[0]),
+                depth_scale=scale,
                 world_from_camera=moment.pose,
                 timestamp=moment.timestamp,
                 color_camera=moment.camera,
@@ -103,9 +104,18 @@ def _confidence_folder(folder: Path) -> str:
     return "confidence" if found is None else found.name
 
 
-def _unit(depth: Path) -> float:
-    """Return how many units of a depth file are one metre: floats are metres, whole numbers millimetres."""
-    return 1.0 if read_raw_depth(depth).dtype.kind == "f" else 1000.0
+def _units_a_metre(depths: Sequence[Path]) -> float:
+    """Return how many units are one metre: floats are metres, whole numbers millimetres."""
+    kinds = (_kind(depth) for depth in depths)
+    return 1.0 if next((kind for kind in kinds if kind is not None), "u") == "f" else 1000.0
+
+
+def _kind(depth: Path) -> str | None:
+    """Return NumPy's letter for the numbers of a depth file; None where it is damaged."""
+    try:
+        return read_raw_depth(depth).dtype.kind
+    except InputError:
+        return None
 
 
 def _trust(options: ScanParams, folder: Path, has_confidence: bool) -> tuple[int, tuple[str, ...]]:

@@ -109,6 +109,16 @@ def test_depth_of_little_confidence_is_left_out(tmp_path, tiny, packed, least, k
     assert any(f"confidence {1 if least is None else least} and more" in text for text in scan.warnings)
 
 
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_a_damaged_depth_map_costs_its_frame(tmp_path, tiny, suffix):
+    write_folder(tmp_path, tiny, suffix)
+    (tmp_path / "depth" / f"0{suffix}").write_bytes(b"hello")
+    first, second = read_scan(tmp_path).frames
+    np.testing.assert_allclose(tiny.seen(second), tiny.points[1], atol=1e-6)
+    with pytest.raises(InputError, match=rf"0\{suffix}: "):
+        read_depth(first)
+
+
 def test_intrinsics_of_a_frame_are_its_own(tmp_path, tiny):
     write_folder(tmp_path, tiny)
     fx, fy, cx, cy = tiny.scaled_intrinsics(FACTOR).values()
