@@ -17,8 +17,9 @@ from stages.scan import Pose
 SURE_POINTS = 30
 # Below this a surface is flat, or nearly a cylinder or sphere: it slides along itself.
 FIRM = 2e-3
-# Least share of a view that must meet the other's surface.
+# Least share of a view that must meet the other's surface; and where many points say so too.
 LEAST_FITNESS = 0.3
+_LEAST_BESIDE_POINTS = 0.1
 # How far two ways to find one motion may differ: in median depths and in radians.
 _AGREED_SHIFT = 0.03
 _AGREED_TURN = 0.03
@@ -90,7 +91,8 @@ def by_surface(source: View, target: View, max_depth: float, guess: Pose) -> Mot
 def _recognised(source: View, target: View, seen: Recognised, max_depth: float) -> Motion | NoMotion:
     aligned = align(source, target, seen.target_from_source, max_depth)
     firm = min(source.firmness, target.firmness) >= FIRM
-    if aligned is None or aligned.fitness < LEAST_FITNESS:
+    least = LEAST_FITNESS if seen.points < SURE_POINTS else _LEAST_BESIDE_POINTS
+    if aligned is None or aligned.fitness < least:
         return NoMotion(
             f"only {0 if aligned is None else aligned.fitness:.0%} of the surface meets the other view's"
         )
