@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
+import tokenize
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,6 +23,18 @@ from stages.scan import MAX_PIXELS, Camera, ColorImage, DepthImage, Frame, Packe
 
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
 _HEADER_BYTES = 1 << 19
+# What numpy raises for damaged headers, which it parses as Python.
+_NPY_FAULTS = (
+    OSError,
+    ValueError,
+    EOFError,
+    TypeError,
+    OverflowError,
+    MemoryError,
+    RecursionError,
+    SyntaxError,
+    tokenize.TokenError,
+)
 _PNG_START = b"\x89PNG\r\n\x1a\n"
 # JPEG markers that start a frame (and so hold its size): SOF0-15 without DHT, JPG and DAC.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -85,7 +98,7 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
         try:
             # Mapped, not read: a header that promises more than the file holds then fails at once.
             raw: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+        except _NPY_FAULTS as error:
             raise InputError(f"the depth map cannot be read ({error}).", path) from error
     elif path.suffix.lower() == ".exr":
         raw = read_exr(path)

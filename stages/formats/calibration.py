@@ -21,6 +21,8 @@ _MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_r
 _DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
+# Pixels; beyond these, single precision cannot hold where a camera sees things.
+_FOCAL_LENGTHS = (1e-3, 1e9)
 
 
 def read_camera(path: Path, width: int, height: int) -> Camera:
@@ -130,6 +132,8 @@ def checked(camera: Camera, path: Path) -> Camera:
         raise InputError(
             f"the focal lengths are {camera.fx:g} and {camera.fy:g} px; both must be positive.", path
         )
+    if not all(_FOCAL_LENGTHS[0] <= value <= _FOCAL_LENGTHS[1] for value in (camera.fx, camera.fy)):
+        raise InputError(f"focal lengths of {camera.fx:g} and {camera.fy:g} px cannot be right.", path)
     width, height = camera.width, camera.height
     if not (-width <= camera.cx <= 2 * width and -height <= camera.cy <= 2 * height):
         raise InputError(

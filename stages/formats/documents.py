@@ -9,7 +9,7 @@ import json
 import re
 import sys
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from stages.errors import InputError
@@ -17,6 +17,7 @@ from stages.errors import InputError
 # Half a gigabyte of text is more than any trajectory; a calibration is a page or two.
 _MAX_TEXT_BYTES = 1 << 29
 _MAX_DOCUMENT_BYTES = 1 << 22
+_LONGEST_NAME = 255
 
 
 def read_text(path: Path) -> str:
@@ -37,6 +38,26 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
         text = line.split("#")[0].strip().strip(",")
         if text:
             yield number, text
+
+
+def require_inside(name: str, path: Path, where: str) -> str:
+    """Return a file name that a list states: a path below a folder, of names that file systems allow.
+
+    Raises
+    ------
+    InputError
+        If it is something else. A scan is read from its own folder only: its lists may come from anywhere.
+    """
+    parts = name.split("/")
+    if (
+        not all(parts)
+        or PurePosixPath(name).is_absolute()
+        or ".." in parts
+        or "\0" in name
+        or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME
+    ):
+        raise InputError(f"{where}: {name[:100]!r} is not a path inside the folder.", path)
+    return name
 
 
 def read_json(path: Path) -> object:

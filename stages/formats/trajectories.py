@@ -22,6 +22,8 @@ from stages.scan import Pose
 
 # How far a rotation may be from orthonormal: files round to about six digits.
 RIGID_TOLERANCE = 1e-3
+# Metres or radians; nobody carries a camera so far.
+_LARGEST_VALUE = 1e9
 
 # From a camera with y up and z back (OpenGL) to one with y down and z forward.
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
@@ -50,7 +52,8 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read a trajectory file of any known form, told apart by its suffix and its first line of numbers.
 
     KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), Redwood
-    and Open3D `.log`, Open3D `.json` (world-to-camera, column-major), EuRoC `.csv`, and nested rows in JSON.
+    and Open3D `.log`, Open3D `.json` (world-to-camera, column-major), EuRoC `.csv`, ARKitScenes `.traj`, and
+    nested rows in JSON.
 
     Raises
     ------
@@ -61,6 +64,8 @@ def read_trajectory(path: Path) -> Trajectory:
         return read_json(path)
     if path.suffix == ".csv":
         return read_euroc(path)
+    if path.suffix == ".traj":
+        return read_traj(path)
     first = next(_number_lines(path), None)
     if first is None:
         raise InputError("the trajectory file holds no poses.", path)
@@ -200,6 +205,45 @@ def read_euroc(path: Path) -> Trajectory:
         times.append(time)
         poses.append(pose_from_quaternion(row[:3], [*row[4:], row[3]], path, f"line {number}"))
     return Trajectory(poses, np.array(times, np.int64))
+
+
+def read_traj(path: Path) -> Trajectory:
+    """Read ARKitScenes lines: seconds, rotation vector (radians), translation; *world-to-camera*."""
+    from scipy.spatial.transform import Rotation
+
+    poses: list[Pose | None] = []
+    times = []
+    for number, row in _number_lines(path):
+        if len(row) != 7:
+            raise InputError(
+                f"line {number} holds {len(row)} numbers; 7 (t rx ry rz tx ty tz) are expected.", path
+            )
+        times.append(nanoseconds(row[0], path, number))
+        values = np.array(row[1:])
+        if not np.isfinite(values).all():
+            poses.append(None)
+            continue
+        if np.abs(values).max() > _LARGEST_VALUE:
+            raise InputError(f"line {number}: a value of {np.abs(values).max():g} cannot be right.", path)
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = Rotation.from_rotvec(values[:3]).as_matrix()
+        camera_from_world[:3, 3] = values[3:]
+        poses.append(inverted(camera_from_world))
+    if not poses:
+        raise InputError("the trajectory file holds no poses.", path)
+    return Trajectory(poses, np.array(times, np.int64))
+
+
+def read_translation_first(path: Path) -> Trajectory:
+    """Read TartanAir lines: translation, quaternion with the scalar last; no times, axes as in the file."""
+    poses = []
+    for number, row in _number_lines(path):
+        if len(row) != 7:
+            raise InputError(
+                f"line {number} holds {len(row)} numbers; 7 (tx ty tz qx qy qz qw) are expected.", path
+            )
+        poses.append(pose_from_quaternion(row[:3], row[3:], path, f"line {number}"))
+    return Trajectory(poses)
 
 
 def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | None:

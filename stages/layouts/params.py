@@ -38,7 +38,8 @@ class ScanParams:
     )
     poses: str | None = param(
         None,
-        "Trajectory file (KITTI, TUM, .log, .json, EuRoC .csv), camera-to-world, in place of the folder's.",
+        "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
+        "camera-to-world, but for a .traj.",
     )
     depth_scale: float | None = param(
         None,

@@ -26,14 +26,6 @@ class Refused:
 
 
 REFUSED: tuple[Refused, ...] = (
-    Refused("ICL-NUIM", ("associations.txt", "*.gt.freiburg")),
-    Refused("ScanNet (.sens)", ("*.sens",), "Extract it, then write color/, depth/ and scan.json."),
-    Refused("ScanNet", ("color", "depth", "pose", "intrinsic")),
-    Refused("ARKitScenes", ("lowres_wide.traj", "lowres_depth")),
-    Refused("COLMAP", ("cameras.*", "images.*")),
-    Refused("COLMAP", ("sparse/0/cameras.*", "sparse/0/images.*")),
-    Refused("Replica", ("traj.txt", "results")),
-    Refused("TartanAir", ("pose_left.txt", "image_left")),
     Refused("a ROS or RealSense recording (.bag)", ("*.bag",), _CONTAINER),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),

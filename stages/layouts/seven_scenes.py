@@ -10,7 +10,7 @@ from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import common_size, first_existing
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scan import MAX_PIXELS, Camera, Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _NAME = re.compile(r"frame-(\d+)\.depth\.png")
 # The Kinect of the data set, as its page states; BundleFusion and others bring a file.
 _DEFAULT = (585.0, 585.0, 320.0, 240.0)
+# BundleFusion's own, and what ScanNet's tool writes of a .sens file.
+_INFOS = ("info.txt", "_info.txt")
 _INTRINSICS = ("camera-intrinsics.txt", "intrinsics.K.txt", "intrinsics.txt", "camera_intrinsics.txt")
 
 
@@ -33,6 +35,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     if not depths:
         raise InputError("no depth images named like frame-000000.depth.png.", folder)
     camera, scale, warnings = _camera(folder, options, *common_size([path for _, path in depths]))
+    color_camera = _color_camera(folder, options, camera)
     given = options.file("poses", folder)
     stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
     poses: list[Pose | None] | None = None
@@ -66,6 +69,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                 depth_scale=options.depth_scale or scale,
                 depth_missing=(65535,),
                 world_from_camera=pose,
+                color_camera=None if color is None else color_camera,
             )
         )
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
@@ -80,8 +84,8 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
     stated = options.camera(width, height)
     if stated is not None:
         return stated, 1000.0, []
-    info = folder / "info.txt"
-    if options.calibration is None and info.exists():
+    info = first_existing(folder, *_INFOS)
+    if options.calibration is None and info is not None:
         return *_bundle_fusion(info, width, height), []
     # 3DMatch keeps one file for all the sequences of a scene.
     path = options.file("calibration", folder) or first_existing(
@@ -104,16 +108,48 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
 
 def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
     """Read BundleFusion's info.txt: `m_calibrationDepthIntrinsic = 16 numbers`, `m_depthShift = 1000`."""
-    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(info), re.MULTILINE))
+    values = _settings(info)
     try:
-        row = [float(word) for word in values["m_calibrationDepthIntrinsic"].split()]
         scale = float(values.get("m_depthShift", 1000))
-        camera = calibration.checked(Camera(width, height, row[0], row[5], row[2], row[6]), info)
+        camera = _matrix_of(values["m_calibrationDepthIntrinsic"], width, height, info)
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
             "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.", info
         ) from error
+    if not 0 < scale < 1e12:
+        raise InputError(f"m_depthShift is {scale:g}; it must be positive.", info)
     return camera, scale
+
+
+def _color_camera(folder: Path, options: ScanParams, camera: Camera) -> Camera | None:
+    """Return the colour camera that info.txt states, where it is another than that of depth."""
+    info = first_existing(folder, *_INFOS)
+    if info is None or options.calibration is not None or options.intrinsics is not None:
+        return None
+    values = _settings(info)
+    try:
+        width, height = int(values["m_colorWidth"]), int(values["m_colorHeight"])
+        matrix = values["m_calibrationColorIntrinsic"]
+        if not 0 < width * height <= MAX_PIXELS or float(matrix.split()[0]) == 0:
+            return None
+        color_camera = _matrix_of(matrix, width, height, info)
+    except KeyError:
+        return None
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            "it holds no readable m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic.", info
+        ) from error
+    return None if color_camera == camera else color_camera
+
+
+def _settings(info: Path) -> dict[str, str]:
+    return dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(info), re.MULTILINE))
+
+
+def _matrix_of(text: str, width: int, height: int, info: Path) -> Camera:
+    """Return the camera of the 16 numbers of a matrix, row by row."""
+    row = [float(word) for word in text.split()]
+    return calibration.checked(Camera(width, height, row[0], row[5], row[2], row[6]), info)
 
 
 LAYOUT = Layout(

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from stages.layouts import (
+    arkit_scenes,
+    augmented_icl,
+    colmap,
     euroc,
+    icl_nuim,
     kitti,
     middlebury,
     nerfstudio,
@@ -11,10 +15,14 @@ from stages.layouts import (
     polycam,
     record3d,
     redwood,
+    replica,
     scan_json,
+    scannet,
+    scannet_sens,
     seven_scenes,
     single_pair,
     stray_scanner,
+    tartan_air,
     tum,
 )
 from stages.layouts.layout import Layout
@@ -22,8 +30,12 @@ from stages.layouts.layout import Layout
 # Known by files that only they have.
 DISTINCT: tuple[Layout, ...] = (
     scan_json.LAYOUT,
+    # Its folders often hold TUM's lists too.
+    icl_nuim.LAYOUT,
     tum.LAYOUT,
     seven_scenes.LAYOUT,
+    scannet.LAYOUT,
+    scannet_sens.LAYOUT,
     euroc.LAYOUT,
     kitti.LAYOUT,
     middlebury.LAYOUT,
@@ -31,6 +43,11 @@ DISTINCT: tuple[Layout, ...] = (
     polycam.LAYOUT,
     record3d.LAYOUT,
     stray_scanner.LAYOUT,
+    arkit_scenes.LAYOUT,
+    replica.LAYOUT,
+    tartan_air.LAYOUT,
+    colmap.LAYOUT,
+    augmented_icl.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (

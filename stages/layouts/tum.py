@@ -39,9 +39,12 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ScanParams) -> Scan:
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     trajectory = None if path is None else trajectories.read_timed(path)
-    color_times, colors = _stream(folder / "rgb.txt")
-    depth_times, depths = _stream(folder / "depth.txt")
+    color_times, listed_colors = _stream(folder / "rgb.txt")
+    depth_times, listed_depths = _stream(folder / "depth.txt")
+    colors, moved_colors = _where_they_are(listed_colors, folder)
+    depths, moved_depths = _where_they_are(listed_depths, folder)
     camera, warnings = _camera(folder, options, *common_size(depths))
+    warnings += moved_colors + moved_depths
 
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
@@ -84,6 +87,19 @@ def _stream(path: Path) -> tuple[NDArray[np.int64], list[Path]]:
     if not files:
         raise InputError("it lists no images.", path)
     return np.array(times, np.int64), files
+
+
+def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the files of a stream and what is to be said: their folder may have another name than listed."""
+    listed = files[0].parent
+    if listed.exists():
+        return files, []
+    holders = [place for place in folder.iterdir() if any((place / path.name).is_file() for path in files)]
+    if len(holders) != 1:
+        return files, []
+    found = holders[0]
+    said = f"there is no folder {listed.name}/, but {found.name}/ has the images listed in it: they are used"
+    return [found / path.name for path in files], [said]
 
 
 def _associate(color: NDArray[np.int64], depth: NDArray[np.int64]) -> NDArray[np.int64]:

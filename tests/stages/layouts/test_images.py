@@ -109,6 +109,9 @@ def test_damaged_arrays_are_told(tmp_path):
     path.write_bytes(data.replace(b"(24, 32)", b"(99999999, 99999999)"))
     with pytest.raises(InputError, match=r"a\.npy"):
         read_depth(frame(depth=path))
+    path.write_bytes(data.replace(b"'<f4'", b"('<f4"))
+    with pytest.raises(InputError, match=r"a\.npy"):
+        read_depth(frame(depth=path))
     path.write_bytes(data[:200])
     with pytest.raises(InputError, match=r"a\.npy"):
         read_depth(frame(depth=path))

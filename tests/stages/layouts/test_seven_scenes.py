@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
+from stages.fusion.posed_depth import read_matching_color
 from stages.images import read_color, read_depth
 from stages.layouts import ScanParams, read_scan
 
@@ -70,6 +71,49 @@ def test_bundlefusion_info_gives_camera_and_scale(scan_folder, tiny):
         tiny.depth(scan_folder / f"frame-{number:06d}.depth.png", 500)
     for frame, point in zip(read_scan(scan_folder).frames, tiny.points, strict=True):
         np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["info.txt", "_info.txt"])
+def test_larger_colour_of_bundlefusion_has_its_own_camera(scan_folder, name):
+    # The known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of the colour images.
+    image = np.zeros((72, 96, 3), np.uint8)
+    image[44:53, 76:85] = 255
+    for number in (2, 10):
+        cv2.imwrite(str(scan_folder / f"frame-{number:06d}.color.png"), image)
+    (scan_folder / name).write_text(
+        "m_colorWidth = 96\nm_colorHeight = 72\nm_depthWidth = 32\nm_depthHeight = 24\nm_depthShift = 1000\n"
+        "m_calibrationColorIntrinsic = 300 0 50 0 0 300 33 0 0 0 1 0 0 0 0 1\n"
+        "m_calibrationDepthIntrinsic = 100 0 16 0 0 100 12 0 0 0 1 0 0 0 0 1\n"
+    )
+    frame = read_scan(scan_folder).frames[0]
+    color = read_matching_color(frame, read_depth(frame))
+    rows, columns = np.nonzero(color[:, :, 0] > 128)
+    assert (rows.mean(), columns.mean()) == (17, 26)
+
+
+def test_registered_colour_needs_no_camera_of_its_own(scan_folder):
+    (scan_folder / "info.txt").write_text(
+        "m_colorWidth = 32\nm_colorHeight = 24\n"
+        "m_calibrationColorIntrinsic = 100 0 16 0 0 100 12 0 0 0 1 0 0 0 0 1\n"
+        "m_calibrationDepthIntrinsic = 100 0 16 0 0 100 12 0 0 0 1 0 0 0 0 1\n"
+    )
+    assert read_scan(scan_folder).frames[0].color_camera is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "m_calibrationDepthIntrinsic = 100 0 16",
+        "m_calibrationDepthIntrinsic = 100 0 16 0 0 100 12 0\nm_depthShift = 0",
+        "m_calibrationDepthIntrinsic = 100 0 16 0 0 100 12 0\nm_depthShift = nan",
+        "m_calibrationDepthIntrinsic = 100 0 16 0 0 100 12 0\nm_colorWidth = x\nm_colorHeight = 3",
+    ],
+)
+def test_a_wrong_info_file_is_refused(scan_folder, text):
+    (scan_folder / "info.txt").write_text(text)
+    with pytest.raises(InputError, match=r"info\.txt"):
+        read_scan(scan_folder)
 
 
 def test_lost_poses_are_skipped_and_counted(scan_folder, matrix_text):

@@ -32,6 +32,8 @@ def turn_about_z(degrees, x=0.0):
     [
         ("kitti.txt", "0 0 1 1 0 1 0 2 -1 0 0 3\n"),
         ("flat.txt", "0 0 1 1 0 1 0 2 -1 0 0 3 0 0 0 1\n"),
+        # World-to-camera, -90 degrees about y.
+        ("phone.traj", "7.5 0 -1.5707963268 0 3 -2 -1\n"),
         ("rows.txt", "0 0 1 1\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n"),
         ("commas.txt", "# a comment\n\n0, 0, 1, 1, 0, 1, 0, 2, -1, 0, 0, 3\n"),
         ("poses.tum", "# header\n7.5 1 2 3 0 0.70710678 0 0.70710678\n"),
@@ -74,6 +76,7 @@ def test_a_pose_all_of_one_infinite_mark_is_lost(tmp_path, mark):
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n2 0 0 0 0 1 0 0 0 0 1 0\n", "line 2: .*not rigid"),
         ("a.txt", "1e308 1e308 0 0 -1e308 1e308 0 0 0 0 1 0\n", "line 1: .*not rigid"),
         ("a.json", f"[[{10**400}, 0, 0, 0]]", "pose 0 is not a 4x4 matrix"),
+        ("a.txt", "1e308 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: .*not rigid"),
         ("a.txt", "-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: .*mirrors"),
         ("a.txt", "1.01 0 0 0 0 1 0 0 0 0 1 0\n", "off by 0.02"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0 5 5 5 1\n", "last row .* 5 5 5 1.*column-major"),

@@ -56,6 +56,20 @@ def test_an_excerpt_may_keep_the_lists_of_the_whole(scan_folder):
     assert ("10.000000", "10.010000.png is missing") in [(one.name, one.reason) for one in scan.skipped]
 
 
+def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
+    (scan_folder / "depth").rename(scan_folder / "depths")
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    assert any("no folder depth/, but depths/ has" in text for text in scan.warnings)
+
+
+def test_two_folders_that_could_be_meant_are_not_guessed_at(scan_folder, tiny):
+    (scan_folder / "depth").rename(scan_folder / "depths")
+    tiny.depth(scan_folder / "filled" / "10.010000.png", 5000)
+    with pytest.raises(InputError, match=r"depth/10\.010000\.png: the image cannot be opened"):
+        read_scan(scan_folder)
+
+
 def test_each_depth_frame_is_used_once(scan_folder, tiny):
     tiny.color(scan_folder / "rgb" / "10.015000.png")
     with (scan_folder / "rgb.txt").open("a") as file:

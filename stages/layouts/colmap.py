@@ -1,0 +1,148 @@
+"""COLMAP: a sparse model (cameras and images, text or binary) and the depth maps of its dense workspace.
+
+images/                                    the undistorted images
+sparse/cameras.bin, images.bin             or .txt; also in sparse/0/ or beside images/
+stereo/depth_maps/<name>.geometric.bin     or .photometric.bin
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from stages.errors import InputError
+from stages.formats import colmap, trajectories
+from stages.formats.colmap import View
+from stages.layouts.files import numbers
+from stages.layouts.layout import Layout
+from stages.scan import Frame, Packed, Pose, Scan, SkippedFrame, scaled
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+_MODELS = ("sparse", "sparse/0", ".")
+# Where COLMAP's own scripts put the dense workspace, beside the folder itself.
+_WORKSPACES = (".", "dense", "dense/0")
+_KINDS = ("geometric", "photometric")
+# Sizes are rounded to whole pixels when COLMAP makes images smaller.
+_LARGEST_STRETCH = 0.02
+
+
+def _matches(folder: Path) -> str | None:
+    model = _model(folder)
+    return None if model is None else f"cameras and images in {model.relative_to(folder).as_posix()}/"
+
+
+def _model(folder: Path) -> Path | None:
+    return next((folder / name for name in _MODELS if colmap.has_model(folder / name)), None)
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    places = [folder / name for name in _WORKSPACES]
+    workspace = next(
+        (one for one in places if (one / "stereo" / "depth_maps").is_dir() and _model(one)), folder
+    )
+    model = _model(workspace)
+    if model is None:
+        raise InputError(
+            "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.", folder
+        )
+    views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
+    depths = {view.name: _depth_map(workspace, view) for view in views}
+    if not any(depths.values()):
+        raise InputError(
+            f"its {len(views)} views have no depth maps (stereo/depth_maps/NAME.geometric.bin), and views "
+            "alone cannot be read yet. Make depth maps with COLMAP's image_undistorter and "
+            "patch_match_stereo, and give the workspace they write.",
+            folder,
+        )
+    images = workspace / "images" if (workspace / "images").is_dir() else workspace
+    poses = _poses(folder, views, options)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for view, pose in zip(views, poses, strict=True):
+        depth = depths[view.name]
+        name = PurePosixPath(view.name).with_suffix("").as_posix()
+        try:
+            if depth is None:
+                raise InputError("it has no depth map.")
+            frames.append(_frame(name, view, pose, images / view.name, depth, options))
+        except InputError as error:
+            skipped.append(SkippedFrame(name, str(error)))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(_warnings(options, frames)))
+
+
+def _depth_map(workspace: Path, view: View) -> Path | None:
+    maps = workspace / "stereo" / "depth_maps"
+    files = (maps / f"{view.name}.{kind}.bin" for kind in _KINDS)
+    return next((path for path in files if path.is_file()), None)
+
+
+def _poses(folder: Path, views: Sequence[View], options: ScanParams) -> Sequence[Pose | None]:
+    """Return the poses in metres."""
+    given = options.file("poses", folder)
+    if given is not None:
+        return trajectories.match(trajectories.read_trajectory(given), [view.name for view in views], given)
+    return [_in_metres(view.world_from_camera, options) for view in views]
+
+
+def _in_metres(pose: Pose | None, options: ScanParams) -> Pose | None:
+    """Return a model's pose: its lengths have the unit of the depth maps."""
+    if pose is None or options.depth_scale is None:
+        return pose
+    metric: Pose = pose.copy()
+    metric[:3, 3] /= options.depth_scale
+    return metric
+
+
+def _frame(name: str, view: View, pose: Pose | None, color: Path, depth: Path, options: ScanParams) -> Frame:
+    """Return a frame; InputError where its depth map cannot be one of its camera."""
+    full = options.camera(view.camera.width, view.camera.height) or view.camera
+    width, height = colmap.depth_map_size(depth)
+    if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
+        raise InputError(
+            f"the depth map is {width}×{height}, which is not the shape of its camera's "
+            f"{full.width}×{full.height}.",
+            depth,
+        )
+    return Frame(
+        name=name,
+        camera=scaled(full, width, height),
+        color=color,
+        depth=Packed(depth, view.name, partial(colmap.read_depth_map, depth)),
+        depth_scale=options.depth_scale or 1.0,
+        world_from_camera=pose,
+    )
+
+
+def _warnings(options: ScanParams, frames: Sequence[Frame]) -> list[str]:
+    warnings = []
+    if options.depth_scale is None:
+        warnings.append(
+            "the lengths of a COLMAP model are not metres, but one unit is taken for one: all lengths are "
+            "off by one unknown factor; set scan.depth_scale to the number of units a metre if it is known"
+        )
+    if any(frame.camera.distortion for frame in frames):
+        warnings.append(
+            "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is this "
+            "the model of the dense workspace?"
+        )
+    unchecked = sum(
+        isinstance(one.depth, Packed) and ".photometric." in one.depth.file.name for one in frames
+    )
+    if unchecked:
+        warnings.append(
+            f"{unchecked} depth maps are photometric: no other view confirms them, and they are noisier"
+        )
+    return warnings
+
+
+LAYOUT = Layout(
+    name="colmap",
+    text="cameras and images .bin|txt (also in sparse/), images/, stereo/depth_maps/ (COLMAP)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,118 @@
+"""ICL-NUIM in TUM packing: a rendered room whose camera, and world, have y up.
+
+Its published camera matrix has a focal length of -480 for that. Here y is turned over once, in the camera and
+in the world: turned over in the camera alone, the room would be its own mirror image.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.formats import calibration, documents, trajectories
+from stages.formats.trajectories import Trajectory
+from stages.layouts.files import common_size
+from stages.layouts.layout import Layout
+from stages.scan import Camera, Frame, Scan, SkippedFrame, scaled
+
+if TYPE_CHECKING:
+    from stages.layouts.params import ScanParams
+
+_CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
+_UNITS_PER_METRE = 5000.0
+_TOLERANCE = 20_000_000
+_POSES = "*.gt.freiburg"
+_Y_OVER = np.diag((1.0, -1.0, 1.0, 1.0))
+
+
+def _matches(folder: Path) -> str | None:
+    found = next((path.name for path in sorted(folder.glob(_POSES))), None)
+    return f"associations.txt and {found}" if found and (folder / "associations.txt").is_file() else None
+
+
+def _read(folder: Path, options: ScanParams) -> Scan:
+    times, depths, colors = _associations(folder / "associations.txt")
+    path = options.file("poses", folder) or _pose_file(folder)
+    trajectory = None if path is None else _trajectory(path)
+    camera = _camera(folder, options, *common_size(depths))
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for time, depth, color in zip(times, depths, colors, strict=True):
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
+        if pose is None and trajectory is not None:
+            skipped.append(SkippedFrame(depth.stem, "no pose of its number"))
+            continue
+        frames.append(
+            Frame(
+                name=depth.stem,
+                camera=camera,
+                color=color,
+                depth=depth,
+                depth_scale=options.depth_scale or _UNITS_PER_METRE,
+                world_from_camera=pose,
+            )
+        )
+    missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing if trajectory is None else ())
+
+
+def _associations(path: Path) -> tuple[list[int], list[Path], list[Path]]:
+    """Return times (the frame's number taken for seconds, in nanoseconds), depth files and colour files.
+
+    Lines are `number file number file`; which of the two is depth, its folder says.
+    """
+    times: list[int] = []
+    depths: list[Path] = []
+    colors: list[Path] = []
+    for number, text in documents.lines(path):
+        words = text.split()
+        if len(words) != 4:
+            raise InputError(f"line {number} is not `number file number file`.", path)
+        is_depth = ["depth" in Path(word).parts[:-1] for word in (words[1], words[3])]
+        if is_depth[0] == is_depth[1]:
+            raise InputError(f"line {number} names no file in depth/ beside one in rgb/.", path)
+        at, other = (0, 2) if is_depth[0] else (2, 0)
+        try:
+            times.append(trajectories.nanoseconds(float(words[at]), path, number))
+        except ValueError as error:
+            raise InputError(f"line {number} is not `number file number file`.", path) from error
+        for files, name in ((depths, words[at + 1]), (colors, words[other + 1])):
+            files.append(path.parent / documents.require_inside(name, path, f"line {number}"))
+    if not depths:
+        raise InputError("it lists no images.", path)
+    return times, depths, colors
+
+
+def _pose_file(folder: Path) -> Path | None:
+    found = sorted(folder.glob(_POSES))
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise InputError(f"there are several trajectories ({names}); name one with scan.poses=FILE.", folder)
+    return found[0] if found else None
+
+
+def _trajectory(path: Path) -> Trajectory:
+    """Return the trajectory with y down; one that is not the data set's own has it so already."""
+    trajectory = trajectories.read_timed(path)
+    if not path.match(_POSES):
+        return trajectory
+    poses = [None if pose is None else _Y_OVER @ pose @ _Y_OVER for pose in trajectory.poses]
+    return Trajectory(poses, trajectory.timestamps)
+
+
+def _camera(folder: Path, options: ScanParams, width: int, height: int) -> Camera:
+    stated, path = options.camera(width, height), options.file("calibration", folder)
+    if stated is not None:
+        return stated
+    return scaled(_CAMERA, width, height) if path is None else calibration.read_camera(path, width, height)
+
+
+LAYOUT = Layout(
+    name="icl-nuim",
+    text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM packing)",
+    matches=_matches,
+    read=_read,
+)
