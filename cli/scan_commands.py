@@ -43,7 +43,7 @@ def depth(
     params: DepthParams,
     out: Output,
 ) -> None:
-    """Match the stereo pairs of a scan: depth maps, confidence and a coloured point cloud.
+    """Match the pairs or single views of a scan: depth maps, confidence and a coloured point cloud.
 
     OUTDIR is then a scan folder itself, which `scanloom fuse` reads.
 
@@ -52,8 +52,9 @@ def depth(
     from pipeline.depth_maps import write_depth_maps
 
     source = stages.read_scan(require_scan(folder), scan)
+    measure = stages.views_depth if source.is_views else stages.depth_scan
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
-        figures = write_depth_maps(draft, stages.depth_scan(source, params, progress), len(source.frames))
+        figures = write_depth_maps(draft, measure(source, params, progress), len(source.frames))
     out.result({"output": str(target), **figures})
 
 
@@ -108,9 +109,10 @@ def fuse(
     """
     require_new_file(target, MESH_SUFFIXES)
     source = stages.read_scan(require_scan(folder), scan)
-    if source.is_stereo:
+    if source.is_stereo or source.is_views:
+        what = "stereo pairs" if source.is_stereo else "single views"
         raise InputError(
-            f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, "
+            f"these are {what} without depth; run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, "
             "or `scanloom run` for the whole way.",
             folder,
         )

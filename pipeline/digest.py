@@ -120,6 +120,8 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
             contents[path] = content
             progress(len(contents), len(paths))
     parts = {"calibration": digest(_plain(scan.rig, contents))}
+    if scan.box is not None:
+        parts["bounding box"] = digest(_plain(scan.box, contents))
     for number, frame in enumerate(scan.frames):
         parts[f"frame {number} ({frame.name})"] = digest(_frame(frame, contents))
     files = {path: (contents[path], signature) for path, signature in zip(paths, signatures, strict=True)}

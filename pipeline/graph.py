@@ -2,8 +2,8 @@
 
 pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
                    └─register─▶ posed ─▲                               └──remesh──▶ remeshed ──▲
-(an RGB-D scan is frames from the start, and has no depth stage; register is there where poses are missing,
-and remesh if it is enabled)
+(an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
+register is there where poses are missing, and remesh if it is enabled)
 """
 
 from __future__ import annotations
@@ -34,11 +34,13 @@ from stages.sanity import require_poses
 from stages.scan import Scan
 from stages.simplify import VERSION as SIMPLIFY_VERSION
 from stages.simplify import simplify
+from stages.views import views_depth
 
 
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
-    measured = depth_scan(scan, job.config.depth, job.progress)
+    measure = views_depth if scan.is_views else depth_scan
+    measured = measure(scan, job.config.depth, job.progress)
     return _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
 
 
@@ -210,7 +212,7 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
 def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
     """Return the stages a scan does not go through, and why."""
     reasons = {}
-    if not scan.is_stereo:
+    if source_of(scan) == "frames":
         reasons["depth"] = "is not a stage of this scan: it is RGB-D, its depth is measured already"
     if not is_registered(scan, config):
         why = (
@@ -231,4 +233,4 @@ def is_registered(scan: Scan, config: Config) -> bool:
 
 def source_of(scan: Scan) -> str:
     """Return the name under which stages read this scan."""
-    return "pairs" if scan.is_stereo else "frames"
+    return "pairs" if scan.is_stereo or scan.is_views else "frames"

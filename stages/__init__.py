@@ -30,6 +30,7 @@ from stages.scan import Camera, Frame, Scan, StereoRig
 from stages.simplify import Simplified, SimplifyParams, simplify
 from stages.topology import Topology, topology
 from stages.viewpoints import viewpoints
+from stages.views import views_depth
 
 __all__ = [
     "Box",
@@ -90,5 +91,6 @@ __all__ = [
     "to_trimesh",
     "topology",
     "viewpoints",
+    "views_depth",
     "write_mesh",
 ]

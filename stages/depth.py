@@ -167,6 +167,40 @@ class DepthParams:
     smooth_sigma: float = param(
         1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
     )
+    partners: int = param(
+        4,
+        "Single views with poses: each is matched with at most so many others",
+        unit="views",
+        low=1,
+        high=32,
+    )
+    agreeing_views: int = param(
+        2,
+        "Single views: depth is kept where so many other views' depth maps agree with it",
+        unit="views",
+        low=0,
+        high=64,
+    )
+    agreement: float | None = param(
+        None,
+        "Single views: share of depth by which maps that agree may differ. Default: what a pixel of "
+        "disparity makes between neighbouring views",
+        low=0,
+        low_open=True,
+        high=1,
+    )
+    backdrop: float = param(
+        3.0,
+        "Single views: where pixels two apart differ by less in the mean around, the image shows a backdrop, "
+        "which matches anything, and gets no depth",
+        unit="grey levels",
+        low=0,
+    )
+    turn_back: bool = param(
+        True,
+        "Single views: images that are upside down against their poses, as corners found in several show, "
+        "are turned back, with a warning",
+    )
     max_skipped: float = param(
         0.5, "The scan is given up when a larger share of its frames cannot be used", low=0, high=1
     )
@@ -270,7 +304,7 @@ def depth(
     Hirschmüller 2008 (semi-global matching); Min et al. 2014 (the optional smoothing).
     """
     params = resolve(DepthParams, params, changes)
-    stage = _Stage(rig, params, pairs=1)
+    stage = PairStage(rectified_rig(rig), params, pairs=1, stated=rig.disparities)
     pair = stage.rectified(left, right)
     return stage.measure(*pair, stage.warnings(*pair))
 
@@ -292,7 +326,7 @@ def depth_scan(
     params = resolve(DepthParams, params, changes)
     if scan.rig is None:
         raise InputError("the scan has no stereo pairs; its depth maps need no matching.", scan.folder)
-    stage = _Stage(scan.rig, params, pairs=len(scan.frames))
+    stage = PairStage(rectified_rig(scan.rig), params, pairs=len(scan.frames), stated=scan.rig.disparities)
     warnings = _first_warnings(stage, scan)
     threads = params.threads or os.cpu_count() or 1
     total = len(scan.frames)
@@ -313,7 +347,7 @@ def depth_scan(
         yield frame, result
 
 
-def _first_warnings(stage: _Stage, scan: Scan) -> tuple[str, ...]:
+def _first_warnings(stage: PairStage, scan: Scan) -> tuple[str, ...]:
     """Return what is odd about the first pair that can be read: swapped folders show in any."""
     for frame in scan.frames:
         try:
@@ -327,7 +361,7 @@ def _first_warnings(stage: _Stage, scan: Scan) -> tuple[str, ...]:
     return ()
 
 
-def _read_pair(stage: _Stage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
+def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
     left, right = images.read_color(frame), images.read_right(frame)
     if left is None or right is None:
         raise InputError(f"frame {frame.name} has no {'left' if left is None else 'right'} image.")
@@ -336,7 +370,7 @@ def _read_pair(stage: _Stage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]
 
 
 def _measure_frame(
-    stage: _Stage, warnings: tuple[str, ...], frame: Frame
+    stage: PairStage, warnings: tuple[str, ...], frame: Frame
 ) -> tuple[Frame, DepthMap | SkippedFrame]:
     try:
         pair = _read_pair(stage, frame)
@@ -359,23 +393,29 @@ def _measure_frame(
     return measured, result
 
 
-class _Stage:
-    """What all pairs of a rig share: rectification, search range, matcher, the bound of depth."""
+class PairStage:
+    """What all pairs of a rig share: rectification, search range, matcher, the bound of depth.
 
-    def __init__(self, rig: StereoRig, params: DepthParams, pairs: int) -> None:
+    Parameters
+    ----------
+    pairs : how many measurements look at a surface: from three on, each may be less sure.
+    stated : the number of disparities that the calibration itself states, or None.
+    """
+
+    def __init__(self, rig: RectifiedRig, params: DepthParams, pairs: int, stated: int | None = None) -> None:
         self.params = params
         derived = _AMONG_OTHERS if pairs >= _SEVERAL else _ALONE
         given = params.min_confidence, params.uniqueness
         least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
         # Confidence 0 says that nothing was measured.
         self.least_confidence = max(least, 1)
-        self.rig: RectifiedRig = rectified_rig(rig)
+        self.rig = rig
         self.matcher = Matcher(
             params.matcher, params.block_size, *params.penalties, params.prefilter_cap, uniqueness
         )
-        self.search = _search_range(self.rig, params, rig.disparities)
-        self.narrow = params.min_depth is None and params.disparities is None and rig.disparities is None
-        self.max_depth = _depth_bound(self.rig, params)
+        self.search = _search_range(rig, params, stated)
+        self.narrow = params.min_depth is None and params.disparities is None and stated is None
+        self.max_depth = _depth_bound(rig, params)
 
     def rectified(
         self,
@@ -388,12 +428,13 @@ class _Stage:
         return self.rig.apply(left, right)
 
     def warnings(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[str, ...]:
+        """Return what is odd about a pair whose rows correspond."""
         return pair_warnings(_grey(left), _grey(right), self.rig.principal_offset)
 
     def measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], warnings: tuple[str, ...]
     ) -> DepthMap:
-        """Match a rectified pair."""
+        """Match a pair whose rows correspond."""
         pair = _grey(left), _grey(right)
         search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
         first = self.matcher.left(*pair, search)

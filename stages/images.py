@@ -59,6 +59,23 @@ def read_color(frame: Frame) -> ColorImage | None:
     return cast(ColorImage, _undistorted(image, camera, smooth=True))
 
 
+def read_pinhole(frame: Frame) -> ColorImage | None:
+    """Return the colour image of a single view as `read_color` does, but without lens distortion.
+
+    Raises
+    ------
+    InputError
+        As `read_color`, and if the image is not of the size of the frame's camera.
+    """
+    image = read_color(frame)
+    if image is None:
+        return None
+    require_size(image, frame.camera, frame.color, frame.name)
+    if not frame.camera.distortion:
+        return image
+    return cast(ColorImage, _undistorted(image, frame.camera, smooth=True))
+
+
 def read_right(frame: Frame) -> ColorImage | None:
     """Return the frame's right image as `read_color` does the left one."""
     return None if frame.right is None else _color(frame.right, frame.name)

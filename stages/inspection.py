@@ -84,12 +84,12 @@ class Inspection:
         rig = scan.rig
         return {
             "layout": scan.layout,
-            "kind": "stereo" if scan.is_stereo else "rgbd",
+            "kind": "stereo" if scan.is_stereo else "views" if scan.is_views else "rgbd",
             "frames": len(scan.frames),
             "skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
             "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
-            "depth_scale_per_m": None if scan.is_stereo else scan.frames[0].depth_scale,
+            "depth_scale_per_m": None if scan.is_stereo or scan.is_views else scan.frames[0].depth_scale,
             "rig": {
                 "right_camera": dataclasses.asdict(rig.right),
                 "baseline_m": rig.baseline,
@@ -110,7 +110,8 @@ class Inspection:
     def lines(self) -> list[str]:
         """Return the same as lines of text for a person."""
         scan, camera = self.scan, self.scan.frames[0].camera
-        kind = "stereo pairs" if scan.is_stereo else "colour and depth"
+        single = "single views" if scan.is_views else "colour and depth"
+        kind = "stereo pairs" if scan.is_stereo else single
         lines = [
             f"layout    {scan.layout}: {kind}",
             f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} left out" if scan.skipped else ""),
@@ -170,13 +171,14 @@ def inspect(scan: Scan) -> Inspection:
     """
     samples, warnings = _samples(scan)
     path, said = _path(scan.frames)
-    warnings += said + _odd_sizes(scan)
+    # Single views are taken in no order: from one to the next is no step.
+    warnings += ([] if scan.is_views else said) + _odd_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
     if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
-    elif scan.rig is None:
+    elif scan.rig is None and not scan.is_views:
         depth, said = _depth_range([one.depth for one in samples], scan.frames[0].depth_scale)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]

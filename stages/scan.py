@@ -165,10 +165,11 @@ class Scan:
     Attributes
     ----------
     layout : the name of the recognised layout.
-    rig : set for stereo pairs, None for RGB-D.
+    rig : set for stereo pairs, None for RGB-D and for single views.
     skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
     warnings : what is odd, in plain sentences.
     missing : what the scan lacks to become a mesh, such as `poses: … is missing; name one with …`.
+    box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
     """
 
     layout: str
@@ -178,6 +179,7 @@ class Scan:
     skipped: tuple[SkippedFrame, ...] = ()
     warnings: tuple[str, ...] = field(default=())
     missing: tuple[str, ...] = ()
+    box: NDArray[np.float64] | None = None
 
     @property
     def has_poses(self) -> bool:
@@ -188,3 +190,8 @@ class Scan:
     def is_stereo(self) -> bool:
         """Return whether depth must still be computed from pairs."""
         return self.rig is not None
+
+    @property
+    def is_views(self) -> bool:
+        """Return whether depth must still be computed from single images with poses, without a rig."""
+        return self.rig is None and not any(frame.depth is not None for frame in self.frames)

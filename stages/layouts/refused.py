@@ -29,11 +29,6 @@ REFUSED: tuple[Refused, ...] = (
     Refused("a ROS or RealSense recording (.bag)", ("*.bag",), _CONTAINER),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
-    Refused(
-        "posed single views (Middlebury multi-view)",
-        ("*_par.txt",),
-        "Views without a fixed rig are not supported yet: give pairs of a calibrated rig, or depth.",
-    ),
 )
 
 

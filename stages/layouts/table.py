@@ -10,6 +10,7 @@ from stages.layouts import (
     icl_nuim,
     kitti,
     middlebury,
+    middlebury_mview,
     nerfstudio,
     plain_stereo,
     polycam,
@@ -48,6 +49,7 @@ DISTINCT: tuple[Layout, ...] = (
     tartan_air.LAYOUT,
     colmap.LAYOUT,
     augmented_icl.LAYOUT,
+    middlebury_mview.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (

@@ -1,4 +1,4 @@
-"""Posed views without depth: known, and not read yet."""
+"""Posed views without depth, in layouts of which these are not read yet."""
 
 from __future__ import annotations
 
@@ -15,4 +15,6 @@ def without_depth(place: Path, advice: str) -> InputError:
     place : what the message names.
     advice : a sentence: where this layout would keep its depth.
     """
-    return InputError(f"its views have no depth, and views alone cannot be read yet. {advice}", place)
+    return InputError(
+        f"its views have no depth, and views of this layout alone cannot be read yet. {advice}", place
+    )

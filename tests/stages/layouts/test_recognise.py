@@ -43,6 +43,7 @@ def touch(folder, *names):
         (["metadata.json", "rgb", "depth"], "record3d"),
         (["take.r3d"], "record3d"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),
+        (["templeR0001.png", "templeR_par.txt"], "middlebury-mview"),
         (["left", "right"], "plain-stereo"),
         (["image_l", "image_r"], "plain-stereo"),
         (["view1.png", "view5.png"], "pair"),
@@ -137,11 +138,6 @@ def test_names_of_layouts_are_unique():
 def test_wrong_options_are_wrong_usage(options):
     with pytest.raises(UsageError):
         ScanParams(**options)
-
-
-def test_temple_ring_is_refused_in_words(shared_data):
-    with pytest.raises(InputError, match="Views without a fixed rig are not supported yet"):
-        read_scan(shared_data / "stereo" / "middlebury_templeRing")
 
 
 def test_folders_without_a_scan(shared_data):

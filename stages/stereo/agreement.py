@@ -1,0 +1,81 @@
+"""Depth maps of many views against each other: what several measured alike is kept, the rest is dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.scan import DepthImage
+from stages.stereo.posed_views import PosedView
+
+
+def merged(
+    depths: Sequence[DepthImage], confidences: Sequence[NDArray[np.uint8]], tolerance: float
+) -> tuple[DepthImage, NDArray[np.uint8]]:
+    """Return one depth map of several of the same view.
+
+    At each pixel the measurement that most others agree with stands (the first of equal ones), as the
+    median of those that agree.
+
+    Parameters
+    ----------
+    depths : one or more (h, w) float32 metres, 0 where there is none.
+    confidences : (h, w) uint8 each.
+    tolerance : share of depth by which measurements that agree may differ.
+
+    Returns
+    -------
+    (h, w) float32 metres, and the highest confidence among those that agree.
+    """
+    stack = np.stack(depths)
+    supporters = np.zeros(stack.shape, np.uint8)
+    for k, one in enumerate(stack):
+        supporters[k] = np.count_nonzero(_alike(stack, one, tolerance), axis=0)
+    chosen = np.take_along_axis(stack, supporters.argmax(axis=0)[None], axis=0)[0]
+    agree = _alike(stack, chosen, tolerance)
+    # Sorted with what disagrees at the end, the median of the others is in their middle.
+    ordered = np.sort(np.where(agree, stack, np.inf), axis=0)
+    last = np.maximum(np.count_nonzero(agree, axis=0) - 1, 0)
+    low, high = (np.take_along_axis(ordered, at[None], axis=0)[0] for at in (last // 2, (last + 1) // 2))
+    any_at_all = chosen > 0
+    depth = np.where(any_at_all, (np.where(any_at_all, low, 0) + np.where(any_at_all, high, 0)) / 2, 0)
+    trust = np.where(agree, np.stack(confidences), np.uint8(0)).max(axis=0)
+    return depth.astype(np.float32), trust
+
+
+def agreeing_views(
+    view: PosedView,
+    depth: DepthImage,
+    others: Iterable[tuple[PosedView, DepthImage]],
+    tolerance: float,
+) -> NDArray[np.uint8]:
+    """Count for each pixel the other views that measured the same place.
+
+    Parameters
+    ----------
+    depth : (h, w) float32 metres of `view`, 0 where there is none.
+    others : views and their own depth maps.
+    tolerance : share of depth by which a map may differ from the depth at which the place should be seen.
+
+    Returns
+    -------
+    (h, w) uint8, 0 where there is no depth.
+    """
+    rows, columns = np.nonzero(depth)
+    rays = view.rays(columns.astype(np.float64), rows.astype(np.float64))
+    points = view.to_world(rays * depth[rows, columns, None])
+    found = np.zeros(len(points), np.uint8)
+    for other, measured in others:
+        u, v, z = other.project(points)
+        inside = np.flatnonzero(other.holds(u, v))
+        there = measured[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
+        found[inside] += (there > 0) & (np.abs(there - z[inside]) <= tolerance * z[inside])
+    count = np.zeros(depth.shape, np.uint8)
+    count[rows, columns] = found
+    return count
+
+
+def _alike(depths: DepthImage, reference: DepthImage, tolerance: float) -> NDArray[np.bool_]:
+    return np.asarray((depths > 0) & (np.abs(depths - reference) <= np.float32(tolerance) * reference))

@@ -1,0 +1,43 @@
+"""Depth maps of many views, kept on disk until all are there: thousands of them do not fill the memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import StageError
+from stages.scan import DepthImage
+
+
+class KeptMaps:
+    """Depth and confidence by the place of their view, in files of a folder that the caller removes."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def put(self, at: int, depth: DepthImage, confidence: NDArray[np.uint8]) -> None:
+        """Keep the maps of a view.
+
+        Raises
+        ------
+        StageError
+            If the disk is full.
+        """
+        try:
+            np.save(self._folder / f"depth{at}.npy", depth, allow_pickle=False)
+            np.save(self._folder / f"confidence{at}.npy", confidence, allow_pickle=False)
+        except OSError as error:
+            raise StageError(
+                f"the depth maps of the views cannot be kept in {self._folder} ({error.strerror or error}); "
+                "make room there, or name another folder in TMPDIR."
+            ) from error
+
+    def depth(self, at: int) -> DepthImage:
+        """Return the depth that was kept for a view."""
+        return np.asarray(np.load(self._folder / f"depth{at}.npy", allow_pickle=False), np.float32)
+
+    def confidence(self, at: int) -> NDArray[np.uint8]:
+        """Return the confidence that was kept for a view."""
+        return np.asarray(np.load(self._folder / f"confidence{at}.npy", allow_pickle=False), np.uint8)

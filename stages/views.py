@@ -1,0 +1,274 @@
+"""Depth of single views with poses: each is matched with a few others, and all are checked on each other."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.depth import DepthMap, DepthParams, PairStage
+from stages.errors import InputError
+from stages.images import read_color, read_pinhole
+from stages.prefetch import read_ahead
+from stages.progress import Progress, silent
+from stages.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
+from stages.stereo.agreement import agreeing_views, merged
+from stages.stereo.background import measurable
+from stages.stereo.kept_maps import KeptMaps
+from stages.stereo.matching import SearchRange
+from stages.stereo.partners import partners
+from stages.stereo.posed_views import PosedView, posed_views, scene_box
+from stages.stereo.turned import Corners, corners, turned
+from stages.stereo.view_pair import depth_in_view, rectified_views
+
+# Maps of one place agree when they differ by no more than this many pixels of disparity would make.
+_TOLERANCE_PX = 1.0
+# A view's map is checked on those of this many times its partners, the best first.
+_CHECKED_ON = 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What the partners of a view say together, before other views are asked."""
+
+    depth: DepthImage
+    confidence: NDArray[np.uint8]
+    search: SearchRange
+
+
+def views_depth(
+    scan: Scan, params: DepthParams | None = None, progress: Progress = silent
+) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
+    """Measure the depth of every view of a scan without a rig, in the order of its frames.
+
+    Each view makes a stereo pair with each of a few others: rows are made to correspond, the pair is matched
+    as any other, and depth is brought back into the view. What its partners say is merged, and stays
+    where the maps of enough other views say the same. Flat background, which matches anything, goes that way.
+
+    Images that are upside down against their poses are turned back first (see stages.stereo.turned); their
+    maps say so among their warnings.
+
+    Disparities are looked for between the nearest and the farthest corner of the scene: of the box that the
+    scan states (then nothing outside it is kept either), else of a cube where the optical axes meet, as large
+    as the views show; `min_depth` and `max_depth` win over both.
+
+    Parameters
+    ----------
+    scan : with colour and poses, without depth.
+    params : of the depth stage; `partners`, `agreeing_views` and `agreement` are about views alone.
+    progress : called after each view of the first and of the second turn.
+
+    Returns
+    -------
+    Frames with depth, the camera without distortion, and the pose unchanged. A map's `disparity` is NaN
+    everywhere, since each partner has another; `max_depth` is that of the farthest view, `search` is the
+    range tried with the best partner, and `confidence` that before the views were checked on each other.
+
+    Raises
+    ------
+    InputError
+        If a view has no pose, nothing tells where the scene is, or too many views cannot be used.
+    """
+    params = params or DepthParams()
+    views = posed_views(scan, params.min_depth, params.max_depth)
+    chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
+    scan, warnings = _turned_back(scan, views, chosen, params) if params.turn_back else (scan, {})
+    tolerance = params.agreement or _tolerance(views, chosen)
+    box = scene_box(scan)
+    farthest = max(view.far for view in views)
+    threads = params.threads or os.cpu_count() or 1
+    total = 2 * len(views)
+    lost: dict[int, SkippedFrame] = {}
+    searches: dict[int, SearchRange] = {}
+    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
+        kept = KeptMaps(Path(folder))
+        measure = partial(_measure, scan, views, chosen, params, tolerance)
+        first_turn = read_ahead(measure, range(len(views)), threads=threads, ahead=threads + 2)
+        for at, result in enumerate(first_turn):
+            if isinstance(result, SkippedFrame):
+                lost[at] = result
+                _require_share(list(lost.values()), len(views), params.max_skipped, scan)
+            else:
+                kept.put(at, _inside(result.depth, views[at], box), result.confidence)
+                searches[at] = result.search
+            progress(at + 1, total)
+
+        def check(at: int) -> DepthMap | SkippedFrame:
+            if at in lost:
+                return lost[at]
+            depth = kept.depth(at)
+            others = ((views[other], kept.depth(other)) for other in chosen[at] if other not in lost)
+            count = agreeing_views(views[at], depth, others, tolerance)
+            depth[count < params.agreeing_views] = 0
+            found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
+            return found if isinstance(found, SkippedFrame) else replace(found, warnings=warnings.get(at, ()))
+
+        skipped: list[SkippedFrame] = []
+        second_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
+        for at, checked in enumerate(second_turn):
+            if isinstance(checked, SkippedFrame):
+                skipped.append(checked)
+                _require_share(skipped, len(views), params.max_skipped, scan)
+                yield scan.frames[at], checked
+            else:
+                yield _measured_frame(scan.frames[at], views[at], checked), checked
+            progress(len(views) + at + 1, total)
+
+
+def _turned_back(
+    scan: Scan, views: Sequence[PosedView], chosen: Sequence[Sequence[int]], params: DepthParams
+) -> tuple[Scan, dict[int, tuple[str, ...]]]:
+    """Return the scan with upside-down images turned back, and what to say of them, by their places."""
+
+    def read(frame: Frame) -> Corners | None:
+        try:
+            return corners(_grey(_color(frame)))
+        except InputError:
+            return None  # Reported when its turn comes.
+
+    threads = params.threads or os.cpu_count() or 1
+    found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+    pairs = sorted(
+        {(min(a, b), max(a, b)) for a, others in enumerate(chosen) for b in others[: params.partners]}
+    )
+    places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
+    if not places:
+        return scan, {}
+    frames = list(scan.frames)
+    for at in places:
+        frames[at] = replace(frames[at], color=_upside_down(frames[at]))
+    said = (
+        f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
+        "they were turned back",
+    )
+    return replace(scan, frames=frames), dict.fromkeys(places, said)
+
+
+def _upside_down(frame: Frame) -> Packed | ColorImage:
+    """Return the frame's image turned by 180 degrees, read again each time if it is a file."""
+
+    def load() -> ColorImage:
+        color = read_color(frame)
+        if color is None:
+            raise InputError(f"frame {frame.name} has no image.")
+        return np.ascontiguousarray(color[::-1, ::-1])
+
+    if isinstance(frame.color, Path):
+        return Packed(frame.color, "turned", load)
+    return load()
+
+
+def _measure(
+    scan: Scan,
+    views: Sequence[PosedView],
+    chosen: Sequence[Sequence[int]],
+    params: DepthParams,
+    tolerance: float,
+    at: int,
+) -> _Measured | SkippedFrame:
+    """Match one view with its partners."""
+    name = scan.frames[at].name
+    try:
+        color = _color(scan.frames[at])
+    except InputError as error:
+        return SkippedFrame(name, str(error))
+    depths: list[DepthImage] = []
+    confidences: list[NDArray[np.uint8]] = []
+    searches: list[SearchRange] = []
+    for other in chosen[at]:
+        if len(depths) == params.partners:
+            break
+        pair = rectified_views(views[at], views[other])
+        if pair is None:
+            continue
+        try:
+            second = _color(scan.frames[other])
+        except InputError:
+            continue  # Reported when its own turn comes.
+        rig, near, far = pair
+        stage = PairStage(rig, replace(params, min_depth=near, max_depth=far), pairs=len(views))
+        found = stage.measure(*rig.apply(color, second), ())
+        depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
+        depths.append(depth)
+        confidences.append(trust)
+        searches.append(found.search)
+    if not depths:
+        return SkippedFrame(name, "no other view sees the same from a little aside (1 to 35 degrees)")
+    depth, trust = merged(depths, confidences, tolerance)
+    depth[~measurable(_grey(color), params.backdrop)] = 0
+    return _Measured(depth, trust, searches[0])
+
+
+def _color(frame: Frame) -> ColorImage:
+    color = read_pinhole(frame)
+    if color is None:
+        raise InputError(f"frame {frame.name} has no image.")
+    return color
+
+
+def _grey(color: ColorImage) -> NDArray[np.uint8]:
+    import cv2
+
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _tolerance(views: Sequence[PosedView], chosen: Sequence[Sequence[int]]) -> float:
+    """Return the share of depth that a pixel of disparity is between views and their best partners."""
+    shares = [
+        view.middle / view.camera.fx / float(np.linalg.norm(views[best[0]].centre - view.centre))
+        for view, best in zip(views, chosen, strict=True)
+        if best
+    ]
+    return _TOLERANCE_PX * float(np.median(shares)) if shares else math.inf
+
+
+def _inside(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | None) -> DepthImage:
+    """Return the depth of what lies in the box."""
+    if box is None:
+        return depth
+    rows, columns = np.nonzero(depth)
+    rays = view.rays(columns.astype(np.float64), rows.astype(np.float64))
+    points = view.to_world(rays * depth[rows, columns, None])
+    outside = ((points < box[0]) | (points > box[1])).any(axis=1)
+    kept = np.array(depth)
+    kept[rows[outside], columns[outside]] = 0
+    return kept
+
+
+def _depth_map(
+    frame: Frame,
+    view: PosedView,
+    depth: DepthImage,
+    confidence: NDArray[np.uint8],
+    search: SearchRange,
+    farthest: float,
+) -> DepthMap | SkippedFrame:
+    if not depth.any():
+        return SkippedFrame(frame.name, "no depth of it agrees with that of other views")
+    try:
+        color = _color(frame)
+    except InputError as error:
+        return SkippedFrame(frame.name, str(error))
+    nothing = np.full(depth.shape, np.nan, np.float32)
+    return DepthMap(depth, confidence, nothing, color, view.camera, np.eye(3), search, view.near, farthest)
+
+
+def _measured_frame(frame: Frame, view: PosedView, result: DepthMap) -> Frame:
+    return replace(frame, camera=view.camera, color=result.color, depth=result.depth)
+
+
+def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, scan: Scan) -> None:
+    if len(skipped) > share * total:
+        last = skipped[-1]
+        raise InputError(
+            f"{len(skipped)} of the scan's {total} views cannot be used, more than the share of {share:g} "
+            f"that max_skipped allows; the last of them, {last.name}: {last.reason}",
+            scan.folder,
+        )

@@ -1,0 +1,83 @@
+"""A folder of single views goes through the whole pipeline."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import posed_scene
+import pytest
+from typer.testing import CliRunner
+
+from cli.app import app
+from pipeline.config import Config
+from pipeline.run import CACHE_VARIABLE, run
+from stages.formats.ply import read_ply
+from stages.formats.trajectories import inverted
+from stages.layouts import read_scan
+
+QUICK = ("report.views=1", "report.width=64", "compare.samples=1000")
+
+
+@pytest.fixture(autouse=True)
+def _no_shared_cache(monkeypatch):
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The made scene in Middlebury's multi-view layout."""
+    scan, _ = posed_scene.scan()
+    made = tmp_path / "scan"
+    made.mkdir()
+    lines = [str(len(scan.frames))]
+    for frame in scan.frames:
+        name = f"made{frame.name}.png"
+        cv2.imwrite(str(made / name), frame.color)
+        camera_from_world = inverted(frame.world_from_camera)
+        numbers = [
+            *frame.camera.matrix.ravel(),
+            *camera_from_world[:3, :3].ravel(),
+            *camera_from_world[:3, 3],
+        ]
+        lines.append(" ".join([name, *(repr(float(number)) for number in numbers)]))
+    (made / "made_par.txt").write_text("\n".join(lines) + "\n")
+    return made
+
+
+def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) -> None:
+    config = Config().set(QUICK)
+    result = run(folder, tmp_path / "out", config)
+
+    assert [stage.stage for stage in result.stages] == ["depth", "fuse", "clean", "simplify", "report"]
+    assert result.report["stages"]["depth"]["figures"]["frames_used"] == 7
+    vertices = read_ply(tmp_path / "out" / "clean.ply").vertices
+    to_ball = np.abs(np.linalg.norm(vertices, axis=1) - posed_scene.RADIUS)
+    to_board = np.abs(vertices[:, 2] - posed_scene.BOARD_Z)
+    assert np.median(np.minimum(to_ball, to_board)) < 0.004
+    assert np.mean(np.minimum(to_ball, to_board) > 0.03) < 0.03
+    # Both are there, the ball's front and the board behind it.
+    assert np.mean(vertices[:, 2] < 0) > 0.05
+    assert np.mean(to_board < 0.02) > 0.2
+    again = run(folder, tmp_path / "out", config)
+    assert all(stage.cached for stage in again.stages)
+
+
+def test_the_commands_know_views(folder: Path, tmp_path: Path) -> None:
+    runner = CliRunner()
+    found = json.loads(runner.invoke(app, ["inspect", str(folder), "--json"]).stdout)
+    assert (found["kind"], found["layout"], found["depth_scale_per_m"]) == ("views", "middlebury-mview", None)
+    assert found["warnings"] == []
+
+    refused = runner.invoke(app, ["fuse", str(folder), str(tmp_path / "fused.ply")])
+    assert refused.exit_code != 0
+    assert "single views without depth" in str(refused.exception) + refused.output
+
+    done = runner.invoke(app, ["depth", str(folder), str(tmp_path / "depth"), "--json"])
+    assert done.exit_code == 0, done.output
+    depth = read_scan(tmp_path / "depth")
+    assert len(depth.frames) == 7
+    assert not depth.is_views
+    np.testing.assert_allclose(
+        depth.frames[2].world_from_camera, read_scan(folder).frames[2].world_from_camera, atol=1e-9
+    )
