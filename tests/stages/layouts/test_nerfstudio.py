@@ -221,7 +221,7 @@ def test_views_without_depth_are_refused_with_the_reason(scan_folder, tiny):
     for entry in content["frames"]:
         del entry["depth_file_path"]
     write(scan_folder, content)
-    with pytest.raises(InputError, match="have no depth, and views alone cannot be read yet"):
+    with pytest.raises(InputError, match="have no depth, and views of this layout alone cannot be read yet"):
         read_scan(scan_folder)
 
 

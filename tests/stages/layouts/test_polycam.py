@@ -117,7 +117,7 @@ def test_images_of_another_shape_are_refused(scan_folder, tiny):
 def test_without_depth_the_reason_is_said(scan_folder):
     for file in (scan_folder / "keyframes" / "depth").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match=r"views alone cannot be read yet.*LiDAR"):
+    with pytest.raises(InputError, match=r"views of this layout alone cannot be read yet.*LiDAR"):
         read_scan(scan_folder)
 
 

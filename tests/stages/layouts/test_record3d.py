@@ -169,13 +169,13 @@ def test_damaged_metadata_is_one_sentence(tmp_path, tiny, packed, change, messag
 
 def test_without_depth_the_reason_is_said(tmp_path, tiny):
     write_archive(tmp_path / "take.r3d", tiny, {"rgbd/0.depth": None, "rgbd/1.depth": None})
-    with pytest.raises(InputError, match="views alone cannot be read yet"):
+    with pytest.raises(InputError, match="views of this layout alone cannot be read yet"):
         read_scan(tmp_path)
     (tmp_path / "take.r3d").unlink()
     write_folder(tmp_path, tiny)
     for file in (tmp_path / "depth").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match="views alone cannot be read yet"):
+    with pytest.raises(InputError, match="views of this layout alone cannot be read yet"):
         read_scan(tmp_path)
 
 

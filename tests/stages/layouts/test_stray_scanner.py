@@ -152,7 +152,7 @@ def test_without_its_video_the_reason_is_said(scan_folder):
 def test_without_depth_the_reason_is_said(scan_folder):
     for file in (scan_folder / "depth").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match=r"views alone cannot be read yet"):
+    with pytest.raises(InputError, match=r"views of this layout alone cannot be read yet"):
         read_scan(scan_folder)
 
 
