@@ -262,7 +262,10 @@ def _warnings(
     if poses and all(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3]) < _STILL_M for pose in poses):
         turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
         if turned < _STILL_RAD:
-            yield "the camera does not move: all frames show the scene from one place"
+            yield (
+                "the camera does not move: all frames show the scene from one place; if a thing was turned "
+                "in front of it, leave the background out with register.max_depth"
+            )
     dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
     if dark:
         yield f"{len(dark)} colour images are black, the first is that of frame {frames[dark[0]].name}"
