@@ -12,6 +12,8 @@ from cli.options import as_typed, with_options
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, new_folder, require_new_file, require_scan
 from stages import DepthParams, FuseParams, InputError, RegisterParams, ScanParams
+from stages.inspection_picture import inspection_picture
+from stages.render import write_png
 from stages.sanity import require_poses
 
 ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
@@ -25,12 +27,31 @@ def add_to(app: typer.Typer) -> None:
     app.command("fuse", rich_help_panel="One stage at a time")(with_options(fuse))
 
 
-def inspect(folder: ScanFolder, params: ScanParams, out: Output) -> None:
+def inspect(
+    folder: ScanFolder,
+    params: ScanParams,
+    out: Output,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Picture (.png) of where the cameras stand, from above and from the side, and of the middle "
+            "frame's depth over its colour.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
     """Say what a scan folder holds: layout, frames, sizes, calibration, poses, depth, and what is odd.
 
-    Example: scanloom inspect my_scan
+    Example: scanloom inspect my_scan --picture my_scan.png
     """
-    inspection = stages.inspect(stages.read_scan(require_scan(folder), params, complete=False))
+    if picture is not None:
+        require_new_file(picture, (".png",))
+    scan = stages.read_scan(require_scan(folder), params, complete=False)
+    inspection = stages.inspect(scan)
+    if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        write_png(picture, inspection_picture(scan))
     out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))
 
 
