@@ -20,7 +20,7 @@ from stages.registration.view import View, read_view
 from stages.scan import Frame, Pose
 
 # Loops are looked for with this many views that should overlap and this many that look alike.
-_NEAR, _ALIKE = 8, 4
+_NEAR, _ALIKE = 10, 4
 # What is recognised in both for a loop to be believed, and how likely two views look alike by chance.
 _LOOP_POINTS = 25
 _LEAST_LIKENESS = 0.15

@@ -15,9 +15,9 @@ from stages.registration.view import View
 from stages.scan import Pose
 
 # Iterations from the coarsest of three resolutions to the finest.
-_ITERATIONS = (12, 8, 5)
+_ITERATIONS = (12, 8, 8)
 # Surfaces are compared where they are within this share of the median depth, at least this many metres.
-_REACH_SHARE = 0.03
+_REACH_SHARE = 0.015
 _LEAST_REACH_M = 0.01
 
 
