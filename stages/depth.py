@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import images
+from stages.depth_params import DepthParams
 from stages.errors import InputError, UsageError
-from stages.params import check, param, resolve
+from stages.params import resolve
 from stages.prefetch import read_ahead
 from stages.progress import Progress, silent
 from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
@@ -36,6 +37,8 @@ from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
 
+__all__ = ["VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
+
 VERSION = 2
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
@@ -46,184 +49,6 @@ _SEVERAL = 3
 # there, grass and foliage that match less surely are worth having.
 _ALONE = (128, 20)
 _AMONG_OTHERS = (16, 5)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DepthParams:
-    """Parameters of the depth stage."""
-
-    min_depth: float | None = param(
-        None,
-        "Nearest depth that is looked for. If neither it nor `disparities` is given: the calibration's own "
-        "number of disparities, else up to a quarter of the image's width, narrowed to what a pair uses",
-        unit="m",
-        low=0,
-        low_open=True,
-    )
-    max_depth: float | None = param(
-        None,
-        "Farthest depth that is looked for and used; without it, the depth error alone bounds the range",
-        unit="m",
-        low=0,
-        low_open=True,
-    )
-    max_relative_depth_error: float = param(
-        0.025,
-        "Depth is used up to where its expected error σ_z = z²/(f·b)·σ_d is this share of it",
-        low=0,
-        low_open=True,
-        high=1,
-    )
-    disparity_sigma: float = param(
-        0.25, "Standard deviation σ_d of a good match's disparity", unit="px", low=0, low_open=True, high=10
-    )
-    min_confidence: int | None = param(
-        None,
-        "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px. Default: 128 for one or "
-        "two pairs; 16 for more, since fusion drops what only one of them says",
-        low=0,
-        high=255,
-    )
-    matcher: str = param(
-        "3way",
-        "Semi-global matcher: 3way gathers costs along three paths, in little memory; hh4 along four, "
-        "erring a little less for twice the time; sgbm along five and hh along eight, for no gain",
-        choices=("3way", "sgbm", "hh4", "hh"),
-    )
-    disparities: int | None = param(
-        None,
-        "Number of disparities that are tried, in place of those that follow from the depth range",
-        unit="px",
-        low=1,
-        high=LARGEST_DISPARITY,
-    )
-    block_size: int = param(
-        3,
-        "Width of the compared blocks, odd: larger ones stand more noise, smaller ones keep detail",
-        unit="px",
-        low=1,
-        high=11,
-    )
-    p1: int | None = param(
-        None,
-        "Penalty for a change of disparity by 1 px between neighbours; 16·block_size² by default",
-        low=0,
-    )
-    p2: int | None = param(
-        None, "Penalty for a larger change, more than p1; 32·block_size² by default", low=1, high=10000
-    )
-    prefilter_cap: int = param(
-        15,
-        "Horizontal gradients are cut off here before comparison",
-        unit="grey levels",
-        low=15,
-        high=63,
-    )
-    uniqueness: int | None = param(
-        None,
-        "By how much the best match must beat every other, else there is none. Default: 20 for one or two "
-        "pairs, 5 for more",
-        unit="%",
-        low=0,
-        high=100,
-    )
-    left_right: str = param(
-        "project",
-        "How left and right are checked against each other: project claims each right pixel for the nearest "
-        "surface, match matches the right image too, which takes twice the time and errs a little less",
-        choices=("project", "match"),
-    )
-    left_right_tolerance: float = param(
-        1.0,
-        "How far the disparities of a pixel and of its match may differ",
-        unit="px",
-        low=0,
-        high=100,
-    )
-    speckle_size: int = param(
-        100, "Connected pieces of fewer pixels are dropped as speckles; 0 keeps all", unit="px", low=0
-    )
-    speckle_range: float = param(
-        1.0, "Neighbours whose disparities differ by more are not connected", unit="px", low=0, high=100
-    )
-    min_texture: float = param(
-        0.5,
-        "Where pixels two apart in a row differ by less in the mean around, as in a clipped sky, nothing "
-        "was measured",
-        unit="grey levels",
-        low=0,
-    )
-    refine: bool = param(
-        True,
-        "Move each disparity by the fraction of a pixel at which the images agree best; takes away the "
-        "matcher's bias on slanted surfaces. Smoothed disparities stay as they are",
-    )
-    smooth: bool = param(
-        False,
-        "Smooth disparity along the image's edges (weighted least squares): pleasant to look at, fuses "
-        "worse. What it fills in keeps its low confidence and gets no depth",
-    )
-    smooth_lambda: float = param(1000.0, "Strength of the smoothing", low=0, low_open=True)
-    smooth_sigma: float = param(
-        1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
-    )
-    partners: int = param(
-        4,
-        "Single views with poses: each is matched with at most so many others",
-        unit="views",
-        low=1,
-        high=32,
-    )
-    agreeing_views: int = param(
-        2,
-        "Single views: depth is kept where so many other views' depth maps agree with it",
-        unit="views",
-        low=0,
-        high=64,
-    )
-    agreement: float | None = param(
-        None,
-        "Single views: share of depth by which maps that agree may differ. Default: what a pixel of "
-        "disparity makes between neighbouring views",
-        low=0,
-        low_open=True,
-        high=1,
-    )
-    backdrop: float = param(
-        3.0,
-        "Single views: where pixels two apart differ by less in the mean around, the image shows a backdrop, "
-        "which matches anything, and gets no depth",
-        unit="grey levels",
-        low=0,
-    )
-    turn_back: bool = param(
-        True,
-        "Single views: images that are upside down against their poses, as corners found in several show, "
-        "are turned back, with a warning",
-    )
-    max_skipped: float = param(
-        0.5, "The scan is given up when a larger share of its frames cannot be used", low=0, high=1
-    )
-    threads: int | None = param(
-        None, "Pairs matched at the same time; one a core if not given", low=1, high=256, invalidates=False
-    )
-
-    def __post_init__(self) -> None:
-        check(self)
-        if self.block_size % 2 == 0:
-            raise UsageError(f"block_size is {self.block_size}; it must be odd.")
-        if self.min_depth is not None and self.max_depth is not None and self.min_depth >= self.max_depth:
-            raise UsageError(
-                f"min_depth is {self.min_depth:g} m; it must be below max_depth, {self.max_depth:g} m."
-            )
-        if self.penalties[0] >= self.penalties[1]:
-            raise UsageError(f"p1 is {self.penalties[0]}; it must be below p2, {self.penalties[1]}.")
-
-    @property
-    def penalties(self) -> tuple[int, int]:
-        """Return p1 and p2 as used."""
-        area = self.block_size**2
-        return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
 
 
 @dataclass(frozen=True, eq=False)

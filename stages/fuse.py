@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from stages.fusion.survey import Noise
 from stages.fusion.voxels import Layer, Volume
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
-from stages.prefetch import read_ahead
+from stages.prefetch import read_ahead, workers
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, Frame, Scan, SkippedFrame
 
@@ -191,7 +190,7 @@ def fuse(
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     _require_usable(frames, where)
-    threads = min(os.cpu_count() or 1, 8)
+    threads = workers()
     plan = make_plan(frames, params, where, threads)
     color = params.color and any(frame.color is not None for frame in frames)
     volume = Volume(

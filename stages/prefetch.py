@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
+# More threads than this wait for memory, and hold that many images.
+_MOST_WORKERS = 8
+
 T = TypeVar("T")
 R = TypeVar("R")
+
+
+def workers() -> int:
+    """Return how many threads are worth having."""
+    return min(os.cpu_count() or 1, _MOST_WORKERS)
 
 
 def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahead: int) -> Iterator[R]:

@@ -19,6 +19,7 @@ from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import IMAGES, common_size, has
 from stages.layouts.layout import Layout
 from stages.layouts.phones import least_confidence
+from stages.layouts.stated import stated_camera
 from stages.scan import Camera, Frame, Scan, SkippedFrame, scaled
 
 if TYPE_CHECKING:
@@ -56,9 +57,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     path = options.file("poses", folder) or folder / "lowres_wide.traj"
     trajectory = trajectories.read_timed(path) if path.exists() or options.poses else None
     size = common_size(list(depths.values()))
-    stated, given = options.camera(*size), options.file("calibration", folder)
-    if stated is None and given is not None:
-        stated = calibration.read_camera(given, *size)
+    stated = stated_camera(options, folder, *size)
     least, said = least_confidence(options, _LEVELS, folder)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []

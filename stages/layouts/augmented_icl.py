@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stages.errors import InputError
-from stages.formats import calibration, trajectories
+from stages.formats import trajectories
 from stages.layouts.files import common_size, images, pair
 from stages.layouts.layout import Layout
+from stages.layouts.stated import stated_camera
 from stages.scan import Camera, Frame, Pose, Scan, scaled
 
 if TYPE_CHECKING:
@@ -66,7 +67,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         missing = ("poses: there is no one .log or *-traj.txt; name a trajectory with scan.poses=FILE",)
     else:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
-    camera = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+    size = common_size([depth for depth, _ in pairs])
+    camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
     frames = [
         Frame(
             name=name,
@@ -79,13 +81,6 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         for name, (depth, color), pose in zip(names, pairs, poses, strict=True)
     ]
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing)
-
-
-def _camera(folder: Path, options: ScanParams, width: int, height: int) -> Camera:
-    stated, path = options.camera(width, height), options.file("calibration", folder)
-    if stated is not None:
-        return stated
-    return scaled(_CAMERA, width, height) if path is None else calibration.read_camera(path, width, height)
 
 
 LAYOUT = Layout(

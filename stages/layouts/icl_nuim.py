@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stages.errors import InputError
-from stages.formats import calibration, documents, trajectories
+from stages.formats import documents, trajectories
 from stages.formats.trajectories import Trajectory
 from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
+from stages.layouts.stated import stated_camera
 from stages.scan import Camera, Frame, Scan, SkippedFrame, scaled
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     times, depths, colors = _associations(folder / "associations.txt")
     path = options.file("poses", folder) or _pose_file(folder)
     trajectory = None if path is None else _trajectory(path)
-    camera = _camera(folder, options, *common_size(depths))
+    size = common_size(depths)
+    camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for time, depth, color in zip(times, depths, colors, strict=True):
@@ -101,13 +103,6 @@ def _trajectory(path: Path) -> Trajectory:
         return trajectory
     poses = [None if pose is None else _Y_OVER @ pose @ _Y_OVER for pose in trajectory.poses]
     return Trajectory(poses, trajectory.timestamps)
-
-
-def _camera(folder: Path, options: ScanParams, width: int, height: int) -> Camera:
-    stated, path = options.camera(width, height), options.file("calibration", folder)
-    if stated is not None:
-        return stated
-    return scaled(_CAMERA, width, height) if path is None else calibration.read_camera(path, width, height)
 
 
 LAYOUT = Layout(

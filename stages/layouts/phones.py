@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stages.errors import InputError
-from stages.formats import calibration
 from stages.scan import Camera, scaled
 
 if TYPE_CHECKING:
@@ -15,13 +14,6 @@ if TYPE_CHECKING:
 
 # 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9 does not.
 _SAME_SHAPE = 0.02
-
-
-def stated_camera(options: ScanParams, folder: Path, width: int, height: int) -> Camera | None:
-    """Return the camera that the person states for colour images of this size, or None."""
-    path = options.file("calibration", folder)
-    stated = options.camera(width, height)
-    return calibration.read_camera(path, width, height) if stated is None and path is not None else stated
 
 
 def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Camera:

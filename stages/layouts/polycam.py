@@ -12,7 +12,8 @@ from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import IMAGES, common_size, images, numbers
 from stages.layouts.layout import Layout
-from stages.layouts.phones import least_confidence, seen_in, stated_camera
+from stages.layouts.phones import least_confidence, seen_in
+from stages.layouts.stated import stated_camera
 from stages.layouts.views import without_depth
 from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
 

@@ -23,7 +23,8 @@ from stages.formats import calibration, documents, lzfse_blocks, trajectories
 from stages.images import decode_color, read_raw_depth
 from stages.layouts.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
 from stages.layouts.layout import Layout
-from stages.layouts.phones import least_confidence, seen_in, stated_camera
+from stages.layouts.phones import least_confidence, seen_in
+from stages.layouts.stated import stated_camera
 from stages.layouts.views import without_depth
 from stages.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
 

@@ -14,7 +14,8 @@ from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import DEPTHS, IMAGES, common_size, images, numbers
 from stages.layouts.layout import Layout
-from stages.layouts.phones import least_confidence, seen_in, stated_camera
+from stages.layouts.phones import least_confidence, seen_in
+from stages.layouts.stated import stated_camera
 from stages.layouts.views import without_depth
 from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 from stages.video import Video

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats.trajectories import inverted
-from stages.prefetch import read_ahead
+from stages.prefetch import read_ahead, workers
 from stages.progress import Progress
 from stages.registration.features import Features
 from stages.registration.graph import Edge
@@ -51,7 +50,7 @@ class Chain:
 
 def make_chain(frames: Sequence[Frame], max_depth: float, progress: Progress) -> Chain:
     """Read all frames, and place each to the one before."""
-    threads = min(os.cpu_count() or 1, 8)
+    threads = workers()
     chain = Chain({}, {}, [])
 
     def read(frame: Frame) -> View | SkippedFrame:
@@ -126,7 +125,7 @@ def key_edges(
         off = inverted(edge.motion.target_from_source) @ motion.target_from_source
         return replace(edge, motion=motion) if agree(off, source.depth_m) else edge
 
-    threads = min(os.cpu_count() or 1, 8)
+    threads = workers()
     yield from read_ahead(place, _chain_edges(chain, keys, poses), threads=threads, ahead=threads + 2)
 
 

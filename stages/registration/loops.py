@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -10,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.formats.trajectories import inverted
-from stages.prefetch import read_ahead
+from stages.prefetch import read_ahead, workers
 from stages.registration.appearance import likeness
 from stages.registration.chain import Chain, Seen
 from stages.registration.features import recognise
 from stages.registration.graph import Edge
-from stages.registration.motion import Motion, NoMotion, angle, by_surface, motion_between
+from stages.registration.motion import Motion, NoMotion, angle, by_points, by_surface
 from stages.registration.view import View, read_view
 from stages.scan import Frame, Pose
 
@@ -49,7 +48,7 @@ def loops(
         source, target = couple
         points = recognise(seen[source].features, seen[target].features)
         if points is not None and points.points >= _LOOP_POINTS:
-            motion = motion_between(view(source), view(target), max_depth)
+            motion = by_points(view(source), view(target), points, max_depth)
         elif parts[source] == parts[target]:
             guess = inverted(poses[keys[target]]) @ poses[keys[source]]
             motion = by_surface(view(source), view(target), max_depth, guess)
@@ -61,7 +60,7 @@ def loops(
 
     alike = likeness([one.features for one in seen])
     couples = sorted(_near(keys, parts, poses, seen) | _alike(alike, parts))
-    threads = min(os.cpu_count() or 1, 8)
+    threads = workers()
     found = read_ahead(close, couples, threads=threads, ahead=2 * threads)
     return [edge for edge in found if edge is not None]
 

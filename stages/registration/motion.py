@@ -66,7 +66,7 @@ def motion_between(
     """
     seen = recognise(source.features, target.features)
     if seen is not None:
-        return _recognised(source, target, seen, max_depth)
+        return by_points(source, target, seen, max_depth)
     return by_surface(source, target, max_depth, np.eye(4) if guess is None else guess)
 
 
@@ -88,7 +88,8 @@ def by_surface(source: View, target: View, max_depth: float, guess: Pose) -> Mot
     return _motion(source, target, there.target_from_source, there.fitness, there.rmse_m, 0)
 
 
-def _recognised(source: View, target: View, seen: Recognised, max_depth: float) -> Motion | NoMotion:
+def by_points(source: View, target: View, seen: Recognised, max_depth: float) -> Motion | NoMotion:
+    """Find the motion between two views from what was recognised in both."""
     aligned = align(source, target, seen.target_from_source, max_depth)
     firm = min(source.firmness, target.firmness) >= FIRM
     least = LEAST_FITNESS if seen.points < SURE_POINTS else _LEAST_BESIDE_POINTS

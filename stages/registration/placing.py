@@ -11,6 +11,9 @@ from stages.registration.chain import Chain
 from stages.registration.graph import Edge, optimised
 from stages.scan import Pose
 
+# Surfaces count as the same within this share of the median depth.
+_REACH_SHARE = 0.03
+
 
 def placed_pieces(
     chain: Chain,
@@ -26,7 +29,7 @@ def placed_pieces(
     for group in groups:
         members = set(group)
         own = [edge for edge in edges if edge.source in members]
-        reach = 0.03 * float(np.median([chain.seen[keys[key]].depth_m for key in group]))
+        reach = _REACH_SHARE * float(np.median([chain.seen[keys[key]].depth_m for key in group]))
         placed, refused = optimised(_spread(group, own), own, reach)
         used += [edge for edge in own if edge not in refused]
         wrong += refused
