@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
 
     Parameters
     ----------
-    folder : the folder that holds the scan.
+    folder : the folder that holds the scan, or the file that is one.
     options : what to use in place of what the folder says.
     complete : refuse a scan without poses or calibration; else its `missing` says what it lacks.
 
@@ -33,8 +33,11 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     """
     folder = Path(folder)
     options = options or ScanParams()
-    _require_folder(folder)
-    layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
+    layout = next((one for one in LAYOUTS if one.name == options.layout), None)
+    if layout is None:
+        layout = recognise(folder)[0]
+    else:
+        _require_place(folder, layout.suffixes)
     scan = _without_still_poses(layout.read(folder, options))
     if complete:
         require_complete(scan, folder)
@@ -52,14 +55,16 @@ def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
-    """Return the layout of a folder and why it is taken for it.
+    """Return the layout of a folder, or of a file that is a scan by itself, and why it is taken for it.
 
     Raises
     ------
     InputError
         If there is no such folder, it is empty, or of no layout that can be read.
     """
-    _require_folder(folder)
+    _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
+    if folder.is_file():
+        return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
     found = _first_match(DISTINCT, folder)
     if found is None and (known := refused(folder)) is not None:
         raise InputError(
@@ -73,7 +78,10 @@ def recognise(folder: Path) -> tuple[Layout, str]:
     return found
 
 
-def _require_folder(folder: Path) -> None:
+def _require_place(folder: Path, suffixes: Collection[str]) -> None:
+    """Raise InputError unless this is a folder that can be listed, or a file of these suffixes."""
+    if folder.is_file() and folder.suffix.lower() in suffixes:
+        return
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
         raise InputError(problem, folder)

@@ -26,7 +26,8 @@ class Refused:
 
 
 REFUSED: tuple[Refused, ...] = (
-    Refused("a ROS or RealSense recording (.bag)", ("*.bag",), _CONTAINER),
+    Refused("a ROS 2 or RealSense recording (.db3)", ("*.db3",), _CONTAINER),
+    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), _CONTAINER),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
 )

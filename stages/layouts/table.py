@@ -17,6 +17,7 @@ from stages.layouts import (
     record3d,
     redwood,
     replica,
+    ros_bag,
     scan_json,
     scannet,
     scannet_sens,
@@ -50,6 +51,7 @@ DISTINCT: tuple[Layout, ...] = (
     colmap.LAYOUT,
     augmented_icl.LAYOUT,
     middlebury_mview.LAYOUT,
+    ros_bag.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (

@@ -42,6 +42,7 @@ def touch(folder, *names):
         (["keyframes/cameras"], "polycam"),
         (["metadata.json", "rgb", "depth"], "record3d"),
         (["take.r3d"], "record3d"),
+        (["take.bag"], "ros-bag"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),
         (["templeR0001.png", "templeR_par.txt"], "middlebury-mview"),
         (["left", "right"], "plain-stereo"),
@@ -62,6 +63,9 @@ def test_signatures(tmp_path, names, layout):
     ("names", "name"),
     [
         (["take.svo2"], "ZED"),
+        (["take.mkv"], "Azure Kinect"),
+        (["take.db3", "metadata.yaml"], "ROS 2"),
+        (["take.mcap"], "ROS 2"),
     ],
 )
 def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, name):

@@ -1,0 +1,158 @@
+"""Write RealSense recordings with another program's bag writer: topics and messages as the maker's."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+_TYPES = get_typestore(Stores.ROS1_NOETIC)
+DEPTH, COLOR = "/device_0/sensor_0/Depth_0", "/device_0/sensor_1/Color_0"
+INFRARED = "/device_0/sensor_0/Infrared_{}"
+
+
+def made(kind: str, **fields: Any) -> Any:
+    return _TYPES.types[f"{kind.replace('/', '/msg/')}"](**fields)
+
+
+def stamped(time: int) -> Any:
+    stamp = made("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
+    # The recorder puts its version where other bags have the frame's name.
+    return made("std_msgs/Header", seq=7, stamp=stamp, frame_id="1")
+
+
+@dataclass
+class Image:
+    """An image at a moment; `recorded` is when the recorder wrote it, `unit` what it adds behind it."""
+
+    time: int
+    pixels: np.ndarray
+    encoding: str
+    recorded: int | None = None
+    unit: float | None = 0.0
+    padding: int = 0
+    big_endian: bool = False
+
+    def message(self) -> bytes:
+        stored = self.pixels.astype(self.pixels.dtype.newbyteorder(">" if self.big_endian else "<"))
+        height, width = stored.shape[:2]
+        rows = np.frombuffer(stored.tobytes(), np.uint8).reshape(height, -1)
+        rows = np.pad(rows, ((0, 0), (0, self.padding)), constant_values=99)
+        message = made(
+            "sensor_msgs/Image",
+            header=stamped(self.time),
+            height=height,
+            width=width,
+            encoding=self.encoding,
+            is_bigendian=int(self.big_endian),
+            step=rows.shape[1],
+            data=rows.ravel(),
+        )
+        data = bytes(_TYPES.serialize_ros1(message, "sensor_msgs/msg/Image"))
+        return data if self.unit is None else data + struct.pack("<f", self.unit)
+
+
+@dataclass
+class Stream:
+    """A stream and what the recording says of it; None for what it does not say."""
+
+    name: str
+    images: Sequence[Image]
+    intrinsics: tuple[float, float, float, float] | None
+    size: tuple[int, int]
+    from_reference: tuple[Sequence[float], Sequence[float]] | None = ((0, 0, 0), (0, 0, 0, 1))
+    model: str = "Brown Conrady"
+    distortion: Sequence[float] = (0, 0, 0, 0, 0)
+
+
+@dataclass
+class Recording:
+    """Streams, and the depth units that the sensor's option had."""
+
+    streams: Sequence[Stream]
+    units: Sequence[float] = (0.0001,)
+    compression: str = "lz4"
+    chunk_bytes: int = 2500
+    others: dict[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
+
+    def write(self, path: Path) -> Path:
+        path.unlink(missing_ok=True)
+        writer = Writer(path)
+        writer.chunk_threshold = self.chunk_bytes
+        if self.compression != "none":
+            writer.set_compression(Writer.CompressionFormat[self.compression.upper()])
+        with writer:
+            for topic, (kind, fields) in self.others.items():
+                self._write(writer, topic, kind, [(1, self._serialised(kind, **fields))])
+            for stream in self.streams:
+                self._describe(writer, stream)
+            value = "/device_0/sensor_0/option/Depth_Units/value"
+            units = [
+                (n + 1, self._serialised("std_msgs/Float32", data=unit)) for n, unit in enumerate(self.units)
+            ]
+            if units:
+                self._write(writer, value, "std_msgs/Float32", units)
+            self._write_images(writer)
+        return path
+
+    def _describe(self, writer: Writer, stream: Stream) -> None:
+        if stream.intrinsics is not None:
+            fx, fy, cx, cy = stream.intrinsics
+            info = self._serialised(
+                "sensor_msgs/CameraInfo",
+                header=stamped(0),
+                height=stream.size[1],
+                width=stream.size[0],
+                distortion_model=stream.model,
+                D=np.array(stream.distortion, np.float64),
+                K=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+                R=np.eye(3).ravel(),
+                P=np.zeros(12),
+                binning_x=0,
+                binning_y=0,
+                roi=made(
+                    "sensor_msgs/RegionOfInterest",
+                    x_offset=0,
+                    y_offset=0,
+                    height=0,
+                    width=0,
+                    do_rectify=False,
+                ),
+            )
+            self._write(writer, f"{stream.name}/info/camera_info", "sensor_msgs/CameraInfo", [(1, info)])
+        if stream.from_reference is not None:
+            (x, y, z), turn = stream.from_reference
+            transform = self._serialised(
+                "geometry_msgs/Transform",
+                translation=made("geometry_msgs/Vector3", x=x, y=y, z=z),
+                rotation=made("geometry_msgs/Quaternion", **dict(zip("xyzw", turn, strict=True))),
+            )
+            self._write(writer, f"{stream.name}/tf/1", "geometry_msgs/Transform", [(1, transform)])
+
+    def _write_images(self, writer: Writer) -> None:
+        """Write the images of all streams in the order in which they were recorded."""
+        images = [
+            (one.time if one.recorded is None else one.recorded, s, one)
+            for s in self.streams
+            for one in s.images
+        ]
+        written: dict[str, Any] = {}
+        for time, stream, image in sorted(images, key=lambda entry: entry[0]):
+            topic = f"{stream.name}/image/data"
+            if topic not in written:
+                written[topic] = writer.add_connection(topic, "sensor_msgs/msg/Image", typestore=_TYPES)
+            writer.write(written[topic], time, image.message())
+
+    def _write(self, writer: Writer, topic: str, kind: str, messages: Sequence[tuple[int, bytes]]) -> None:
+        connection = writer.add_connection(topic, kind.replace("/", "/msg/"), typestore=_TYPES)
+        for time, data in messages:
+            writer.write(connection, time, data)
+
+    def _serialised(self, kind: str, **fields: Any) -> bytes:
+        return bytes(_TYPES.serialize_ros1(made(kind, **fields), kind.replace("/", "/msg/")))
