@@ -182,6 +182,17 @@ def decode_color(data: bytes, source: Path | str) -> ColorImage:
     return cast(ColorImage, cv2.cvtColor(image, code))
 
 
+def decode_depth(data: bytes, source: Path | str) -> NDArray[Any]:
+    """Return an encoded depth map (PNG, TIFF, …) as stored, (h, w) uint16 or float.
+
+    Raises
+    ------
+    InputError
+        If it does not decode, or is an 8-bit or colour image; `source` is named.
+    """
+    return require_raw_depth(_decoded(data, source), source)
+
+
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
     """Raise InputError unless the image has the size the camera was calibrated for."""
     height, width = image.shape[:2]

@@ -72,7 +72,7 @@ class RosBag:
 
     Attributes
     ----------
-    topics : by name.
+    topics : by name; each has messages.
     fault : why the records after some place could not be read, or None where the bag is whole.
     """
 
@@ -191,6 +191,8 @@ def _topics(
     for (name, kind), writers in numbers.items():
         parts = [part for number in writers for part in indexes[number]]
         entries = np.concatenate([entries for _, entries in parts])
+        if not len(entries):
+            continue
         chunks = np.repeat([chunk for chunk, _ in parts], [len(entries) for _, entries in parts])
         times = entries["seconds"].astype(np.int64) * 1_000_000_000 + entries["nanoseconds"]
         topics[name] = Topic(kind, frozenset(writers), times, chunks, entries["offset"].astype(np.int64))

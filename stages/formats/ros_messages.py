@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.formats import trajectories
 from stages.scan import Pose
+
+IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,7 @@ class CameraMessage:
     model : of the distortion.
     distortion : its coefficients.
     matrix : (3, 3) float64, for the image as it was taken.
+    projection : (3, 4) float64, for the rectified image.
     """
 
     width: int
@@ -56,6 +60,7 @@ class CameraMessage:
     model: str
     distortion: tuple[float, ...]
     matrix: NDArray[np.float64]
+    projection: NDArray[np.float64]
 
 
 class _Fields:
@@ -136,9 +141,30 @@ def read_camera_info(data: bytes, source: Path | str) -> CameraMessage:
         model = fields.text()
         (count,) = fields.numbers("I")
         distortion = fields.numbers(f"{min(count, len(data))}d")
-        return CameraMessage(width, height, model, distortion, np.reshape(fields.numbers("9d"), (3, 3)))
+        matrix, _, projection = (np.reshape(fields.numbers(f"{n}d"), (3, -1)) for n in (9, 9, 12))
+        return CameraMessage(width, height, model, distortion, matrix, projection)
     except (struct.error, ValueError) as error:
         raise InputError("the camera_info is cut short or damaged.", source) from error
+
+
+def read_compressed(data: bytes, source: Path | str) -> tuple[str, bytes]:
+    """Return format and encoded image of `sensor_msgs/CompressedImage`; InputError if it is cut short."""
+    fields = _Fields(data)
+    try:
+        fields.stamp()
+        return fields.text(), bytes(fields.block())
+    except (struct.error, ValueError) as error:
+        raise InputError("the image is cut short or damaged.", source) from error
+
+
+def read_frame(data: bytes, source: Path | str) -> str:
+    """Return the name of the frame in a message's header; InputError if it is cut short."""
+    fields = _Fields(data)
+    try:
+        fields.numbers("III")
+        return fields.text()
+    except (struct.error, ValueError) as error:
+        raise InputError("the message is cut short.", source) from error
 
 
 def read_transform(data: bytes, source: Path) -> Pose:
@@ -149,12 +175,35 @@ def read_transform(data: bytes, source: Path) -> Pose:
     InputError
         If the message is cut short, or it is no rigid motion.
     """
-    from stages.formats import trajectories
-
     try:
-        values = struct.unpack_from("<7d", data)
+        return _pose(_Fields(data), source)
     except struct.error as error:
         raise InputError("a transform is cut short.", source) from error
+
+
+def read_transforms(data: bytes, source: Path) -> list[tuple[str, str, Pose]]:
+    """Return `tf2_msgs/TFMessage`: parent, child, and the (4, 4) matrix that takes points of child to parent.
+
+    Raises
+    ------
+    InputError
+        As `read_transform`.
+    """
+    fields = _Fields(data)
+    transforms = []
+    try:
+        (count,) = fields.numbers("I")
+        for _ in range(count):
+            fields.numbers("III")
+            parent, child = fields.text(), fields.text()
+            transforms.append((parent, child, _pose(fields, source)))
+    except (struct.error, ValueError) as error:
+        raise InputError("a transform is cut short.", source) from error
+    return transforms
+
+
+def _pose(fields: _Fields, source: Path) -> Pose:
+    values = fields.numbers("7d")
     pose = trajectories.pose_from_quaternion(values[:3], values[3:], source, "a transform")
     if pose is None:
         raise InputError("a transform is not finite.", source)

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.formats.ros_messages import ImageMessage
+from stages.images import decode_color, decode_depth
 from stages.scan import MAX_PIXELS, ColorImage
 
+_PNG = b"\x89PNG\r\n\x1a\n"
 _DEPTHS = {"mono16": "u2", "16uc1": "u2", "z16": "u2", "32fc1": "f4"}
 # Bytes a pixel, and which of OpenCV's conversions makes RGB of it; None for what is RGB.
 _COLORS: dict[str, tuple[int, str | None]] = {
@@ -85,6 +87,31 @@ def depth_of(image: ImageMessage, source: Path | str) -> NDArray[Any]:
     stored = np.dtype(kind).newbyteorder(">" if image.is_big_endian else "<")
     rows = _rows(image, stored.itemsize, source)
     return cast("NDArray[Any]", rows.view(stored).astype(kind))
+
+
+def compressed_color(image: tuple[str, bytes], source: Path | str) -> ColorImage:
+    """Return a compressed image, format and bytes, as `color_of` does."""
+    return decode_color(image[1], source)
+
+
+def compressed_depth(image: tuple[str, bytes], source: Path | str) -> NDArray[Any]:
+    """Return a compressed depth map, format and bytes, as (h, w) uint16.
+
+    Raises
+    ------
+    InputError
+        If it is compressed in another way than as PNG of whole numbers, or does not decode.
+    """
+    form, data = image
+    # Before the PNG stand numbers that only float depth is packed with.
+    start = data.find(_PNG, 0, 64)
+    if start < 0 or "32fc1" in form.lower():
+        raise InputError(
+            f"depth is compressed as {form[:40]!r}; `16UC1; compressedDepth png` is known. Record it "
+            "uncompressed.",
+            source,
+        )
+    return decode_depth(data[start:], source)
 
 
 def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint8]:

@@ -7,7 +7,6 @@ a reference stream to this one; of a sensor `option/Depth_Units/value`, in metre
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,7 @@ from stages.formats import calibration
 from stages.formats.ros_bag import RosBag, Topic, read_message
 from stages.formats.ros_messages import read_camera_info, read_float, read_image, read_transform
 from stages.formats.trajectories import inverted
-from stages.layouts.stated import stated_camera
+from stages.layouts.streams import Stream, Streams, stated_depth_camera, unknown_place
 from stages.scan import Camera, Pose
 
 if TYPE_CHECKING:
@@ -32,34 +31,6 @@ _USUAL_UNITS = 0.001
 _UNITS = (1e-9, 1e3)
 
 
-@dataclass(frozen=True, eq=False)
-class Stream:
-    """The images of one camera of a recording."""
-
-    name: str
-    topic: Topic
-    camera: Camera
-
-
-@dataclass(frozen=True, eq=False)
-class Streams:
-    """The streams of a recording that make up a scan.
-
-    Attributes
-    ----------
-    depth, color : colour may show what an infrared camera saw, or be None.
-    depth_scale : what one metre is in the depth maps' units.
-    color_from_depth : (4, 4) float64, metres; None where the file does not say.
-    warnings : in plain sentences.
-    """
-
-    depth: Stream
-    color: Stream | None
-    depth_scale: float
-    color_from_depth: Pose | None
-    warnings: tuple[str, ...]
-
-
 def realsense_streams(bag: RosBag, options: ScanParams) -> Streams | None:
     """Return the streams of a RealSense recording; None if the bag has none of its topics.
 
@@ -71,14 +42,15 @@ def realsense_streams(bag: RosBag, options: ScanParams) -> Streams | None:
     found: dict[str, list[tuple[str, str, Topic]]] = {}
     for name, topic in sorted(bag.topics.items()):
         matched = _IMAGES.fullmatch(name)
-        if matched is not None and len(topic):
+        if matched is not None:
             found.setdefault(matched[2].lower(), []).append((matched[1], name[: -len("/image/data")], topic))
     if not found:
         return None
     if "depth" not in found:
         raise InputError(_without_depth(found), bag.path)
     (sensor, name, topic), *_ = found["depth"]
-    depth = Stream(name, topic, _depth_camera(bag, name, topic, options))
+    camera = stated_depth_camera(bag, name, topic, options) or _recorded_camera(bag, name)
+    depth = Stream(name, topic, camera)
     scale, warnings = _depth_scale(bag, sensor, topic, options)
     # The left infrared camera is the one that depth is seen from.
     grey = [one for one in found.get("infrared", ()) if one[0] == sensor]
@@ -89,10 +61,7 @@ def realsense_streams(bag: RosBag, options: ScanParams) -> Streams | None:
     color = Stream(name, topic, _recorded_camera(bag, name))
     color_from_depth = _between(bag, depth.name, color.name)
     if color_from_depth is None:
-        warnings.append(
-            f"how the camera of {color.name} stands to that of {depth.name} is not in the file: both are "
-            "taken to stand in one place, so that colours may be displaced"
-        )
+        warnings.append(unknown_place(depth.name, color.name))
     if "color" not in found:
         warnings.append("there is no colour stream: the infrared camera's images stand for it")
     return Streams(depth, color, scale, color_from_depth, tuple(warnings))
@@ -108,19 +77,10 @@ def _without_depth(found: dict[str, list[tuple[str, str, Topic]]]) -> str:
     return f"the recording holds no depth, only {streams}. Record the depth stream too."
 
 
-def _depth_camera(bag: RosBag, name: str, topic: Topic, options: ScanParams) -> Camera:
-    if options.intrinsics is None and options.calibration is None:
-        return _recorded_camera(bag, name)
-    image = read_image(read_message(bag, topic, 0), f"{bag.path}: {name}")
-    stated = stated_camera(options, bag.path.parent, image.width, image.height)
-    assert stated is not None
-    return stated
-
-
 def _recorded_camera(bag: RosBag, name: str) -> Camera:
     """Return the camera of a stream as the recording states it."""
     info = bag.topics.get(f"{name}/info/camera_info")
-    if info is None or not len(info):
+    if info is None:
         raise InputError(
             f"the recording does not say what camera {name} is of (no camera_info); set "
             "scan.intrinsics=fx,fy,cx,cy.",
@@ -144,7 +104,7 @@ def _depth_scale(bag: RosBag, sensor: str, depth: Topic, options: ScanParams) ->
     # Older recorders leave the blank in the option's name.
     names = (f"{sensor}/option/Depth_Units/value", f"{sensor}/option/Depth Units/value")
     option = next((bag.topics[name] for name in names if name in bag.topics), None)
-    if option is not None and len(option):
+    if option is not None:
         values = {read_float(read_message(bag, option, n), bag.path) for n in range(min(len(option), 100))}
         units = read_float(read_message(bag, option, len(option) - 1), bag.path)
     else:

@@ -1,4 +1,4 @@
-"""A recording in one `.bag` file: what a RealSense camera saw, depth and colour each with its own clock."""
+"""A recording in one `.bag` file: RealSense's or ROS 1's, depth and colour each with its own clock."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.formats import trajectories
 from stages.formats.ros_bag import RosBag, Topic, read_bag, read_message
-from stages.formats.ros_messages import STAMP_BYTES, ImageMessage, read_image, read_stamp
-from stages.formats.ros_pixels import color_of, depth_of
+from stages.formats.ros_messages import STAMP_BYTES, read_stamp
 from stages.layouts.layout import Layout
 from stages.layouts.moments import nearest_in_time
-from stages.layouts.realsense_streams import Stream, realsense_streams
+from stages.layouts.realsense_streams import realsense_streams
+from stages.layouts.ros_streams import ros_streams
+from stages.layouts.streams import Stream, load_color, load_depth
 from stages.scan import Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def _matches(folder: Path) -> str | None:
 def _read(place: Path, options: ScanParams) -> Scan:
     path = place if place.is_file() else _only_bag(place)
     bag = read_bag(path)
-    streams = realsense_streams(bag, options)
+    streams = realsense_streams(bag, options) or ros_streams(bag, options)
     if streams is None:
         raise InputError(_unknown(bag), path)
     warnings = list(streams.warnings)
@@ -75,8 +76,8 @@ def _read(place: Path, options: ScanParams) -> Scan:
             Frame(
                 name=_name(number),
                 camera=streams.depth.camera,
-                color=None if color is None or partner is None else _packed(bag, color, partner, color_of),
-                depth=_packed(bag, streams.depth, number, depth_of),
+                color=None if color is None or partner is None else _packed(bag, color, partner, load_color),
+                depth=_packed(bag, streams.depth, number, load_depth),
                 depth_scale=streams.depth_scale,
                 world_from_camera=pose,
                 timestamp=depths[number],
@@ -96,14 +97,14 @@ def _only_bag(folder: Path) -> Path:
 
 
 def _unknown(bag: RosBag) -> str:
-    """Say what a bag holds that has none of RealSense's images."""
+    """Say what a bag without depth holds."""
     if not bag.topics:
         why = f" ({bag.fault})" if bag.fault else ""
         return f"not one message in it can be read{why}; copy it again, or record it anew."
-    shown = ", ".join(sorted(bag.topics)[:6]) + (", …" if len(bag.topics) > 6 else "")
+    shown = ", ".join(sorted(bag.topics)[:8]) + (", …" if len(bag.topics) > 8 else "")
     return (
-        f"it holds none of the images a RealSense camera records, but {shown}. Other bags cannot be read "
-        "yet: extract their images into color/ and depth/ with a scan.json (our plain RGB-D layout)."
+        "there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in the topic's name), "
+        f"only {shown}. Record the depth topic too."
     )
 
 
@@ -175,25 +176,15 @@ def _name(number: int) -> str:
 
 
 def _packed(
-    bag: RosBag, stream: Stream, number: int, pixels: Callable[[ImageMessage, str], NDArray[Any]]
+    bag: RosBag, stream: Stream, number: int, load: Callable[[RosBag, Topic, int, str], NDArray[Any]]
 ) -> Packed:
     name = f"{stream.name} {_name(number)}"
-    return Packed(bag.path, name, partial(_load, bag, stream.topic, number, pixels, f"{bag.path}: {name}"))
-
-
-def _load(
-    bag: RosBag,
-    topic: Topic,
-    number: int,
-    pixels: Callable[[ImageMessage, str], NDArray[Any]],
-    source: str,
-) -> NDArray[Any]:
-    return pixels(read_image(read_message(bag, topic, number), source), source)
+    return Packed(bag.path, name, partial(load, bag, stream.topic, number, f"{bag.path}: {name}"))
 
 
 LAYOUT = Layout(
     name="ros-bag",
-    text="one .bag file, or a folder with one (RealSense)",
+    text="one .bag file, or a folder with one (RealSense, or ROS 1 with depth and camera_info)",
     matches=_matches,
     read=_read,
     suffixes=(".bag",),

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 _TYPES = get_typestore(Stores.ROS1_NOETIC)
+_TYPES.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
 DEPTH, COLOR = "/device_0/sensor_0/Depth_0", "/device_0/sensor_1/Color_0"
 INFRARED = "/device_0/sensor_0/Infrared_{}"
 
@@ -21,10 +22,21 @@ def made(kind: str, **fields: Any) -> Any:
     return _TYPES.types[f"{kind.replace('/', '/msg/')}"](**fields)
 
 
-def stamped(time: int) -> Any:
+def serialised(kind: str, **fields: Any) -> bytes:
+    return bytes(_TYPES.serialize_ros1(made(kind, **fields), kind.replace("/", "/msg/")))
+
+
+def stamped(time: int, frame: str = "1") -> Any:
+    """A header; RealSense's recorder puts its version where other bags have the frame's name."""
     stamp = made("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
-    # The recorder puts its version where other bags have the frame's name.
-    return made("std_msgs/Header", seq=7, stamp=stamp, frame_id="1")
+    return made("std_msgs/Header", seq=7, stamp=stamp, frame_id=frame)
+
+
+def transform(translation: Sequence[float], turn: Sequence[float]) -> dict[str, Any]:
+    return {
+        "translation": made("geometry_msgs/Vector3", **dict(zip("xyz", translation, strict=True))),
+        "rotation": made("geometry_msgs/Quaternion", **dict(zip("xyzw", turn, strict=True))),
+    }
 
 
 @dataclass
@@ -38,15 +50,25 @@ class Image:
     unit: float | None = 0.0
     padding: int = 0
     big_endian: bool = False
+    frame: str = "1"
+    compressed: tuple[str, bytes] | None = None
+
+    @property
+    def kind(self) -> str:
+        return "sensor_msgs/Image" if self.compressed is None else "sensor_msgs/CompressedImage"
 
     def message(self) -> bytes:
+        header = stamped(self.time, self.frame)
+        if self.compressed is not None:
+            form, data = self.compressed
+            return serialised(self.kind, header=header, format=form, data=np.frombuffer(data, np.uint8))
         stored = self.pixels.astype(self.pixels.dtype.newbyteorder(">" if self.big_endian else "<"))
         height, width = stored.shape[:2]
         rows = np.frombuffer(stored.tobytes(), np.uint8).reshape(height, -1)
         rows = np.pad(rows, ((0, 0), (0, self.padding)), constant_values=99)
-        message = made(
-            "sensor_msgs/Image",
-            header=stamped(self.time),
+        data = serialised(
+            self.kind,
+            header=header,
             height=height,
             width=width,
             encoding=self.encoding,
@@ -54,7 +76,6 @@ class Image:
             step=rows.shape[1],
             data=rows.ravel(),
         )
-        data = bytes(_TYPES.serialize_ros1(message, "sensor_msgs/msg/Image"))
         return data if self.unit is None else data + struct.pack("<f", self.unit)
 
 
@@ -69,6 +90,9 @@ class Stream:
     from_reference: tuple[Sequence[float], Sequence[float]] | None = ((0, 0, 0), (0, 0, 0, 1))
     model: str = "Brown Conrady"
     distortion: Sequence[float] = (0, 0, 0, 0, 0)
+    projection: Sequence[float] = (0,) * 12
+    topic: str = "/image/data"
+    info: str = "/info/camera_info"
 
 
 @dataclass
@@ -89,13 +113,11 @@ class Recording:
             writer.set_compression(Writer.CompressionFormat[self.compression.upper()])
         with writer:
             for topic, (kind, fields) in self.others.items():
-                self._write(writer, topic, kind, [(1, self._serialised(kind, **fields))])
+                self._write(writer, topic, kind, [(1, serialised(kind, **fields))])
             for stream in self.streams:
                 self._describe(writer, stream)
             value = "/device_0/sensor_0/option/Depth_Units/value"
-            units = [
-                (n + 1, self._serialised("std_msgs/Float32", data=unit)) for n, unit in enumerate(self.units)
-            ]
+            units = [(n + 1, serialised("std_msgs/Float32", data=unit)) for n, unit in enumerate(self.units)]
             if units:
                 self._write(writer, value, "std_msgs/Float32", units)
             self._write_images(writer)
@@ -104,7 +126,7 @@ class Recording:
     def _describe(self, writer: Writer, stream: Stream) -> None:
         if stream.intrinsics is not None:
             fx, fy, cx, cy = stream.intrinsics
-            info = self._serialised(
+            info = serialised(
                 "sensor_msgs/CameraInfo",
                 header=stamped(0),
                 height=stream.size[1],
@@ -113,7 +135,7 @@ class Recording:
                 D=np.array(stream.distortion, np.float64),
                 K=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
                 R=np.eye(3).ravel(),
-                P=np.zeros(12),
+                P=np.array(stream.projection, np.float64),
                 binning_x=0,
                 binning_y=0,
                 roi=made(
@@ -125,15 +147,10 @@ class Recording:
                     do_rectify=False,
                 ),
             )
-            self._write(writer, f"{stream.name}/info/camera_info", "sensor_msgs/CameraInfo", [(1, info)])
+            self._write(writer, stream.name + stream.info, "sensor_msgs/CameraInfo", [(1, info)])
         if stream.from_reference is not None:
-            (x, y, z), turn = stream.from_reference
-            transform = self._serialised(
-                "geometry_msgs/Transform",
-                translation=made("geometry_msgs/Vector3", x=x, y=y, z=z),
-                rotation=made("geometry_msgs/Quaternion", **dict(zip("xyzw", turn, strict=True))),
-            )
-            self._write(writer, f"{stream.name}/tf/1", "geometry_msgs/Transform", [(1, transform)])
+            placed = serialised("geometry_msgs/Transform", **transform(*stream.from_reference))
+            self._write(writer, f"{stream.name}/tf/1", "geometry_msgs/Transform", [(1, placed)])
 
     def _write_images(self, writer: Writer) -> None:
         """Write the images of all streams in the order in which they were recorded."""
@@ -144,15 +161,13 @@ class Recording:
         ]
         written: dict[str, Any] = {}
         for time, stream, image in sorted(images, key=lambda entry: entry[0]):
-            topic = f"{stream.name}/image/data"
+            topic = stream.name + stream.topic
             if topic not in written:
-                written[topic] = writer.add_connection(topic, "sensor_msgs/msg/Image", typestore=_TYPES)
+                kind = image.kind.replace("/", "/msg/")
+                written[topic] = writer.add_connection(topic, kind, typestore=_TYPES)
             writer.write(written[topic], time, image.message())
 
     def _write(self, writer: Writer, topic: str, kind: str, messages: Sequence[tuple[int, bytes]]) -> None:
         connection = writer.add_connection(topic, kind.replace("/", "/msg/"), typestore=_TYPES)
         for time, data in messages:
             writer.write(connection, time, data)
-
-    def _serialised(self, kind: str, **fields: Any) -> bytes:
-        return bytes(_TYPES.serialize_ros1(made(kind, **fields), kind.replace("/", "/msg/")))

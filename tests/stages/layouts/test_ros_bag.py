@@ -1,4 +1,4 @@
-"""RealSense recordings.
+"""RealSense recordings, and ROS 1 bags of others.
 
 The colour camera is rolled by a quarter turn and moved against the depth camera: color_from_depth takes
 (x, y, z) to (-y - 0.04, x + 0.02, z). So the known point (0.2, 0.1, 2) is at (-0.14, 0.22, 2), which its
@@ -8,9 +8,10 @@ camera, with focal lengths of 200 and 24.5, 32.5 as centre, sees at pixel (10.5,
 import dataclasses
 import random
 
+import cv2
 import numpy as np
 import pytest
-from recordings import COLOR, DEPTH, INFRARED, Image, Recording, Stream
+from recordings import COLOR, DEPTH, INFRARED, Image, Recording, Stream, made, stamped, transform
 
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
@@ -281,8 +282,137 @@ def test_depth_alone_and_with_infrared(tmp_path):
 def test_a_bag_without_images_says_what_it_holds(tmp_path):
     others = {"/weather": ("std_msgs/Float32", {"data": 21.0})}
     file = recording(streams=[], units=(), others=others).write(tmp_path / "take.bag")
-    with pytest.raises(InputError, match=r"take\.bag: it holds none .*/weather"):
+    with pytest.raises(InputError, match=r"take\.bag: there are no depth images .*/weather"):
         read_scan(file)
+
+
+def ros_depth(**changes):
+    images = [Image(START, depth_map(units=0.001), "16UC1", unit=None, frame="depth_optical")]
+    stream = Stream("/cam/depth", images, (100, 100, 16, 12), (32, 24), None, "plumb_bob")
+    return dataclasses.replace(stream, **{"topic": "/image_raw", "info": "/camera_info", **changes})
+
+
+def ros_color(**changes):
+    images = [Image(START, color_image(), "bgr8", unit=None, frame="color_optical")]
+    images[0].pixels = np.ascontiguousarray(images[0].pixels[:, :, ::-1])
+    stream = Stream("/cam/color", images, (200, 200, 24.5, 32.5), (48, 64), None, "plumb_bob")
+    return dataclasses.replace(stream, **{"topic": "/image_raw", "info": "/camera_info", **changes})
+
+
+def ros_bag(depth=None, color=None, links=(), **others):
+    """A bag of any camera; `links` of the tree of frames are (parent, child, translation, quaternion)."""
+    transforms = [
+        made(
+            "geometry_msgs/TransformStamped",
+            header=stamped(0, parent),
+            child_frame_id=child,
+            transform=made("geometry_msgs/Transform", **transform(*place)),
+        )
+        for parent, child, *place in links
+    ]
+    if links:
+        others["/tf_static"] = ("tf2_msgs/TFMessage", {"transforms": transforms})
+    return Recording([depth or ros_depth(), color or ros_color()], units=(), others=others)
+
+
+# color_from_depth is a quarter turn about z and then (-0.04, 0.02, 0): so the colour camera stands in the
+# depth camera at -(a quarter turn back of that), (-0.02, -0.04, 0), turned back.
+LINKS = [
+    ("base", "depth_optical", (0, 0, 1), DEPTH_TURN),
+    ("depth_optical", "arm", (-0.02, -0.04, 0), (0, 0, 0, 1)),
+    ("/arm", "color_optical", (0, 0, 0), (0, 0, -(0.5**0.5), 0.5**0.5)),
+]
+
+
+def test_known_points_and_colours_of_a_ros_bag(tmp_path, tiny):
+    scan = read_scan(ros_bag(links=LINKS).write(tmp_path / "take.bag"), complete=False)
+    assert not scan.warnings
+    (frame,) = scan.frames
+    np.testing.assert_allclose(
+        tiny.seen(dataclasses.replace(frame, world_from_camera=tiny.second)), tiny.points[1], atol=1e-6
+    )
+    assert tiny.green_is_at_the_pixel(frame)
+    assert read_depth(frame)[0, 0] == 0
+
+
+@pytest.mark.parametrize(
+    "links", [[], LINKS[:2], [*LINKS, ("color_optical", "base", (0, 0, 0), (0, 0, 0, 1))]]
+)
+def test_frames_that_nothing_joins(tmp_path, links):
+    scan = read_scan(ros_bag(links=links).write(tmp_path / "take.bag"), complete=False)
+    assert scan.frames[0].color_from_depth is None
+    assert ["stands to that of" in text for text in scan.warnings] == [True]
+
+
+def test_aligned_depth_and_float_depth(tmp_path):
+    pixels = np.full((24, 32), 2, np.float32)
+    pixels[0, 0] = np.nan
+    images = [Image(START, pixels, "32FC1", unit=None, frame="color_optical")]
+    depth = ros_depth(name="/cam/aligned_depth_to_color", images=images)
+    # Another depth topic and the colour of another camera are in it, too.
+    made_bag = ros_bag(depth)
+    made_bag.streams = [ros_color(name="/bar/color"), ros_depth(), *made_bag.streams]
+    scan = read_scan(made_bag.write(tmp_path / "take.bag"), complete=False)
+    assert read_depth(scan.frames[0])[17, 26] == 2
+    assert read_depth(scan.frames[0])[0, 0] == 0
+    assert str(scan.frames[0].color).endswith("/cam/color/image_raw 000000")
+    assert [text for text in scan.warnings if "of 2 topics" in text and "aligned" in text] == list(
+        scan.warnings
+    )
+
+
+def test_compressed_images(tmp_path, tiny):
+    png = cv2.imencode(".png", depth_map(units=0.001))[1].tobytes()
+    shown = cv2.imencode(".png", color_image()[:, :, ::-1])[1].tobytes()
+    depths = [
+        Image(
+            START,
+            depth_map(),
+            "",
+            compressed=("16UC1; compressedDepth png", bytes(12) + png),
+            frame="depth_optical",
+        )
+    ]
+    colors = [
+        Image(
+            START, color_image(), "", compressed=("rgb8; png compressed bgr8", shown), frame="color_optical"
+        )
+    ]
+    bag = ros_bag(
+        ros_depth(images=depths, topic="/image_raw/compressedDepth"),
+        ros_color(images=colors, topic="/image_raw/compressed"),
+        LINKS,
+    )
+    (frame,) = read_scan(bag.write(tmp_path / "take.bag"), complete=False).frames
+    assert read_depth(frame)[17, 26] == 2
+    assert tiny.green_is_at_the_pixel(frame)
+    depths[0].compressed = ("16UC1; compressedDepth rvl", bytes(40))
+    (frame,) = read_scan(bag.write(tmp_path / "take.bag"), complete=False).frames
+    with pytest.raises(InputError, match="compressedDepth rvl"):
+        read_depth(frame)
+
+
+def test_rectified_images_have_the_projection_as_camera(tmp_path):
+    projection = (90, 0, 15, 0, 0, 91, 11, 0, 0, 0, 1, 0)
+    bent = {"projection": projection, "distortion": (0.1, 0, 0, 0, 0)}
+    for topic, expected in (
+        ("/image_rect", (90, 91, 15, 11, ())),
+        ("/image_raw", (100, 100, 16, 12, (0.1, 0, 0, 0, 0))),
+    ):
+        bag = ros_bag(ros_depth(topic=topic, **bent))
+        camera = read_scan(bag.write(tmp_path / "take.bag"), complete=False).frames[0].camera
+        assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion) == expected
+
+
+def test_a_ros_camera_that_is_not_known(tmp_path):
+    fish = ros_color(model="equidistant", distortion=(0.1, 0, 0, 0))
+    with pytest.raises(InputError, match="described as 'equidistant'"):
+        read_scan(ros_bag(color=fish).write(tmp_path / "take.bag"), complete=False)
+    file = ros_bag(ros_depth(intrinsics=None)).write(tmp_path / "take.bag")
+    with pytest.raises(InputError, match=r"no /cam/depth/camera_info.*scan\.intrinsics"):
+        read_scan(file, complete=False)
+    camera = read_scan(file, ScanParams(intrinsics="50,60,15,11"), complete=False).frames[0].camera
+    assert (camera.width, camera.fx) == (32, 50)
 
 
 @pytest.mark.parametrize(
