@@ -10,18 +10,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.errors import InputError, UsageError
-from stages.layouts import LAYOUTS
 
 # What stages.mesh_files.write_mesh can write.
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def require_scan(folder: Path) -> Path:
-    """Return the folder, or the file that is a scan by itself, or say that it is none."""
+    """Return the folder of a scan, or the file that is one, or say that there is none."""
     if not folder.exists():
         raise InputError("there is no such folder; give the folder of a scan.", folder)
-    if folder.is_file() and not any(folder.suffix.lower() in layout.suffixes for layout in LAYOUTS):
-        raise InputError("this is a file; give the folder of a scan.", folder)
     return folder
 
 

@@ -12,7 +12,7 @@ from stages.errors import InputError, UsageError
 from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
-from stages.layouts.refused import refused
+from stages.layouts.refused import Refused, refused
 from stages.layouts.table import DISTINCT, GENERIC, LAYOUTS
 from stages.scan import Frame, Scan, SkippedFrame
 
@@ -67,11 +67,7 @@ def recognise(folder: Path) -> tuple[Layout, str]:
         return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
     found = _first_match(DISTINCT, folder)
     if found is None and (known := refused(folder)) is not None:
-        raise InputError(
-            f"this looks like {known.name}, which cannot be read yet. {known.advice} "
-            "If it is another layout, name it with scan.layout=NAME.",
-            folder,
-        )
+        raise InputError(f"{_refusal(known)} If it is another layout, name it with scan.layout=NAME.", folder)
     found = found or _first_match(GENERIC, folder)
     if found is None:
         raise InputError(_unknown(folder), folder)
@@ -82,6 +78,8 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
     """Raise InputError unless this is a folder that can be listed, or a file of these suffixes."""
     if folder.is_file() and folder.suffix.lower() in suffixes:
         return
+    if folder.is_file() and (known := refused(folder)) is not None:
+        raise InputError(_refusal(known), folder)
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
         raise InputError(problem, folder)
@@ -89,6 +87,10 @@ def _require_place(folder: Path, suffixes: Collection[str]) -> None:
         next(folder.iterdir(), None)
     except OSError as error:
         raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+
+
+def _refusal(known: Refused) -> str:
+    return f"this looks like {known.name}, which cannot be read yet. {known.advice}"
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
+_ROS_2 = (
+    "Make a .bag of it, which can be read: for ROS 2 with `rosbags-convert --src IT --dst NEW.bag` (Python "
+    "package rosbags), for RealSense by recording with an SDK up to 2.57."
+)
 _CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
 
 
@@ -26,13 +30,15 @@ class Refused:
 
 
 REFUSED: tuple[Refused, ...] = (
-    Refused("a ROS 2 or RealSense recording (.db3)", ("*.db3",), _CONTAINER),
-    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), _CONTAINER),
+    Refused("a ROS 2 or RealSense recording (.db3)", ("*.db3",), _ROS_2),
+    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), _ROS_2),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
 )
 
 
-def refused(folder: Path) -> Refused | None:
-    """Return the layout that a folder is of but that cannot be read yet, or None."""
-    return next((one for one in REFUSED if all(any(folder.glob(files)) for files in one.files)), None)
+def refused(place: Path) -> Refused | None:
+    """Return the layout that a folder (or a file) is of but that cannot be read yet, or None."""
+    if place.is_file():
+        return next((one for one in REFUSED if all(place.match(files) for files in one.files)), None)
+    return next((one for one in REFUSED if all(any(place.glob(files)) for files in one.files)), None)

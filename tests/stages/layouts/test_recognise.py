@@ -74,6 +74,8 @@ def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, name):
         InputError, match=f"{re.escape(tmp_path.name)}: this looks like .*{name}.*cannot be read yet"
     ):
         read_scan(tmp_path)
+    with pytest.raises(InputError, match=f"{re.escape(names[0])}: this looks like .*{name}"):
+        read_scan(tmp_path / names[0])
 
 
 def test_an_empty_folder(tmp_path):

@@ -351,7 +351,7 @@ def test_aligned_depth_and_float_depth(tmp_path):
     depth = ros_depth(name="/cam/aligned_depth_to_color", images=images)
     # Another depth topic and the colour of another camera are in it, too.
     made_bag = ros_bag(depth)
-    made_bag.streams = [ros_color(name="/bar/color"), ros_depth(), *made_bag.streams]
+    made_bag.streams = [ros_color(name="/bar/color"), ros_depth(name="/cam/a_depth"), *made_bag.streams]
     scan = read_scan(made_bag.write(tmp_path / "take.bag"), complete=False)
     assert read_depth(scan.frames[0])[17, 26] == 2
     assert read_depth(scan.frames[0])[0, 0] == 0
