@@ -1,4 +1,7 @@
-"""Take ROS 1's serialised messages apart: images, cameras, transforms. Little-endian, without padding."""
+"""Take serialised ROS messages apart: images, cameras, transforms; little-endian.
+
+ROS 1 packs fields without padding; ROS 2 (CDR) aligns each to its size, and has no number in the header.
+"""
 
 from __future__ import annotations
 
@@ -98,6 +101,29 @@ class _Fields:
         return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
+class _CdrFields(_Fields):
+    """The fields of a ROS 2 message; those of `numbers` have to be of one size."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        # Four bytes say how what follows is packed: the second is 1 for little-endian.
+        if data[1:2] != b"\1":
+            raise ValueError("not little-endian")
+        self._at = 4
+
+    def numbers(self, layout: str) -> tuple[Any, ...]:
+        self._at += (4 - self._at) % struct.calcsize("<" + layout[-1])
+        return super().numbers(layout)
+
+    def text(self) -> str:
+        return super().text().removesuffix("\0")
+
+    def stamp(self) -> int:
+        seconds, nanoseconds = self.numbers("iI")
+        self.block()
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
 # What the time in the header of an image takes: it is read alone where only the time is wanted.
 STAMP_BYTES = 12
 
@@ -111,20 +137,20 @@ def read_stamp(data: bytes, source: Path | str) -> int:
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
-def read_image(data: bytes, source: Path | str) -> ImageMessage:
-    """Return an image, its pixels still packed; `source` stands in messages.
+def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> ImageMessage:
+    """Return an image, its pixels still packed; `source` stands in messages, `is_cdr` says it is ROS 2's.
 
     Raises
     ------
     InputError
         If the message is cut short.
     """
-    fields = _Fields(data)
     try:
+        fields = _CdrFields(data) if is_cdr else _Fields(data)
         stamp = fields.stamp()
         height, width = fields.numbers("II")
         encoding = fields.text()
-        is_big_endian, step = fields.numbers("BI")
+        (is_big_endian,), (step,) = fields.numbers("B"), fields.numbers("I")
         return ImageMessage(
             stamp, width, height, encoding, bool(is_big_endian), step, fields.block(), fields.rest()
         )
@@ -147,14 +173,22 @@ def read_camera_info(data: bytes, source: Path | str) -> CameraMessage:
         raise InputError("the camera_info is cut short or damaged.", source) from error
 
 
-def read_compressed(data: bytes, source: Path | str) -> tuple[str, bytes]:
+def read_compressed(data: bytes, source: Path | str, *, is_cdr: bool = False) -> tuple[str, bytes]:
     """Return format and encoded image of `sensor_msgs/CompressedImage`; InputError if it is cut short."""
-    fields = _Fields(data)
     try:
+        fields = _CdrFields(data) if is_cdr else _Fields(data)
         fields.stamp()
         return fields.text(), bytes(fields.block())
     except (struct.error, ValueError) as error:
         raise InputError("the image is cut short or damaged.", source) from error
+
+
+def read_text(data: bytes, source: Path | str) -> str:
+    """Return a ROS 2 `std_msgs/String`; InputError if it is cut short."""
+    try:
+        return _CdrFields(data).text()
+    except (struct.error, ValueError) as error:
+        raise InputError("a text is cut short or damaged.", source) from error
 
 
 def read_frame(data: bytes, source: Path | str) -> str:

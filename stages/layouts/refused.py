@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
-_ROS_2 = (
-    "Make a .bag of it, which can be read: for ROS 2 with `rosbags-convert --src IT --dst NEW.bag` (Python "
-    "package rosbags), for RealSense by recording with an SDK up to 2.57."
+ROS_2 = (
+    "Make a .bag of it, which can be read: `rosbags-convert --src IT --dst NEW.bag` does (of the Python "
+    "package rosbags)."
 )
 _CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
 
@@ -30,8 +30,7 @@ class Refused:
 
 
 REFUSED: tuple[Refused, ...] = (
-    Refused("a ROS 2 or RealSense recording (.db3)", ("*.db3",), _ROS_2),
-    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), _ROS_2),
+    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), ROS_2),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
 )

@@ -1,29 +1,32 @@
-"""A recording in one `.bag` file: RealSense's or ROS 1's, depth and colour each with its own clock."""
+"""A recording in one file, depth and colour each with its own clock: RealSense's, or a ROS 1 bag."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.formats import trajectories
-from stages.formats.ros_bag import RosBag, Topic, read_bag, read_message
-from stages.formats.ros_messages import STAMP_BYTES, read_stamp
+from stages.formats.ros_bag import RosBag, read_bag
+from stages.formats.ros_db3 import read_db3
 from stages.layouts.layout import Layout
 from stages.layouts.moments import nearest_in_time
+from stages.layouts.realsense_bag import realsense_bag
+from stages.layouts.realsense_db3 import realsense_db3
 from stages.layouts.realsense_streams import realsense_streams
+from stages.layouts.refused import ROS_2
 from stages.layouts.ros_streams import ros_streams
-from stages.layouts.streams import Stream, load_color, load_depth
+from stages.layouts.streams import Images, Streams
 from stages.scan import Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
+_SUFFIXES = (".bag", ".db3")
 # Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
 _TOLERANCE = 0.6
 # Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
@@ -31,30 +34,25 @@ _FALLBACK_TOLERANCE = 20_000_000
 
 
 def _matches(folder: Path) -> str | None:
-    return next((file.name for file in sorted(folder.glob("*.bag"))), None)
+    return next((file.name for file in _recordings(folder)), None)
 
 
 def _read(place: Path, options: ScanParams) -> Scan:
-    path = place if place.is_file() else _only_bag(place)
-    bag = read_bag(path)
-    streams = realsense_streams(bag, options) or ros_streams(bag, options)
-    if streams is None:
-        raise InputError(_unknown(bag), path)
+    path = place if place.is_file() else _only_one(place)
+    streams, fault = _of_db3(path, options) if path.suffix.lower() == ".db3" else _of_bag(path, options)
     warnings = list(streams.warnings)
-    if bag.fault is not None:
-        warnings.append(
-            f"the recording was not closed or is damaged ({bag.fault}): what comes before is used"
-        )
-    depths, skipped = _stamps(bag, streams.depth)
+    if fault is not None:
+        warnings.append(f"the recording was not closed or is damaged ({fault}): what comes before is used")
+    depths, skipped = _stamps(streams.depth.images)
     color = streams.color
     if color is None:
         couples: list[tuple[int, int | None]] = [(number, None) for number in depths]
     else:
-        colors, damaged = _stamps(bag, color)
+        colors, damaged = _stamps(color.images)
         skipped += damaged
         if _have_other_clocks(depths, colors):
-            depths = {number: int(streams.depth.topic.times[number]) for number in depths}
-            colors = {number: int(color.topic.times[number]) for number in colors}
+            depths = {number: int(streams.depth.images.recorded[number]) for number in depths}
+            colors = {number: int(color.images.recorded[number]) for number in colors}
             warnings.append(
                 "the clocks of depth and colour do not agree at all: images are paired by when they were "
                 "recorded"
@@ -76,8 +74,8 @@ def _read(place: Path, options: ScanParams) -> Scan:
             Frame(
                 name=_name(number),
                 camera=streams.depth.camera,
-                color=None if color is None or partner is None else _packed(bag, color, partner, load_color),
-                depth=_packed(bag, streams.depth, number, load_depth),
+                color=None if color is None or partner is None else _color(path, color.images, partner),
+                depth=_depth(path, streams.depth.images, number),
                 depth_scale=streams.depth_scale,
                 world_from_camera=pose,
                 timestamp=depths[number],
@@ -88,15 +86,36 @@ def _read(place: Path, options: ScanParams) -> Scan:
     return Scan(LAYOUT.name, frames, None, place, tuple(skipped), tuple(warnings), missing)
 
 
-def _only_bag(folder: Path) -> Path:
-    files = sorted(folder.glob("*.bag"))
+def _of_bag(path: Path, options: ScanParams) -> tuple[Streams, str | None]:
+    """Return the streams of a bag, and why the rest of it could not be read, if so."""
+    bag = read_bag(path)
+    recording = realsense_bag(bag)
+    streams = ros_streams(bag, options) if recording is None else realsense_streams(recording, options)
+    if streams is None:
+        raise InputError(_without_depth(bag), path)
+    return streams, bag.fault
+
+
+def _of_db3(path: Path, options: ScanParams) -> tuple[Streams, None]:
+    recording = realsense_db3(read_db3(path))
+    if recording is None:
+        raise InputError(f"it is no recording of a RealSense camera, but of ROS 2's own. {ROS_2}", path)
+    return realsense_streams(recording, options), None
+
+
+def _recordings(folder: Path) -> list[Path]:
+    return sorted(file for suffix in _SUFFIXES for file in folder.glob(f"*{suffix}"))
+
+
+def _only_one(folder: Path) -> Path:
+    files = _recordings(folder)
     if len(files) != 1:
-        found = "there is no .bag file" if not files else f"there are {len(files)} .bag files"
+        found = "there is no recording (.bag, .db3)" if not files else f"there are {len(files)} recordings"
         raise InputError(f"{found} in it; give the one to read.", folder)
     return files[0]
 
 
-def _unknown(bag: RosBag) -> str:
+def _without_depth(bag: RosBag) -> str:
     """Say what a bag without depth holds."""
     if not bag.topics:
         why = f" ({bag.fault})" if bag.fault else ""
@@ -108,22 +127,22 @@ def _unknown(bag: RosBag) -> str:
     )
 
 
-def _stamps(bag: RosBag, stream: Stream) -> tuple[dict[int, int], list[SkippedFrame]]:
+def _stamps(images: Images) -> tuple[dict[int, int], list[SkippedFrame]]:
     """Return when each image was taken, nanoseconds by its number in the stream, and which are damaged."""
     times: dict[int, int] = {}
     damaged = []
-    for number in range(len(stream.topic)):
-        time = _stamp_or_fault(bag, stream.topic, number)
+    for number in range(len(images.recorded)):
+        time = _stamp_or_fault(images, number)
         if isinstance(time, InputError):
-            damaged.append(SkippedFrame(f"{stream.name} {_name(number)}", str(time)))
+            damaged.append(SkippedFrame(f"{images.name} {_name(number)}", str(time)))
         else:
             times[number] = time
     return times, damaged
 
 
-def _stamp_or_fault(bag: RosBag, topic: Topic, number: int) -> int | InputError:
+def _stamp_or_fault(images: Images, number: int) -> int | InputError:
     try:
-        return read_stamp(read_message(bag, topic, number, first=STAMP_BYTES), bag.path)
+        return images.stamp(number)
     except InputError as error:
         return error
 
@@ -175,17 +194,18 @@ def _name(number: int) -> str:
     return f"{number:06d}"
 
 
-def _packed(
-    bag: RosBag, stream: Stream, number: int, load: Callable[[RosBag, Topic, int, str], NDArray[Any]]
-) -> Packed:
-    name = f"{stream.name} {_name(number)}"
-    return Packed(bag.path, name, partial(load, bag, stream.topic, number, f"{bag.path}: {name}"))
+def _color(path: Path, images: Images, number: int) -> Packed:
+    return Packed(path, f"{images.name} {_name(number)}", partial(images.color, number))
+
+
+def _depth(path: Path, images: Images, number: int) -> Packed:
+    return Packed(path, f"{images.name} {_name(number)}", partial(images.depth, number))
 
 
 LAYOUT = Layout(
     name="ros-bag",
-    text="one .bag file, or a folder with one (RealSense, or ROS 1 with depth and camera_info)",
+    text="one .bag or .db3 file, or a folder with one (RealSense; ROS 1 with depth and camera_info)",
     matches=_matches,
     read=_read,
-    suffixes=(".bag",),
+    suffixes=_SUFFIXES,
 )

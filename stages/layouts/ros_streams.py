@@ -26,6 +26,7 @@ from stages.formats.ros_messages import (
 )
 from stages.formats.ros_pixels import is_color, is_depth
 from stages.formats.trajectories import inverted
+from stages.layouts.bag_images import bag_images
 from stages.layouts.streams import Stream, Streams, stated_depth_camera, unknown_place
 from stages.scan import Camera, Pose
 
@@ -79,8 +80,9 @@ def ros_streams(bag: RosBag, options: ScanParams) -> Streams | None:
     if len(depths) > 1:
         warnings.append(f"of {len(depths)} topics of depth, {depth.name} is used")
     scale = options.depth_scale or (1.0 if depth.encoding.lower() == "32fc1" else 1000.0)
-    camera = stated_depth_camera(bag, depth.name, depth.topic, options) or _recorded_camera(bag, depth)
-    seen = Stream(depth.name, depth.topic, camera)
+    maps = bag_images(bag, depth.name, depth.topic)
+    stated = stated_depth_camera(maps, bag.path.parent, options)
+    seen = Stream(maps, stated or _recorded_camera(bag, depth))
     colors = [
         one
         for one in found
@@ -97,7 +99,7 @@ def ros_streams(bag: RosBag, options: ScanParams) -> Streams | None:
             warnings.append(unknown_place(depth.name, color.name))
     return Streams(
         seen,
-        Stream(color.name, color.topic, _recorded_camera(bag, color)),
+        Stream(bag_images(bag, color.name, color.topic), _recorded_camera(bag, color)),
         scale,
         color_from_depth,
         tuple(warnings),

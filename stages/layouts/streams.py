@@ -1,15 +1,15 @@
-"""The two streams of a recording that make up a scan, whoever recorded it."""
+"""The two streams of a recording that make up a scan, whoever recorded it, and in whatever kind of file."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from stages.formats.ros_bag import RosBag, Topic, read_message
-from stages.formats.ros_messages import COMPRESSED_IMAGE, read_compressed, read_image
-from stages.formats.ros_pixels import color_of, compressed_color, compressed_depth, depth_of
 from stages.layouts.stated import stated_camera
 from stages.scan import Camera, ColorImage, Pose
 
@@ -18,11 +18,30 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
-    """The images of one camera of a recording."""
+class Images:
+    """The images of a topic, by their number; all that reads raises InputError where the file is damaged.
+
+    Attributes
+    ----------
+    name : of the stream, for messages.
+    recorded : (n,) int64 nanoseconds at which the recorder wrote them.
+    stamp : returns when an image was taken, nanoseconds by its camera's clock.
+    color : returns an image as (h, w, 3) uint8 RGB.
+    depth : returns an image as a raw depth map, (h, w) uint16 or float32.
+    """
 
     name: str
-    topic: Topic
+    recorded: NDArray[np.int64]
+    stamp: Callable[[int], int]
+    color: Callable[[int], ColorImage]
+    depth: Callable[[int], NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Images and the camera that took them."""
+
+    images: Images
     camera: Camera
 
 
@@ -45,33 +64,17 @@ class Streams:
     warnings: tuple[str, ...]
 
 
+def stated_depth_camera(depth: Images, folder: Path, options: ScanParams) -> Camera | None:
+    """Return the depth camera that the person states, for the size of the first depth map; None if not."""
+    if options.intrinsics is None and options.calibration is None:
+        return None
+    height, width = depth.depth(0).shape
+    return stated_camera(options, folder, width, height)
+
+
 def unknown_place(depth: str, color: str) -> str:
     """Return the warning for cameras that nothing in the recording relates."""
     return (
         f"how the camera of {color} stands to that of {depth} is not in the file: both are taken to stand in "
         "one place, so that colours may be displaced"
     )
-
-
-def load_color(bag: RosBag, topic: Topic, number: int, source: str) -> ColorImage:
-    """Return an image of a topic, (h, w, 3) uint8 RGB; InputError if damaged. `source` stands in messages."""
-    data = read_message(bag, topic, number)
-    if topic.kind == COMPRESSED_IMAGE:
-        return compressed_color(read_compressed(data, source), source)
-    return color_of(read_image(data, source), source)
-
-
-def load_depth(bag: RosBag, topic: Topic, number: int, source: str) -> NDArray[Any]:
-    """Return a depth map of a topic as stored, (h, w) uint16 or float32; InputError if damaged."""
-    data = read_message(bag, topic, number)
-    if topic.kind == COMPRESSED_IMAGE:
-        return compressed_depth(read_compressed(data, source), source)
-    return depth_of(read_image(data, source), source)
-
-
-def stated_depth_camera(bag: RosBag, name: str, topic: Topic, options: ScanParams) -> Camera | None:
-    """Return the depth camera that the person states, for the size of the first depth map; None if not."""
-    if options.intrinsics is None and options.calibration is None:
-        return None
-    height, width = load_depth(bag, topic, 0, f"{bag.path}: {name}").shape
-    return stated_camera(options, bag.path.parent, width, height)

@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
+import sqlite3
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from backports import zstd
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
 
 _TYPES = get_typestore(Stores.ROS1_NOETIC)
 _TYPES.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+_ROS_2 = get_typestore(Stores.ROS2_HUMBLE)
 DEPTH, COLOR = "/device_0/sensor_0/Depth_0", "/device_0/sensor_1/Color_0"
 INFRARED = "/device_0/sensor_0/Infrared_{}"
 
 
 def made(kind: str, **fields: Any) -> Any:
     return _TYPES.types[f"{kind.replace('/', '/msg/')}"](**fields)
+
+
+def text(said: str) -> tuple[str, dict[str, Any]]:
+    """Type and fields of a ROS 2 text."""
+    return "std_msgs/msg/String", {"data": said}
 
 
 def serialised(kind: str, **fields: Any) -> bytes:
@@ -78,6 +88,25 @@ class Image:
         )
         return data if self.unit is None else data + struct.pack("<f", self.unit)
 
+    def row(self, topic: str, recorded: int, form: str) -> tuple[str, str, dict[str, Any]]:
+        """Topic, message type and fields in a newer recording."""
+        stamp = _ROS_2.types["builtin_interfaces/msg/Time"](sec=recorded // 10**9, nanosec=recorded % 10**9)
+        fields: dict[str, Any] = {
+            "header": _ROS_2.types["std_msgs/msg/Header"](stamp=stamp, frame_id="Depth")
+        }
+        height, width = self.pixels.shape[:2]
+        if form != "png":
+            fields |= {"height": height, "width": width, "encoding": self.encoding, "is_bigendian": 0}
+            fields |= {"step": self.pixels.strides[0], "data": np.frombuffer(self.pixels.tobytes(), np.uint8)}
+            return topic, "sensor_msgs/msg/Image", fields
+        is_depth = self.pixels.ndim == 2
+        shown = self.pixels if is_depth else self.pixels[:, :, ::-1]
+        data = bytes(12 * is_depth) + cv2.imencode(".png", shown)[1].tobytes()
+        form = "16UC1; compressedDepth png" if is_depth else "rgb8; png compressed bgr8"
+        fields |= {"format": form, "data": np.frombuffer(data, np.uint8)}
+        kind = "compressedDepth" if is_depth else "compressed"
+        return f"{topic}/{kind}", "sensor_msgs/msg/CompressedImage", fields
+
 
 @dataclass
 class Stream:
@@ -103,6 +132,7 @@ class Recording:
     units: Sequence[float] = (0.0001,)
     compression: str = "lz4"
     chunk_bytes: int = 2500
+    started: int = 0
     others: dict[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
 
     def write(self, path: Path) -> Path:
@@ -122,6 +152,51 @@ class Recording:
                 self._write(writer, value, "std_msgs/Float32", units)
             self._write_images(writer)
         return path
+
+    def write_db3(self, path: Path, form: str = "raw") -> Path:
+        """Write as the maker's newer library; `form` of images is raw, png, or zstd, which packs all."""
+        path.unlink(missing_ok=True)
+        database = sqlite3.connect(path)
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        for time, name, kind, fields in self._rows(form):
+            known = database.execute("SELECT id FROM topics WHERE name = ?", (name,)).fetchone()
+            if known is None:
+                added = database.execute("INSERT INTO topics(name, type) VALUES (?, ?)", (name, kind))
+                known = (added.lastrowid,)
+            data = bytes(_ROS_2.serialize_cdr(_ROS_2.types[kind](**fields), kind))
+            if form == "zstd":
+                data = zstd.compress(data)
+            database.execute(
+                "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", (*known, time, data)
+            )
+        database.commit()
+        database.close()
+        return path
+
+    def _rows(self, form: str) -> Iterator[tuple[int, str, str, dict[str, Any]]]:
+        """Yield when, topic, message type and fields."""
+        for unit in self.units:
+            yield 0, "/device_0/sensor_0/option/Depth_Units/value", *text(f"{unit:.6f}")
+        for stream in self.streams:
+            width, height = stream.size
+            if stream.intrinsics is not None:
+                fx, fy, cx, cy = stream.intrinsics
+                lens = f"model={stream.model};coeffs={','.join(map(str, stream.distortion))}"
+                said = f"width={width};height={height};fx={fx};ppx={cx};fy={fy};ppy={cy};{lens}"
+                yield 0, f"{stream.name}/camera_info", *text(said)
+            if stream.from_reference is not None:
+                shift, turn = stream.from_reference
+                columns = ",".join(f"{value:.6f}" for value in Rotation.from_quat(turn).as_matrix().T.ravel())
+                said = f"rotation={columns};translation={','.join(map(str, shift))}"
+                yield 0, f"{stream.name}/tf/ref_1", *text(said)
+            for image in stream.images:
+                recorded = (image.time if image.recorded is None else image.recorded) - self.started
+                said = f"Frame number=1;timestamp_domain=Global Time;timestamp={image.time / 1e6:.6f};"
+                yield recorded, f"{stream.name}/image/metadata", *text(said)
+                yield recorded, *image.row(f"{stream.name}/image/data", recorded, form)
 
     def _describe(self, writer: Writer, stream: Stream) -> None:
         if stream.intrinsics is not None:

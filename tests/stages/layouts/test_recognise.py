@@ -43,6 +43,7 @@ def touch(folder, *names):
         (["metadata.json", "rgb", "depth"], "record3d"),
         (["take.r3d"], "record3d"),
         (["take.bag"], "ros-bag"),
+        (["take.db3", "metadata.yaml"], "ros-bag"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),
         (["templeR0001.png", "templeR_par.txt"], "middlebury-mview"),
         (["left", "right"], "plain-stereo"),
@@ -64,7 +65,6 @@ def test_signatures(tmp_path, names, layout):
     [
         (["take.svo2"], "ZED"),
         (["take.mkv"], "Azure Kinect"),
-        (["take.db3", "metadata.yaml"], "ROS 2"),
         (["take.mcap"], "ROS 2"),
     ],
 )
