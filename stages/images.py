@@ -299,9 +299,15 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
 
 
 def _is_cut_short(data: bytes) -> bool:
-    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey."""
+    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey.
+
+    The parts of a PNG are walked: OpenCV reserves whatever one claims to hold, up to 4 GB, before it is read.
+    """
     if data.startswith(_PNG_START):
-        return b"IEND" not in data
+        at = len(_PNG_START)
+        while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
+            at += 12 + int.from_bytes(data[at : at + 4], "big")
+        return at + 12 > len(data)
     return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
 
 
