@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from stages.formats.trajectories import inverted
 from stages.images import read_depth
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
-from stages.registration.chain import Chain, key_edges, key_frames, make_chain
+from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
@@ -23,7 +24,7 @@ from stages.registration.odometry import one_thread_each
 from stages.registration.placing import placed_pieces
 from stages.scan import Frame, Pose, Scan, SkippedFrame
 
-VERSION = 1
+VERSION = 2
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
@@ -68,8 +69,8 @@ class Registration:
     pieces : names of the frames of each piece, the largest first: poses of different pieces say nothing
         about each other.
     poses : world_from_camera of every frame that has one, by its place in the scan; in its piece's world.
-    edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m,
-        points, is_loop, is_used.
+    edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m (None
+        where recognised points alone tell the motion), points, is_loop, is_used.
     breaks : where a frame could not be placed to the one before: its name, and why.
     key_frames : places in the scan.
     warnings : what is odd.
@@ -102,7 +103,7 @@ class Registration:
             "loops": sum(edge["is_loop"] for edge in used),
             "loops_refused": sum(not edge["is_used"] for edge in self.edges),
             "median_fitness": _median([edge["fitness"] for edge in used]),
-            "median_rmse_m": _median([edge["rmse_m"] for edge in used]),
+            "median_rmse_m": _median([edge["rmse_m"] for edge in used if edge["rmse_m"] is not None]),
             "path_m": float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()) if len(centres) else 0.0,
             "breaks": [{"frame": one.name, "reason": one.reason} for one in self.breaks],
             "warnings": list(self.warnings),
@@ -149,13 +150,12 @@ def register(
         if len(chain.seen) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
-        keys, starts = key_frames(chain)
-        edges = list(key_edges(frames, chain, keys, starts, max_depth))
+        edges = list(key_edges(chain, max_depth))
         if params.loops:
-            edges += loops(frames, chain, keys, starts, max_depth)
-    groups = pieces(len(keys), edges)
-    poses, used, wrong = placed_pieces(chain, keys, starts, groups, edges)
-    return _result(frames, chain, keys, groups, poses, used, wrong, began, where)
+            edges += loops(chain, max_depth)
+    groups = pieces(len(chain.keys), edges)
+    poses, used, wrong = placed_pieces(chain, groups, edges)
+    return _result(frames, chain, groups, poses, used, wrong, began, where)
 
 
 def _max_depth(frames: Sequence[Frame]) -> float:
@@ -174,7 +174,6 @@ def _max_depth(frames: Sequence[Frame]) -> float:
 def _result(
     frames: Sequence[Frame],
     chain: Chain,
-    keys: Sequence[int],
     groups: Sequence[Sequence[int]],
     poses: dict[int, Pose],
     used: Sequence[Edge],
@@ -182,15 +181,17 @@ def _result(
     began: float,
     where: Path | None,
 ) -> Registration:
+    keys, numbers = chain.keys, list(chain.seen)
     piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
-    numbers = chain.numbers
-    piece_of = {n: piece_of_key[max(key for key in keys if key <= n)] for n in numbers}
-    sizes = [[n for n in numbers if piece_of[n] == piece] for piece in range(len(groups))]
+    piece_of = {n: piece_of_key[keys[bisect_right(keys, n) - 1]] for n in numbers}
+    sizes: list[list[int]] = [[] for _ in groups]
+    for n in numbers:
+        sizes[piece_of[n]].append(n)
     order = sorted(range(len(groups)), key=lambda piece: (-len(sizes[piece]), piece))
     largest = sizes[order[0]]
     breaks = tuple(
-        SkippedFrame(frames[numbers[numbers.index(n) + 1]].name, motion.reason)
-        for n, motion in sorted(chain.motions.items())
+        SkippedFrame(frames[after].name, motion.reason)
+        for after, motion in zip(numbers[1:], chain.motions.values(), strict=True)
         if isinstance(motion, NoMotion)
     )
     if len(largest) < 2:

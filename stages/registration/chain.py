@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from stages.errors import InputError
 from stages.formats.trajectories import inverted
 from stages.prefetch import read_ahead, workers
 from stages.progress import Progress
-from stages.registration.features import Features
 from stages.registration.graph import Edge
-from stages.registration.motion import Motion, NoMotion, agree, angle, motion_between
+from stages.registration.key_views import KeyViews
+from stages.registration.motion import Motion, NoMotion, agree, angle, by_surface, motion_between
 from stages.registration.view import View, read_view
 from stages.scan import Frame, Pose, SkippedFrame
 
@@ -25,33 +26,44 @@ _KEY_TURN = np.radians(8)
 _KEY_FRAMES = 10
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Seen:
     """What is kept of a view once its images are gone."""
 
-    features: Features
     depth_m: float
     mean_color: float
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Frames that can be used, and the motion of each to the next one that can."""
+    """Frames that can be used, and the motion of each to the next one that can.
 
-    seen: dict[int, Seen]
-    motions: dict[int, Motion | NoMotion]
-    skipped: list[SkippedFrame]
+    Attributes
+    ----------
+    views : of the key frames.
+    seen : by the frame's place in the scan, in order; of all frames that can be used.
+    motions : of the next frame that can be used to the one of this place.
+    poses : world_from_camera along the chain; after a break they start anew.
+    keys : places of the key frames, in order.
+    """
+
+    views: KeyViews
+    seen: dict[int, Seen] = field(default_factory=dict)
+    motions: dict[int, Motion | NoMotion] = field(default_factory=dict)
+    poses: dict[int, Pose] = field(default_factory=dict)
+    keys: list[int] = field(default_factory=list)
+    skipped: list[SkippedFrame] = field(default_factory=list)
 
     @property
-    def numbers(self) -> list[int]:
-        """Return the places in the scan of the frames that can be used."""
-        return sorted(self.seen)
+    def breaks(self) -> list[int]:
+        """Return the places after which the chain is broken, in order."""
+        return [number for number, motion in self.motions.items() if isinstance(motion, NoMotion)]
 
 
 def make_chain(frames: Sequence[Frame], max_depth: float, progress: Progress) -> Chain:
-    """Read all frames, and place each to the one before."""
+    """Read all frames, place each to the one before, and choose key frames."""
     threads = workers()
-    chain = Chain({}, {}, [])
+    chain = Chain(KeyViews(frames, max_depth))
 
     def read(frame: Frame) -> View | SkippedFrame:
         try:
@@ -59,55 +71,42 @@ def make_chain(frames: Sequence[Frame], max_depth: float, progress: Progress) ->
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
 
-    def couples() -> Iterator[tuple[int, View, View]]:
+    def couples() -> Iterator[tuple[int, View, int, View]]:
         before: tuple[int, View] | None = None
         for number, view in enumerate(read_ahead(read, frames, threads=threads, ahead=threads + 2)):
             if isinstance(view, SkippedFrame):
                 chain.skipped.append(view)
                 continue
-            chain.seen[number] = Seen(view.features, view.depth_m, view.mean_color)
-            if before is not None:
-                yield before[0], before[1], view
+            chain.seen[number] = Seen(view.depth_m, view.mean_color)
+            if before is None:
+                chain.poses[number] = np.eye(4)
+                _take(chain, number, view)
+            else:
+                yield *before, number, view
             before = number, view
 
-    def place(couple: tuple[int, View, View]) -> tuple[int, Motion | NoMotion]:
-        number, source, target = couple
+    def place(couple: tuple[int, View, int, View]) -> tuple[int, View, int, View, Motion | NoMotion]:
+        _, target, _, source = couple
         # The motion of the later one to the earlier, so that poses are products from left to right.
-        return number, motion_between(target, source, max_depth)
+        return *couple, motion_between(source, target, max_depth)
 
-    for number, motion in read_ahead(place, couples(), threads=threads, ahead=threads + 2):
-        chain.motions[number] = motion
+    last: Motion | NoMotion = NoMotion("")
+    for before, target, number, source, found in read_ahead(
+        place, couples(), threads=threads, ahead=threads + 2
+    ):
+        if isinstance(found, NoMotion) and isinstance(last, Motion):
+            # A camera in motion goes on as it went.
+            again = by_surface(source, target, max_depth, last.target_from_source)
+            found = again if isinstance(again, Motion) else found
+        _append(chain, before, target, number, source, found)
+        last = found
         progress(number + 1, len(frames))
+    if len(chain.seen) > 1 and chain.keys[-1] != number:
+        _take(chain, number, source)
     return chain
 
 
-def key_frames(chain: Chain) -> tuple[list[int], dict[int, Pose]]:
-    """Return the key frames, and poses of all frames along the chain; after a break they start anew."""
-    numbers = chain.numbers
-    poses = {numbers[0]: np.eye(4)}
-    keys = [numbers[0]]
-    for before, number in itertools.pairwise(numbers):
-        motion = chain.motions[before]
-        if isinstance(motion, NoMotion):
-            poses[number] = np.eye(4)
-            # The last one before a break too: it is the one most like what may come back.
-            keys += [before] * (keys[-1] != before) + [number]
-            continue
-        poses[number] = poses[before] @ motion.target_from_source
-        moved = inverted(poses[keys[-1]]) @ poses[number]
-        far = np.linalg.norm(moved[:3, 3]) > _KEY_SHIFT * chain.seen[number].depth_m
-        if far or angle(moved) > _KEY_TURN or number - keys[-1] >= _KEY_FRAMES:
-            keys.append(number)
-    return keys + [numbers[-1]] * (keys[-1] != numbers[-1]), poses
-
-
-def key_edges(
-    frames: Sequence[Frame],
-    chain: Chain,
-    keys: Sequence[int],
-    poses: dict[int, Pose],
-    max_depth: float,
-) -> Iterator[Edge]:
+def key_edges(chain: Chain, max_depth: float) -> Iterator[Edge]:
     """Yield the motions between key frames that follow each other, found at once where that works.
 
     Every alignment comes out a little short, since noise holds a surface where it is: one over many frames is
@@ -115,39 +114,64 @@ def key_edges(
     """
 
     def place(edge: Edge) -> Edge:
-        source, target = (
-            read_view(frames[keys[at]], max_depth, chain.seen[keys[at]].features)
-            for at in (edge.source, edge.target)
-        )
-        motion = motion_between(source, target, max_depth, edge.motion.target_from_source)
+        a, b = chain.keys[edge.target], chain.keys[edge.source]
+        if chain.motions[a] is edge.motion:
+            return edge
+        source = chain.views.view(b)
+        motion = motion_between(source, chain.views.view(a), max_depth, edge.motion.target_from_source)
         if isinstance(motion, NoMotion) or motion.is_split:
             return edge
         off = inverted(edge.motion.target_from_source) @ motion.target_from_source
         return replace(edge, motion=motion) if agree(off, source.depth_m) else edge
 
     threads = workers()
-    yield from read_ahead(place, _chain_edges(chain, keys, poses), threads=threads, ahead=threads + 2)
+    yield from read_ahead(place, _chain_edges(chain), threads=threads, ahead=threads + 2)
 
 
-def _chain_edges(chain: Chain, keys: Sequence[int], poses: dict[int, Pose]) -> Iterator[Edge]:
+def _append(
+    chain: Chain, before: int, target: View, number: int, source: View, motion: Motion | NoMotion
+) -> None:
+    """Put a frame at the end of the chain, as a key frame if it is one."""
+    chain.motions[before] = motion
+    if isinstance(motion, NoMotion):
+        # The last one before a break too: it is the one most like what may come back.
+        if chain.keys[-1] != before:
+            _take(chain, before, target)
+        chain.poses[number] = np.eye(4)
+        _take(chain, number, source)
+        return
+    chain.poses[number] = chain.poses[before] @ motion.target_from_source
+    moved = inverted(chain.poses[chain.keys[-1]]) @ chain.poses[number]
+    far = np.linalg.norm(moved[:3, 3]) > _KEY_SHIFT * source.depth_m
+    if far or angle(moved) > _KEY_TURN or number - chain.keys[-1] >= _KEY_FRAMES:
+        _take(chain, number, source)
+
+
+def _take(chain: Chain, number: int, view: View) -> None:
+    chain.keys.append(number)
+    chain.views.keep(number, view)
+
+
+def _chain_edges(chain: Chain) -> Iterator[Edge]:
     """Yield the motions between key frames that follow each other, put together from those between."""
-    numbers = chain.numbers
-    for a, b in itertools.pairwise(range(len(keys))):
-        between = [chain.motions[n] for n in numbers if keys[a] <= n < keys[b]]
+    numbers = list(chain.motions)
+    for later, (a, b) in enumerate(itertools.pairwise(chain.keys), 1):
+        between = [chain.motions[n] for n in numbers[bisect_left(numbers, a) : bisect_left(numbers, b)]]
         motions = [motion for motion in between if isinstance(motion, Motion)]
         if len(motions) < len(between):
             continue
-        weakest = min(motions, key=lambda motion: motion.fitness)
-        yield Edge(
-            b,
-            a,
-            Motion(
-                inverted(poses[keys[a]]) @ poses[keys[b]],
-                weakest.information / len(motions),
-                weakest.fitness,
-                max(motion.rmse_m for motion in motions),
-                min(motion.points for motion in motions),
-                any(motion.is_split for motion in motions),
-            ),
-            is_certain=True,
-        )
+        yield Edge(later, later - 1, _put_together(chain, a, b, motions), is_certain=True)
+
+
+def _put_together(chain: Chain, a: int, b: int, motions: Sequence[Motion]) -> Motion:
+    if len(motions) == 1:
+        return motions[0]
+    weakest = min(motions, key=lambda motion: motion.fitness)
+    return Motion(
+        inverted(chain.poses[a]) @ chain.poses[b],
+        weakest.information / len(motions),
+        weakest.fitness,
+        max((motion.rmse_m for motion in motions if motion.rmse_m is not None), default=None),
+        min(motion.points for motion in motions),
+        any(motion.is_split for motion in motions),
+    )

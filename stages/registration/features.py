@@ -22,7 +22,8 @@ _DISTINCT = 0.8
 # Pixels that a point may be off where the other view sees it, and the share of its depth along it.
 _OFF_PX = 3.0
 _OFF_DEPTH = 0.05
-_TRIALS = 2000
+# Trials for the first motion, and for others, which only count where they have a fair share of the matches.
+_TRIALS, _MORE_TRIALS = 1000, 300
 # Motions that may be told apart in one pair of views, the least matches that tell one, and the least share of
 # the first one's that tell another.
 _MOTIONS = 3
@@ -113,7 +114,7 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
     while len(found) < _MOTIONS and len(pairs) >= max(_LEAST, _LEAST_SHARE * found[0].points if found else 0):
         points, there = source.points[pairs[:, 0]], target.points[pairs[:, 1]]
         pixels = target.pixels[pairs[:, 1]]
-        pose = _consensus(points, pixels, target.camera)
+        pose = _consensus(points, pixels, target.camera, _MORE_TRIALS if found else _TRIALS)
         if pose is None:
             break
         agree = _agree(pose, points, there, pixels, target.camera, 1.0)
@@ -149,7 +150,9 @@ def _stretched(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.LUT(grey, table), np.uint8)
 
 
-def _consensus(points: NDArray[np.float32], pixels: NDArray[np.float32], camera: Camera) -> Pose | None:
+def _consensus(
+    points: NDArray[np.float32], pixels: NDArray[np.float32], camera: Camera, trials: int
+) -> Pose | None:
     """Return the pose that brings most points to their pixels (RANSAC, perspective-n-point)."""
     import cv2
 
@@ -158,7 +161,7 @@ def _consensus(points: NDArray[np.float32], pixels: NDArray[np.float32], camera:
         pixels.astype(np.float64),
         camera.matrix,
         None,
-        iterationsCount=_TRIALS,
+        iterationsCount=trials,
         reprojectionError=_OFF_PX,
         confidence=0.999,
         flags=cv2.SOLVEPNP_AP3P,

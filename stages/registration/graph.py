@@ -50,8 +50,8 @@ def pieces(count: int, edges: Sequence[Edge]) -> list[list[int]]:
 
 def optimised(
     starts: Mapping[int, Pose], edges: Sequence[Edge], reach: float
-) -> tuple[dict[int, Pose], list[Edge]]:
-    """Return the poses of one piece, the first as it was, and the edges that were found to be wrong.
+) -> tuple[dict[int, Pose], list[bool]]:
+    """Return the poses of one piece, the first as it was, and which of the edges agree with them.
 
     Parameters
     ----------
@@ -90,5 +90,4 @@ def optimised(
         )
     poses = {number: np.array(graph.nodes[i].pose) for number, i in place.items()}
     kept = {(edge.source_node_id, edge.target_node_id) for edge in graph.edges}
-    wrong = [edge for edge in edges if (place[edge.source], place[edge.target]) not in kept]
-    return poses, wrong
+    return poses, [(place[edge.source], place[edge.target]) in kept for edge in edges]

@@ -41,7 +41,7 @@ class Motion:
     target_from_source : (4, 4) metres.
     information : (6, 6), for the pose graph.
     fitness : share of the source's surface that meets the target's, 0 to 1.
-    rmse_m : their distance along the normals, root mean square.
+    rmse_m : their distance along the normals, root mean square; None where points alone tell the motion.
     points : recognised points that agree with it; 0 where nothing was recognised.
     is_split : something else in view moved differently.
     """
@@ -49,7 +49,7 @@ class Motion:
     target_from_source: Pose
     information: NDArray[np.float64]
     fitness: float
-    rmse_m: float
+    rmse_m: float | None
     points: int
     is_split: bool = False
 
@@ -123,25 +123,26 @@ def _refined(
     source: View, target: View, seen: Recognised, max_depth: float, *, held: bool = False
 ) -> Motion | NoMotion:
     """Return the motion that points tell, made better by the surfaces where these hold it."""
-    pose, rmse = seen.target_from_source, float("nan")
-    meets = meeting(source, target, pose)
-    aligned = None if held else align(source, target, pose, max_depth)
+    points = seen.target_from_source
     sure = seen.points >= SURE_POINTS
+    aligned = None if held else align(source, target, points, max_depth)
     if aligned is not None and min(source.firmness, target.firmness) >= FIRM:
-        there = meeting(source, target, aligned[0])
-        # The points may be on something that moves on its own, and the rest of the surface tell.
-        better = sure and there.fitness > _CLEARLY * meets.fitness
-        if better or agree(inverted(pose) @ aligned[0], source.depth_m):
-            (pose, rmse), meets, sure = aligned, there, sure and not better
-        elif not sure:
-            aligned = None
-    if aligned is None and not sure:
+        pose, rmse = aligned
+        meets = meeting(source, target, pose)
+        same = agree(inverted(points) @ pose, source.depth_m)
+        # Else the points may be on something that moves on its own, and the rest of the surface tell.
+        if same or (sure and meets.fitness > _CLEARLY * meeting(source, target, points).fitness):
+            if meets.fitness < (_LEAST_BESIDE_POINTS if same and sure else LEAST_FITNESS):
+                return _apart(meets)
+            return Motion(pose, meets.information, meets.fitness, rmse, seen.points if same else 0)
+    if not sure:
         return NoMotion(
             f"the {seen.points} points that are recognised and the surface do not agree on the motion"
         )
-    if meets.fitness < (_LEAST_BESIDE_POINTS if sure else LEAST_FITNESS):
+    meets = meeting(source, target, points)
+    if meets.fitness < _LEAST_BESIDE_POINTS:
         return _apart(meets)
-    return Motion(pose, meets.information, meets.fitness, rmse, seen.points)
+    return Motion(points, meets.information, meets.fitness, None, seen.points)
 
 
 def _apart(meets: Meeting | None) -> NoMotion:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
+from heapq import heappop, heappush
+from itertools import count
 
 import numpy as np
 
@@ -16,25 +19,23 @@ _REACH_SHARE = 0.03
 
 
 def placed_pieces(
-    chain: Chain,
-    keys: Sequence[int],
-    starts: dict[int, Pose],
-    groups: Sequence[Sequence[int]],
-    edges: Sequence[Edge],
+    chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge]
 ) -> tuple[dict[int, Pose], list[Edge], list[Edge]]:
     """Return the poses of all frames, each piece in the world of its first, and edges used and refused."""
     poses: dict[int, Pose] = {}
     used: list[Edge] = []
     wrong: list[Edge] = []
-    for group in groups:
-        members = set(group)
-        own = [edge for edge in edges if edge.source in members]
-        reach = _REACH_SHARE * float(np.median([chain.seen[keys[key]].depth_m for key in group]))
-        placed, refused = optimised(_spread(group, own), own, reach)
-        used += [edge for edge in own if edge not in refused]
-        wrong += refused
-        poses |= {keys[key]: pose for key, pose in placed.items()}
-    return poses | _between(chain, keys, starts, poses), used, wrong
+    group_of = {key: i for i, group in enumerate(groups) for key in group}
+    edges_of: list[list[Edge]] = [[] for _ in groups]
+    for edge in edges:
+        edges_of[group_of[edge.source]].append(edge)
+    for group, own in zip(groups, edges_of, strict=True):
+        reach = _REACH_SHARE * float(np.median([chain.seen[chain.keys[key]].depth_m for key in group]))
+        placed, is_used = optimised(_spread(group, own), own, reach)
+        used += [edge for edge, kept in zip(own, is_used, strict=True) if kept]
+        wrong += [edge for edge, kept in zip(own, is_used, strict=True) if not kept]
+        poses |= {chain.keys[key]: pose for key, pose in placed.items()}
+    return poses | _between(chain, poses), used, wrong
 
 
 def _spread(group: Sequence[int], edges: Sequence[Edge]) -> dict[int, Pose]:
@@ -44,30 +45,32 @@ def _spread(group: Sequence[int], edges: Sequence[Edge]) -> dict[int, Pose]:
         motion = edge.motion.target_from_source
         motions[edge.target].append((edge.source, motion, edge.is_certain))
         motions[edge.source].append((edge.target, inverted(motion), edge.is_certain))
-    poses = {group[0]: np.eye(4)}
-    while len(poses) < len(group):
-        reached = [
-            (not certain, key, other, motion)
-            for key in poses
-            for other, motion, certain in motions[key]
-            if other not in poses
-        ]
-        _, key, other, motion = min(reached, key=lambda one: one[:3])
-        poses[other] = poses[key] @ motion
+    poses: dict[int, Pose] = {}
+    # Poses cannot be compared: a number that differs ends the comparison before them.
+    order = count()
+    reached = [(False, group[0], group[0], next(order), np.eye(4))]
+    while reached:
+        _, _, key, _, pose = heappop(reached)
+        if key in poses:
+            continue
+        poses[key] = pose
+        for other, motion, certain in motions[key]:
+            if other not in poses:
+                heappush(reached, (not certain, key, other, next(order), pose @ motion))
     return poses
 
 
-def _between(
-    chain: Chain, keys: Sequence[int], starts: dict[int, Pose], placed: dict[int, Pose]
-) -> dict[int, Pose]:
+def _between(chain: Chain, placed: dict[int, Pose]) -> dict[int, Pose]:
     """Return the poses of frames between key frames: what the chain says, bent evenly to meet both."""
     from scipy.spatial.transform import Rotation, Slerp
 
     poses = {}
-    numbers = [number for number in chain.numbers if number not in placed]
-    for number in numbers:
-        before = max(key for key in keys if key < number)
-        after = min(key for key in keys if key > number)
+    starts = chain.poses
+    for number in chain.seen:
+        if number in placed:
+            continue
+        at = bisect_left(chain.keys, number)
+        before, after = chain.keys[at - 1], chain.keys[at]
         # Key frames stand at both sides of a break, so that there is none between these two.
         first = placed[before] @ inverted(starts[before]) @ starts[number]
         second = placed[after] @ inverted(starts[after]) @ starts[number]
