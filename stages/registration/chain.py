@@ -94,10 +94,11 @@ def make_chain(frames: Sequence[Frame], max_depth: float, progress: Progress) ->
     for before, target, number, source, found in read_ahead(
         place, couples(), threads=threads, ahead=threads + 2
     ):
-        if isinstance(found, NoMotion) and isinstance(last, Motion):
-            # A camera in motion goes on as it went.
+        if isinstance(last, Motion) and (isinstance(found, NoMotion) or found.points == 0):
+            # Nothing was recognised: a camera in motion goes on as it went.
             again = by_surface(source, target, max_depth, last.target_from_source)
-            found = again if isinstance(again, Motion) else found
+            if isinstance(again, Motion):
+                found = again if isinstance(found, NoMotion) else max(found, again, key=_fitness)
         _append(chain, before, target, number, source, found)
         last = found
         progress(number + 1, len(frames))
@@ -145,6 +146,10 @@ def _append(
     far = np.linalg.norm(moved[:3, 3]) > _KEY_SHIFT * source.depth_m
     if far or angle(moved) > _KEY_TURN or number - chain.keys[-1] >= _KEY_FRAMES:
         _take(chain, number, source)
+
+
+def _fitness(motion: Motion) -> float:
+    return motion.fitness
 
 
 def _take(chain: Chain, number: int, view: View) -> None:
