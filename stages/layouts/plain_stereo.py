@@ -12,8 +12,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from stages.errors import InputError
 from stages.formats import trajectories
 from stages.layouts.files import common_size, first_existing, has, images, pair
@@ -71,9 +69,6 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     poses: list[Pose | None]
     if path is not None:
         poses = _poses(path, names, times)
-    elif len(pairs) == 1:
-        poses = [np.eye(4)]
-        warnings = [*warnings, "a single pair without a pose: the left camera is the origin of the mesh"]
     else:
         poses = [None] * len(pairs)
         lacking = (

@@ -35,13 +35,15 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     options = options or ScanParams()
     _require_folder(folder)
     layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
-    scan = _without_still_poses(layout.read(folder, options))
+    scan = _without_lost(_without_absent(_without_still_poses(layout.read(folder, options))), folder)
+    warnings = (*scan.warnings, *_time_warnings(scan.frames))
+    scan = replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    if len(scan.frames) == 1:
+        scan = _at_origin(scan)
     if complete:
         require_complete(scan, folder)
-    scan = _without_lost(_without_absent(scan), folder)
     _require_equal_sides(scan.frames, folder)
-    warnings = (*scan.warnings, *_time_warnings(scan.frames))
-    return replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    return scan
 
 
 def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
@@ -123,6 +125,20 @@ def _without_still_poses(scan: Scan) -> Scan:
             *scan.missing,
             f"poses: all {len(poses)} frames have the same one; give a trajectory with scan.poses=FILE",
         ),
+    )
+
+
+def _at_origin(scan: Scan) -> Scan:
+    """Take the camera of a single frame without a pose for the world."""
+    (frame,) = scan.frames
+    if frame.world_from_camera is not None:
+        return scan
+    said = "a single frame without a pose: its camera is the origin of the mesh"
+    return replace(
+        scan,
+        frames=[replace(frame, world_from_camera=np.eye(4))],
+        warnings=(*scan.warnings, said),
+        missing=tuple(what for what in scan.missing if not what.startswith("poses:")),
     )
 
 

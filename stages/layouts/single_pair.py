@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from stages.errors import InputError
+from stages.formats import trajectories
 from stages.images import image_size
 from stages.layouts.files import first_existing
 from stages.layouts.layout import Layout
@@ -40,11 +39,15 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         raise InputError("a pair im2.png and im6.png (or view1, view5) is needed.", folder)
     size = image_size(found[0])
     rig, warnings, missing = rig_of(folder, options, size, ("calibration.json", "calibration.toml"))
+    path = options.file("poses", folder)
+    poses = [None] if path is None else trajectories.match(trajectories.read_trajectory(path), ["0"], path)
     frame = Frame(
-        name=found[0].stem, camera=rig.left, color=found[0], right=found[1], world_from_camera=np.eye(4)
+        name=found[0].stem, camera=rig.left, color=found[0], right=found[1], world_from_camera=poses[0]
     )
-    said = "a single pair without a pose: the left camera is the origin of the mesh"
-    return Scan(LAYOUT.name, [frame], rig, folder, (), (*warnings, said), missing)
+    lacking = "poses: a single pair has none; name one with scan.poses=FILE"
+    if path is None:
+        missing = (*missing, lacking)
+    return Scan(LAYOUT.name, [frame], rig, folder, (), tuple(warnings), missing)
 
 
 LAYOUT = Layout(

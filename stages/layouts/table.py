@@ -12,6 +12,7 @@ from stages.layouts import (
     middlebury,
     middlebury_mview,
     nerfstudio,
+    nyu,
     plain_stereo,
     polycam,
     record3d,
@@ -23,6 +24,7 @@ from stages.layouts import (
     seven_scenes,
     single_pair,
     stray_scanner,
+    sun_rgbd,
     tartan_air,
     tum,
 )
@@ -50,6 +52,8 @@ DISTINCT: tuple[Layout, ...] = (
     colmap.LAYOUT,
     augmented_icl.LAYOUT,
     middlebury_mview.LAYOUT,
+    nyu.LAYOUT,
+    sun_rgbd.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (

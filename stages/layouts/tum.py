@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import common_size, first_existing, has
+from stages.layouts.in_time import associate
 from stages.layouts.layout import Layout
 from stages.scan import Camera, Frame, Scan, SkippedFrame
 
@@ -48,7 +49,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
 
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    partners = _associate(color_times, depth_times)
+    partners = associate(color_times, depth_times, _TOLERANCE)
     for color, time, partner in zip(colors, color_times.tolist(), partners.tolist(), strict=True):
         if partner < 0:
             skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))
@@ -100,28 +101,6 @@ def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[s
     found = holders[0]
     said = f"there is no folder {listed.name}/, but {found.name}/ has the images listed in it: they are used"
     return [found / path.name for path in files], [said]
-
-
-def _associate(color: NDArray[np.int64], depth: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each colour frame the depth frame nearest in time, each used once; -1 for none near enough.
-
-    The closest couples are made first, so that no frame takes a partner that suits another better.
-    """
-    order = np.argsort(depth, kind="stable")
-    starts = np.searchsorted(depth[order], color - _TOLERANCE, side="left")
-    ends = np.searchsorted(depth[order], color + _TOLERANCE, side="right")
-    couples = [
-        (abs(int(color[i]) - int(depth[j])), i, int(j))
-        for i, (start, end) in enumerate(zip(starts, ends, strict=True))
-        for j in order[start:end]
-    ]
-    partner = np.full(len(color), -1, np.int64)
-    taken: set[int] = set()
-    for _, i, j in sorted(couples):
-        if partner[i] < 0 and j not in taken:
-            partner[i] = j
-            taken.add(j)
-    return partner
 
 
 def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, list[str]]:
