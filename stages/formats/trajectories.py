@@ -427,6 +427,21 @@ def nanoseconds(seconds: float, path: Path, line: int) -> int:
     return round(seconds * 1e9)
 
 
+def stamp(word: str, path: Path, line: int) -> int:
+    """Return the nanoseconds of a time that is written in seconds.
+
+    Raises
+    ------
+    InputError
+        If it is no number, or none that can be a time.
+    """
+    try:
+        seconds = float(word)
+    except ValueError as error:
+        raise InputError(f"line {line}: {word[:40]!r} is no time in seconds.", path) from error
+    return nanoseconds(seconds, path, line)
+
+
 def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
     """Yield line numbers (from 1) and the numbers on them, without comments and empty lines."""
     for number, text in documents.lines(path):

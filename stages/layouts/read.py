@@ -194,7 +194,10 @@ def _time_warnings(frames: Sequence[Frame]) -> list[str]:
     if (steps == 0).any():
         warnings.append(f"{np.count_nonzero(steps == 0)} timestamps are repeated")
     if (steps < 0).any():
-        warnings.append(f"{np.count_nonzero(steps < 0)} timestamps are earlier than the one before")
+        earlier = np.count_nonzero(steps < 0)
+        warnings.append(
+            f"{earlier} timestamps are earlier than the one before: frames stay in the order of their files"
+        )
     gaps = np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0)) if len(steps) else 0
     if gaps:
         warnings.append(f"{gaps} gaps in time are longer than five frames")

@@ -20,8 +20,8 @@ from stages.formats import calibration, trajectories
 from stages.images import read_raw_depth
 from stages.layouts.files import common_size, images, pair
 from stages.layouts.layout import Layout
-from stages.layouts.stated import stated_camera
-from stages.scan import Frame, Packed, Pose, Scan
+from stages.layouts.stated import guessed_camera, stated_camera
+from stages.scan import Camera, Frame, Packed, Pose, Scan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,17 +51,12 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     depths, colors = images(folder / "depth"), images(folder / "image")
     pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
     size = common_size([depth for depth, _ in pairs])
-    camera = stated_camera(options, folder, *size) or calibration.read_camera(
-        folder / "intrinsics.txt", *size
-    )
+    camera, warnings = _camera(folder, options, *size)
     names = [depth.stem for depth, _ in pairs]
     poses, missing = _poses(folder, options, names)
     rotated = _is_rotated([depth for depth, _ in pairs])
-    warnings = (
-        ()
-        if rotated
-        else ("the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values",)
-    )
+    if not rotated:
+        warnings.append("the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values")
     frames = [
         Frame(
             name=depth.stem,
@@ -73,7 +68,16 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (depth, color), pose in zip(pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), warnings, missing)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, list[str]]:
+    """Return the camera and what is to be said about it."""
+    stated, path = stated_camera(options, folder, width, height), folder / "intrinsics.txt"
+    if stated is None and not path.exists():
+        guess, guessed = guessed_camera(width, height)
+        return guess, [guessed]
+    return stated or calibration.read_camera(path, width, height), []
 
 
 def _poses(

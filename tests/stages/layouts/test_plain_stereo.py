@@ -36,6 +36,27 @@ def test_known_points_fall_on_known_pixels(scan_folder, tiny):
     assert_known_pixels(scan, tiny)
 
 
+def test_pairs_side_by_side_in_one_folder(scan_folder, tiny):
+    for side in ("left", "right"):
+        for number in (2, 10):
+            (scan_folder / side / f"{side}{number}.png").rename(scan_folder / f"{side}{number}.png")
+        (scan_folder / side).rmdir()
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.right.name) for f in scan.frames] == [
+        ("left2.png", "right2.png"),
+        ("left10.png", "right10.png"),
+    ]
+    assert_known_pixels(scan, tiny)
+
+
+def test_a_rig_with_half_of_its_calibration(shared_data):
+    folder = shared_data / "stereo" / "opencv_chessboard_rig"
+    scan = read_scan(folder, complete=False)
+    assert len(scan.frames) == 13
+    with pytest.raises(InputError, match=r"no calibration: .*scan\.calibration=FILE"):
+        read_scan(folder)
+
+
 def trajectory_texts(tiny, matrix_text):
     x, y, z, w = tiny.second_quaternion
     flat = " ".join(f"{value:g}" for value in tiny.second.ravel())

@@ -50,7 +50,14 @@ def touch(folder, *names):
         (["left", "right"], "plain-stereo"),
         (["image_l", "image_r"], "plain-stereo"),
         (["view1.png", "view5.png"], "pair"),
+        (["left01.jpg", "right01.jpg", "intrinsics.yml"], "plain-stereo"),
+        (["rgb/1305031102.175304.png", "depth/1305031102.160407.png"], "tum"),
+        (["rgb", "depths", "associations.txt"], "tum"),
+        (["color", "depth", "pose/0.txt"], "scannet"),
         (["color", "depth"], "redwood"),
+        (["images", "depth_images"], "redwood"),
+        (["rgb_0.png", "depth_0.png", "rgb_1.png", "depth_1.png"], "redwood"),
+        (["color.png", "depth.png"], "redwood"),
         (["rgb", "depth", "trajectory.log"], "redwood"),
     ],
 )
@@ -144,6 +151,6 @@ def test_wrong_options_are_wrong_usage(options):
 
 
 def test_folders_without_a_scan(shared_data):
-    for folder in ("meshes", "images", "broken", "rgbd/turntable_d435_data1"):
+    for folder in ("meshes", "images", "broken", "rgbd/open3d_testdata/RGBD/other_formats"):
         with pytest.raises(InputError, match="unknown layout"):
             read_scan(shared_data / folder)
