@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.errors import InputError, UsageError
+from stages.layouts.axis_alignment import aligned
 from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
@@ -36,6 +37,8 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     _require_folder(folder)
     layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
     scan = _without_lost(_without_absent(_without_still_poses(layout.read(folder, options))), folder)
+    if options.align_axes:
+        scan = aligned(scan, folder)
     warnings = (*scan.warnings, *_time_warnings(scan.frames))
     scan = replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
     if len(scan.frames) == 1:

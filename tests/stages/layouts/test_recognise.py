@@ -32,6 +32,7 @@ def touch(folder, *names):
         (["lowres_wide.traj", "lowres_depth"], "arkitscenes"),
         (["traj.txt", "results"], "replica"),
         (["pose_left.txt", "image_left", "image_right"], "tartanair"),
+        (["pose_lcam_front.txt", "image_lcam_front", "depth_lcam_front"], "tartanair"),
         (["mav0/cam0/sensor.yaml"], "euroc"),
         (["image_0", "image_1", "calib.txt"], "kitti"),
         (["image_2", "image_3", "calib.txt"], "kitti"),
