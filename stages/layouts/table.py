@@ -9,6 +9,7 @@ from stages.layouts import (
     euroc,
     icl_nuim,
     kitti,
+    kitti_stereo,
     middlebury,
     middlebury_mview,
     nerfstudio,
@@ -40,6 +41,8 @@ DISTINCT: tuple[Layout, ...] = (
     scannet.LAYOUT,
     scannet_sens.LAYOUT,
     euroc.LAYOUT,
+    # Its folders have the names of the sequences'.
+    kitti_stereo.LAYOUT,
     kitti.LAYOUT,
     middlebury.LAYOUT,
     nerfstudio.LAYOUT,
