@@ -213,6 +213,10 @@ def _undistortion(camera: Camera, width: int, height: int) -> tuple[NDArray[Any]
 
     matrix = scaled(camera, width, height).matrix
     distortion = np.array(camera.distortion)
+    if camera.fisheye:
+        return cv2.fisheye.initUndistortRectifyMap(
+            matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1
+        )
     return cv2.initUndistortRectifyMap(matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1)
 
 

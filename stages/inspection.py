@@ -377,7 +377,8 @@ def _stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
 def _camera_words(camera: Camera) -> str:
     if not camera.is_calibrated:
         return f"{camera.width}×{camera.height} px"
-    bent = f", distortion {' '.join(f'{k:g}' for k in camera.distortion)}" if camera.distortion else ""
+    kind = "fisheye " if camera.fisheye else ""
+    bent = f", {kind}distortion {' '.join(f'{k:g}' for k in camera.distortion)}" if camera.distortion else ""
     return (
         f"{camera.width}×{camera.height} px, focal length {camera.fx:.2f} {camera.fy:.2f} px, "
         f"centre {camera.cx:.2f} {camera.cy:.2f} px{bent}"

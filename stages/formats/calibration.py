@@ -6,6 +6,7 @@ One camera or a rig, whatever the names its writer used; every number is checked
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ from stages.scan import Camera, Pose, StereoRig
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
 _MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
 _DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
+# What files call OpenCV's fisheye model, and the models of its ordinary one.
+_FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
+_PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
@@ -157,15 +161,24 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
             path,
         )
     bent = next(
-        (values[key] for key in ("distortion", "distortion_coefficients", "D", "dist") if key in values), None
+        (values[key] for key in ("distortion", "distortion_coefficients", "D", "d", "dist") if key in values),
+        None,
     )
-    distortion = _coefficients(bent, path)
+    fisheye = is_fisheye(values.get("distortion_model"), path)
+    distortion = _coefficients(bent, path, fisheye=fisheye)
+    camera = _without_model(values, distortion, width, height, path)
+    return replace(camera, fisheye=fisheye)
+
+
+def _without_model(
+    values: dict[str, Any], distortion: tuple[float, ...], width: int, height: int, path: Path
+) -> Camera:
     if "intrinsic_matrix" in values:
         # Open3D stores it column by column.
         matrix = _array(values, "intrinsic_matrix", path)
         matrix = matrix.T if matrix[2, 0] or matrix[2, 1] else matrix
         return matrix_camera(matrix, distortion, width, height, path)
-    for key in ("matrix", "camera_matrix", "K"):
+    for key in ("matrix", "camera_matrix", "K", "k"):
         if key in values:
             return matrix_camera(_array(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
@@ -181,20 +194,37 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
     cameras = []
     for side in ("cam0", "cam1"):
         table = _table(values, side, path)
-        model = table.get("distortion_model", "radtan")
-        if table.get("camera_model", "pinhole") != "pinhole" or model not in ("radtan", "none"):
+        if table.get("camera_model", "pinhole") != "pinhole":
             raise InputError(
-                f"{side} is not a pinhole camera with radtan distortion, which is what is supported.", path
+                f"{side} is of camera_model {table['camera_model']}; pinhole is supported.", path
             )
+        fisheye = is_fisheye(table.get("distortion_model"), path)
         if table.get("resolution", [width, height]) != [width, height]:
             raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
         row = number_row(table.get("intrinsics"), "intrinsics", path)
         if len(row) != 4:
             raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
-        bent = _coefficients(table.get("distortion_coeffs"), path)
-        cameras.append(checked(Camera(width, height, *row, distortion=bent), path))
-    matrix = trajectories.matrix_of(_table(values, "cam1", path).get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+        bent = _coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
+        cameras.append(checked(Camera(width, height, *row, distortion=bent, fisheye=fisheye), path))
+    if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
+        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        return cameras[0], cameras[1], right @ trajectories.inverted(left)
+    matrix = trajectories.matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
     return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+
+
+def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
+    """Return T_cam_imu of a camera in Kalibr's camchain: takes points of the body (the IMU) to the camera.
+
+    Raises
+    ------
+    InputError
+        If it is not there or not rigid.
+    """
+    name = f"{side}.T_cam_imu"
+    return _finite_pose(
+        trajectories.matrix_of(_table(values, side, path).get("T_cam_imu"), path, name), name, path
+    )
 
 
 def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
@@ -265,6 +295,7 @@ def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool
     return (
         np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
         and not any(left.distortion + right.distortion)
+        and not (left.fisheye or right.fisheye)
         and abs(shift[1]) + abs(shift[2]) < 1e-4 * abs(shift[0])
         and abs(left.fx - right.fx) < 1e-3
         and abs(left.fy - right.fy) < 1e-3
@@ -328,9 +359,35 @@ def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
     return tuple(float(number) for number in _array({name: value}, name, path).ravel())
 
 
-def _coefficients(value: object, path: Path) -> tuple[float, ...]:
-    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0."""
+def is_fisheye(model: object, path: Path) -> bool:
+    """Say whether the name of a distortion model is the fisheye one's; None is the ordinary one.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if model is None or model in _PINHOLE:
+        return False
+    if model in _FISHEYE:
+        return True
+    raise InputError(
+        f"the lens model {str(model)[:40]} is not supported; radial-tangential and equidistant are. "
+        "Undistort the images first.",
+        path,
+    )
+
+
+def _coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
+    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0.
+
+    A fisheye's are four: it bends lines even when they are 0.
+    """
     row = number_row(value, "distortion", path)
+    if fisheye:
+        if len(row) != 4:
+            raise InputError(f"a fisheye camera has 4 distortion coefficients, not {len(row)}.", path)
+        return row
     if len(row) not in (0, 4, 5, 8, 12, 14):
         raise InputError(f"distortion has {len(row)} coefficients; OpenCV knows 4, 5, 8, 12 or 14.", path)
     return row if any(row) else ()

@@ -97,6 +97,7 @@ def _camera_table(camera: Camera) -> dict[str, Any]:
         "cx": camera.cx,
         "cy": camera.cy,
         "distortion": list(camera.distortion),
+        **({"distortion_model": "equidistant"} if camera.fisheye else {}),
     }
 
 

@@ -34,6 +34,7 @@ def touch(folder, *names):
         (["pose_left.txt", "image_left", "image_right"], "tartanair"),
         (["pose_lcam_front.txt", "image_lcam_front", "depth_lcam_front"], "tartanair"),
         (["mav0/cam0/sensor.yaml"], "euroc"),
+        (["mav0/cam0/data.csv", "dso/camchain.yaml"], "euroc"),
         (["image_0", "image_1", "calib.txt"], "kitti"),
         (["image_2", "image_3", "calib.txt"], "kitti"),
         (["image_l", "image_r", "calib.txt"], "kitti"),
