@@ -19,6 +19,7 @@ from stages.scan import Camera, Pose, StereoRig
 
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
 _MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
+_PROJECTIONS = ("projection_matrix", "P", "p")
 _DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
 # What files call OpenCV's fisheye model, and the models of its ordinary one.
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
@@ -62,7 +63,8 @@ def read_rig(
 
     Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
     `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T` (or `M1 …`), or `P1 P2` for rectified images;
-    Kalibr's `cam0` and `cam1`. Lengths are metres unless `unit` says `mm`, `cm` or `m`.
+    Kalibr's `cam0` and `cam1`; ROS's camera_info under `left` and `right`. Lengths are metres unless `unit`
+    says `mm`, `cm` or `m`.
 
     Parameters
     ----------
@@ -76,8 +78,11 @@ def read_rig(
         If the file does not parse, something is missing, or a number cannot be right.
     """
     values = documents.read_document(path) if document is None else document
+    infos = _camera_infos(values)
     if "cam0" in values and "cam1" in values:
         left, right, right_from_left = _kalibr(values, width, height, path)
+    elif infos is not None:
+        left, right, right_from_left = _ros(*infos, width, height, path)
     elif "left" in values and "right" in values:
         left, right = (
             camera_from_table(_table(values, side, path), width, height, path) for side in ("left", "right")
@@ -100,6 +105,11 @@ def read_rig(
         right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
     else:
         right_from_left, warnings = with_baseline(right_from_left, baseline), []
+    if infos is not None:
+        warnings.append(
+            "the images are taken as they left the cameras, as ROS's image_raw; for image_rect give a file "
+            "with P1 and P2 alone"
+        )
     rectified = values.get("rectified", _looks_rectified(left, right, right_from_left))
     if not isinstance(rectified, (bool, int)):
         raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
@@ -211,6 +221,45 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
         return cameras[0], cameras[1], right @ trajectories.inverted(left)
     matrix = trajectories.matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
     return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+
+
+def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return the tables of two cameras as ROS states them, each with its projection, or None."""
+    sides = values.get("left"), values.get("right")
+    if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
+        return None
+    return sides[0], sides[1]  # type: ignore[return-value]
+
+
+def _ros(
+    left: dict[str, Any], right: dict[str, Any], width: int, height: int, path: Path
+) -> tuple[Camera, Camera, Pose]:
+    """Read two of ROS's camera_info: R turns a camera to be rectified, P[0,3] / P[0,0] is minus the baseline.
+
+    A point x of the left camera is R_right^T (R_left x + t) in the right one.
+    """
+    cameras = [camera_from_table(side, width, height, path) for side in (left, right)]
+    turns = [_rectification(side, path) for side in (left, right)]
+    key = _first_key(right, _PROJECTIONS)
+    projection = _array(right, key or "", path)
+    if projection.shape != (3, 4) or projection[0, 0] == 0:
+        raise InputError(f"{key} of the right camera is not a 3x4 projection.", path)
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = turns[1].T @ turns[0]
+    right_from_left[:3, 3] = turns[1].T @ (projection[0, 3] / projection[0, 0], 0, 0)
+    return cameras[0], cameras[1], _finite_pose(right_from_left, "R and P", path)
+
+
+def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
+    key = _first_key(table, ("rectification_matrix", "R", "r"))
+    turn = np.eye(3) if key is None else _array(table, key, path)
+    if turn.shape != (3, 3):
+        raise InputError(f"{key} must be 3x3.", path)
+    return turn
+
+
+def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in table), None)
 
 
 def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:

@@ -34,7 +34,8 @@ class ScanParams:
         low_open=True,
     )
     calibration: str | None = param(
-        None, "Calibration file (JSON, TOML or OpenCV YAML), in place of the folder's."
+        None,
+        "Calibration file (JSON, TOML, OpenCV YAML or XML, Kalibr or ROS YAML), in place of the folder's.",
     )
     poses: str | None = param(
         None,

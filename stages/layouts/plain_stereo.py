@@ -2,7 +2,7 @@
 
     left/000000.png  right/000000.png  …
     left01.png  right01.png  …                    the same in one folder
-    calibration.json | .toml | .yaml | .yml       see stages.formats.calibration.read_rig
+    calibration.json | .toml | .yaml | .xml       see stages.formats.calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
 Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
@@ -33,7 +33,7 @@ _SIDES = (
 _CALIBRATIONS = tuple(
     f"{stem}.{suffix}"
     for stem in ("calibration", "calib", "stereo", "rig", "camchain")
-    for suffix in ("json", "toml", "yaml", "yml")
+    for suffix in ("json", "toml", "yaml", "yml", "xml")
 )
 _TRAJECTORIES = (
     "poses.txt",

@@ -161,3 +161,20 @@ def test_sides_of_different_size_are_told(scan_folder, tiny):
         tiny.color(scan_folder / "right" / f"right{number}.png", (64, 48))
     with pytest.raises(InputError, match="left images are 32×24 and right images 64×48"):
         read_scan(scan_folder)
+
+
+def test_a_file_of_ros_for_each_camera(scan_folder, tiny):
+    (scan_folder / "calibration.json").unlink()
+    for side, shift in (("left", 0), ("right", -50)):
+        (scan_folder / f"{side}.yaml").write_text(
+            "image_width: 32\nimage_height: 24\ncamera_name: " + side + "\n"
+            "camera_matrix:\n  rows: 3\n  cols: 3\n  data: [100, 0, 16, 0, 100, 12, 0, 0, 1]\n"
+            "distortion_model: plumb_bob\n"
+            "distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0, 0, 0, 0, 0]\n"
+            "rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+            "projection_matrix:\n  rows: 3\n  cols: 4\n"
+            f"  data: [100, 0, 16, {shift}, 0, 100, 12, 0, 0, 0, 1, 0]\n"
+        )
+    scan = read_scan(scan_folder)
+    assert_known_pixels(scan, tiny)
+    assert any("image_raw" in text for text in scan.warnings)
