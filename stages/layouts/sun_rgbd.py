@@ -8,6 +8,7 @@ three rows of four numbers a frame, camera-to-world; the three rows of SUN RGB-D
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,9 +20,10 @@ from stages.errors import InputError
 from stages.formats import calibration, trajectories
 from stages.images import read_raw_depth
 from stages.layouts.files import common_size, images, pair
+from stages.layouts.in_time import associate
 from stages.layouts.layout import Layout
 from stages.layouts.stated import guessed_camera, stated_camera
-from stages.scan import Camera, Frame, Packed, Pose, Scan
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 _UNITS_PER_METRE = 1000.0
+# SUN3D: the number of the frame in its stream, then its time in microseconds.
+_STAMPED = re.compile(r"\d+-\d{1,15}")
+_TOLERANCE = 50_000_000
 # What the data set's folders hold beside, and other programs' exports do not.
 _BESIDE = ("extrinsics", "depth_bfx", "fullres", "scene.txt", "annotation", "annotation2Dfinal")
 # Of rotated values the lowest three bits are 0 below 8 m, 1 to 16 m; of plain ones they are anything.
@@ -49,11 +54,15 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     if not all((folder / name).is_dir() for name in ("image", "depth")):
         raise InputError("the folders image/ and depth/ are needed.", folder)
     depths, colors = images(folder / "depth"), images(folder / "image")
-    pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
+    if len(colors) > 1 and all(_STAMPED.fullmatch(path.stem) for path in (*depths, *colors)):
+        pairs, skipped = _paired_by_time(depths, colors)
+    else:
+        pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
+    if not pairs:
+        raise InputError("no image in image/ has a depth map of its moment in depth/.", folder)
     size = common_size([depth for depth, _ in pairs])
     camera, warnings = _camera(folder, options, *size)
-    names = [depth.stem for depth, _ in pairs]
-    poses, missing = _poses(folder, options, names)
+    poses, missing = _poses(folder, options, [color for _, color in pairs], colors)
     rotated = _is_rotated([depth for depth, _ in pairs])
     if not rotated:
         warnings.append("the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values")
@@ -80,19 +89,42 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
     return stated or calibration.read_camera(path, width, height), []
 
 
+def _paired_by_time(
+    depths: Sequence[Path], colors: Sequence[Path]
+) -> tuple[list[tuple[Path, Path]], list[SkippedFrame]]:
+    """Return the depth map of each image's moment: both streams are numbered for themselves."""
+    times = [
+        np.array([int(path.stem.rpartition("-")[2]) * 1000 for path in files], np.int64)
+        for files in (colors, depths)
+    ]
+    partners = associate(times[0], times[1], _TOLERANCE).tolist()
+    pairs = [(depths[at], color) for color, at in zip(colors, partners, strict=True) if at >= 0]
+    alone = [
+        SkippedFrame(color.stem, "no depth map within 0.05 s")
+        for color, at in zip(colors, partners, strict=True)
+        if at < 0
+    ]
+    return pairs, alone
+
+
 def _poses(
-    folder: Path, options: ScanParams, names: Sequence[str]
+    folder: Path, options: ScanParams, colors: Sequence[Path], all_colors: Sequence[Path]
 ) -> tuple[list[Pose | None], tuple[str, ...]]:
-    """Return a pose a frame, and what is missing."""
+    """Return a pose for each image that is a frame, and what is missing; files hold one for all images."""
     path = options.file("poses", folder)
-    if path is not None:
-        return trajectories.match(trajectories.read_trajectory(path), names, path), ()
     # The data set's tools take the latest of several optimisations.
     found = sorted((folder / "extrinsics").glob("*.txt"))
-    if found and len(names) > 1:
-        return trajectories.match(trajectories.read_stacked(found[-1]), names, found[-1]), ()
-    lacking = "poses: a file of them in extrinsics/ is missing; name a trajectory with scan.poses=FILE"
-    return [None] * len(names), (lacking,)
+    if path is not None:
+        trajectory = trajectories.read_trajectory(path)
+    elif found and len(all_colors) > 1:
+        path = found[-1]
+        trajectory = trajectories.read_stacked(path)
+    else:
+        lacking = "poses: a file of them in extrinsics/ is missing; name a trajectory with scan.poses=FILE"
+        return [None] * len(colors), (lacking,)
+    names = [color.stem for color in all_colors]
+    by_image = dict(zip(names, trajectories.match(trajectory, names, path), strict=True))
+    return [by_image[color.stem] for color in colors], ()
 
 
 def _is_rotated(depths: Sequence[Path]) -> bool:

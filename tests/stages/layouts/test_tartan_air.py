@@ -107,7 +107,7 @@ def test_the_second_version_has_a_camera_of_its_own(second_version):
     for path in (second_version / "image_lcam_front").iterdir():
         cv2.imwrite(str(path), np.zeros((640, 640, 3), np.uint8))
     camera = read_scan(second_version).frames[0].camera
-    assert (camera.width, camera.fx, camera.fy, camera.cx, camera.cy) == (640, 320, 320, 320, 320)
+    assert (camera.width, camera.fx, camera.fy, camera.cx, camera.cy) == (640, 320, 320, 319.5, 319.5)
 
 
 def test_pairs_of_the_second_version(second_version, tiny):
