@@ -36,13 +36,14 @@ def least_sharp(frames: Sequence[Frame], share: float = 0.05) -> tuple[list[tupl
     Returns
     -------
     The frames, the worst first, each with its sharpness over the median's; and the number of frames measured.
+    None where fewer than two can be compared.
     """
     chosen = np.unique(np.linspace(0, len(frames) - 1, _MOST_FRAMES).round().astype(int))
     threads = workers()
     found = read_ahead(_sharpness, [frames[i] for i in chosen], threads=threads, ahead=2 * threads)
     measured = [(i, value) for i, value in zip(chosen.tolist(), found, strict=True) if value is not None]
-    if not measured:
-        return [], 0
+    if len(measured) < 2:
+        return [], len(measured)
     middle = float(np.median([value for _, value in measured]))
     count = int(np.ceil(share * len(measured)))
     worst = sorted(measured, key=lambda one: one[1])[:count]

@@ -323,3 +323,8 @@ def test_without_poses_nothing_is_estimated():
     found = inspect(Scan("plain-rgbd", frames, missing=("poses: none",)))
     assert found.outlook is None
     assert "missing   poses: none; without, `scanloom run` finds them" in found.lines()
+
+
+def test_a_single_frame_is_compared_with_nothing():
+    (frame, *_) = room_scan().frames
+    assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).least_sharp == ()
