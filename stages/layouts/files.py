@@ -147,3 +147,14 @@ def pair(
             folder,
         )
     return list(zip(first, second, strict=True)), []
+
+
+def about_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> list[str]:
+    """Return what is to be said where `pair` had only the order of the names to go by."""
+    agreeing = max((sum(key(left) == key(right) for left, right in pairs) for key in _KEYS), default=0)
+    if len(pairs) < 2 or agreeing > _LEAST_PAIRED * len(pairs):
+        return []
+    return [
+        f"the names in {first_name} and {second_name} share no numbers: they are paired in their order; "
+        "name the two images of a moment alike if that is wrong"
+    ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats import documents, trajectories
-from stages.layouts.files import common_size, first_existing, has, images, pair
+from stages.layouts.files import about_order, common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
 from stages.layouts.projections import projected_rig, read_projections, require_rectified_size
 from stages.layouts.rigs import uncalibrated
@@ -87,7 +87,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+    said = about_order(pairs, f"{left}/", f"{right}/")
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), missing)
 
 
 def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from stages.errors import InputError
 from stages.formats import trajectories
-from stages.layouts.files import common_size, first_existing, has, images, numbers, pair
+from stages.layouts.files import about_order, common_size, first_existing, has, images, numbers, pair
 from stages.layouts.layout import Layout
 from stages.layouts.rigs import rig_of
 from stages.scan import Frame, Pose, Scan
@@ -96,7 +96,9 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(
+        LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
+    )
 
 
 def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose | None]:

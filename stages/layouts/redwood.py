@@ -15,6 +15,7 @@ from stages.layouts.files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
     DEPTHS,
+    about_order,
     common_size,
     first_existing,
     images,
@@ -88,7 +89,9 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(
+        LAYOUT.name, frames, None, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
+    )
 
 
 def _trajectory(folder: Path) -> Path | None:

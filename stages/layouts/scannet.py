@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
-from stages.layouts.files import COLOR_FOLDERS, DEPTHS, common_size, first_existing, images, pair
+from stages.layouts.files import COLOR_FOLDERS, DEPTHS, about_order, common_size, first_existing, images, pair
 from stages.layouts.layout import Layout
 from stages.layouts.stated import guessed_camera, stated_camera
 from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
@@ -55,6 +55,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
     pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
     camera, color_camera, warnings = _cameras(folder, options, pairs)
+    warnings += about_order(pairs, "depth/", f"{color_folder.name}/")
     names = [depth.stem for depth, _ in pairs]
     poses, missing = _poses(folder, options, names)
     skipped += [

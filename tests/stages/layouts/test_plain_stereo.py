@@ -178,3 +178,11 @@ def test_a_file_of_ros_for_each_camera(scan_folder, tiny):
     scan = read_scan(scan_folder)
     assert_known_pixels(scan, tiny)
     assert any("image_raw" in text for text in scan.warnings)
+
+
+def test_sides_that_share_no_numbers_are_told(scan_folder):
+    for old, new in ((2, "dawn"), (10, "noon")):
+        (scan_folder / "right" / f"right{old}.png").rename(scan_folder / "right" / f"{new}.png")
+    scan = read_scan(scan_folder)
+    assert [frame.right.name for frame in scan.frames] == ["dawn.png", "noon.png"]
+    assert any("left/ and right/ share no numbers" in text for text in scan.warnings)

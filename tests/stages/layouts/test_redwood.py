@@ -146,3 +146,18 @@ def test_a_real_recording_side_by_side(shared_data):
     assert (scan.layout, len(scan.frames)) == ("redwood", 6)
     assert [frame.color.name for frame in scan.frames] == [f"rgb_{i}.png" for i in range(6)]
     assert scan.frames[0].camera.fx == 525
+
+
+def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, tiny):
+    for old, new in (("2", "a"), ("10", "b")):
+        (scan_folder / "color" / f"{old}.jpg").rename(scan_folder / "color" / f"{new}.jpg")
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.depth.name) for f in scan.frames] == [("a.jpg", "2.png"), ("b.jpg", "10.png")]
+    assert any("depth/ and color/ share no numbers" in text for text in scan.warnings)
+    tiny.color(scan_folder / "color" / "c.jpg")
+    with pytest.raises(InputError, match="2 images and color/ 3"):
+        read_scan(scan_folder)
+
+
+def test_images_of_one_number_are_not_told_of(scan_folder):
+    assert not any("share no numbers" in text for text in read_scan(scan_folder).warnings)
