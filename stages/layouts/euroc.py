@@ -7,6 +7,7 @@ form), and for its images, which have 16 bits.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -134,8 +135,11 @@ def _chained(
 ) -> tuple[tuple[StereoRig, list[str]], Pose]:
     """Return the rig of Kalibr's file, what is odd about it, and where its left camera sits on the body."""
     document = documents.read_document(path)
-    rig = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
-    return rig, trajectories.inverted(calibration.camera_from_body(document, "cam0", path))
+    rig, warnings = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    stated = options.camera(*size)
+    if stated is not None:
+        rig = replace(rig, left=stated, right=stated)
+    return (rig, warnings), trajectories.inverted(calibration.camera_from_body(document, "cam0", path))
 
 
 def _camera(document: dict[str, Any], size: tuple[int, int], options: ScanParams, path: Path) -> Camera:

@@ -4,7 +4,7 @@ import pytest
 
 from stages.errors import InputError
 from stages.images import read_color, read_right
-from stages.layouts import read_scan
+from stages.layouts import ScanParams, read_scan
 
 FIRST, SECOND = 1403715273262142976, 1403715273462142976
 SENSOR = """%YAML:1.0
@@ -205,3 +205,9 @@ def test_a_wrong_chain_is_told(tum_vi, old, new, message):
     (tum_vi / "dso" / "camchain.yaml").write_text(CHAIN.replace(old, new))
     with pytest.raises(InputError, match=message):
         read_scan(tum_vi)
+
+
+def test_a_stated_camera_wins_over_the_chain(tum_vi):
+    rig = read_scan(tum_vi, ScanParams(intrinsics="90,90,15,11", baseline=0.25)).rig
+    assert (rig.left.fx, rig.right.cx, rig.left.fisheye) == (90, 15, False)
+    assert rig.baseline == pytest.approx(0.25)
