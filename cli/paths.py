@@ -16,11 +16,9 @@ MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def require_scan(folder: Path) -> Path:
-    """Return the folder, or say that it is none."""
+    """Return the folder of a scan, or the file that is one, or say that there is none."""
     if not folder.exists():
         raise InputError("there is no such folder; give the folder of a scan.", folder)
-    if not folder.is_dir():
-        raise InputError("this is a file; give the folder of a scan.", folder)
     return folder
 
 

@@ -69,7 +69,12 @@ def add_to(app: typer.Typer) -> None:
 
 
 def run(
-    scan: Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)],
+    scan: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCAN", help="Folder of the scan, or a recording (.bag, .db3).", show_default=False
+        ),
+    ],
     target: Annotated[
         Path,
         typer.Option("--out", "-o", metavar="OUT", help="Folder for the results.", show_default=False),

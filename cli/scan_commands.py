@@ -16,7 +16,12 @@ from stages.inspection_picture import inspection_picture
 from stages.render import write_png
 from stages.sanity import require_poses
 
-ScanFolder = Annotated[Path, typer.Argument(metavar="SCAN", help="Folder of the scan.", show_default=False)]
+ScanFolder = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCAN", help="Folder of the scan, or a recording (.bag, .db3).", show_default=False
+    ),
+]
 
 
 def add_to(app: typer.Typer) -> None:

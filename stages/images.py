@@ -182,6 +182,17 @@ def decode_color(data: bytes, source: Path | str) -> ColorImage:
     return cast(ColorImage, cv2.cvtColor(image, code))
 
 
+def decode_depth(data: bytes, source: Path | str) -> NDArray[Any]:
+    """Return an encoded depth map (PNG, TIFF, …) as stored, (h, w) uint16 or float.
+
+    Raises
+    ------
+    InputError
+        If it does not decode, or is an 8-bit or colour image; `source` is named.
+    """
+    return require_raw_depth(_decoded(data, source), source)
+
+
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
     """Raise InputError unless the image has the size the camera was calibrated for."""
     height, width = image.shape[:2]
@@ -299,9 +310,15 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
 
 
 def _is_cut_short(data: bytes) -> bool:
-    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey."""
+    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey.
+
+    The parts of a PNG are walked: OpenCV reserves whatever one claims to hold, up to 4 GB, before it is read.
+    """
     if data.startswith(_PNG_START):
-        return b"IEND" not in data
+        at = len(_PNG_START)
+        while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
+            at += 12 + int.from_bytes(data[at : at + 4], "big")
+        return at + 12 > len(data)
     return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
 
 

@@ -220,7 +220,9 @@ def _result(
         ),
         breaks=breaks,
         key_frames=tuple(keys),
-        warnings=tuple(_warnings(frames, chain, len(order), breaks, [poses[n] for n in largest])),
+        warnings=tuple(
+            _warnings(frames, chain, len(order), breaks, [poses[n] for n in largest], used, wrong)
+        ),
         seconds=time.perf_counter() - began,
     )
 
@@ -243,6 +245,8 @@ def _warnings(
     count: int,
     breaks: Sequence[SkippedFrame],
     poses: Sequence[Pose],
+    used: Sequence[Edge],
+    wrong: Sequence[Edge],
 ) -> Iterator[str]:
     motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
     if count > 1:
@@ -255,9 +259,15 @@ def _warnings(
     split = [motion for motion in motions if motion.is_split]
     if len(split) > 0.1 * max(len(motions), 1):
         yield (
-            f"in {len(split)} of {len(motions)} steps what is recognised and the surfaces move differently: "
-            "something in view moves on its own (a person, a turntable), or colour and depth do not "
-            "belong together"
+            f"in {len(split)} of {len(motions)} steps parts of the view move differently: something moves on "
+            "its own (a person, a turntable), or colour and depth do not belong together. What most of the "
+            "surface does was taken for the camera's motion"
+        )
+    loops = [edge for edge in (*used, *wrong) if not edge.is_certain]
+    if len(wrong) > max(0.5 * len(loops), 3):
+        yield (
+            f"{len(wrong)} of {len(loops)} places that look as if they were seen before do not fit the path: "
+            "it is bent, or the scene holds things that look the same; see path.ply"
         )
     if poses and all(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3]) < _STILL_M for pose in poses):
         turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)

@@ -38,7 +38,8 @@ def aligned(scan: Scan, folder: Path) -> Scan:
 
 
 def _alignment(folder: Path) -> tuple[Path, Pose]:
-    for path in sorted(folder.glob("scene*.txt")):
+    beside = folder.parent if folder.is_file() else folder
+    for path in sorted(beside.glob("scene*.txt")):
         found = _LINE.search(documents.read_text(path))
         if found is None:
             continue

@@ -24,9 +24,11 @@ class Layout:
     matches : returns why a folder is of this layout, in a few words, or None.
     read : returns every frame of the folder in order; what is odd goes into the scan's warnings,
         and poses or a calibration that are not there into `missing`: who reads decides what to make of it.
+    suffixes : of files that are a scan by themselves; `read` takes these as well as folders.
     """
 
     name: str
     text: str
     matches: Callable[[Path], str | None]
     read: Callable[[Path, ScanParams], Scan]
+    suffixes: tuple[str, ...] = ()

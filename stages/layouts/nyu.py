@@ -20,8 +20,8 @@ from stages.errors import InputError
 from stages.formats import trajectories
 from stages.images import read_raw_depth
 from stages.layouts.files import common_size
-from stages.layouts.in_time import associate
 from stages.layouts.layout import Layout
+from stages.layouts.moments import nearest_in_time
 from stages.layouts.stated import stated_camera
 from stages.scan import Camera, Frame, Packed, Scan, SkippedFrame, scaled
 
@@ -84,7 +84,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     depth_times, color_times = (
         np.array([time for time, _ in stream], np.int64) for stream in (depths, colors)
     )
-    partners = associate(depth_times, color_times, _TOLERANCE)
+    partners = nearest_in_time(depth_times, color_times, _TOLERANCE)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for (time, depth), partner in zip(depths, partners.tolist(), strict=True):

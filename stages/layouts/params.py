@@ -60,9 +60,6 @@ class ScanParams:
         False,
         "Turn the world as the axisAlignment in ScanNet's scene*.txt says, so that walls run along its axes.",
     )
-    recording: str | None = param(
-        None, "Name of the recording to read, in a folder that holds several (.sens, .r3d)."
-    )
     check_poses: bool = param(
         True,
         "Stop when the depth of the frames fits together clearly better under another reading of the poses: "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from stages.layouts.axis_alignment import aligned
 from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
-from stages.layouts.refused import refused
+from stages.layouts.refused import Refused, refused
 from stages.layouts.table import DISTINCT, GENERIC, LAYOUTS
 from stages.scan import Frame, Scan, SkippedFrame
 
@@ -23,7 +23,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
 
     Parameters
     ----------
-    folder : the folder that holds the scan.
+    folder : the folder that holds the scan, or the file that is one.
     options : what to use in place of what the folder says.
     complete : refuse a scan without poses or calibration; else its `missing` says what it lacks.
 
@@ -34,8 +34,11 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     """
     folder = Path(folder)
     options = options or ScanParams()
-    _require_folder(folder)
-    layout = next((one for one in LAYOUTS if one.name == options.layout), None) or recognise(folder)[0]
+    layout = next((one for one in LAYOUTS if one.name == options.layout), None)
+    if layout is None:
+        layout = recognise(folder)[0]
+    else:
+        _require_place(folder, layout.suffixes)
     scan = _without_lost(_without_absent(_without_still_poses(layout.read(folder, options))), folder)
     if options.align_axes:
         scan = aligned(scan, folder)
@@ -57,28 +60,31 @@ def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
 
 
 def recognise(folder: Path) -> tuple[Layout, str]:
-    """Return the layout of a folder and why it is taken for it.
+    """Return the layout of a folder, or of a file that is a scan by itself, and why it is taken for it.
 
     Raises
     ------
     InputError
         If there is no such folder, it is empty, or of no layout that can be read.
     """
-    _require_folder(folder)
+    _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
+    if folder.is_file():
+        return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
     found = _first_match(DISTINCT, folder)
     if found is None and (known := refused(folder)) is not None:
-        raise InputError(
-            f"this looks like {known.name}, which cannot be read yet. {known.advice} "
-            "If it is another layout, name it with scan.layout=NAME.",
-            folder,
-        )
+        raise InputError(f"{_refusal(known)} If it is another layout, name it with scan.layout=NAME.", folder)
     found = found or _first_match(GENERIC, folder)
     if found is None:
         raise InputError(_unknown(folder), folder)
     return found
 
 
-def _require_folder(folder: Path) -> None:
+def _require_place(folder: Path, suffixes: Collection[str]) -> None:
+    """Raise InputError unless this is a folder that can be listed, or a file of these suffixes."""
+    if folder.is_file() and folder.suffix.lower() in suffixes:
+        return
+    if folder.is_file() and (known := refused(folder)) is not None:
+        raise InputError(_refusal(known), folder)
     if not folder.is_dir():
         problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
         raise InputError(problem, folder)
@@ -86,6 +92,10 @@ def _require_folder(folder: Path) -> None:
         next(folder.iterdir(), None)
     except OSError as error:
         raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+
+
+def _refusal(known: Refused) -> str:
+    return f"this looks like {known.name}, which cannot be read yet. {known.advice}"
 
 
 def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:

@@ -58,7 +58,7 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ScanParams) -> Scan:
     if (folder / "metadata.json").exists():
         return _read_folder(folder, options)
-    return _read_archive(folder, one_recording(folder, ".r3d", options), options)
+    return _read_archive(folder, one_recording(folder, ".r3d"), options)
 
 
 def _read_folder(folder: Path, options: ScanParams) -> Scan:
@@ -310,4 +310,5 @@ LAYOUT = Layout(
     text="metadata.json, rgb/, depth/*.exr|npy|png, or .r3d (Record3D)",
     matches=_matches,
     read=_read,
+    suffixes=(".r3d",),
 )

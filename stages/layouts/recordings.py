@@ -3,35 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stages.errors import InputError
 
-if TYPE_CHECKING:
-    from stages.layouts.params import ScanParams
 
-
-def one_recording(folder: Path, suffix: str, options: ScanParams) -> Path:
-    """Return the only file of a suffix, or the one that the person names.
+def one_recording(place: Path, suffix: str) -> Path:
+    """Return the file that was given, or the only one of a suffix in the folder that was.
 
     Raises
     ------
     InputError
-        If there is none, or several and none of them is named.
+        If the folder holds none, or several.
     """
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() == suffix)
-    named = [path for path in files if options.recording in (path.name, path.stem)]
-    if len(named or files) == 1 and (named or options.recording is None):
-        return (named or files)[0]
-    names = ", ".join(path.name for path in files[:5]) + (" …" if len(files) > 5 else "")
+    if place.is_file():
+        return place
+    files = sorted(path for path in place.iterdir() if path.suffix.lower() == suffix)
+    if len(files) == 1:
+        return files[0]
     if not files:
-        raise InputError(f"there is no {suffix} file.", folder)
-    if options.recording is not None:
-        raise InputError(
-            f"there is no {suffix} file {options.recording!r}; the folder holds {names}.", folder
-        )
+        raise InputError(f"there is no {suffix} file.", place)
+    names = ", ".join(path.name for path in files[:5]) + (" …" if len(files) > 5 else "")
     raise InputError(
-        f"there are {len(files)} {suffix} files ({names}), each a scan of its own; choose one with "
-        "scan.recording=NAME.",
-        folder,
+        f"there are {len(files)} {suffix} files ({names}), each a scan of its own; give the one to read.",
+        place,
     )

@@ -6,6 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
+ROS_2 = (
+    "Make a .bag of it, which can be read: `rosbags-convert --src IT --dst NEW.bag` does (of the Python "
+    "package rosbags)."
+)
 _CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
 
 
@@ -26,12 +30,14 @@ class Refused:
 
 
 REFUSED: tuple[Refused, ...] = (
-    Refused("a ROS or RealSense recording (.bag)", ("*.bag",), _CONTAINER),
+    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), ROS_2),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
 )
 
 
-def refused(folder: Path) -> Refused | None:
-    """Return the layout that a folder is of but that cannot be read yet, or None."""
-    return next((one for one in REFUSED if all(any(folder.glob(files)) for files in one.files)), None)
+def refused(place: Path) -> Refused | None:
+    """Return the layout that a folder (or a file) is of but that cannot be read yet, or None."""
+    if place.is_file():
+        return next((one for one in REFUSED if all(place.match(files) for files in one.files)), None)
+    return next((one for one in REFUSED if all(any(place.glob(files)) for files in one.files)), None)

@@ -25,7 +25,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    recording = sens.read_sens(one_recording(folder, ".sens", options))
+    recording = sens.read_sens(one_recording(folder, ".sens"))
     camera, color_camera = _cameras(recording, folder, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
@@ -118,4 +118,5 @@ LAYOUT = Layout(
     text=".sens (ScanNet, packed)",
     matches=_matches,
     read=_read,
+    suffixes=(".sens",),
 )

@@ -20,8 +20,8 @@ from stages.errors import InputError
 from stages.formats import calibration, trajectories
 from stages.images import read_raw_depth
 from stages.layouts.files import common_size, images, pair
-from stages.layouts.in_time import associate
 from stages.layouts.layout import Layout
+from stages.layouts.moments import nearest_in_time
 from stages.layouts.stated import guessed_camera, stated_camera
 from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
@@ -97,7 +97,7 @@ def _paired_by_time(
         np.array([int(path.stem.rpartition("-")[2]) * 1000 for path in files], np.int64)
         for files in (colors, depths)
     ]
-    partners = associate(times[0], times[1], _TOLERANCE).tolist()
+    partners = nearest_in_time(times[0], times[1], _TOLERANCE).tolist()
     pairs = [(depths[at], color) for color, at in zip(colors, partners, strict=True) if at >= 0]
     alone = [
         SkippedFrame(color.stem, "no depth map within 0.05 s")

@@ -19,6 +19,7 @@ from stages.layouts import (
     record3d,
     redwood,
     replica,
+    ros_bag,
     scan_json,
     scannet,
     scannet_sens,
@@ -57,6 +58,7 @@ DISTINCT: tuple[Layout, ...] = (
     middlebury_mview.LAYOUT,
     nyu.LAYOUT,
     sun_rgbd.LAYOUT,
+    ros_bag.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.
 GENERIC: tuple[Layout, ...] = (

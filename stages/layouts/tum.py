@@ -23,8 +23,8 @@ from stages.layouts.files import (
     has,
     images,
 )
-from stages.layouts.in_time import associate
 from stages.layouts.layout import Layout
+from stages.layouts.moments import nearest_in_time
 from stages.layouts.stated import guessed_camera
 from stages.scan import Camera, Frame, Scan, SkippedFrame, scaled
 
@@ -76,7 +76,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
 
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    partners = associate(color_stream.times, depth_stream.times, _TOLERANCE)
+    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE)
     for color, time, partner in zip(colors, color_stream.times.tolist(), partners.tolist(), strict=True):
         if partner < 0:
             skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))

@@ -9,14 +9,24 @@ from numpy.typing import NDArray
 
 from stages.scan import Camera, DepthImage, Pose
 
-# Of each view, the strongest.
-_MOST = 800
+# Features are looked for in images of at most this width, and the strongest that have a depth are kept.
+WIDEST = 480
+_FOUND, _MOST = 2000, 800
+_CELLS = (8, 6)
+# Weaker corners count than by default: what is smooth or blurred has no others.
+_CONTRAST = 0.025
+# Grey values from the darkest to the brightest hundredth are stretched to all there are.
+_TAILS = 0.01
 # A match counts where the second best is this much farther.
 _DISTINCT = 0.8
 # Pixels that a point may be off where the other view sees it, and the share of its depth along it.
 _OFF_PX = 3.0
 _OFF_DEPTH = 0.05
 _TRIALS = 2000
+# Motions that may be told apart in one pair of views, the least matches that tell one, and the least share of
+# the first one's that tell another.
+_MOTIONS = 3
+_LEAST, _LEAST_SHARE = 8, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,22 +35,22 @@ class Features:
 
     Attributes
     ----------
-    pixels : (n, 2) float32, of the full depth image.
-    points : (n, 3) float32, metres, camera axes.
-    descriptors : (n, 128) float32 of unit length (RootSIFT).
-    camera : the camera of the pixels.
+    pixels : (n, 2) float32.
+    points : (n, 3) float32, metres, axes of the camera.
+    descriptors : (n, 128) uint8, SIFT's.
+    camera : of the pixels.
     """
 
     pixels: NDArray[np.float32]
     points: NDArray[np.float32]
-    descriptors: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
     camera: Camera | None
 
     @classmethod
     def none(cls) -> Features:
         """Return the features of a view without colour."""
         empty = np.zeros((0, 3), np.float32)
-        return cls(empty[:, :2], empty, np.zeros((0, 128), np.float32), None)
+        return cls(empty[:, :2], empty, np.zeros((0, 128), np.uint8), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,71 +67,138 @@ class Recognised:
     points: int
 
 
-def features_of(grey: NDArray[np.uint8], depth: DepthImage, camera: Camera) -> Features:
-    """Return the features of an image in the geometry of its depth map."""
+def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> Features:
+    """Return the features of an image whose camera stands where that of a depth map of the same view does.
+
+    Parameters
+    ----------
+    grey : of any size.
+    camera : of the grey image, without distortion.
+    depth : metres, of any size.
+    """
     import cv2
 
-    keypoints, descriptors = cv2.SIFT.create(nfeatures=_MOST).detectAndCompute(grey, None)
+    sift = cv2.SIFT.create(nfeatures=_FOUND, contrastThreshold=_CONTRAST)
+    keypoints, descriptors = sift.detectAndCompute(_stretched(grey), None)
     if len(keypoints) == 0:
         return Features.none()
     pixels = np.array([keypoint.pt for keypoint in keypoints], np.float32)
-    columns, rows = np.rint(pixels).astype(int).T
+    strength = np.array([keypoint.response for keypoint in keypoints])
+    across, down = depth.shape[1] / grey.shape[1], depth.shape[0] / grey.shape[0]
+    columns, rows = np.rint((pixels + 0.5) * (across, down) - 0.5).astype(int).T
     z = depth[rows.clip(0, depth.shape[0] - 1), columns.clip(0, depth.shape[1] - 1)]
-    there = z > 0
+    there = np.flatnonzero(z > 0)
+    there = there[_spread(pixels[there] / (grey.shape[1], grey.shape[0]), strength[there])[:_MOST]]
     pixels, z = pixels[there], z[there]
     rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     points = np.column_stack([rays * z[:, None], z]).astype(np.float32)
-    rooted = np.sqrt(descriptors[there] / descriptors[there].sum(axis=1, keepdims=True).clip(1e-9))
-    return Features(pixels, points, rooted.astype(np.float32), camera)
+    return Features(pixels, points, descriptors[there].astype(np.uint8), camera)
 
 
-def recognise(source: Features, target: Features) -> Recognised | None:
-    """Return the motion that most matches agree on, or None if too few points can be matched."""
+def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return descriptors of unit length whose distances compare better (RootSIFT, Arandjelović 2012)."""
+    sums = descriptors.sum(axis=1, keepdims=True, dtype=np.float32)
+    return np.asarray(np.sqrt(descriptors / sums.clip(1e-9)), np.float32)
+
+
+def recognise(source: Features, target: Features) -> list[Recognised]:
+    """Return the motions that matches agree on, that of most matches first.
+
+    What stands still and what moves on its own tell a motion each; none is told by too few matches.
+    """
+    if min(len(source.points), len(target.points)) < _LEAST or target.camera is None:
+        return []
+    pairs = _matches(rooted(source.descriptors), rooted(target.descriptors))
+    found: list[Recognised] = []
+    while len(found) < _MOTIONS and len(pairs) >= max(_LEAST, _LEAST_SHARE * found[0].points if found else 0):
+        points, there = source.points[pairs[:, 0]], target.points[pairs[:, 1]]
+        pixels = target.pixels[pairs[:, 1]]
+        pose = _consensus(points, pixels, target.camera)
+        if pose is None:
+            break
+        agree = _agree(pose, points, there, pixels, target.camera, 1.0)
+        if np.count_nonzero(agree) < max(_LEAST, _LEAST_SHARE * found[0].points if found else 0):
+            break
+        pose = _fitted(points[agree], there[agree], pose)
+        found.append(Recognised(pose, int(np.count_nonzero(agree))))
+        pairs = pairs[~(agree | _agree(pose, points, there, pixels, target.camera, 2.0))]
+    return found
+
+
+def _spread(places: NDArray[np.float64], strength: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the order in which cells of the image give their strongest points by turns.
+
+    One thing of much texture, which may move on its own, must not be all that is seen.
+    """
+    across, down = np.minimum((places * _CELLS).astype(int), np.array(_CELLS) - 1).T
+    cell = down * _CELLS[0] + across
+    order = np.lexsort((-strength, cell))
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    turn = np.empty(len(order), np.int64)
+    turn[order] = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
+    return np.lexsort((-strength, turn))
+
+
+def _stretched(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the image with its grey values spread, so that dark images have features too."""
     import cv2
 
-    if len(source.points) < 8 or len(target.points) < 8 or target.camera is None:
-        return None
-    pairs = _matches(source.descriptors, target.descriptors)
-    if len(pairs) < 8:
-        return None
-    points, pixels = source.points[pairs[:, 0]], target.pixels[pairs[:, 1]]
-    found, rotation, shift, inliers = cv2.solvePnPRansac(
+    shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size
+    low, high = np.searchsorted(shares, (_TAILS, 1 - _TAILS))
+    table = np.clip((np.arange(256) - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(grey, table), np.uint8)
+
+
+def _consensus(points: NDArray[np.float32], pixels: NDArray[np.float32], camera: Camera) -> Pose | None:
+    """Return the pose that brings most points to their pixels (RANSAC, perspective-n-point)."""
+    import cv2
+
+    found, rotation, shift, _ = cv2.solvePnPRansac(
         points.astype(np.float64),
         pixels.astype(np.float64),
-        target.camera.matrix,
+        camera.matrix,
         None,
         iterationsCount=_TRIALS,
         reprojectionError=_OFF_PX,
         confidence=0.999,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or inliers is None or len(inliers) < 8:
+    if not found:
         return None
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(rotation)[0], shift.ravel()
-    if not np.isfinite(pose).all():
-        return None
-    chosen = inliers.ravel()
-    moved = points[chosen] @ pose[:3, :3].T + pose[:3, 3]
-    there = target.points[pairs[chosen, 1]]
-    agree = np.abs(moved[:, 2] - there[:, 2]) <= _OFF_DEPTH * there[:, 2]
-    if np.count_nonzero(agree) < 8:
-        return None
-    return Recognised(_fitted(points[chosen][agree], there[agree], pose), int(np.count_nonzero(agree)))
+    return pose if np.isfinite(pose).all() else None
+
+
+def _agree(
+    pose: Pose,
+    points: NDArray[np.float32],
+    there: NDArray[np.float32],
+    pixels: NDArray[np.float32],
+    camera: Camera,
+    slack: float,
+) -> NDArray[np.bool_]:
+    """Say which points come to where they were matched: to the pixel, and to its depth."""
+    moved = points @ pose[:3, :3].T + pose[:3, 3]
+    z = np.where(moved[:, 2] > 0, moved[:, 2], np.inf)
+    off = moved[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy) - pixels
+    near = np.hypot(*off.T) <= slack * _OFF_PX
+    return np.asarray(near & (np.abs(moved[:, 2] - there[:, 2]) <= slack * _OFF_DEPTH * there[:, 2]), bool)
 
 
 def _matches(source: NDArray[np.float32], target: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return (m, 2) indices of descriptors that are each other's nearest, and distinctly so."""
     likeness = source @ target.T
-    nearest, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
     here = np.arange(len(source))
+    nearest = likeness.argmax(axis=1)
     best = likeness[here, nearest]
-    rest = likeness.copy()
-    rest[here, nearest] = -1
+    likeness[here, nearest] = -1
     # Descriptors have unit length: squared distances are 2 - 2 likeness.
-    distinct = 2 - 2 * best < _DISTINCT**2 * (2 - 2 * rest.max(axis=1))
-    kept = distinct & (back[nearest] == here)
-    return np.column_stack([here[kept], nearest[kept]])
+    distinct = np.flatnonzero(2 - 2 * best < _DISTINCT**2 * (2 - 2 * likeness.max(axis=1)))
+    likeness[here, nearest] = best
+    columns = nearest[distinct]
+    mutual = distinct[likeness[:, columns].max(axis=0) <= best[distinct]]
+    return np.column_stack([mutual, nearest[mutual]])
 
 
 def _fitted(source: NDArray[np.float32], target: NDArray[np.float32], near: Pose) -> Pose:

@@ -47,7 +47,8 @@ def loops(
     def close(couple: tuple[int, int]) -> Edge | None:
         source, target = couple
         points = recognise(seen[source].features, seen[target].features)
-        if points is not None and points.points >= _LOOP_POINTS:
+        points = [one for one in points if one.points >= _LOOP_POINTS]
+        if points:
             motion = by_points(view(source), view(target), points, max_depth)
         elif parts[source] == parts[target]:
             guess = inverted(poses[keys[target]]) @ poses[keys[source]]

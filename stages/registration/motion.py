@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.formats.trajectories import inverted
 from stages.registration.features import Recognised, recognise
-from stages.registration.odometry import align, information
+from stages.registration.odometry import Meeting, align, meeting
 from stages.registration.view import View
 from stages.scan import Pose
 
 # Matched points from which a motion is believed without a surface that agrees.
-SURE_POINTS = 30
+SURE_POINTS = 15
 # Below this a surface is flat, or nearly a cylinder or sphere: it slides along itself.
 FIRM = 2e-3
-# Least share of a view that must meet the other's surface; and where many points say so too.
+# Least share of a view that must meet the other's surface; and where sure points say so too.
 LEAST_FITNESS = 0.3
 _LEAST_BESIDE_POINTS = 0.1
+# How much more of the surface must meet for another motion than that of the most points.
+_FIRST = 1.05
+# How much more for the motion that surfaces tell than for that which points tell.
+_CLEARLY = 1.25
+# Where less of the surface meets, what was recognised may have moved on its own: surfaces are asked alone.
+_DOUBTFUL = 0.6
 # How far two ways to find one motion may differ: in median depths and in radians.
 _AGREED_SHIFT = 0.03
 _AGREED_TURN = 0.03
@@ -33,10 +40,10 @@ class Motion:
     ----------
     target_from_source : (4, 4) metres.
     information : (6, 6), for the pose graph.
-    fitness : share of the source's pixels that meet the target's surface, 0 to 1.
+    fitness : share of the source's surface that meets the target's, 0 to 1.
     rmse_m : their distance along the normals, root mean square.
     points : recognised points that agree with it; 0 where nothing was recognised.
-    is_split : what was recognised and the surfaces moved differently.
+    is_split : something else in view moved differently.
     """
 
     target_from_source: Pose
@@ -65,9 +72,20 @@ def motion_between(
         which is then found from both sides and has to be the same.
     """
     seen = recognise(source.features, target.features)
-    if seen is not None:
-        return by_points(source, target, seen, max_depth)
-    return by_surface(source, target, max_depth, np.eye(4) if guess is None else guess)
+    start = np.eye(4) if guess is None else guess
+    if not seen:
+        return by_surface(source, target, max_depth, start)
+    found = by_points(source, target, seen, max_depth)
+    if isinstance(found, Motion) and found.fitness >= _DOUBTFUL:
+        return found
+    other = by_surface(source, target, max_depth, start)
+    if isinstance(other, NoMotion):
+        return found
+    if isinstance(found, NoMotion):
+        return other
+    if agree(inverted(found.target_from_source) @ other.target_from_source, source.depth_m):
+        return found
+    return replace(other if other.fitness > _FIRST * found.fitness else found, is_split=True)
 
 
 def by_surface(source: View, target: View, max_depth: float, guess: Pose) -> Motion | NoMotion:
@@ -78,57 +96,56 @@ def by_surface(source: View, target: View, max_depth: float, guess: Pose) -> Mot
             "nothing holds the motion"
         )
     there = align(source, target, guess, max_depth)
-    if there is None or there.fitness < LEAST_FITNESS:
-        return NoMotion(
-            f"only {0 if there is None else there.fitness:.0%} of the surface meets the other view's"
-        )
+    meets = None if there is None else meeting(source, target, there[0])
+    if there is None or meets is None or meets.fitness < LEAST_FITNESS:
+        return _apart(meets)
     back = align(target, source, inverted(guess), max_depth)
-    if back is None or not agree(back.target_from_source @ there.target_from_source, source.depth_m):
+    if back is None or not agree(back[0] @ there[0], source.depth_m):
         return NoMotion("the surfaces fit in more than one way")
-    return _motion(source, target, there.target_from_source, there.fitness, there.rmse_m, 0)
+    return Motion(there[0], meets.information, meets.fitness, there[1], 0)
 
 
-def by_points(source: View, target: View, seen: Recognised, max_depth: float) -> Motion | NoMotion:
-    """Find the motion between two views from what was recognised in both."""
-    aligned = align(source, target, seen.target_from_source, max_depth)
-    firm = min(source.firmness, target.firmness) >= FIRM
-    least = LEAST_FITNESS if seen.points < SURE_POINTS else _LEAST_BESIDE_POINTS
-    if aligned is None or aligned.fitness < least:
+def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth: float) -> Motion | NoMotion:
+    """Find the motion between two views from what was recognised in both; `seen` is not empty.
+
+    Where points tell several motions, something in view moves on its own. The motion of what stands still is
+    that after which most of the surface meets; a surface that moves on its own would draw an alignment along.
+    """
+    if len(seen) == 1:
+        return _refined(source, target, seen[0], max_depth)
+    meets = [meeting(source, target, one.target_from_source).fitness for one in seen]
+    best = max(range(len(seen)), key=lambda i: meets[i] * (_FIRST if i == 0 else 1))
+    found = _refined(source, target, seen[best], max_depth, held=seen[best].points >= SURE_POINTS)
+    return found if isinstance(found, NoMotion) else replace(found, is_split=True)
+
+
+def _refined(
+    source: View, target: View, seen: Recognised, max_depth: float, *, held: bool = False
+) -> Motion | NoMotion:
+    """Return the motion that points tell, made better by the surfaces where these hold it."""
+    pose, rmse = seen.target_from_source, float("nan")
+    meets = meeting(source, target, pose)
+    aligned = None if held else align(source, target, pose, max_depth)
+    sure = seen.points >= SURE_POINTS
+    if aligned is not None and min(source.firmness, target.firmness) >= FIRM:
+        there = meeting(source, target, aligned[0])
+        # The points may be on something that moves on its own, and the rest of the surface tell.
+        better = sure and there.fitness > _CLEARLY * meets.fitness
+        if better or agree(inverted(pose) @ aligned[0], source.depth_m):
+            (pose, rmse), meets, sure = aligned, there, sure and not better
+        elif not sure:
+            aligned = None
+    if aligned is None and not sure:
         return NoMotion(
-            f"only {0 if aligned is None else aligned.fitness:.0%} of the surface meets the other view's"
+            f"the {seen.points} points that are recognised and the surface do not agree on the motion"
         )
-    off = inverted(seen.target_from_source) @ aligned.target_from_source
-    if firm and agree(off, source.depth_m):
-        return _motion(
-            source, target, aligned.target_from_source, aligned.fitness, aligned.rmse_m, seen.points
-        )
-    if seen.points >= SURE_POINTS:
-        # Where the surface slides along itself, the points hold it.
-        return _motion(
-            source,
-            target,
-            seen.target_from_source,
-            aligned.fitness,
-            aligned.rmse_m,
-            seen.points,
-            is_split=firm,
-        )
-    return NoMotion(
-        f"the {seen.points} points that are recognised and the surface do not agree on the motion"
-    )
+    if meets.fitness < (_LEAST_BESIDE_POINTS if sure else LEAST_FITNESS):
+        return _apart(meets)
+    return Motion(pose, meets.information, meets.fitness, rmse, seen.points)
 
 
-def _motion(
-    source: View,
-    target: View,
-    pose: Pose,
-    fitness: float,
-    rmse: float,
-    points: int,
-    *,
-    is_split: bool = False,
-) -> Motion:
-    return Motion(pose, information(source, target, pose), fitness, rmse, points, is_split)
+def _apart(meets: Meeting | None) -> NoMotion:
+    return NoMotion(f"only {0 if meets is None else meets.fitness:.0%} of the surface meets the other view's")
 
 
 def agree(difference: Pose, depth: float) -> bool:

@@ -15,26 +15,24 @@ from stages.registration.view import View
 from stages.scan import Pose
 
 # Iterations from the coarsest of three resolutions to the finest.
-_ITERATIONS = (12, 8, 8)
+_ITERATIONS = (6, 4, 4)
 # Surfaces are compared where they are within this share of the median depth, at least this many metres.
 _REACH_SHARE = 0.015
 _LEAST_REACH_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
-    """How a view fits another.
+class Meeting:
+    """How the surfaces of two views meet after a motion.
 
     Attributes
     ----------
-    target_from_source : (4, 4) metres.
-    fitness : share of the source's pixels that meet the target's surface within the reach.
-    rmse_m : their distance along the target's normals, root mean square.
+    fitness : share of the source's surface that meets the target's within the reach, 0 to 1.
+    information : (6, 6), of the points that meet, for the pose graph.
     """
 
-    target_from_source: Pose
     fitness: float
-    rmse_m: float
+    information: NDArray[np.float64]
 
 
 @contextmanager
@@ -48,8 +46,19 @@ def one_thread_each() -> Iterator[None]:
         utility.set_max_threads(0)
 
 
-def align(source: View, target: View, start: Pose, max_depth: float) -> Aligned | None:
-    """Return the motion that brings a view's surface onto another's, from a first guess, if one is found."""
+def align(source: View, target: View, start: Pose, max_depth: float) -> tuple[Pose, float] | None:
+    """Return the motion (target_from_source) that brings a view's surface onto another's, and how well.
+
+    Parameters
+    ----------
+    start : (4, 4) first guess.
+
+    Returns
+    -------
+    pose : (4, 4).
+    rmse : distance along the target's normals, metres, root mean square of what meets.
+    None, if no motion is found from this guess.
+    """
     o3d = open3d()
     odometry = o3d.t.pipelines.odometry
     reach = _reach(source, target)
@@ -70,14 +79,12 @@ def align(source: View, target: View, start: Pose, max_depth: float) -> Aligned 
         # Open3D raises where no pixel meets the other surface, or the system cannot be solved.
         return None
     pose = found.transformation.numpy().astype(np.float64)
-    if not np.isfinite(pose).all():
-        return None
     # What Open3D calls the RMSE of odometry is its square.
-    return Aligned(_orthonormal(pose), float(found.fitness), float(np.sqrt(found.inlier_rmse)))
+    return (_orthonormal(pose), float(np.sqrt(found.inlier_rmse))) if np.isfinite(pose).all() else None
 
 
-def information(source: View, target: View, motion: Pose) -> NDArray[np.float64]:
-    """Return the (6, 6) information matrix of a motion, from the points that both views show."""
+def meeting(source: View, target: View, motion: Pose) -> Meeting:
+    """Return how far the surfaces of two views meet after a motion (target_from_source)."""
     o3d = open3d()
     found = o3d.t.pipelines.odometry.compute_odometry_information_matrix(
         source.image.depth,
@@ -88,7 +95,9 @@ def information(source: View, target: View, motion: Pose) -> NDArray[np.float64]
         1.0,
         1e3,
     )
-    return np.asarray(found.numpy(), np.float64)
+    information = np.asarray(found.numpy(), np.float64)
+    # Each point that meets adds an identity to the block of the shift.
+    return Meeting(float(information[3, 3]) / max(source.pixels, 1), information)
 
 
 def _reach(source: View, target: View) -> float:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
-from stages.images import read_depth
-from stages.registration.features import Features, features_of
-from stages.scan import Camera, DepthImage, Frame, scaled
+from stages.images import read_color, read_depth
+from stages.registration.features import WIDEST, Features, features_of
+from stages.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
 # Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
 _WIDEST = 400
@@ -34,6 +34,7 @@ class View:
     firmness : how well the surface alone holds a view in place, 0 to 1/3: the least eigenvalue of the mean
         of squared motions along the normals, for unit motions of the camera (lengths in median depths).
     depth_m : the median depth.
+    pixels : of the image, that have a depth.
     mean_color : mean of the grey image, 0 to 255; NaN without colour.
     """
 
@@ -43,6 +44,7 @@ class View:
     features: Features
     firmness: float
     depth_m: float
+    pixels: int
     mean_color: float
 
 
@@ -66,8 +68,9 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
     grey = None
     features = Features.none() if known is None else known
     if frame.color is not None and known is None:
-        grey = np.asarray(cv2.cvtColor(read_matching_color(frame, depth), cv2.COLOR_RGB2GRAY), np.uint8)
-        features = features_of(grey, depth, _pinhole(frame.camera))
+        color, camera = _color(frame, depth)
+        grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+        features = features_of(grey, camera, depth)
     step = max(-(-frame.camera.width // _WIDEST), 1)
     small = _smaller(depth, step)
     camera = scaled(_pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
@@ -78,8 +81,23 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
         features=features,
         firmness=_firmness(small, camera),
         depth_m=float(np.median(valid)),
+        pixels=int(np.count_nonzero(small)),
         mean_color=float("nan") if grey is None else float(grey.mean()),
     )
+
+
+def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
+    """Return the colour image in a size that is enough, and its camera; it stands where the depth's does."""
+    import cv2
+
+    color = read_matching_color(frame, depth) if frame.color_camera is not None else read_color(frame)
+    if color is None:
+        raise InputError("there is no colour image.", f"frame {frame.name}")
+    width = min(color.shape[1], WIDEST)
+    size = (width, max(round(color.shape[0] * width / color.shape[1]), 1))
+    if size != (color.shape[1], color.shape[0]):
+        color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return color, scaled(_pinhole(frame.camera), *size)
 
 
 def _pinhole(camera: Camera) -> Camera:

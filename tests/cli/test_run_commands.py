@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import recordings
 
 from pipeline.config import Config
 from stages.params import described
@@ -71,6 +72,34 @@ def test_inspect_says_what_was_found(scanloom: Run, tiny_scan: Path) -> None:
     text = scanloom("inspect", tiny_scan).stdout
     assert "plain-rgbd" in text
     assert scanloom("inspect", tiny_scan, "--json").json["frames"] == 6
+
+
+def test_a_recording_goes_the_whole_way(scanloom: Run, tmp_path: Path) -> None:
+    rows, columns = np.mgrid[:48, :64]
+    depth = (900 + 40 * np.sin(columns / 9) + 30 * np.cos(rows / 7)).astype(np.uint16)
+    gray = (128 + 60 * np.sin(columns / 3) * np.cos(rows / 4)).astype(np.uint8)
+    start = 1_700_000_000_000_000_000
+    depths, colors = (
+        [recordings.Image(start + n * 33_000_000, image, encoding) for n in range(3)]
+        for image, encoding in ((depth, "mono16"), (gray, "mono8"))
+    )
+    streams = [
+        recordings.Stream(name, images, (60, 60, 31.5, 23.5), (64, 48))
+        for name, images in ((recordings.DEPTH, depths), (recordings.COLOR, colors))
+    ]
+    file = recordings.Recording(streams, units=(0.001,)).write(tmp_path / "take.bag")
+    assert scanloom("inspect", file, "--json").json["frames"] == 3
+    missing = scanloom("fuse", file, tmp_path / "fused.ply")
+    assert missing.exit_code == 3
+    assert "take.bag: no poses" in missing.stderr
+    (tmp_path / "still.tum").write_text(
+        "".join(f"{(start + n * 33_000_000) / 1e9:.9f} 0 0 {n / 1000} 0 0 0 1\n" for n in range(3))
+    )
+    words = ("run", file, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--until", "fuse")
+    ran = scanloom(*words, "--set", f"scan.poses={tmp_path / 'still.tum'}", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["scan"]["frames"] == 3
+    assert ran.json["stages"]["fuse"]["figures"]["triangles"] > 1000
 
 
 def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:

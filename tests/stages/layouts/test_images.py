@@ -57,6 +57,16 @@ def test_an_image_cut_short_is_told(tmp_path, suffix):
         read_color(frame(color=path))
 
 
+def test_a_part_of_a_png_that_claims_gigabytes_is_refused_before_decoding(tmp_path):
+    path = tmp_path / "a.png"
+    cv2.imwrite(str(path), np.zeros((24, 32, 3), np.uint8))
+    data = path.read_bytes()
+    at = data.index(b"IDAT")
+    path.write_bytes(data[: at - 4] + b"\xff\xff\x7f\xbf" + data[at:])
+    with pytest.raises(InputError, match=r"a\.png: the image is cut short"):
+        read_color(frame(color=path))
+
+
 @pytest.mark.parametrize("size", [(60_000, 60_000), (0, 10), (2**31, 2**31)])
 def test_a_header_that_promises_a_giant_is_refused_before_decoding(tmp_path, size):
     png_of_size(tmp_path / "a.png", *size)

@@ -47,6 +47,8 @@ def touch(folder, *names):
         (["keyframes/cameras"], "polycam"),
         (["metadata.json", "rgb", "depth"], "record3d"),
         (["take.r3d"], "record3d"),
+        (["take.bag"], "ros-bag"),
+        (["take.db3", "metadata.yaml"], "ros-bag"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),
         (["templeR0001.png", "templeR_par.txt"], "middlebury-mview"),
         (["d-10.00-100.pgm", "r-10.03-101.ppm", "INDEX.txt"], "nyu"),
@@ -77,6 +79,8 @@ def test_signatures(tmp_path, names, layout):
     ("names", "name"),
     [
         (["take.svo2"], "ZED"),
+        (["take.mkv"], "Azure Kinect"),
+        (["take.mcap"], "ROS 2"),
     ],
 )
 def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, name):
@@ -85,6 +89,8 @@ def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, name):
         InputError, match=f"{re.escape(tmp_path.name)}: this looks like .*{name}.*cannot be read yet"
     ):
         read_scan(tmp_path)
+    with pytest.raises(InputError, match=f"{re.escape(names[0])}: this looks like .*{name}"):
+        read_scan(tmp_path / names[0])
 
 
 def test_an_empty_folder(tmp_path):

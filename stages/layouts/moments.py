@@ -1,4 +1,4 @@
-"""Pair two streams that have clocks of their own."""
+"""Pair two streams of images that have clocks instead of numbers."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def associate(first: NDArray[np.int64], second: NDArray[np.int64], tolerance: int) -> NDArray[np.int64]:
-    """Return for each moment of one stream the other's nearest, each used once.
+def nearest_in_time(first: NDArray[np.int64], second: NDArray[np.int64], tolerance: int) -> NDArray[np.int64]:
+    """Return for each moment of the first stream the nearest of the second, each used once; -1 for none.
 
-    The closest couples are made first, so that no frame takes a partner that suits another better.
+    The closest couples are made first, so that no image takes a partner that suits another better.
 
     Parameters
     ----------
     first, second : (n,) and (m,) int64 nanoseconds, in any order.
-    tolerance : nanoseconds; moments farther apart are no couple.
-
-    Returns
-    -------
-    (n,) int64
-        Positions in `second`; -1 where none is near enough.
+    tolerance : nanoseconds; what is farther apart is no couple.
     """
     order = np.argsort(second, kind="stable")
     starts = np.searchsorted(second[order], first - tolerance, side="left")

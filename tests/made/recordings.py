@@ -1,0 +1,253 @@
+"""Write RealSense recordings with another program's bag writer: topics and messages as the maker's."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+_TYPES = get_typestore(Stores.ROS1_NOETIC)
+_TYPES.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+_ROS_2 = get_typestore(Stores.ROS2_HUMBLE)
+DEPTH, COLOR = "/device_0/sensor_0/Depth_0", "/device_0/sensor_1/Color_0"
+INFRARED = "/device_0/sensor_0/Infrared_{}"
+
+
+def made(kind: str, **fields: Any) -> Any:
+    return _TYPES.types[f"{kind.replace('/', '/msg/')}"](**fields)
+
+
+def text(said: str) -> tuple[str, dict[str, Any]]:
+    """Type and fields of a ROS 2 text."""
+    return "std_msgs/msg/String", {"data": said}
+
+
+def serialised(kind: str, **fields: Any) -> bytes:
+    return bytes(_TYPES.serialize_ros1(made(kind, **fields), kind.replace("/", "/msg/")))
+
+
+def stamped(time: int, frame: str = "1") -> Any:
+    """A header; RealSense's recorder puts its version where other bags have the frame's name."""
+    stamp = made("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
+    return made("std_msgs/Header", seq=7, stamp=stamp, frame_id=frame)
+
+
+def transform(translation: Sequence[float], turn: Sequence[float]) -> dict[str, Any]:
+    return {
+        "translation": made("geometry_msgs/Vector3", **dict(zip("xyz", translation, strict=True))),
+        "rotation": made("geometry_msgs/Quaternion", **dict(zip("xyzw", turn, strict=True))),
+    }
+
+
+@dataclass
+class Image:
+    """An image at a moment; `recorded` is when the recorder wrote it, `unit` what it adds behind it."""
+
+    time: int
+    pixels: np.ndarray
+    encoding: str
+    recorded: int | None = None
+    unit: float | None = 0.0
+    padding: int = 0
+    big_endian: bool = False
+    frame: str = "1"
+    compressed: tuple[str, bytes] | None = None
+
+    @property
+    def kind(self) -> str:
+        return "sensor_msgs/Image" if self.compressed is None else "sensor_msgs/CompressedImage"
+
+    def message(self) -> bytes:
+        header = stamped(self.time, self.frame)
+        if self.compressed is not None:
+            form, data = self.compressed
+            return serialised(self.kind, header=header, format=form, data=np.frombuffer(data, np.uint8))
+        stored = self.pixels.astype(self.pixels.dtype.newbyteorder(">" if self.big_endian else "<"))
+        height, width = stored.shape[:2]
+        rows = np.frombuffer(stored.tobytes(), np.uint8).reshape(height, -1)
+        rows = np.pad(rows, ((0, 0), (0, self.padding)), constant_values=99)
+        data = serialised(
+            self.kind,
+            header=header,
+            height=height,
+            width=width,
+            encoding=self.encoding,
+            is_bigendian=int(self.big_endian),
+            step=rows.shape[1],
+            data=rows.ravel(),
+        )
+        return data if self.unit is None else data + struct.pack("<f", self.unit)
+
+    def row(self, topic: str, recorded: int, form: str) -> tuple[str, str, dict[str, Any]]:
+        """Topic, message type and fields in a newer recording."""
+        stamp = _ROS_2.types["builtin_interfaces/msg/Time"](sec=recorded // 10**9, nanosec=recorded % 10**9)
+        fields: dict[str, Any] = {
+            "header": _ROS_2.types["std_msgs/msg/Header"](stamp=stamp, frame_id="Depth")
+        }
+        height, width = self.pixels.shape[:2]
+        if form != "png":
+            fields |= {"height": height, "width": width, "encoding": self.encoding, "is_bigendian": 0}
+            fields |= {"step": self.pixels.strides[0], "data": np.frombuffer(self.pixels.tobytes(), np.uint8)}
+            return topic, "sensor_msgs/msg/Image", fields
+        is_depth = self.pixels.ndim == 2
+        shown = self.pixels if is_depth else self.pixels[:, :, ::-1]
+        data = bytes(12 * is_depth) + cv2.imencode(".png", shown)[1].tobytes()
+        form = "16UC1; compressedDepth png" if is_depth else "rgb8; png compressed bgr8"
+        fields |= {"format": form, "data": np.frombuffer(data, np.uint8)}
+        kind = "compressedDepth" if is_depth else "compressed"
+        return f"{topic}/{kind}", "sensor_msgs/msg/CompressedImage", fields
+
+
+@dataclass
+class Stream:
+    """A stream and what the recording says of it; None for what it does not say."""
+
+    name: str
+    images: Sequence[Image]
+    intrinsics: tuple[float, float, float, float] | None
+    size: tuple[int, int]
+    from_reference: tuple[Sequence[float], Sequence[float]] | None = ((0, 0, 0), (0, 0, 0, 1))
+    model: str = "Brown Conrady"
+    distortion: Sequence[float] = (0, 0, 0, 0, 0)
+    projection: Sequence[float] = (0,) * 12
+    topic: str = "/image/data"
+    info: str = "/info/camera_info"
+
+
+@dataclass
+class Recording:
+    """Streams, and the depth units that the sensor's option had."""
+
+    streams: Sequence[Stream]
+    units: Sequence[float] = (0.0001,)
+    compression: str = "lz4"
+    chunk_bytes: int = 2500
+    started: int = 0
+    others: dict[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
+
+    def write(self, path: Path) -> Path:
+        path.unlink(missing_ok=True)
+        writer = Writer(path)
+        writer.chunk_threshold = self.chunk_bytes
+        if self.compression != "none":
+            writer.set_compression(Writer.CompressionFormat[self.compression.upper()])
+        with writer:
+            for topic, (kind, fields) in self.others.items():
+                self._write(writer, topic, kind, [(1, serialised(kind, **fields))])
+            for stream in self.streams:
+                self._describe(writer, stream)
+            value = "/device_0/sensor_0/option/Depth_Units/value"
+            units = [(n + 1, serialised("std_msgs/Float32", data=unit)) for n, unit in enumerate(self.units)]
+            if units:
+                self._write(writer, value, "std_msgs/Float32", units)
+            self._write_images(writer)
+        return path
+
+    def write_db3(self, path: Path, form: str = "raw") -> Path:
+        """Write as the maker's newer library; `form` of images is raw, png, or zstd, which packs all."""
+        path.unlink(missing_ok=True)
+        database = sqlite3.connect(path)
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        for time, name, kind, fields in self._rows(form):
+            known = database.execute("SELECT id FROM topics WHERE name = ?", (name,)).fetchone()
+            if known is None:
+                added = database.execute("INSERT INTO topics(name, type) VALUES (?, ?)", (name, kind))
+                known = (added.lastrowid,)
+            data = bytes(_ROS_2.serialize_cdr(_ROS_2.types[kind](**fields), kind))
+            if form == "zstd":
+                data = zstd.compress(data)
+            database.execute(
+                "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", (*known, time, data)
+            )
+        database.commit()
+        database.close()
+        return path
+
+    def _rows(self, form: str) -> Iterator[tuple[int, str, str, dict[str, Any]]]:
+        """Yield when, topic, message type and fields."""
+        for unit in self.units:
+            yield 0, "/device_0/sensor_0/option/Depth_Units/value", *text(f"{unit:.6f}")
+        for stream in self.streams:
+            width, height = stream.size
+            if stream.intrinsics is not None:
+                fx, fy, cx, cy = stream.intrinsics
+                lens = f"model={stream.model};coeffs={','.join(map(str, stream.distortion))}"
+                said = f"width={width};height={height};fx={fx};ppx={cx};fy={fy};ppy={cy};{lens}"
+                yield 0, f"{stream.name}/camera_info", *text(said)
+            if stream.from_reference is not None:
+                shift, turn = stream.from_reference
+                columns = ",".join(f"{value:.6f}" for value in Rotation.from_quat(turn).as_matrix().T.ravel())
+                said = f"rotation={columns};translation={','.join(map(str, shift))}"
+                yield 0, f"{stream.name}/tf/ref_1", *text(said)
+            for image in stream.images:
+                recorded = (image.time if image.recorded is None else image.recorded) - self.started
+                said = f"Frame number=1;timestamp_domain=Global Time;timestamp={image.time / 1e6:.6f};"
+                yield recorded, f"{stream.name}/image/metadata", *text(said)
+                yield recorded, *image.row(f"{stream.name}/image/data", recorded, form)
+
+    def _describe(self, writer: Writer, stream: Stream) -> None:
+        if stream.intrinsics is not None:
+            fx, fy, cx, cy = stream.intrinsics
+            info = serialised(
+                "sensor_msgs/CameraInfo",
+                header=stamped(0),
+                height=stream.size[1],
+                width=stream.size[0],
+                distortion_model=stream.model,
+                D=np.array(stream.distortion, np.float64),
+                K=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+                R=np.eye(3).ravel(),
+                P=np.array(stream.projection, np.float64),
+                binning_x=0,
+                binning_y=0,
+                roi=made(
+                    "sensor_msgs/RegionOfInterest",
+                    x_offset=0,
+                    y_offset=0,
+                    height=0,
+                    width=0,
+                    do_rectify=False,
+                ),
+            )
+            self._write(writer, stream.name + stream.info, "sensor_msgs/CameraInfo", [(1, info)])
+        if stream.from_reference is not None:
+            placed = serialised("geometry_msgs/Transform", **transform(*stream.from_reference))
+            self._write(writer, f"{stream.name}/tf/1", "geometry_msgs/Transform", [(1, placed)])
+
+    def _write_images(self, writer: Writer) -> None:
+        """Write the images of all streams in the order in which they were recorded."""
+        images = [
+            (one.time if one.recorded is None else one.recorded, s, one)
+            for s in self.streams
+            for one in s.images
+        ]
+        written: dict[str, Any] = {}
+        for time, stream, image in sorted(images, key=lambda entry: entry[0]):
+            topic = stream.name + stream.topic
+            if topic not in written:
+                kind = image.kind.replace("/", "/msg/")
+                written[topic] = writer.add_connection(topic, kind, typestore=_TYPES)
+            writer.write(written[topic], time, image.message())
+
+    def _write(self, writer: Writer, topic: str, kind: str, messages: Sequence[tuple[int, bytes]]) -> None:
+        connection = writer.add_connection(topic, kind.replace("/", "/msg/"), typestore=_TYPES)
+        for time, data in messages:
+            writer.write(connection, time, data)
