@@ -120,7 +120,7 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
     elif path.suffix.lower() == ".exr":
         raw = read_exr(path)
     else:
-        raw = _decode(path)
+        raw = read_stored(path)
     return require_raw_depth(raw, path)
 
 
@@ -157,7 +157,7 @@ def image_size(path: Path) -> tuple[int, int]:
         raise InputError(f"the image cannot be opened ({error}).", path) from error
     if size is not None:
         return size
-    height, width = _decode(path).shape[:2]
+    height, width = read_stored(path).shape[:2]
     return width, height
 
 
@@ -224,6 +224,10 @@ def _undistortion(camera: Camera, width: int, height: int) -> tuple[NDArray[Any]
 
     matrix = scaled(camera, width, height).matrix
     distortion = np.array(camera.distortion)
+    if camera.fisheye:
+        return cv2.fisheye.initUndistortRectifyMap(
+            matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1
+        )
     return cv2.initUndistortRectifyMap(matrix, distortion, np.eye(3), matrix, (width, height), cv2.CV_32FC1)
 
 
@@ -258,7 +262,7 @@ def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDAr
     import cv2
 
     if isinstance(source, Path):
-        image = _decode(source)
+        image = read_stored(source)
     else:
         image = source.load() if isinstance(source, Packed) else source
     if image.ndim != 2 or image.dtype != np.uint8:
@@ -270,7 +274,14 @@ def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDAr
     return cast("NDArray[np.uint8]", cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))
 
 
-def _decode(path: Path) -> NDArray[Any]:
+def read_stored(path: Path) -> NDArray[Any]:
+    """Return an image as it is stored, (h, w) or (h, w, channels), channels in OpenCV's order, blue first.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or does not decode.
+    """
     return _decoded(_file_bytes(path), path)
 
 

@@ -17,13 +17,17 @@ from stages import sanity
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
 from stages.images import image_size, read_color, read_depth, read_raw_depth, read_right
+from stages.outlook import Outlook, outlook
 from stages.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
+from stages.sharpness import least_sharp
 
 _SAMPLED = 8
 # A person walking with a camera does not move faster between two frames.
 _LARGEST_STEP_M = 0.5
 _LARGEST_TURN_DEG = 30.0
 _PLAUSIBLE_M = (0.1, 20.0)
+# A frame so much less sharp than the usual one shows hardly any of its edges.
+_BLURRED = 0.25
 # Units a metre of the layouts in use, for a hint when the depth cannot be right.
 _SCALES = {1000.0: "millimetres", 5000.0: "TUM RGB-D", 6553.5: "Replica", 256.0: "KITTI depth", 1.0: "metres"}
 
@@ -66,6 +70,9 @@ class Inspection:
     stereo_depth_m : for calibrated pairs: the depth at the largest stated disparity (or None) and at one
         pixel.
     pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
+    least_sharp : the least sharp twentieth of the frames with colour, the worst first, each with the variance
+        of its image's Laplacian over the median frame's; of long scans, of a sample.
+    outlook : what fusing takes, of RGB-D scans with poses.
     warnings : all that is odd, the reader's own first.
     """
 
@@ -75,6 +82,8 @@ class Inspection:
     depth: DepthRange | None
     stereo_depth_m: tuple[float | None, float] | None
     pose_errors_m: dict[str, float]
+    least_sharp: tuple[tuple[str, float], ...]
+    outlook: Outlook | None
     warnings: tuple[str, ...]
 
     def figures(self) -> dict[str, Any]:
@@ -103,6 +112,8 @@ class Inspection:
             "stereo_depth_m": self.stereo_depth_m
             and {"largest_disparity": self.stereo_depth_m[0], "one_pixel": self.stereo_depth_m[1]},
             "pose_errors_m": self.pose_errors_m,
+            "least_sharp": [{"frame": name, "of_median": value} for name, value in self.least_sharp],
+            "outlook": self.outlook and dataclasses.asdict(self.outlook),
             "missing": list(scan.missing),
             "warnings": list(self.warnings),
         }
@@ -144,7 +155,17 @@ class Inspection:
             lines.append(
                 f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
             )
-        lines += [f"missing   {text}" for text in scan.missing]
+        if self.least_sharp:
+            words = ", ".join(f"{name} ({value:.0%})" for name, value in self.least_sharp[:5])
+            lines.append(f"sharpness least in {words} of the median frame's")
+        if self.outlook is not None:
+            needs = self.outlook
+            lines.append(
+                f"fusion    about {needs.triangles:,} triangles at voxels of {needs.voxel_size_m:g} m; "
+                f"{needs.volume_mb:.0f} MB of memory, {needs.disk_mb:.0f} MB on disk"
+            )
+        found = "" if scan.is_views else "; without, `scanloom run` finds them"
+        lines += [f"missing   {text}{found if text.startswith('poses:') else ''}" for text in scan.missing]
         lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
         if len(scan.skipped) > 5:
             lines.append(f"left out  and {len(scan.skipped) - 5} more")
@@ -183,6 +204,7 @@ def inspect(scan: Scan) -> Inspection:
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs)
+    sharpness, about_sharpness = _least_sharp(scan)
     return Inspection(
         scan=scan,
         color_size=_color_size(samples),
@@ -190,7 +212,9 @@ def inspect(scan: Scan) -> Inspection:
         depth=depth,
         stereo_depth_m=stereo_depth,
         pose_errors_m=errors,
-        warnings=(*scan.warnings, *warnings),
+        least_sharp=sharpness,
+        outlook=_outlook(scan) if depth is not None and path is not None else None,
+        warnings=(*scan.warnings, *warnings, *about_sharpness),
     )
 
 
@@ -225,6 +249,26 @@ def _matching(sample: _Sample) -> ColorImage | None:
     if sample.color is None or sample.depth is None or sample.frame.color_camera is None:
         return sample.color
     return read_matching_color(sample.frame, sample.depth)
+
+
+def _least_sharp(scan: Scan) -> tuple[tuple[tuple[str, float], ...], list[str]]:
+    worst, measured = least_sharp(scan.frames)
+    named = tuple((frame.name, value) for frame, value in worst)
+    blurred = [name for name, value in named if value < _BLURRED]
+    if not blurred:
+        return named, []
+    shown = ", ".join(blurred[:3]) + (" …" if len(blurred) > 3 else "")
+    return named, [
+        f"blurred, or with next to nothing to see: {shown} "
+        f"({len(blurred)} of the {measured} frames looked at)"
+    ]
+
+
+def _outlook(scan: Scan) -> Outlook | None:
+    try:
+        return outlook(scan.frames, scan.folder)
+    except InputError:
+        return None
 
 
 def _path(frames: Sequence[Frame]) -> tuple[Path3D | None, list[str]]:
@@ -333,7 +377,8 @@ def _stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
 def _camera_words(camera: Camera) -> str:
     if not camera.is_calibrated:
         return f"{camera.width}×{camera.height} px"
-    bent = f", distortion {' '.join(f'{k:g}' for k in camera.distortion)}" if camera.distortion else ""
+    kind = "fisheye " if camera.fisheye else ""
+    bent = f", {kind}distortion {' '.join(f'{k:g}' for k in camera.distortion)}" if camera.distortion else ""
     return (
         f"{camera.width}×{camera.height} px, focal length {camera.fx:.2f} {camera.fy:.2f} px, "
         f"centre {camera.cx:.2f} {camera.cy:.2f} px{bent}"

@@ -23,13 +23,15 @@ MAX_PIXELS = 1 << 27
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with OpenCV's distortion.
+    """A pinhole camera with OpenCV's distortion, or a fisheye camera.
 
     Attributes
     ----------
     width, height : pixels.
     fx, fy, cx, cy : pixels, for exactly this image size; NaN where the scan has no calibration.
     distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
+    fisheye : the lens maps equal angles to equal lengths, and `distortion` is k1 k2 k3 k4 of OpenCV's fisheye
+        model (Kannala and Brandt's, Kalibr's equidistant).
     """
 
     width: int
@@ -39,6 +41,7 @@ class Camera:
     cx: float
     cy: float
     distortion: tuple[float, ...] = ()
+    fisheye: bool = False
 
     @property
     def is_calibrated(self) -> bool:
@@ -62,6 +65,7 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
         (camera.cx + 0.5) * sx - 0.5,
         (camera.cy + 0.5) * sy - 0.5,
         camera.distortion,
+        camera.fisheye,
     )
 
 
@@ -120,7 +124,7 @@ class Frame:
     name : how messages call the frame: its file's stem, or its number.
     camera : of the depth map, or of the left image.
     color : file or (h, w, 3) uint8 RGB; the left image of a pair.
-    right : file or array, for stereo.
+    right : as `color`, for stereo.
     depth : file, or (h, w) float32 metres along the optical axis, 0 where missing.
     depth_scale : what one metre is in the depth file's units (1000 for millimetres).
     depth_missing : raw values that mark a missing depth, beside 0.
@@ -138,7 +142,7 @@ class Frame:
     name: str
     camera: Camera
     color: Path | Packed | ColorImage | None = None
-    right: Path | ColorImage | None = None
+    right: Path | Packed | ColorImage | None = None
     depth: Path | Packed | DepthImage | None = None
     depth_scale: float = 1000.0
     depth_missing: tuple[int, ...] = ()

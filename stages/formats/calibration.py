@@ -6,6 +6,7 @@ One camera or a rig, whatever the names its writer used; every number is checked
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,11 @@ from stages.scan import Camera, Pose, StereoRig
 
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
 _MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
+_PROJECTIONS = ("projection_matrix", "P", "p")
 _DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
+# What files call OpenCV's fisheye model, and the models of its ordinary one.
+_FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
+_PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
@@ -58,7 +63,8 @@ def read_rig(
 
     Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
     `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T` (or `M1 …`), or `P1 P2` for rectified images;
-    Kalibr's `cam0` and `cam1`. Lengths are metres unless `unit` says `mm`, `cm` or `m`.
+    Kalibr's `cam0` and `cam1`; ROS's camera_info under `left` and `right`. Lengths are metres unless `unit`
+    says `mm`, `cm` or `m`.
 
     Parameters
     ----------
@@ -72,8 +78,11 @@ def read_rig(
         If the file does not parse, something is missing, or a number cannot be right.
     """
     values = documents.read_document(path) if document is None else document
+    infos = _camera_infos(values)
     if "cam0" in values and "cam1" in values:
         left, right, right_from_left = _kalibr(values, width, height, path)
+    elif infos is not None:
+        left, right, right_from_left = _ros(*infos, width, height, path)
     elif "left" in values and "right" in values:
         left, right = (
             camera_from_table(_table(values, side, path), width, height, path) for side in ("left", "right")
@@ -96,6 +105,11 @@ def read_rig(
         right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
     else:
         right_from_left, warnings = with_baseline(right_from_left, baseline), []
+    if infos is not None:
+        warnings.append(
+            "the images are taken as they left the cameras, as ROS's image_raw; for image_rect give a file "
+            "with P1 and P2 alone"
+        )
     rectified = values.get("rectified", _looks_rectified(left, right, right_from_left))
     if not isinstance(rectified, (bool, int)):
         raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
@@ -157,15 +171,24 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
             path,
         )
     bent = next(
-        (values[key] for key in ("distortion", "distortion_coefficients", "D", "dist") if key in values), None
+        (values[key] for key in ("distortion", "distortion_coefficients", "D", "d", "dist") if key in values),
+        None,
     )
-    distortion = _coefficients(bent, path)
+    fisheye = is_fisheye(values.get("distortion_model"), path)
+    distortion = _coefficients(bent, path, fisheye=fisheye)
+    camera = _without_model(values, distortion, width, height, path)
+    return replace(camera, fisheye=fisheye)
+
+
+def _without_model(
+    values: dict[str, Any], distortion: tuple[float, ...], width: int, height: int, path: Path
+) -> Camera:
     if "intrinsic_matrix" in values:
         # Open3D stores it column by column.
         matrix = _array(values, "intrinsic_matrix", path)
         matrix = matrix.T if matrix[2, 0] or matrix[2, 1] else matrix
         return matrix_camera(matrix, distortion, width, height, path)
-    for key in ("matrix", "camera_matrix", "K"):
+    for key in ("matrix", "camera_matrix", "K", "k"):
         if key in values:
             return matrix_camera(_array(values, key, path), distortion, width, height, path)
     if missing := [key for key in ("fx", "fy", "cx", "cy") if key not in values]:
@@ -181,20 +204,76 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
     cameras = []
     for side in ("cam0", "cam1"):
         table = _table(values, side, path)
-        model = table.get("distortion_model", "radtan")
-        if table.get("camera_model", "pinhole") != "pinhole" or model not in ("radtan", "none"):
+        if table.get("camera_model", "pinhole") != "pinhole":
             raise InputError(
-                f"{side} is not a pinhole camera with radtan distortion, which is what is supported.", path
+                f"{side} is of camera_model {table['camera_model']}; pinhole is supported.", path
             )
+        fisheye = is_fisheye(table.get("distortion_model"), path)
         if table.get("resolution", [width, height]) != [width, height]:
             raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
         row = number_row(table.get("intrinsics"), "intrinsics", path)
         if len(row) != 4:
             raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
-        bent = _coefficients(table.get("distortion_coeffs"), path)
-        cameras.append(checked(Camera(width, height, *row, distortion=bent), path))
-    matrix = trajectories.matrix_of(_table(values, "cam1", path).get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+        bent = _coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
+        cameras.append(checked(Camera(width, height, *row, distortion=bent, fisheye=fisheye), path))
+    if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
+        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        return cameras[0], cameras[1], right @ trajectories.inverted(left)
+    matrix = trajectories.matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
     return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+
+
+def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return the tables of two cameras as ROS states them, each with its projection, or None."""
+    sides = values.get("left"), values.get("right")
+    if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
+        return None
+    return sides[0], sides[1]  # type: ignore[return-value]
+
+
+def _ros(
+    left: dict[str, Any], right: dict[str, Any], width: int, height: int, path: Path
+) -> tuple[Camera, Camera, Pose]:
+    """Read two of ROS's camera_info: R turns a camera to be rectified, P[0,3] / P[0,0] is minus the baseline.
+
+    A point x of the left camera is R_right^T (R_left x + t) in the right one.
+    """
+    cameras = [camera_from_table(side, width, height, path) for side in (left, right)]
+    turns = [_rectification(side, path) for side in (left, right)]
+    key = _first_key(right, _PROJECTIONS)
+    projection = _array(right, key or "", path)
+    if projection.shape != (3, 4) or projection[0, 0] == 0:
+        raise InputError(f"{key} of the right camera is not a 3x4 projection.", path)
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = turns[1].T @ turns[0]
+    right_from_left[:3, 3] = turns[1].T @ (projection[0, 3] / projection[0, 0], 0, 0)
+    return cameras[0], cameras[1], _finite_pose(right_from_left, "R and P", path)
+
+
+def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
+    key = _first_key(table, ("rectification_matrix", "R", "r"))
+    turn = np.eye(3) if key is None else _array(table, key, path)
+    if turn.shape != (3, 3):
+        raise InputError(f"{key} must be 3x3.", path)
+    return turn
+
+
+def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in table), None)
+
+
+def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
+    """Return T_cam_imu of a camera in Kalibr's camchain: takes points of the body (the IMU) to the camera.
+
+    Raises
+    ------
+    InputError
+        If it is not there or not rigid.
+    """
+    name = f"{side}.T_cam_imu"
+    return _finite_pose(
+        trajectories.matrix_of(_table(values, side, path).get("T_cam_imu"), path, name), name, path
+    )
 
 
 def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
@@ -265,6 +344,7 @@ def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool
     return (
         np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
         and not any(left.distortion + right.distortion)
+        and not (left.fisheye or right.fisheye)
         and abs(shift[1]) + abs(shift[2]) < 1e-4 * abs(shift[0])
         and abs(left.fx - right.fx) < 1e-3
         and abs(left.fy - right.fy) < 1e-3
@@ -328,9 +408,35 @@ def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
     return tuple(float(number) for number in _array({name: value}, name, path).ravel())
 
 
-def _coefficients(value: object, path: Path) -> tuple[float, ...]:
-    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0."""
+def is_fisheye(model: object, path: Path) -> bool:
+    """Say whether the name of a distortion model is the fisheye one's; None is the ordinary one.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if model is None or model in _PINHOLE:
+        return False
+    if model in _FISHEYE:
+        return True
+    raise InputError(
+        f"the lens model {str(model)[:40]} is not supported; radial-tangential and equidistant are. "
+        "Undistort the images first.",
+        path,
+    )
+
+
+def _coefficients(value: object, path: Path, *, fisheye: bool = False) -> tuple[float, ...]:
+    """Return OpenCV's distortion coefficients (0, 4, 5, 8, 12 or 14 of them), empty when all are 0.
+
+    A fisheye's are four: it bends lines even when they are 0.
+    """
     row = number_row(value, "distortion", path)
+    if fisheye:
+        if len(row) != 4:
+            raise InputError(f"a fisheye camera has 4 distortion coefficients, not {len(row)}.", path)
+        return row
     if len(row) not in (0, 4, 5, 8, 12, 14):
         raise InputError(f"distortion has {len(row)} coefficients; OpenCV knows 4, 5, 8, 12 or 14.", path)
     return row if any(row) else ()

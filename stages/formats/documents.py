@@ -10,9 +10,12 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
 
 # Half a gigabyte of text is more than any trajectory; a calibration is a page or two.
 _MAX_TEXT_BYTES = 1 << 29
@@ -76,7 +79,7 @@ def parse_json(text: str, path: Path) -> object:
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """Return the content of a JSON, TOML or YAML file (OpenCV's included) as a dictionary.
+    """Return the content of a JSON, TOML or YAML file, or one of OpenCV's in YAML or XML, as a dictionary.
 
     Raises
     ------
@@ -91,6 +94,8 @@ def read_document(path: Path) -> dict[str, Any]:
             document = read_json(path)
         elif path.suffix == ".toml":
             document = _parse_toml(text)
+        elif path.suffix == ".xml":
+            document = _parse_xml(text)
         else:
             document = _parse_yaml(text)
     except (ValueError, RecursionError) as error:
@@ -108,6 +113,41 @@ def _parse_toml(text: str) -> object:
         import tomli as tomllib
 
     return tomllib.loads(text)
+
+
+def _parse_xml(text: str) -> object:
+    """Return what OpenCV stores in XML: numbers, words, and matrices with their rows, cols and data."""
+    from xml.etree import ElementTree
+
+    # OpenCV writes none, and their entities can stand for billions of characters.
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError("a document type is declared, which is not supported")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ValueError(str(error)) from error
+    if root.tag != "opencv_storage":
+        raise ValueError(f"it is not OpenCV's: its outermost tag is {root.tag[:40]}")
+    return {node.tag: _xml_value(node) for node in root}
+
+
+def _xml_value(node: Element) -> object:
+    if node.get("type_id") == "opencv-matrix":
+        fields = {field.tag: (field.text or "").strip() for field in node}
+        return {**fields, "data": fields.get("data", "").split()}
+    if len(node):
+        return {field.tag: _xml_value(field) for field in node}
+    words = (node.text or "").split()
+    values = [_number_or_word(word) for word in words]
+    return values[0] if len(values) == 1 else values
+
+
+def _number_or_word(word: str) -> float | str:
+    try:
+        number = float(word)
+    except ValueError:
+        return word.strip('"')
+    return int(number) if number.is_integer() else number
 
 
 def _parse_yaml(text: str) -> object:
@@ -130,7 +170,9 @@ def _parse_yaml(text: str) -> object:
     Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
     try:
         # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
-        document: object = yaml.load(re.sub(r"\A%YAML:?\s*[\d.]+", "", text), Loader)
+        text = re.sub(r"\A%YAML:?\s*[\d.]+", "", text)
+        # What ROS echoes of a message ends with the start of a next one.
+        document: object = yaml.load(re.sub(r"\n---\s*\Z", "\n", text), Loader)
     except yaml.MarkedYAMLError as error:
         where = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
         raise ValueError(f"{where}{error.problem or error.context}") from error

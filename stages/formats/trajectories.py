@@ -164,6 +164,21 @@ def read_log(path: Path) -> Trajectory:
     return Trajectory(poses)
 
 
+def read_stacked(path: Path) -> Trajectory:
+    """Read three rows of four numbers a pose (SUN3D), one after the other without a mark; camera-to-world."""
+    rows = list(_number_lines(path))
+    for number, row in rows:
+        if len(row) != 4:
+            raise InputError(f"line {number} holds {len(row)} numbers; rows of 4 are expected.", path)
+    if not rows or len(rows) % 3:
+        raise InputError(f"it holds {len(rows)} rows of numbers; a pose needs 3.", path)
+    poses = [
+        rigid(np.array([row for _, row in rows[at : at + 3]]), path, f"pose at line {rows[at][0]}")
+        for at in range(0, len(rows), 3)
+    ]
+    return Trajectory(poses)
+
+
 def read_json(path: Path) -> Trajectory:
     """Read poses from JSON: Open3D's camera trajectory or pose graph, or a list of row-major 4x4 matrices.
 
@@ -410,6 +425,21 @@ def nanoseconds(seconds: float, path: Path, line: int) -> int:
     if not abs(seconds) < 1 << 32:
         raise InputError(f"line {line}: the time {seconds:g} s cannot be right.", path)
     return round(seconds * 1e9)
+
+
+def stamp(word: str, path: Path, line: int) -> int:
+    """Return the nanoseconds of a time that is written in seconds.
+
+    Raises
+    ------
+    InputError
+        If it is no number, or none that can be a time.
+    """
+    try:
+        seconds = float(word)
+    except ValueError as error:
+        raise InputError(f"line {line}: {word[:40]!r} is no time in seconds.", path) from error
+    return nanoseconds(seconds, path, line)
 
 
 def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:

@@ -41,6 +41,7 @@ class Plan:
     noise : as measured; see Noise.
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
     blocks : how many blocks of voxels are expected.
+    triangles : how many triangles are expected, roughly.
     """
 
     voxel_size: float
@@ -49,6 +50,7 @@ class Plan:
     noise: Noise
     origin: NDArray[np.float64]
     blocks: int = 0
+    triangles: int = 0
 
     def layers(self, view: PosedDepth) -> list[Layer]:
         """Split a view's depth map for the volume."""
@@ -99,7 +101,10 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         noise=noise,
         origin=np.rint(np.median(centers, axis=0) / block) * block,
     )
-    return replace(plan, blocks=_expected_blocks([view for view, _ in pairs], plan, len(frames)))
+    views = [view for view, _ in pairs]
+    # Two triangles for each voxel that the surface passes through.
+    triangles = round(2 * found.area / voxel_size**2)
+    return replace(plan, blocks=_expected_blocks(views, plan, len(frames)), triangles=triangles)
 
 
 def _look(

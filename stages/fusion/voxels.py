@@ -41,6 +41,11 @@ _TOUCH_SPACING = 0.5
 _LEAST_DISTANCE = 1e-3
 
 
+def block_bytes(*, color: bool) -> int:
+    """Return the memory of one block of voxels."""
+    return BLOCK**3 * _VOXEL_BYTES[color]
+
+
 @dataclass(frozen=True, eq=False)
 class Layer:
     """The pixels of a depth map that are about equally oblique.
@@ -135,7 +140,7 @@ class Volume:
         self._truncation = truncation
         self._depth_scale = 65535 / max_depth
         self._device = o3d.core.Device(device)
-        self._block_bytes = BLOCK**3 * _VOXEL_BYTES[color]
+        self._block_bytes = block_bytes(color=color)
         self._max_blocks = max(int(max_bytes / self._block_bytes), 1)
         names = ("tsdf", "weight", "color") if color else ("tsdf", "weight")
         self._grid = o3d.t.geometry.VoxelBlockGrid(

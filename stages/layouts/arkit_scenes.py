@@ -19,7 +19,7 @@ from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import IMAGES, common_size, has
 from stages.layouts.layout import Layout
 from stages.layouts.phones import least_confidence
-from stages.layouts.stated import stated_camera
+from stages.layouts.stated import guessed_camera, stated_camera
 from stages.scan import Camera, Frame, Scan, SkippedFrame, scaled
 
 if TYPE_CHECKING:
@@ -58,6 +58,10 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     trajectory = trajectories.read_timed(path) if path.exists() or options.poses else None
     size = common_size(list(depths.values()))
     stated = stated_camera(options, folder, *size)
+    warnings = []
+    if stated is None and not cameras:
+        stated, guessed = guessed_camera(*size)
+        warnings.append(guessed)
     least, said = least_confidence(options, _LEVELS, folder)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
@@ -90,8 +94,9 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
     lacking = "poses: lowres_wide.traj is missing; name a trajectory with scan.poses=FILE"
     missing = (lacking,) if trajectory is None else ()
-    warnings = (said,) if confidences else ()
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), warnings, missing)
+    if confidences:
+        warnings.append(said)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
 
 
 def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:

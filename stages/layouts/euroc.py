@@ -1,21 +1,33 @@
-"""EuRoC MAV (ASL): an unrectified pair, each camera with its place on the body, poses of the body."""
+"""EuRoC MAV (ASL): an unrectified pair, each camera with its place on the body, poses of the body.
+
+TUM-VI packs its sequences alike, but for its fisheye cameras, which stand in dso/camchain.yaml (Kalibr's
+form), and for its images, which have 16 bits.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
-from stages.layouts.files import common_size, first_existing
+from stages.images import read_stored
+from stages.layouts.files import common_size, first_existing, has
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame, StereoRig
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 # Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
 _TOLERANCE = 30_000_000
+_CAMCHAIN = "dso/camchain.yaml"
 _GROUND_TRUTH = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "vicon0/data.csv")
 
 
@@ -24,14 +36,22 @@ def _mav(folder: Path) -> Path:
 
 
 def _matches(folder: Path) -> str | None:
-    sensor = _mav(folder) / "cam0" / "sensor.yaml"
-    return sensor.relative_to(folder).as_posix() if sensor.exists() else None
+    mav = _mav(folder)
+    if (mav / "cam0" / "sensor.yaml").exists():
+        return (mav / "cam0" / "sensor.yaml").relative_to(folder).as_posix()
+    is_chained = (mav / "cam0" / "data.csv").exists() and (folder / _CAMCHAIN).exists()
+    return f"cam0/data.csv and {_CAMCHAIN}" if is_chained else None
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
     mav = _mav(folder)
     streams = [_stream(mav / name) for name in ("cam0", "cam1")]
-    rig, body_from_left = _rig(mav, common_size(list(streams[0].values())), options)
+    size = common_size(list(streams[0].values()))
+    chain = options.file("calibration", folder) or first_existing(folder, _CAMCHAIN)
+    if chain is not None and (options.calibration or not has(mav, "cam0/sensor.yaml")):
+        (rig, warnings), body_from_left = _chained(chain, size, options)
+    else:
+        (rig, body_from_left), warnings = _rig(mav, size, options), []
     path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
     trajectory = None if path is None else trajectories.read_timed(path)
 
@@ -41,6 +61,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         for side in (0, 1)
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
     ]
+    is_wide = _is_wide(list(streams[0].values()))
     for time in sorted(streams[0].keys() & streams[1].keys()):
         pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
         if pose is None and trajectory is not None:
@@ -50,15 +71,15 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             Frame(
                 name=str(time),
                 camera=rig.left,
-                color=streams[0][time],
-                right=streams[1][time],
+                color=_narrowed(streams[0][time]) if is_wide else streams[0][time],
+                right=_narrowed(streams[1][time]) if is_wide else streams[1][time],
                 world_from_camera=None if pose is None else pose @ body_from_left,
                 timestamp=time,
             )
         )
     lacking = f"poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE"
     missing = (lacking,) if trajectory is None else ()
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
 
 
 def _stream(camera: Path) -> dict[int, Path]:
@@ -89,20 +110,50 @@ def _rig(mav: Path, size: tuple[int, int], options: ScanParams) -> tuple[StereoR
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
 
 
+def _is_wide(files: Sequence[Path]) -> bool:
+    """Say whether the images have 16 bits, by the first that is there."""
+    first = next((path for path in files if path.exists()), None)
+    try:
+        return first is not None and read_stored(first).dtype == np.uint16
+    except InputError:
+        return False
+
+
+def _narrowed(path: Path) -> Packed:
+    return Packed(path, "image", partial(_high_bytes, path))
+
+
+def _high_bytes(path: Path) -> NDArray[np.uint8]:
+    image = read_stored(path)
+    if image.ndim != 2 or image.dtype != np.uint16:
+        raise InputError("a grey image of 16 bits is expected, as the others are.", path)
+    return (image >> 8).astype(np.uint8)
+
+
+def _chained(
+    path: Path, size: tuple[int, int], options: ScanParams
+) -> tuple[tuple[StereoRig, list[str]], Pose]:
+    """Return the rig of Kalibr's file, what is odd about it, and where its left camera sits on the body."""
+    document = documents.read_document(path)
+    rig, warnings = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    stated = options.camera(*size)
+    if stated is not None:
+        rig = replace(rig, left=stated, right=stated)
+    return (rig, warnings), trajectories.inverted(calibration.camera_from_body(document, "cam0", path))
+
+
 def _camera(document: dict[str, Any], size: tuple[int, int], options: ScanParams, path: Path) -> Camera:
-    model = document.get("distortion_model", "radial-tangential")
-    if document.get("camera_model", "pinhole") != "pinhole" or model not in ("radial-tangential", "radtan"):
-        raise InputError(
-            f"the lens model {model} is not supported; radial-tangential is. Undistort the images first.",
-            path,
-        )
+    if document.get("camera_model", "pinhole") != "pinhole":
+        raise InputError(f"camera_model {document['camera_model']} is not supported; pinhole is.", path)
+    fisheye = calibration.is_fisheye(document.get("distortion_model"), path)
     if document.get("resolution", list(size)) != list(size):
         raise InputError(
             f"it is for images of {document['resolution']}, but these are {size[0]}×{size[1]}.", path
         )
     fx, fy, cx, cy = _four(document, "intrinsics", path)
     distortion = _four(document, "distortion_coefficients", path)
-    return options.camera(*size) or calibration.checked(Camera(*size, fx, fy, cx, cy, distortion), path)
+    camera = Camera(*size, fx, fy, cx, cy, distortion, fisheye)
+    return options.camera(*size) or calibration.checked(camera, path)
 
 
 def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
@@ -124,7 +175,7 @@ def _mounting(document: dict[str, Any], path: Path) -> Pose:
 
 LAYOUT = Layout(
     name="euroc",
-    text="mav0/cam0, mav0/cam1 with sensor.yaml and data.csv, ground truth of the body (EuRoC, ASL)",
+    text="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, TUM-VI)",
     matches=_matches,
     read=_read,
 )

@@ -13,6 +13,11 @@ from stages.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
 DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")
+# The folders of a stream, under the names that data sets and exports use.
+COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors")
+DEPTH_FOLDERS = ("depth", "depths", "depth_images")
+# Fewer pairs among the frames of the smaller side are a coincidence of numbers.
+_LEAST_PAIRED = 0.1
 
 
 def numbers(name: str) -> tuple[int, ...]:
@@ -123,7 +128,7 @@ def pair(
         for key in _KEYS
         if len(left := {key(path): path for path in first}) == len(first)
         and len(right := {key(path): path for path in second}) == len(second)
-        and left.keys() & right.keys()
+        and len(left.keys() & right.keys()) > _LEAST_PAIRED * min(len(left), len(right))
     ]
     if candidates:
         left, right = max(candidates, key=lambda sides: len(sides[0].keys() & sides[1].keys()))
@@ -138,7 +143,18 @@ def pair(
     if len(first) != len(second):
         raise InputError(
             f"{first_name} holds {len(first)} images and {second_name} {len(second)}, and their names share "
-            "no numbers to pair them by. Name the two images of a moment alike.",
+            "too few numbers to pair them by. Name the two images of a moment alike.",
             folder,
         )
     return list(zip(first, second, strict=True)), []
+
+
+def about_order(pairs: Sequence[tuple[Path, Path]], first_name: str, second_name: str) -> list[str]:
+    """Return what is to be said where `pair` had only the order of the names to go by."""
+    agreeing = max((sum(key(left) == key(right) for left, right in pairs) for key in _KEYS), default=0)
+    if len(pairs) < 2 or agreeing > _LEAST_PAIRED * len(pairs):
+        return []
+    return [
+        f"the names in {first_name} and {second_name} share no numbers: they are paired in their order; "
+        "name the two images of a moment alike if that is wrong"
+    ]

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stages.errors import InputError
-from stages.formats import documents, trajectories
+from stages.formats import trajectories
 from stages.formats.trajectories import Trajectory
+from stages.layouts.associations import read_associations
 from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
 from stages.layouts.stated import stated_camera
@@ -35,57 +36,32 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    times, depths, colors = _associations(folder / "associations.txt")
+    listed = read_associations(folder / "associations.txt")
     path = options.file("poses", folder) or _pose_file(folder)
     trajectory = None if path is None else _trajectory(path)
-    size = common_size(depths)
+    size = common_size([one.depth for one in listed])
     camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    for time, depth, color in zip(times, depths, colors, strict=True):
-        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
+    for one in listed:
+        # The number of a frame stands where other recordings have its time.
+        number = one.depth_time
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, number, _TOLERANCE)
         if pose is None and trajectory is not None:
-            skipped.append(SkippedFrame(depth.stem, "no pose of its number"))
+            skipped.append(SkippedFrame(one.depth.stem, "no pose of its number"))
             continue
         frames.append(
             Frame(
-                name=depth.stem,
+                name=one.depth.stem,
                 camera=camera,
-                color=color,
-                depth=depth,
+                color=one.color,
+                depth=one.depth,
                 depth_scale=options.depth_scale or _UNITS_PER_METRE,
                 world_from_camera=pose,
             )
         )
     missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing if trajectory is None else ())
-
-
-def _associations(path: Path) -> tuple[list[int], list[Path], list[Path]]:
-    """Return times (the frame's number taken for seconds, in nanoseconds), depth files and colour files.
-
-    Lines are `number file number file`; which of the two is depth, its folder says.
-    """
-    times: list[int] = []
-    depths: list[Path] = []
-    colors: list[Path] = []
-    for number, text in documents.lines(path):
-        words = text.split()
-        if len(words) != 4:
-            raise InputError(f"line {number} is not `number file number file`.", path)
-        is_depth = ["depth" in Path(word).parts[:-1] for word in (words[1], words[3])]
-        if is_depth[0] == is_depth[1]:
-            raise InputError(f"line {number} names no file in depth/ beside one in rgb/.", path)
-        at, other = (0, 2) if is_depth[0] else (2, 0)
-        try:
-            times.append(trajectories.nanoseconds(float(words[at]), path, number))
-        except ValueError as error:
-            raise InputError(f"line {number} is not `number file number file`.", path) from error
-        for files, name in ((depths, words[at + 1]), (colors, words[other + 1])):
-            files.append(path.parent / documents.require_inside(name, path, f"line {number}"))
-    if not depths:
-        raise InputError("it lists no images.", path)
-    return times, depths, colors
 
 
 def _pose_file(folder: Path) -> Path | None:

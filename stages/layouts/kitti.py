@@ -1,39 +1,51 @@
-"""KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line."""
+"""KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line.
+
+The raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
+folder above, and no poses but those of oxts/, which are not read.
+"""
 
 from __future__ import annotations
 
-import re
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.formats import documents, trajectories
-from stages.formats.calibration import matrix_camera, with_baseline
-from stages.layouts.files import common_size, first_existing, has, images, pair
+from stages.layouts.files import about_order, common_size, first_existing, has, images, pair
 from stages.layouts.layout import Layout
+from stages.layouts.projections import projected_rig, read_projections, require_rectified_size
 from stages.layouts.rigs import uncalibrated
-from stages.scan import Frame, Pose, Scan, StereoRig
+from stages.scan import Frame, Pose, Scan
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 # Left folder, right folder, the number of the left projection matrix. Colour is preferred.
-_CAMERAS = (("image_2", "image_3", 2), ("image_0", "image_1", 0), ("image_l", "image_r", 0))
+_CAMERAS = (
+    ("image_2", "image_3", 2),
+    ("image_02/data", "image_03/data", 2),
+    ("image_0", "image_1", 0),
+    ("image_00/data", "image_01/data", 0),
+    ("image_l", "image_r", 0),
+)
+# The raw recordings keep one calibration for all drives of a day.
+_CALIBRATIONS = ("calib.txt", "calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
 
 
 def _matches(folder: Path) -> str | None:
     for left, right, _ in _CAMERAS:
         if has(folder, left, right) and (left != "image_l" or has(folder, "calib.txt")):
-            return f"{left}/ and {right}/" + (" with calib.txt" if has(folder, "calib.txt") else "")
+            calib = first_existing(folder, *_CALIBRATIONS)
+            return f"{left}/ and {right}/" + (f" with {calib.name}" if calib else "")
     return None
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    calib = options.file("calibration", folder) or first_existing(folder, "calib.txt")
-    projections = {} if calib is None else _projections(calib)
+    calib = options.file("calibration", folder) or first_existing(folder, *_CALIBRATIONS)
+    projections = {} if calib is None else read_projections(calib)
     left, right, at = next(
         (
             names
@@ -53,7 +65,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         lacking = "calib.txt (the projection matrices P0 to P3) is missing"
         missing = (f"calibration: {lacking}; name one with scan.calibration=FILE",)
     else:
-        rig, left_from_cam0 = _rig(projections[at], projections[at + 1], size, options, calib)
+        require_rectified_size(calib, size)
+        rig, left_from_cam0 = projected_rig(projections[at], projections[at + 1], size, options, calib)
     world_from_cam0: list[Pose | None] = [None] * len(names)
     path = options.file("poses", folder) or _pose_file(folder)
     if path is None:
@@ -61,7 +74,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         missing = (*missing, f"poses: {lacking}; name one with scan.poses=FILE")
     else:
         world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
-    times = trajectories.read_times(folder / "times.txt", names)
+    times = _times(folder, left, names)
     cam0_from_left = np.linalg.inv(left_from_cam0)
     frames = [
         Frame(
@@ -74,57 +87,27 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+    said = about_order(pairs, f"{left}/", f"{right}/")
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), missing)
 
 
-def _projections(calib: Path) -> dict[int, NDArray[np.float64]]:
-    """Return the 3x4 projection matrices by number, from `P0: …` rows or from bare rows in order."""
-    found: dict[int, NDArray[np.float64]] = {}
-    bare = 0
-    for number, line in enumerate(documents.read_text(calib).splitlines(), 1):
-        key, _, text = line.rpartition(":")
-        if not text.strip():
-            continue
-        if not key:
-            key, bare = f"P{bare}", bare + 1
-        if not re.fullmatch(r"P[0-3]", key.strip()):
-            continue
-        try:
-            row = np.array([float(word) for word in text.split()])
-        except ValueError:
-            row = np.empty(0)
-        if row.size != 12 or not np.isfinite(row).all():
-            raise InputError(f"line {number} ({key}) is not 12 numbers.", calib)
-        found[int(key.strip()[1])] = row.reshape(3, 4)
-    return found
+def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:
+    """Return the nanoseconds of each frame: times.txt in seconds, or the raw recordings' dates."""
+    dates = folder / Path(left).parent / "timestamps.txt"
+    if left.endswith("/data") and dates.exists():
+        moments = [_nanoseconds(text, number, dates) for number, text in documents.lines(dates)]
+        return list(trajectories.by_number(moments, names, dates, "times"))
+    return trajectories.read_times(folder / "times.txt", names)
 
 
-def _rig(
-    left: NDArray[np.float64],
-    right: NDArray[np.float64],
-    size: tuple[int, int],
-    options: ScanParams,
-    calib: Path,
-) -> tuple[StereoRig, NDArray[np.float64]]:
-    """Return the rig and left_from_cam0: in a projection K [I | t], t takes camera 0 to its camera."""
-    cameras, offsets = [], []
-    for matrix in (left, right):
-        k = matrix[:, :3]
-        cameras.append(options.camera(*size) or matrix_camera(k, (), *size, calib))
-        if abs(np.linalg.det(k)) < 1e-9:
-            raise InputError("a projection matrix is singular.", calib)
-        offset = np.eye(4)
-        offset[:3, 3] = np.linalg.solve(k, matrix[:, 3])
-        offsets.append(offset)
-    right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
-    if right_from_left[0, 3] >= 0:
-        raise InputError(
-            "the second camera is not right of the first (its P[0,3] must be smaller); are the rows swapped?",
-            calib,
-        )
-    if options.baseline is not None:
-        right_from_left = with_baseline(right_from_left, options.baseline)
-    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]
+def _nanoseconds(text: str, number: int, path: Path) -> int:
+    """Return the time of a line such as `2011-09-26 13:02:25.964389445`."""
+    whole, _, fraction = text.partition(".")
+    try:
+        moment = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=timezone.utc)
+        return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
+    except ValueError as error:
+        raise InputError(f"line {number} is no date and time.", path) from error
 
 
 def _pose_file(folder: Path) -> Path | None:
@@ -142,7 +125,8 @@ def _pose_file(folder: Path) -> Path | None:
 
 LAYOUT = Layout(
     name="kitti",
-    text="image_0/ image_1/ (or image_2/ image_3/, image_l/ image_r/), calib.txt, poses.txt (KITTI odometry)",
+    text="image_0/ image_1/ (or image_2/ image_3/, raw: image_02/data/ image_03/data/), calib.txt, poses.txt "
+    "(KITTI odometry)",
     matches=_matches,
     read=_read,
 )

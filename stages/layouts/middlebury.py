@@ -12,9 +12,9 @@ from stages.errors import InputError
 from stages.formats import documents, trajectories
 from stages.formats.calibration import checked
 from stages.images import image_size
-from stages.layouts.files import has
+from stages.layouts.files import first_existing, has
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Scan, StereoRig
+from stages.scan import Camera, Frame, Pose, Scan, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -27,9 +27,10 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ScanParams) -> Scan:
     left, right, calib = folder / "im0.png", folder / "im1.png", folder / "calib.txt"
     rig, warnings = _rig(calib, image_size(left), options)
-    pose, said = _pose(folder, options)
+    pose = _pose(folder, options)
     frame = Frame(name="im0", camera=rig.left, color=left, right=right, world_from_camera=pose)
-    return Scan(LAYOUT.name, [frame], rig, folder, (), (*warnings, *said))
+    missing = () if pose is not None else ("poses: pose.txt is missing; name one with scan.poses=FILE",)
+    return Scan(LAYOUT.name, [frame], rig, folder, (), tuple(warnings), missing)
 
 
 def _rig(calib: Path, size: tuple[int, int], options: ScanParams) -> tuple[StereoRig, list[str]]:
@@ -73,17 +74,10 @@ def _camera(text: str, size: tuple[int, int], calib: Path) -> Camera:
     return checked(Camera(*size, rows[0][0], rows[1][1], rows[0][2], rows[1][2]), calib)
 
 
-def _pose(folder: Path, options: ScanParams) -> tuple[np.ndarray, list[str]]:
-    """Return the pose of the one frame; without a file the camera itself is the world."""
-    path = options.file("poses", folder)
-    if path is None and (folder / "pose.txt").exists():
-        path = folder / "pose.txt"
-    if path is None:
-        return np.eye(4), ["a single pair without a pose: the left camera is the origin of the mesh"]
-    pose = trajectories.match(trajectories.read_trajectory(path), ["im0"], path)[0]
-    if pose is None:
-        raise InputError("the only pose is lost (infinite).", path)
-    return pose, []
+def _pose(folder: Path, options: ScanParams) -> Pose | None:
+    """Return the pose of the one frame, or None without a file of it."""
+    path = options.file("poses", folder) or first_existing(folder, "pose.txt")
+    return None if path is None else trajectories.match(trajectories.read_trajectory(path), ["im0"], path)[0]
 
 
 LAYOUT = Layout(

@@ -34,7 +34,8 @@ class ScanParams:
         low_open=True,
     )
     calibration: str | None = param(
-        None, "Calibration file (JSON, TOML or OpenCV YAML), in place of the folder's."
+        None,
+        "Calibration file (JSON, TOML, OpenCV YAML or XML, Kalibr or ROS YAML), in place of the folder's.",
     )
     poses: str | None = param(
         None,
@@ -54,6 +55,10 @@ class ScanParams:
         "By default only the lowest is left out.",
         low=0,
         high=255,
+    )
+    align_axes: bool = param(
+        False,
+        "Turn the world as the axisAlignment in ScanNet's scene*.txt says, so that walls run along its axes.",
     )
     check_poses: bool = param(
         True,

@@ -1,7 +1,8 @@
 """Our own plain layout for stereo rigs: left/, right/, a calibration file and poses of the left camera.
 
     left/000000.png  right/000000.png  …
-    calibration.json | .toml | .yaml | .yml       see stages.formats.calibration.read_rig
+    left01.png  right01.png  …                    the same in one folder
+    calibration.json | .toml | .yaml | .xml       see stages.formats.calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
 Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
@@ -12,11 +13,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from stages.errors import InputError
 from stages.formats import trajectories
-from stages.layouts.files import common_size, first_existing, has, images, pair
+from stages.layouts.files import about_order, common_size, first_existing, has, images, numbers, pair
 from stages.layouts.layout import Layout
 from stages.layouts.rigs import rig_of
 from stages.scan import Frame, Pose, Scan
@@ -34,7 +33,7 @@ _SIDES = (
 _CALIBRATIONS = tuple(
     f"{stem}.{suffix}"
     for stem in ("calibration", "calib", "stereo", "rig", "camchain")
-    for suffix in ("json", "toml", "yaml", "yml")
+    for suffix in ("json", "toml", "yaml", "yml", "xml")
 )
 _TRAJECTORIES = (
     "poses.txt",
@@ -52,17 +51,33 @@ def _sides(folder: Path) -> tuple[str, str] | None:
     return next((names for names in _SIDES if has(folder, *names)), None)
 
 
+def _side_by_side(folder: Path) -> list[list[Path]]:
+    """Return the left and the right images that lie in one folder, told apart by their names."""
+    files = [path for path in images(folder) if numbers(path.stem)]
+    return [[path for path in files if path.stem.lower().startswith(side)] for side in ("left", "right")]
+
+
 def _matches(folder: Path) -> str | None:
     sides = _sides(folder)
-    return f"{sides[0]}/ and {sides[1]}/" if sides else None
+    if sides is not None:
+        return f"{sides[0]}/ and {sides[1]}/"
+    left, right = _side_by_side(folder)
+    return f"files named like {left[0].name} and {right[0].name}" if left and right else None
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
     sides = _sides(folder)
     if sides is None:
-        raise InputError("two folders left/ and right/ are needed.", folder)
-    left, right = (images(folder / name) for name in sides)
-    pairs, skipped = pair(left, right, f"{sides[0]}/", f"{sides[1]}/", folder)
+        left, right = _side_by_side(folder)
+        named = "the images named left", "the images named right"
+    else:
+        left, right = (images(folder / name) for name in sides)
+        named = f"{sides[0]}/", f"{sides[1]}/"
+    if sides is None and not (left and right):
+        raise InputError(
+            "two folders left/ and right/, or images left01.png and right01.png, are needed.", folder
+        )
+    pairs, skipped = pair(left, right, *named, folder)
     size = common_size([one for one, _ in pairs])
     rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
     names = [one.stem for one, _ in pairs]
@@ -71,9 +86,6 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     poses: list[Pose | None]
     if path is not None:
         poses = _poses(path, names, times)
-    elif len(pairs) == 1:
-        poses = [np.eye(4)]
-        warnings = [*warnings, "a single pair without a pose: the left camera is the origin of the mesh"]
     else:
         poses = [None] * len(pairs)
         lacking = (
@@ -84,7 +96,9 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
         for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(
+        LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
+    )
 
 
 def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose | None]:
@@ -98,7 +112,8 @@ def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose |
 
 LAYOUT = Layout(
     name="plain-stereo",
-    text="left/, right/, calibration.json|toml|yaml, poses.txt|tum|log|json (our own)",
+    text="left/, right/ (or left01.png and right01.png side by side), calibration.json|toml|yaml, "
+    "poses.txt|tum|log|json (our own)",
     matches=_matches,
     read=_read,
 )

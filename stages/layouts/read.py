@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stages.errors import InputError, UsageError
+from stages.layouts.axis_alignment import aligned
 from stages.layouts.files import common_size
 from stages.layouts.layout import Layout
 from stages.layouts.params import ScanParams
@@ -38,13 +39,17 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         layout = recognise(folder)[0]
     else:
         _require_place(folder, layout.suffixes)
-    scan = _without_still_poses(layout.read(folder, options))
+    scan = _without_lost(_without_absent(_without_still_poses(layout.read(folder, options))), folder)
+    if options.align_axes:
+        scan = aligned(scan, folder)
+    warnings = (*scan.warnings, *_time_warnings(scan.frames))
+    scan = replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    if len(scan.frames) == 1:
+        scan = _at_origin(scan)
     if complete:
         require_complete(scan, folder)
-    scan = _without_lost(_without_absent(scan), folder)
     _require_equal_sides(scan.frames, folder)
-    warnings = (*scan.warnings, *_time_warnings(scan.frames))
-    return replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    return scan
 
 
 def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
@@ -136,6 +141,20 @@ def _without_still_poses(scan: Scan) -> Scan:
     )
 
 
+def _at_origin(scan: Scan) -> Scan:
+    """Take the camera of a single frame without a pose for the world."""
+    (frame,) = scan.frames
+    if frame.world_from_camera is not None:
+        return scan
+    said = "a single frame without a pose: its camera is the origin of the mesh"
+    return replace(
+        scan,
+        frames=[replace(frame, world_from_camera=np.eye(4))],
+        warnings=(*scan.warnings, said),
+        missing=tuple(what for what in scan.missing if not what.startswith("poses:")),
+    )
+
+
 def _without_absent(scan: Scan) -> Scan:
     """Leave out the frames an image of which is not there: excerpts often keep the lists of the whole."""
     frames, absent = [], []
@@ -188,7 +207,10 @@ def _time_warnings(frames: Sequence[Frame]) -> list[str]:
     if (steps == 0).any():
         warnings.append(f"{np.count_nonzero(steps == 0)} timestamps are repeated")
     if (steps < 0).any():
-        warnings.append(f"{np.count_nonzero(steps < 0)} timestamps are earlier than the one before")
+        earlier = np.count_nonzero(steps < 0)
+        warnings.append(
+            f"{earlier} timestamps are earlier than the one before: frames stay in the order of their files"
+        )
     gaps = np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0)) if len(steps) else 0
     if gaps:
         warnings.append(f"{gaps} gaps in time are longer than five frames")

@@ -24,6 +24,7 @@ from stages.images import decode_color, read_raw_depth
 from stages.layouts.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
 from stages.layouts.layout import Layout
 from stages.layouts.phones import least_confidence, seen_in
+from stages.layouts.recordings import one_recording
 from stages.layouts.stated import stated_camera
 from stages.layouts.views import without_depth
 from stages.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
@@ -57,12 +58,7 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ScanParams) -> Scan:
     if (folder / "metadata.json").exists():
         return _read_folder(folder, options)
-    packed = sorted(folder.glob("*.r3d"))
-    if len(packed) != 1:
-        raise InputError(
-            f"it holds {len(packed)} recordings (.r3d) and no metadata.json; give a folder with one.", folder
-        )
-    return _read_archive(folder, packed[0], options)
+    return _read_archive(folder, one_recording(folder, ".r3d"), options)
 
 
 def _read_folder(folder: Path, options: ScanParams) -> Scan:
@@ -311,7 +307,8 @@ def _pixels(value: object, key: str, path: Path) -> int:
 
 LAYOUT = Layout(
     name="record3d",
-    text="metadata.json, rgb/, depth/*.exr|npy|png, or one .r3d in a folder (Record3D)",
+    text="metadata.json, rgb/, depth/*.exr|npy|png, or .r3d (Record3D)",
     matches=_matches,
     read=_read,
+    suffixes=(".r3d",),
 )

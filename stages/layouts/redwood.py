@@ -1,36 +1,74 @@
-"""Open3D and Redwood style: colour and depth in a folder each, a trajectory, perhaps an intrinsic.json."""
+"""Open3D and Redwood style: colour and depth in a folder each, a trajectory, perhaps an intrinsic.json.
+
+Small recordings often hold the same in one folder, side by side: rgb_0.png, depth_0.png.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stages.errors import InputError
 from stages.formats import calibration, trajectories
-from stages.layouts.files import DEPTHS, common_size, first_existing, images, pair
+from stages.layouts.files import (
+    COLOR_FOLDERS,
+    DEPTH_FOLDERS,
+    DEPTHS,
+    about_order,
+    common_size,
+    first_existing,
+    images,
+    numbers,
+    pair,
+)
 from stages.layouts.layout import Layout
+from stages.layouts.stated import guessed_camera
 from stages.scan import Camera, Frame, Pose, Scan
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
-_COLORS = ("color", "rgb", "image")
 _INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_primesense.json")
+_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
 _TRAJECTORIES = ("trajectory.log", "trajectory.json", "trajectory.txt", "poses.txt")
-# The PrimeSense default that Open3D itself falls back to.
-_DEFAULT = (525.0, 525.0, 319.5, 239.5)
 
 
 def _matches(folder: Path) -> str | None:
-    color = first_existing(folder, *_COLORS)
-    return f"{color.name}/ and depth/" if color and color.is_dir() and (folder / "depth").is_dir() else None
+    folders = _folders(folder)
+    if folders is not None:
+        return f"{folders[1].name}/ and {folders[0].name}/"
+    depths, colors = _side_by_side(folder)
+    # Without a number it is a frame only when it is the only one.
+    is_scan = depths and colors and (len(depths) == 1 or all(numbers(path.stem) for path in depths))
+    return f"files named like {colors[0].name} and {depths[0].name}" if is_scan else None
+
+
+def _folders(folder: Path) -> tuple[Path, Path] | None:
+    """Return the folders of depth and of colour where both are there."""
+    depth, color = first_existing(folder, *DEPTH_FOLDERS), first_existing(folder, *COLOR_FOLDERS)
+    return (depth, color) if depth and color and depth.is_dir() and color.is_dir() else None
+
+
+def _side_by_side(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the depth maps and the colour images that lie in one folder, told apart by their names."""
+    files = images(folder, DEPTHS)
+    depths = [path for path in files if "depth" in path.stem.lower()]
+    colors = [path for path in files if path not in depths and _COLOR.search(path.stem)]
+    return depths, colors
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    color = first_existing(folder, *_COLORS)
-    if color is None or not (folder / "depth").is_dir():
+    folders = _folders(folder)
+    if folders is None:
+        depths, colors = _side_by_side(folder)
+        named = "the images named depth", "the images named color or rgb"
+    else:
+        depths, colors = images(folders[0], DEPTHS), images(folders[1])
+        named = f"{folders[0].name}/", f"{folders[1].name}/"
+    if not depths or not colors:
         raise InputError("a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder)
-    pairs, skipped = pair(images(folder / "depth", DEPTHS), images(color), "depth/", f"{color.name}/", folder)
+    pairs, skipped = pair(depths, colors, *named, folder)
     names = [depth.stem for depth, _ in pairs]
     path = options.file("poses", folder) or _trajectory(folder)
     poses: list[Pose | None] = [None] * len(pairs)
@@ -51,7 +89,9 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(
+        LAYOUT.name, frames, None, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
+    )
 
 
 def _trajectory(folder: Path) -> Path | None:
@@ -78,14 +118,8 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
     if stated is not None:
         return stated, scale, []
     if path is None:
-        return (
-            Camera(width, height, *_DEFAULT),
-            scale,
-            [
-                "the folder has no intrinsic.json: the default 525,525,319.5,239.5 is used; "
-                "if another camera made it, set scan.intrinsics=fx,fy,cx,cy"
-            ],
-        )
+        camera, guessed = guessed_camera(width, height)
+        return camera, scale, [guessed]
     said = (
         [] if path.parent.samefile(folder) else [f"the intrinsics come from {path.name} in the folder above"]
     )
@@ -94,7 +128,8 @@ def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple
 
 LAYOUT = Layout(
     name="redwood",
-    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood)",
+    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood), or "
+    "rgb_0.png and depth_0.png side by side",
     matches=_matches,
     read=_read,
 )

@@ -18,6 +18,14 @@ if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 
+# ROS's calibrator writes a file a camera.
+_ROS_FILES = (
+    ("left.yaml", "right.yaml"),
+    ("left_camera_info.yaml", "right_camera_info.yaml"),
+    ("camera_info_left.yaml", "camera_info_right.yaml"),
+)
+
+
 def rig_of(
     folder: Path, options: ScanParams, size: tuple[int, int], names: Sequence[str]
 ) -> tuple[StereoRig, list[str], tuple[str, ...]]:
@@ -47,9 +55,17 @@ def rig_of(
         rig, warnings = calibration.read_rig(
             folder / "extrinsics.yml", *size, document=halves[0] | halves[1], baseline=options.baseline
         )
+    elif (halves_of := next((pair for pair in _ROS_FILES if has(folder, *pair)), None)) is not None:
+        sides = dict(
+            zip(("left", "right"), map(documents.read_document, map(folder.joinpath, halves_of)), strict=True)
+        )
+        rig, warnings = calibration.read_rig(
+            folder / halves_of[1], *size, document=sides, baseline=options.baseline
+        )
     else:
+        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
         lacking = (
-            f"calibration: {names[0]} is missing; name one with scan.calibration=FILE, or set "
+            f"calibration: {names[0]} is missing{half}; name one with scan.calibration=FILE, or set "
             "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair"
         )
         return uncalibrated(size), [], (lacking,)

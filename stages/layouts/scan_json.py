@@ -17,6 +17,7 @@
       ]
     }
 
+A camera of `"distortion_model": "equidistant"` is a fisheye (OpenCV's model, four coefficients).
 Paths are relative to the file. Axes are OpenCV's (x right, y down, z forward); the pixel centre of the top
 left pixel is (0, 0); depth is along the optical axis. The depth stage leaves its result in this form too.
 """
@@ -97,6 +98,7 @@ def _camera_table(camera: Camera) -> dict[str, Any]:
         "cx": camera.cx,
         "cy": camera.cy,
         "distortion": list(camera.distortion),
+        **({"distortion_model": "equidistant"} if camera.fisheye else {}),
     }
 
 

@@ -11,19 +11,20 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
-from stages.layouts.files import DEPTHS, common_size, first_existing, images, pair
+from stages.layouts.files import COLOR_FOLDERS, DEPTHS, about_order, common_size, first_existing, images, pair
 from stages.layouts.layout import Layout
+from stages.layouts.stated import guessed_camera, stated_camera
 from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
-# The first is the data set's own name; exports for other programs use the others.
-_COLORS = ("color", "rgb", "image")
 _UNITS_PER_METRE = 1000.0
 # The colour camera of the data set: its intrinsics stay for this size where images were made smaller.
 _COLOR_SIZE = (1296, 968)
 _LARGEST_OFFSET = 0.2
+# Where one of these states camera or poses, pose/ is something else's.
+_OF_OTHERS = ("intrinsic.json", "camera_intrinsic.json", "trajectory.log", "trajectory.json")
 
 
 def _matches(folder: Path) -> str | None:
@@ -33,12 +34,15 @@ def _matches(folder: Path) -> str | None:
     if (folder / "intrinsic").is_dir():
         return f"{color.name}/, depth/, pose/ and intrinsic/"
     path = _intrinsics(folder, "depth")
-    return None if path is None else f"{color.name}/, depth/, pose/ and {path.name}"
+    if path is not None:
+        return f"{color.name}/, depth/, pose/ and {path.name}"
+    is_alone = any((folder / "pose").glob("*.txt")) and first_existing(folder, *_OF_OTHERS) is None
+    return f"{color.name}/, depth/ and pose/" if is_alone else None
 
 
 def _color_folder(folder: Path) -> Path | None:
     """Return the folder of colour images where there is one, and one of depth and of poses."""
-    color = first_existing(folder, *_COLORS)
+    color = first_existing(folder, *COLOR_FOLDERS)
     return (
         color if color and all(path.is_dir() for path in (color, folder / "depth", folder / "pose")) else None
     )
@@ -51,6 +55,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
     pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
     camera, color_camera, warnings = _cameras(folder, options, pairs)
+    warnings += about_order(pairs, "depth/", f"{color_folder.name}/")
     names = [depth.stem for depth, _ in pairs]
     poses, missing = _poses(folder, options, names)
     skipped += [
@@ -93,23 +98,20 @@ def _cameras(
 ) -> tuple[Camera, Camera | None, list[str]]:
     """Return the depth camera, the colour camera where it is known, and what is to be said about them."""
     size = common_size([depth for depth, _ in pairs])
-    camera = options.camera(*size)
-    if camera is None:
-        path = options.file("calibration", folder) or _intrinsics(folder, "depth")
-        if path is None:
-            raise InputError(
-                "intrinsic/intrinsic_depth.txt is missing; name one with scan.calibration=FILE, or set "
-                "scan.intrinsics=fx,fy,cx,cy.",
-                folder,
-            )
+    warnings: list[str] = []
+    camera, path = stated_camera(options, folder, *size), _intrinsics(folder, "depth")
+    if camera is None and path is not None:
         camera = calibration.read_camera(path, *size)
+    if camera is None:
+        camera, guessed = guessed_camera(*size)
+        warnings.append(guessed)
     color_path = _intrinsics(folder, "color")
     turned = [
         name
         for name in ("extrinsic_color.txt", "extrinsic_depth.txt")
         if (folder / "intrinsic" / name).exists() and not _is_identity(folder / "intrinsic" / name)
     ]
-    warnings = [f"intrinsic/{name} is not the identity; it is left aside" for name in turned]
+    warnings += [f"intrinsic/{name} is not the identity; it is left aside" for name in turned]
     if color_path is None:
         said = "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
         return camera, None, [*warnings, said]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.formats import calibration, sens, trajectories
 from stages.layouts.layout import Layout
+from stages.layouts.recordings import one_recording
 from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
@@ -24,11 +25,7 @@ def _matches(folder: Path) -> str | None:
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    files = sorted(folder.glob("*.sens"))
-    if len(files) != 1:
-        found = "there is no .sens file" if not files else f"there are {len(files)} .sens files"
-        raise InputError(f"{found}; put the one to read in a folder of its own.", folder)
-    recording = sens.read_sens(files[0])
+    recording = sens.read_sens(one_recording(folder, ".sens"))
     camera, color_camera = _cameras(recording, folder, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
@@ -118,7 +115,8 @@ def _packed(
 
 LAYOUT = Layout(
     name="scannet-sens",
-    text="one .sens file (ScanNet, packed)",
+    text=".sens (ScanNet, packed)",
     matches=_matches,
     read=_read,
+    suffixes=(".sens",),
 )

@@ -9,9 +9,11 @@ from stages.layouts import (
     euroc,
     icl_nuim,
     kitti,
+    kitti_stereo,
     middlebury,
     middlebury_mview,
     nerfstudio,
+    nyu,
     plain_stereo,
     polycam,
     record3d,
@@ -24,6 +26,7 @@ from stages.layouts import (
     seven_scenes,
     single_pair,
     stray_scanner,
+    sun_rgbd,
     tartan_air,
     tum,
 )
@@ -39,6 +42,8 @@ DISTINCT: tuple[Layout, ...] = (
     scannet.LAYOUT,
     scannet_sens.LAYOUT,
     euroc.LAYOUT,
+    # Its folders have the names of the sequences'.
+    kitti_stereo.LAYOUT,
     kitti.LAYOUT,
     middlebury.LAYOUT,
     nerfstudio.LAYOUT,
@@ -51,6 +56,8 @@ DISTINCT: tuple[Layout, ...] = (
     colmap.LAYOUT,
     augmented_icl.LAYOUT,
     middlebury_mview.LAYOUT,
+    nyu.LAYOUT,
+    sun_rgbd.LAYOUT,
     ros_bag.LAYOUT,
 )
 # Known by the names of folders that other layouts use too: tried after all those.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,10 +12,21 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
-from stages.layouts.files import common_size, first_existing, has
+from stages.layouts.associations import read_associations
+from stages.layouts.files import (
+    COLOR_FOLDERS,
+    DEPTH_FOLDERS,
+    DEPTHS,
+    IMAGES,
+    common_size,
+    first_existing,
+    has,
+    images,
+)
 from stages.layouts.layout import Layout
 from stages.layouts.moments import nearest_in_time
-from stages.scan import Camera, Frame, Scan, SkippedFrame
+from stages.layouts.stated import guessed_camera
+from stages.scan import Camera, Frame, Scan, SkippedFrame, scaled
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -28,34 +40,49 @@ _CAMERAS = {
     "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
 }
-_FALLBACK = (525.0, 525.0, 319.5, 239.5)
+_ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
+# How images are named when their lists are lost.
+_STAMPED = re.compile(r"\d+\.\d+")
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """The images of a stream, in the order they are listed: times in nanoseconds, and files."""
+
+    times: NDArray[np.int64]
+    files: list[Path]
 
 
 def _matches(folder: Path) -> str | None:
-    if not has(folder, "rgb.txt", "depth.txt"):
+    if has(folder, "rgb.txt", "depth.txt"):
+        found = "rgb.txt and depth.txt"
+    elif has(folder, "rgb") and (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
+        found = f"rgb/ and {listed.name}"
+    elif (stamped := _stamped(folder)) is not None:
+        color, depth = (stream.files[0].parent.name for stream in stamped)
+        found = f"{color}/ and {depth}/ with times for names"
+    else:
         return None
-    return "rgb.txt and depth.txt" + (" with groundtruth.txt" if has(folder, "groundtruth.txt") else "")
+    return found + (" with groundtruth.txt" if has(folder, "groundtruth.txt") else "")
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
     trajectory = None if path is None else trajectories.read_timed(path)
-    color_times, listed_colors = _stream(folder / "rgb.txt")
-    depth_times, listed_depths = _stream(folder / "depth.txt")
-    colors, moved_colors = _where_they_are(listed_colors, folder)
-    depths, moved_depths = _where_they_are(listed_depths, folder)
-    camera, warnings = _camera(folder, options, *common_size(depths))
-    warnings += moved_colors + moved_depths
+    color_stream, depth_stream, warnings = _streams(folder)
+    colors, depths = color_stream.files, depth_stream.files
+    camera, about_camera = _camera(folder, options, *common_size(depths))
+    warnings += about_camera
 
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    partners = nearest_in_time(color_times, depth_times, _TOLERANCE)
-    for color, time, partner in zip(colors, color_times.tolist(), partners.tolist(), strict=True):
+    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE)
+    for color, time, partner in zip(colors, color_stream.times.tolist(), partners.tolist(), strict=True):
         if partner < 0:
             skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))
             continue
         # The surface is where the depth camera saw it from, so its moment decides.
-        moment = int(depth_times[partner])
+        moment = int(depth_stream.times[partner])
         pose = None if trajectory is None else trajectories.interpolate(trajectory, moment, _TOLERANCE)
         if pose is None and trajectory is not None:
             skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
@@ -76,18 +103,49 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
 
 
-def _stream(path: Path) -> tuple[NDArray[np.int64], list[Path]]:
-    """Return the times in nanoseconds and the files of a stream, from lines `seconds file`."""
+def _streams(folder: Path) -> tuple[_Stream, _Stream, list[str]]:
+    """Return colour and depth, and what is to be said about them."""
+    if has(folder, "rgb.txt", "depth.txt"):
+        color, depth = (_listed(folder / name) for name in ("rgb.txt", "depth.txt"))
+    elif (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
+        couples = read_associations(listed)
+        color = _Stream(np.array([one.color_time for one in couples]), [one.color for one in couples])
+        depth = _Stream(np.array([one.depth_time for one in couples]), [one.depth for one in couples])
+    elif (stamped := _stamped(folder)) is not None:
+        said = "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
+        return *stamped, [said]
+    else:
+        raise InputError("rgb.txt and depth.txt, or images named by their times, are needed.", folder)
+    colors, about_colors = _where_they_are(color.files, folder)
+    depths, about_depths = _where_they_are(depth.files, folder)
+    return replace(color, files=colors), replace(depth, files=depths), about_colors + about_depths
+
+
+def _listed(path: Path) -> _Stream:
+    """Return a stream from lines `seconds file`."""
     times, files = [], []
     for number, text in documents.lines(path):
-        words = text.split()
+        words = text.split(maxsplit=1)
         if len(words) != 2:
             raise InputError(f"line {number} is not `seconds file`.", path)
-        times.append(trajectories.nanoseconds(float(words[0]), path, number))
-        files.append(path.parent / words[1])
+        times.append(trajectories.stamp(words[0], path, number))
+        files.append(path.parent / documents.require_inside(words[1], path, f"line {number}"))
     if not files:
         raise InputError("it lists no images.", path)
-    return np.array(times, np.int64), files
+    return _Stream(np.array(times, np.int64), files)
+
+
+def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
+    """Return the streams of two folders whose images are named by their times in seconds."""
+    streams = []
+    for names, suffixes in ((COLOR_FOLDERS, IMAGES), (DEPTH_FOLDERS, DEPTHS)):
+        place = first_existing(folder, *names)
+        files = images(place, suffixes) if place is not None and place.is_dir() else []
+        if not files or not all(_STAMPED.fullmatch(path.stem) for path in files):
+            return None
+        times = [trajectories.stamp(path.stem, path, 1) for path in files]
+        streams.append(_Stream(np.array(times, np.int64), files))
+    return streams[0], streams[1]
 
 
 def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
@@ -104,28 +162,32 @@ def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[s
 
 
 def _camera(folder: Path, options: ScanParams, width: int, height: int) -> tuple[Camera, list[str]]:
-    stated = options.camera(width, height)
-    if stated is not None:
-        return stated, []
-    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
-    if path is not None:
-        return calibration.read_camera(path, width, height), []
+    """Return the camera, and what is to be said about it and about the scale of its depth."""
     named = re.search(r"(?<![a-z])(?:freiburg|fr)_?([123])(?!\d)", folder.resolve().name, re.IGNORECASE)
-    if named is not None:
-        matrix, distortion = _CAMERAS[f"freiburg{named[1]}"]
-        return Camera(width, height, *matrix, distortion), [
-            f"the camera is freiburg{named[1]}'s, by the folder's name"
-        ]
-    return Camera(width, height, *_FALLBACK), [
-        "the folder has no intrinsics and its name no freiburg1 to 3: 525,525,319.5,239.5 is used, and TUM's "
-        "depth of 5000 units a metre; for another camera set scan.intrinsics=fx,fy,cx,cy and "
-        "scan.depth_scale=VALUE"
-    ]
+    warnings = []
+    if named is None and options.depth_scale is None:
+        warnings.append(
+            f"depth is taken as TUM's {_UNITS_PER_METRE:g} units a metre; where it is in millimetres set "
+            "scan.depth_scale=1000"
+        )
+    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
+    stated = options.camera(width, height)
+    if stated is None and path is not None:
+        stated = calibration.read_camera(path, width, height)
+    if stated is not None:
+        return stated, warnings
+    if named is None:
+        camera, guessed = guessed_camera(width, height)
+        return camera, [guessed, *warnings]
+    matrix, distortion = _CAMERAS[f"freiburg{named[1]}"]
+    camera = scaled(Camera(640, 480, *matrix, distortion), width, height)
+    return camera, [f"the camera is freiburg{named[1]}'s, by the folder's name"]
 
 
 LAYOUT = Layout(
     name="tum",
-    text="rgb.txt, depth.txt, groundtruth.txt (TUM RGB-D)",
+    text="rgb.txt and depth.txt (or associations.txt, or images named by their times), groundtruth.txt "
+    "(TUM RGB-D)",
     matches=_matches,
     read=_read,
 )

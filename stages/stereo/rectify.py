@@ -13,6 +13,7 @@ from stages.scan import Camera, StereoRig
 
 # The lengths of distortion OpenCV knows: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+_FISHEYE_LENGTH = 4
 # A rig that claims to be rectified may differ by rounding in its file, not by a visible fraction of a pixel.
 _ROW_TOLERANCE = 0.1
 
@@ -61,7 +62,8 @@ def rectified_rig(rig: StereoRig) -> RectifiedRig:
     """Return the rig with common rows: as it is where rectified, else turned (Bouguet's method, in OpenCV).
 
     Both cameras are turned by half of the rotation between them and zoomed so that only pixels with
-    content remain.
+    content remain. Fisheye cameras keep their focal length and size instead: what lies so far aside that no
+    plane image of this size can hold it is cut off.
 
     Raises
     ------
@@ -99,19 +101,27 @@ def _turned(rig: StereoRig) -> RectifiedRig:
     left, right = rig.left, rig.right
     size = (left.width, left.height)
     for side, camera in (("left", left), ("right", right)):
+        if camera.fisheye != left.fisheye:
+            raise InputError(
+                "one camera of the pair is a fisheye and the other is not; both must be of a kind."
+            )
+        if camera.fisheye and len(camera.distortion) != _FISHEYE_LENGTH:
+            raise InputError(f"the {side} camera is a fisheye, which has {_FISHEYE_LENGTH} coefficients.")
         if len(camera.distortion) not in _DISTORTION_LENGTHS:
             raise InputError(
                 f"the {side} camera has {len(camera.distortion)} distortion coefficients; "
                 f"OpenCV's model has {', '.join(map(str, _DISTORTION_LENGTHS))}."
             )
     distortion = [np.array(camera.distortion or (0.0,) * 4, np.float64) for camera in (left, right)]
+    # The rotations do not depend on the lens; where a fisheye's pixels come to lie is decided below.
+    straight = [np.zeros(4) if left.fisheye else bent for bent in distortion]
     # A column, as OpenCV 5 wants it; copies, because OpenCV does not look at strides.
     rotation, translation = rig.right_from_left[:3, :3].copy(), rig.right_from_left[:3, 3:].copy()
     r_left, r_right, p_left, p_right = cv2.stereoRectify(
         left.matrix,
-        distortion[0],
+        straight[0],
         right.matrix,
-        distortion[1],
+        straight[1],
         size,
         rotation,
         translation,
@@ -125,8 +135,15 @@ def _turned(rig: StereoRig) -> RectifiedRig:
         )
     baseline = -float(p_right[0, 3] / p_right[0, 0])
     _require_left_is_left(baseline)
+    if left.fisheye:
+        focal = (left.fx + left.fy + right.fx + right.fy) / 4
+        p_left = p_right = np.array(
+            [[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]], np.float64
+        )
     maps = tuple(
-        cv2.initUndistortRectifyMap(camera.matrix, d, r, p, size, cv2.CV_16SC2)
+        cv2.fisheye.initUndistortRectifyMap(camera.matrix, d, r, p, size, cv2.CV_16SC2)
+        if camera.fisheye
+        else cv2.initUndistortRectifyMap(camera.matrix, d, r, p, size, cv2.CV_16SC2)
         for camera, d, r, p in zip(
             (left, right), distortion, (r_left, r_right), (p_left, p_right), strict=True
         )

@@ -117,3 +117,11 @@ def test_a_wrong_trajectory_is_refused(scan_folder, text):
 def test_lost_poses_are_skipped(scan_folder):
     (scan_folder / "lowres_wide.traj").write_text(TRAJECTORY.replace("9.504 0 0 0", "9.504 nan nan nan"))
     assert len(read_scan(scan_folder).frames) == 1
+
+
+def test_without_any_pincam_the_camera_is_guessed(scan_folder):
+    for path in (scan_folder / "lowres_wide_intrinsics").iterdir():
+        path.unlink()
+    scan = read_scan(scan_folder)
+    assert [frame.camera.fx for frame in scan.frames] == [26.25, 26.25]
+    assert any("is guessed" in text and "scan.intrinsics" in text for text in scan.warnings)

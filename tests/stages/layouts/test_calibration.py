@@ -27,6 +27,33 @@ def table(camera):
     return "\n".join(f"{key} = {json.dumps(value)}" for key, value in camera.items())
 
 
+# The rectified x axis runs from the left camera to the right one; the others are any that complete it.
+TO_RIGHT = -np.array(T) / np.linalg.norm(T)
+ASIDE = np.cross(TO_RIGHT, (0, 1, 0)) / np.linalg.norm(np.cross(TO_RIGHT, (0, 1, 0)))
+RIGHT_TURN = np.array([TO_RIGHT, np.cross(ASIDE, TO_RIGHT), ASIDE])
+LEFT_TURN = RIGHT_TURN @ R
+
+
+def camera_info(turn, shift, keys=("K", "D", "R", "P"), **more):
+    """A side of a rig as ROS states it; the rectified focal length is another one, 90 pixels."""
+    projection = [90, 0, 15, 90 * shift, 0, 90, 11, 0, 0, 0, 1, 0]
+    numbers = (np.ravel(K).tolist(), BENT, np.ravel(turn).tolist(), projection)
+    return (
+        dict(zip(keys, numbers, strict=True))
+        | {"width": 32, "height": 24, "distortion_model": "plumb_bob"}
+        | more
+    )
+
+
+def opencv_xml(values):
+    matrices = "".join(
+        f"<{key} type_id='opencv-matrix'><rows>{len(value)}</rows><cols>{len(value[0])}</cols><dt>d</dt>"
+        f"<data>\n{' '.join(map(str, np.ravel(value)))}</data></{key}>"
+        for key, value in ((key, np.atleast_2d(value).tolist()) for key, value in values.items())
+    )
+    return f"<?xml version='1.0'?>\n<opencv_storage>\n<rectified>0</rectified>{matrices}</opencv_storage>"
+
+
 CAMERA = {"fx": 100, "fy": 110, "cx": 16, "cy": 12, "distortion": BENT}
 IN_MILLIMETRES = {"K1": K, "D1": BENT, "K2": K, "D2": BENT, "R": R, "T": [-500, 10, 20]}
 FILES = {
@@ -39,6 +66,17 @@ FILES = {
         f"{key}: {opencv_matrix(value)}"
         for key, value in {"K1": K, "D1": BENT, "K2": K, "D2": BENT, "R": R, "T": np.c_[T]}.items()
     ),
+    "opencv.xml": opencv_xml({"K1": K, "D1": BENT, "K2": K, "D2": BENT, "R": R, "T": T}),
+    "ros.json": json.dumps(
+        {"left": camera_info(LEFT_TURN, 0), "right": camera_info(RIGHT_TURN, -np.linalg.norm(T))}
+    ),
+    "ros2.yaml": json.dumps(
+        {
+            "left": camera_info(LEFT_TURN, 0, "kdrp"),
+            "right": camera_info(RIGHT_TURN, -np.linalg.norm(T), "kdrp"),
+        }
+    )
+    + "\n---\n",
     "rodrigues.yaml": f"M1: {K}\nD1: {BENT}\nM2: {K}\nD2: {BENT}\nR: [0, {np.radians(10)}, 0]\nT: {T}\n",
     "kalibr.yaml": "".join(
         f"cam{i}:\n  camera_model: pinhole\n  intrinsics: [100, 110, 16, 12]\n  distortion_model: radtan\n"
@@ -60,7 +98,7 @@ def test_every_form_describes_the_same_rig(tmp_path, name):
     np.testing.assert_allclose(rig.right_from_left[:3, :3], R, atol=1e-9)
     np.testing.assert_allclose(rig.right_from_left[:3, 3], T, atol=1e-9)
     assert not rig.rectified
-    assert bool(warnings) == (name == "guessed.json")
+    assert bool(warnings) == (name in ("guessed.json", "ros.json", "ros2.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -199,3 +237,39 @@ def test_opencv_sample_intrinsics(shared_data):
     assert camera.fx == pytest.approx(535.9157)
     assert camera.cy == pytest.approx(235.5708)
     assert camera.distortion[0] == pytest.approx(-0.26637, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "does not parse"),
+        ("<opencv_storage><K1>", "does not parse"),
+        ("<html></html>", "not OpenCV's: its outermost tag is html"),
+        ("<!DOCTYPE a [<!ENTITY b 'bbbb'>]><opencv_storage>&b;</opencv_storage>", "document type"),
+        ("<opencv_storage>" + "<a>" * 20000 + "</a>" * 20000 + "</opencv_storage>", "does not parse"),
+        (opencv_xml({"K1": K, "K2": K, "T": T}).replace("<rows>3</rows>", "<rows>x</rows>"), "not a matrix"),
+        (opencv_xml({"K1": K, "K2": K, "T": T}).replace(" 110 ", " nan "), "not finite"),
+    ],
+)
+def test_damaged_xml_is_told(tmp_path, text, message):
+    (tmp_path / "rig.xml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_rig(tmp_path / "rig.xml", 32, 24)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"P": [1, 2, 3]}, "P of the right camera is not a 3x4"),
+        ({"P": [0] * 12}, "P of the right camera is not a 3x4"),
+        ({"R": [1, 0, 0, 1]}, "R must be 3x3"),
+        ({"R": [2, 0, 0, 0, 2, 0, 0, 0, 2]}, "not rigid"),
+        ({"distortion_model": "mystery"}, "lens model mystery"),
+        ({"width": 64}, "64×24"),
+    ],
+)
+def test_damaged_camera_infos_are_told(tmp_path, change, message):
+    sides = {"left": camera_info(np.eye(3), 0), "right": camera_info(np.eye(3), -0.5, **change)}
+    (tmp_path / "rig.json").write_text(json.dumps(sides))
+    with pytest.raises(InputError, match=message):
+        read_rig(tmp_path / "rig.json", 32, 24)

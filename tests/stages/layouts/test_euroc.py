@@ -1,8 +1,10 @@
+import cv2
 import numpy as np
 import pytest
 
 from stages.errors import InputError
-from stages.layouts import read_scan
+from stages.images import read_color, read_right
+from stages.layouts import ScanParams, read_scan
 
 FIRST, SECOND = 1403715273262142976, 1403715273462142976
 SENSOR = """%YAML:1.0
@@ -96,7 +98,8 @@ def test_no_second_camera(scan_folder):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("radial-tangential", "equidistant", "equidistant is not supported"),
+        ("radial-tangential", "omnidirectional", "lens model omnidirectional is not supported"),
+        ("camera_model: pinhole", "camera_model: omni", "camera_model omni is not supported"),
         ("[32, 24]", "[640, 480]", "640"),
         ("1.0, 0.1", "5.0, 0.1", "T_BS.*not rigid"),
         ("[100.0, 100.0, 16.0, 12.0]", "[100.0]", "intrinsics must be 4"),
@@ -122,3 +125,89 @@ def test_vicon_room_excerpt(shared_data):
     assert np.trace(scan.rig.right_from_left[:3, :3]) > 2.99
     # The drone sits level in a room with z up: the camera looks sideways, its y axis down.
     assert scan.frames[0].world_from_camera[2, 1] < -0.9
+
+
+CHAIN = """cam0:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, 0.0]
+  - [0.0, 0.0, -1.0, 0.0]
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: equidistant
+  intrinsics: [100.0, 100.0, 16.0, 12.0]
+  resolution: [32, 24]
+cam1:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, -0.5]
+  - [0.0, 0.0, -1.0, 0.0]
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 0.0, 0.0, 1.0]
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.5]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: equidistant
+  intrinsics: [100.0, 100.0, 16.0, 12.0]
+  resolution: [32, 24]
+"""
+
+
+@pytest.fixture
+def tum_vi(scan_folder):
+    for name in ("cam0", "cam1"):
+        (scan_folder / "mav0" / name / "sensor.yaml").unlink()
+        for path in (scan_folder / "mav0" / name / "data").iterdir():
+            assert cv2.imwrite(str(path), np.full((24, 32), 0x1234, np.uint16))
+    (scan_folder / "mav0" / "state_groundtruth_estimate0").rename(scan_folder / "mav0" / "mocap0")
+    (scan_folder / "dso").mkdir()
+    (scan_folder / "dso" / "camchain.yaml").write_text(CHAIN)
+    return scan_folder
+
+
+@pytest.mark.parametrize("chain", [CHAIN, CHAIN.replace("T_cn_cnm1", "left_out")])
+def test_tum_vi_has_fisheye_cameras_and_wide_images(tum_vi, chain):
+    (tum_vi / "dso" / "camchain.yaml").write_text(chain)
+    scan = read_scan(tum_vi)
+    assert scan.layout == "euroc"
+    assert scan.rig.left.fisheye
+    assert not scan.rig.rectified
+    np.testing.assert_allclose(scan.rig.right_from_left[:3, 3], (-0.5, 0, 0), atol=1e-12)
+    # The same places as with sensor.yaml; a fisheye sees the point 0.2 right and 0.1 down at 2 m closer in.
+    known = ((2.1, -0.2, -0.1), (1 + 0.2, 2 + 2.1, 3 - 0.1))
+    for frame, point in zip(scan.frames, known, strict=True):
+        camera_from_world = np.linalg.inv(frame.world_from_camera)
+        np.testing.assert_allclose((camera_from_world @ (*point, 1))[:3], (0.2, 0.1, 2), atol=1e-9)
+        assert read_color(frame)[5, 5].tolist() == read_right(frame)[5, 5].tolist() == [0x12] * 3
+
+
+def test_a_narrow_image_among_wide_ones_is_told(tum_vi):
+    cv2.imwrite(str(tum_vi / "mav0" / "cam0" / "data" / f"{SECOND}.png"), np.zeros((24, 32), np.uint8))
+    with pytest.raises(InputError, match=r"16 bits is expected"):
+        read_color(read_scan(tum_vi).frames[1])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("T_cam_imu", "T_imu", r"camchain\.yaml.*T_cam_imu"),
+        ("equidistant", "omni", r"camchain\.yaml.*lens model omni"),
+        ("pinhole", "omni", r"camchain\.yaml.*camera_model omni"),
+        ("coeffs: [0.0, ", "coeffs: [", r"camchain\.yaml.*4 distortion coefficients, not 3"),
+        ("[32, 24]", "[64, 48]", r"camchain\.yaml.*another size"),
+    ],
+)
+def test_a_wrong_chain_is_told(tum_vi, old, new, message):
+    (tum_vi / "dso" / "camchain.yaml").write_text(CHAIN.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_scan(tum_vi)
+
+
+def test_a_stated_camera_wins_over_the_chain(tum_vi):
+    rig = read_scan(tum_vi, ScanParams(intrinsics="90,90,15,11", baseline=0.25)).rig
+    assert (rig.left.fx, rig.right.cx, rig.left.fisheye) == (90, 15, False)
+    assert rig.baseline == pytest.approx(0.25)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
+from stages.fuse import fuse
 from stages.images import read_color
 from stages.inspection import inspect
 from stages.layouts import ScanParams, read_scan
@@ -280,3 +281,50 @@ def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
 def test_the_kitchens_depth(shared_data):
     depth = inspect(read_scan(shared_data / "rgbd" / "7scenes_redkitchen")).depth
     assert 0.5 < depth.near_m < depth.median_m < depth.far_m < 5
+
+
+def striped(blur):
+    """Stripes of four pixels, and what a box filter of `blur` pixels leaves of them."""
+    image = np.zeros((120, 160, 3), np.uint8)
+    image[:, ::4] = image[:, 1::4] = 200
+    return image if blur == 0 else cv2.blur(image, (blur, blur))
+
+
+def test_the_least_sharp_twentieth_is_listed():
+    frames = list(room_scan().frames) * 5
+    blurs = {7: 4, 20: 3}
+    frames = [replace(f, name=str(i), color=striped(blurs.get(i, 0))) for i, f in enumerate(frames)]
+    found = inspect(Scan("plain-rgbd", frames))
+    # Two of forty; a filter as long as the period takes all contrast away.
+    assert [name for name, _ in found.least_sharp] == ["7", "20"]
+    assert found.least_sharp[0][1] < 0.05 < found.least_sharp[1][1] < 0.25
+    assert any("blurred" in text and "7, 20" in text for text in found.warnings)
+    assert found.figures()["least_sharp"][0]["frame"] == "7"
+
+
+def test_frames_equally_sharp_are_no_warning():
+    frames = [replace(frame, color=striped(0)) for frame in room_scan().frames]
+    found = inspect(Scan("plain-rgbd", frames))
+    assert [value for _, value in found.least_sharp] == [1.0]
+    assert not any("blurred" in text for text in found.warnings)
+
+
+def test_fusion_takes_what_was_estimated():
+    scan = room_scan()
+    expected = inspect(scan).outlook
+    fused = fuse(scan)
+    assert expected.voxel_size_m == fused.voxel_size
+    assert 0.5 < fused.volume_bytes / 1e6 / expected.volume_mb <= 1.05
+    assert 0.5 < len(fused.mesh.triangles) / expected.triangles < 2
+
+
+def test_without_poses_nothing_is_estimated():
+    frames = [replace(frame, world_from_camera=None) for frame in room_scan().frames]
+    found = inspect(Scan("plain-rgbd", frames, missing=("poses: none",)))
+    assert found.outlook is None
+    assert "missing   poses: none; without, `scanloom run` finds them" in found.lines()
+
+
+def test_a_single_frame_is_compared_with_nothing():
+    (frame, *_) = room_scan().frames
+    assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).least_sharp == ()

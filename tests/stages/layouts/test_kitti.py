@@ -145,3 +145,59 @@ def test_excerpt(shared_data):
     travelled = np.diff([frame.world_from_camera[:3, 3] for frame in scan.frames], axis=0)
     np.testing.assert_allclose(np.linalg.norm(travelled, axis=1), 1.2, atol=0.02)
     assert read_color(scan.frames[0]).shape == read_right(scan.frames[0]).shape == (370, 1226, 3)
+
+
+RAW = """calib_time: 09-Jan-2012 13:57:47
+S_02: 6.4e+01 4.8e+01
+K_02: 99 0 30 0 99 20 0 0 1
+S_rect_02: 3.200000e+01 2.400000e+01
+P_rect_02: 100 0 16 6 0 100 12 0 0 0 1 0
+S_rect_03: 3.200000e+01 2.400000e+01
+P_rect_03: 100 0 16 -48 0 100 12 0 0 0 1 0
+"""
+
+
+@pytest.fixture
+def drive(tmp_path, tiny):
+    folder = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    for side in ("image_02", "image_03"):
+        for number in (0, 1):
+            tiny.color(folder / side / "data" / f"{number:010d}.png")
+        (folder / side / "timestamps.txt").write_text(
+            "2011-09-26 13:02:25.964389445\n2011-09-26 13:02:26.064389445\n"
+        )
+    (folder.parent / "calib_cam_to_cam.txt").write_text(RAW)
+    (folder / "mine.txt").write_text(POSES)
+    return folder
+
+
+def test_raw_recordings(drive, tiny):
+    with pytest.raises(InputError, match="no poses"):
+        read_scan(drive)
+    scan = read_scan(drive, ScanParams(poses="mine.txt"))
+    assert scan.layout == "kitti"
+    assert scan.rig.baseline == pytest.approx(0.54)
+    # 2011-09-26 is day 15243 of the epoch; 13:02:25 is second 46945 of it.
+    first = (15243 * 86400 + 46945) * 10**9 + 964389445
+    assert [frame.timestamp for frame in scan.frames] == [first, first + 10**8]
+    # Poses are of camera 0, 0.06 m right of camera 2, which so sees the point 6 / 2 pixels further right.
+    camera_from_world = np.linalg.inv(scan.frames[0].world_from_camera)
+    np.testing.assert_allclose(tiny.pixel(tiny.points[0], camera_from_world, scan.rig.left), (29, 17))
+
+
+def test_raw_recordings_that_are_not_rectified_are_refused(drive):
+    calib = drive.parent / "calib_cam_to_cam.txt"
+    calib.write_text(
+        RAW.replace("S_rect_02: 3.2", "S_rect_02: 1.2").replace("S_rect_03: 3.2", "S_rect_03: 1.2")
+    )
+    with pytest.raises(InputError, match=r"calib_cam_to_cam\.txt.*12×24.*32×24.*not rectified"):
+        read_scan(drive, ScanParams(poses="mine.txt"))
+
+
+@pytest.mark.parametrize(
+    "text", ["yesterday\n", "2011-09-26 13:02:25.9x\n2011-09-26 13:02:26.0\n", "2011\n" * 2]
+)
+def test_damaged_dates_are_told(drive, text):
+    (drive / "image_02" / "timestamps.txt").write_text(text)
+    with pytest.raises(InputError, match=r"timestamps\.txt"):
+        read_scan(drive, ScanParams(poses="mine.txt"))

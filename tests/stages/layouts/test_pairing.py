@@ -44,3 +44,12 @@ def test_images_are_ordered_by_number(tmp_path):
     for name in ("10.png", "2.png", "1.JPG", ".hidden.png", "notes.txt"):
         (tmp_path / name).touch()
     assert [path.name for path in images(tmp_path)] == ["1.JPG", "2.png", "10.png"]
+
+
+def test_a_number_that_agrees_by_chance_pairs_nothing():
+    # Two clocks: of twenty names one ends alike.
+    left = [f"{100 + i}-{7000 + i}" for i in range(20)]
+    right = [f"{300 + i}-{9000 + i}" for i in range(18)] + ["318-7004"]
+    with pytest.raises(InputError, match="left/ holds 20 images and right/ 19"):
+        paired(left, right)
+    assert paired(left[:19], right) == (list(zip(left[:19], right, strict=True)), [])

@@ -36,6 +36,27 @@ def test_known_points_fall_on_known_pixels(scan_folder, tiny):
     assert_known_pixels(scan, tiny)
 
 
+def test_pairs_side_by_side_in_one_folder(scan_folder, tiny):
+    for side in ("left", "right"):
+        for number in (2, 10):
+            (scan_folder / side / f"{side}{number}.png").rename(scan_folder / f"{side}{number}.png")
+        (scan_folder / side).rmdir()
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.right.name) for f in scan.frames] == [
+        ("left2.png", "right2.png"),
+        ("left10.png", "right10.png"),
+    ]
+    assert_known_pixels(scan, tiny)
+
+
+def test_a_rig_with_half_of_its_calibration(shared_data):
+    folder = shared_data / "stereo" / "opencv_chessboard_rig"
+    scan = read_scan(folder, complete=False)
+    assert len(scan.frames) == 13
+    with pytest.raises(InputError, match=r"no calibration: .*scan\.calibration=FILE"):
+        read_scan(folder)
+
+
 def trajectory_texts(tiny, matrix_text):
     x, y, z, w = tiny.second_quaternion
     flat = " ".join(f"{value:g}" for value in tiny.second.ravel())
@@ -140,3 +161,28 @@ def test_sides_of_different_size_are_told(scan_folder, tiny):
         tiny.color(scan_folder / "right" / f"right{number}.png", (64, 48))
     with pytest.raises(InputError, match="left images are 32×24 and right images 64×48"):
         read_scan(scan_folder)
+
+
+def test_a_file_of_ros_for_each_camera(scan_folder, tiny):
+    (scan_folder / "calibration.json").unlink()
+    for side, shift in (("left", 0), ("right", -50)):
+        (scan_folder / f"{side}.yaml").write_text(
+            "image_width: 32\nimage_height: 24\ncamera_name: " + side + "\n"
+            "camera_matrix:\n  rows: 3\n  cols: 3\n  data: [100, 0, 16, 0, 100, 12, 0, 0, 1]\n"
+            "distortion_model: plumb_bob\n"
+            "distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0, 0, 0, 0, 0]\n"
+            "rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+            "projection_matrix:\n  rows: 3\n  cols: 4\n"
+            f"  data: [100, 0, 16, {shift}, 0, 100, 12, 0, 0, 0, 1, 0]\n"
+        )
+    scan = read_scan(scan_folder)
+    assert_known_pixels(scan, tiny)
+    assert any("image_raw" in text for text in scan.warnings)
+
+
+def test_sides_that_share_no_numbers_are_told(scan_folder):
+    for old, new in ((2, "dawn"), (10, "noon")):
+        (scan_folder / "right" / f"right{old}.png").rename(scan_folder / "right" / f"{new}.png")
+    scan = read_scan(scan_folder)
+    assert [frame.right.name for frame in scan.frames] == ["dawn.png", "noon.png"]
+    assert any("left/ and right/ share no numbers" in text for text in scan.warnings)

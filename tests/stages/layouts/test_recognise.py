@@ -32,10 +32,15 @@ def touch(folder, *names):
         (["lowres_wide.traj", "lowres_depth"], "arkitscenes"),
         (["traj.txt", "results"], "replica"),
         (["pose_left.txt", "image_left", "image_right"], "tartanair"),
+        (["pose_lcam_front.txt", "image_lcam_front", "depth_lcam_front"], "tartanair"),
         (["mav0/cam0/sensor.yaml"], "euroc"),
+        (["mav0/cam0/data.csv", "dso/camchain.yaml"], "euroc"),
         (["image_0", "image_1", "calib.txt"], "kitti"),
         (["image_2", "image_3", "calib.txt"], "kitti"),
         (["image_l", "image_r", "calib.txt"], "kitti"),
+        (["image_02/data", "image_03/data"], "kitti"),
+        (["image_2/000000_10.png", "image_3", "calib_cam_to_cam"], "kitti-stereo"),
+        (["image_2/000000.png", "image_3", "calib.txt"], "kitti"),
         (["im0.png", "im1.png", "calib.txt"], "middlebury"),
         (["transforms.json", "images"], "nerfstudio"),
         (["transforms_train.json", "train"], "nerfstudio"),
@@ -46,10 +51,20 @@ def touch(folder, *names):
         (["take.db3", "metadata.yaml"], "ros-bag"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),
         (["templeR0001.png", "templeR_par.txt"], "middlebury-mview"),
+        (["d-10.00-100.pgm", "r-10.03-101.ppm", "INDEX.txt"], "nyu"),
+        (["image", "depth", "intrinsics.txt", "extrinsics"], "sun-rgbd"),
+        (["image", "depth", "intrinsics.txt"], "redwood"),
         (["left", "right"], "plain-stereo"),
         (["image_l", "image_r"], "plain-stereo"),
         (["view1.png", "view5.png"], "pair"),
+        (["left01.jpg", "right01.jpg", "intrinsics.yml"], "plain-stereo"),
+        (["rgb/1305031102.175304.png", "depth/1305031102.160407.png"], "tum"),
+        (["rgb", "depths", "associations.txt"], "tum"),
+        (["color", "depth", "pose/0.txt"], "scannet"),
         (["color", "depth"], "redwood"),
+        (["images", "depth_images"], "redwood"),
+        (["rgb_0.png", "depth_0.png", "rgb_1.png", "depth_1.png"], "redwood"),
+        (["color.png", "depth.png"], "redwood"),
         (["rgb", "depth", "trajectory.log"], "redwood"),
     ],
 )
@@ -147,6 +162,6 @@ def test_wrong_options_are_wrong_usage(options):
 
 
 def test_folders_without_a_scan(shared_data):
-    for folder in ("meshes", "images", "broken", "rgbd/turntable_d435_data1"):
+    for folder in ("meshes", "images", "broken", "rgbd/open3d_testdata/RGBD/other_formats"):
         with pytest.raises(InputError, match="unknown layout"):
             read_scan(shared_data / folder)

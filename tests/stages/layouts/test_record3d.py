@@ -246,5 +246,6 @@ def test_an_archive_cut_short_or_damaged_is_told(tmp_path, tiny):
 def test_two_recordings_in_a_folder_are_not_mixed(tmp_path, tiny):
     for name in ("a.r3d", "b.r3d"):
         write_archive(tmp_path / name, tiny)
-    with pytest.raises(InputError, match="2 recordings"):
+    with pytest.raises(InputError, match=r"2 \.r3d files.*give the one to read"):
         read_scan(tmp_path)
+    assert read_scan(tmp_path / "b.r3d").frames[0].depth.file.name == "b.r3d"

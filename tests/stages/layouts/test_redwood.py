@@ -64,8 +64,10 @@ def test_camera_of_another_size_is_refused(scan_folder):
 def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
     (scan_folder / "intrinsic.json").unlink()
     scan = read_scan(scan_folder)
-    assert scan.frames[0].camera.fx == 525
-    assert any("525" in text for text in scan.warnings)
+    camera = scan.frames[0].camera
+    # 525 pixels at a width of 640.
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (26.25, 26.25, 15.5, 11.5)
+    assert any("26.25,26.25,15.5,11.5 is guessed" in t and "scan.intrinsics" in t for t in scan.warnings)
 
 
 def test_fewer_poses_than_frames_stops(scan_folder, matrix_text):
@@ -117,3 +119,45 @@ def test_open3d_test_data(shared_data):
         scan.frames[0].world_from_camera[:3, 3], (-0.31057997, 0.57301224, 2.12648002), atol=1e-7
     )
     assert any("camera_primesense.json" in text for text in scan.warnings)
+
+
+def test_other_names_of_the_folders(scan_folder, tiny):
+    (scan_folder / "depth").rename(scan_folder / "depth_images")
+    (scan_folder / "color").rename(scan_folder / "images")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_colour_and_depth_side_by_side_in_the_order_of_their_numbers(scan_folder, tiny):
+    for number in (2, 10):
+        (scan_folder / "color" / f"{number}.jpg").rename(scan_folder / f"rgb_{number}.jpg")
+        (scan_folder / "depth" / f"{number}.png").rename(scan_folder / f"depth_{number}.png")
+    for name in ("color", "depth"):
+        (scan_folder / name).rmdir()
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.depth.name) for f in scan.frames] == [
+        ("rgb_2.jpg", "depth_2.png"),
+        ("rgb_10.jpg", "depth_10.png"),
+    ]
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_a_real_recording_side_by_side(shared_data):
+    scan = read_scan(shared_data / "rgbd" / "turntable_d435_data1", complete=False)
+    assert (scan.layout, len(scan.frames)) == ("redwood", 6)
+    assert [frame.color.name for frame in scan.frames] == [f"rgb_{i}.png" for i in range(6)]
+    assert scan.frames[0].camera.fx == 525
+
+
+def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, tiny):
+    for old, new in (("2", "a"), ("10", "b")):
+        (scan_folder / "color" / f"{old}.jpg").rename(scan_folder / "color" / f"{new}.jpg")
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.depth.name) for f in scan.frames] == [("a.jpg", "2.png"), ("b.jpg", "10.png")]
+    assert any("depth/ and color/ share no numbers" in text for text in scan.warnings)
+    tiny.color(scan_folder / "color" / "c.jpg")
+    with pytest.raises(InputError, match="2 images and color/ 3"):
+        read_scan(scan_folder)
+
+
+def test_images_of_one_number_are_not_told_of(scan_folder):
+    assert not any("share no numbers" in text for text in read_scan(scan_folder).warnings)

@@ -166,3 +166,10 @@ def test_what_is_no_json_is_told(scan_folder, text):
     (scan_folder / "scan.json").write_text(text)
     with pytest.raises(InputError, match=r"scan\.json"):
         read_scan(scan_folder)
+
+
+def test_a_fisheye_camera_is_read_back(tmp_path, tiny):
+    camera = Camera(32, 24, 50, 50, 16, 12, (0.0, 0.0, 0.0, 0.0), fisheye=True)
+    tiny.depth(tmp_path / "depth.png", 1000)
+    write_scan_json(tmp_path, [Frame("0", camera, depth=tmp_path / "depth.png", world_from_camera=np.eye(4))])
+    assert read_scan(tmp_path).frames[0].camera == camera

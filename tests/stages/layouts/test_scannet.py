@@ -113,10 +113,11 @@ def test_poses_can_be_given(scan_folder, tiny, matrix_text):
     np.testing.assert_allclose([tiny.seen(frame) for frame in frames], tiny.points, atol=1e-6)
 
 
-def test_intrinsics_that_are_missing_can_be_stated(scan_folder, tiny):
+def test_intrinsics_that_are_missing_are_guessed_or_stated(scan_folder, tiny):
     (scan_folder / "intrinsic" / "intrinsic_depth.txt").unlink()
-    with pytest.raises(InputError, match=r"intrinsic_depth\.txt is missing.*scan\.intrinsics"):
-        read_scan(scan_folder)
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].camera.fx == 26.25
+    assert any("is guessed" in text and "scan.intrinsics" in text for text in scan.warnings)
     frames = read_scan(scan_folder, ScanParams(intrinsics=tiny.option)).frames
     np.testing.assert_allclose([tiny.seen(frame) for frame in frames], tiny.points, atol=1e-6)
 

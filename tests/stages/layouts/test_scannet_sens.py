@@ -185,3 +185,50 @@ def test_two_recordings_are_not_one_scan(tmp_path, tiny):
     (tmp_path / "other.sens").write_bytes(content(tiny))
     with pytest.raises(InputError, match=r"2 \.sens files"):
         read_scan(tmp_path)
+
+
+def test_one_of_several_recordings_is_given(tmp_path, tiny):
+    (tmp_path / "a.sens").write_bytes(header(1) + frame(tiny.second))
+    (tmp_path / "b.sens").write_bytes(content(tiny))
+    with pytest.raises(InputError, match=r"2 \.sens files \(a\.sens, b\.sens\).*give the one to read"):
+        read_scan(tmp_path)
+    (only,) = read_scan(tmp_path / "a.sens").frames
+    np.testing.assert_allclose(tiny.seen(only), tiny.points[1], atol=1e-6)
+    (tmp_path / "scene0000_00.txt").write_text(f"axisAlignment = {ALIGNMENT}")
+    (only,) = read_scan(tmp_path / "a.sens", ScanParams(align_axes=True)).frames
+    x, y, z = tiny.points[1]
+    np.testing.assert_allclose(tiny.seen(only), (10 - y, 20 + x, 30 + z), atol=1e-6)
+
+
+# A quarter turn about z, from x to y, and a shift.
+ALIGNMENT = "0 -1 0 10 1 0 0 20 0 0 1 30 0 0 0 1"
+
+
+def test_the_axes_are_aligned_on_request_only(tmp_path, tiny):
+    written(tmp_path, content(tiny))
+    (tmp_path / "scene0000_00.txt").write_text(
+        f"appVersionId = 9\naxisAlignment = {ALIGNMENT}\nsceneType = Den\n"
+    )
+    np.testing.assert_allclose([tiny.seen(one) for one in read_scan(tmp_path).frames], tiny.points, atol=1e-6)
+    scan = read_scan(tmp_path, ScanParams(align_axes=True))
+    turned = [(10 - y, 20 + x, 30 + z) for x, y, z in tiny.points]
+    np.testing.assert_allclose([tiny.seen(one) for one in scan.frames], turned, atol=1e-6)
+    assert "the world is turned by the axisAlignment of scene0000_00.txt" in scan.warnings
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sceneType = Den", r"no scene\*\.txt with an axisAlignment"),
+        ("axisAlignment = 1 2 3", r"scene0000_00\.txt.*not 16 numbers"),
+        ("axisAlignment = " + ALIGNMENT.replace("-1", "x"), r"scene0000_00\.txt.*not 16 numbers"),
+        ("axisAlignment = " + ALIGNMENT.replace("-1", "1"), r"scene0000_00\.txt.*mirrors"),
+        ("axisAlignment = " + " ".join(["nan"] * 16), r"scene0000_00\.txt.*not finite"),
+    ],
+)
+def test_a_wrong_alignment_is_told(tmp_path, tiny, text, message):
+    written(tmp_path, content(tiny))
+    (tmp_path / "scene0000_00.txt").write_text(text)
+    assert read_scan(tmp_path).frames
+    with pytest.raises(InputError, match=message):
+        read_scan(tmp_path, ScanParams(align_axes=True))

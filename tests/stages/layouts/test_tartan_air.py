@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -77,6 +78,54 @@ def test_a_trajectory_of_ones_own_has_opencv_axes(scan_folder, tiny, matrix_text
     )
     frames = read_scan(scan_folder, ScanParams(intrinsics=tiny.option, poses="mine.log")).frames
     np.testing.assert_allclose([tiny.seen(frame) for frame in frames], tiny.points, atol=1e-6)
+
+
+@pytest.fixture
+def second_version(tmp_path, tiny):
+    (tmp_path / "depth_lcam_front").mkdir()
+    for number in (0, 1):
+        tiny.color(tmp_path / "image_lcam_front" / f"{number:06d}_lcam_front.png")
+        depth = np.full((24, 32), 2, "<f4")
+        depth[0, :4] = np.inf, 20000, 1.1, 0
+        # The lowest byte is blue, the first channel in OpenCV's order.
+        bytes_of = depth.view(np.uint8).reshape(24, 32, 4)
+        path = tmp_path / "depth_lcam_front" / f"{number:06d}_lcam_front_depth.png"
+        assert cv2.imwrite(str(path), bytes_of)
+    (tmp_path / "pose_lcam_front.txt").write_text(POSES)
+    return tmp_path
+
+
+def test_the_second_version_packs_depth_in_four_channels(second_version, tiny):
+    scan = read_scan(second_version, ScanParams(intrinsics=tiny.option))
+    assert scan.layout == "tartanair"
+    for frame, point in zip(scan.frames, POINTS, strict=True):
+        np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)
+        np.testing.assert_array_equal(read_depth(frame)[0, :5], np.float32([0, 0, 1.1, 0, 2]))
+
+
+def test_the_second_version_has_a_camera_of_its_own(second_version):
+    for path in (second_version / "image_lcam_front").iterdir():
+        cv2.imwrite(str(path), np.zeros((640, 640, 3), np.uint8))
+    camera = read_scan(second_version).frames[0].camera
+    assert (camera.width, camera.fx, camera.fy, camera.cx, camera.cy) == (640, 320, 320, 319.5, 319.5)
+
+
+def test_pairs_of_the_second_version(second_version, tiny):
+    for path in (second_version / "depth_lcam_front").iterdir():
+        path.unlink()
+    (second_version / "depth_lcam_front").rmdir()
+    for number in (0, 1):
+        tiny.color(second_version / "image_rcam_front" / f"{number:06d}_rcam_front.png")
+    scan = read_scan(second_version)
+    assert scan.rig.right_from_left[0, 3] == -0.25
+    assert scan.frames[1].right.name == "000001_rcam_front.png"
+
+
+@pytest.mark.parametrize("image", [np.zeros((24, 32), np.uint16), np.zeros((24, 32, 3), np.uint8)])
+def test_depth_that_is_not_packed_is_refused(second_version, image):
+    cv2.imwrite(str(second_version / "depth_lcam_front" / "000000_lcam_front_depth.png"), image)
+    with pytest.raises(InputError, match=r"000000_lcam_front_depth\.png.*four channels"):
+        read_depth(read_scan(second_version).frames[0])
 
 
 @pytest.mark.parametrize("text", ["", "1 2 3\n", "0 0 0 0 0 0 1\n", "0 0 0 0 0 0 1\n0 0 0 9 9 9 9\n", "x\n"])

@@ -84,7 +84,10 @@ def test_each_depth_frame_is_used_once(scan_folder, tiny):
 def test_the_camera_follows_the_folder_name(scan_folder):
     scan = read_scan(scan_folder)
     camera = scan.frames[0].camera
-    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion) == (535.4, 539.2, 320.1, 247.6, ())
+    # A twentieth of the data set's size; pixel centres are at whole numbers.
+    expected = (535.4 / 20, 539.2 / 20, (320.1 + 0.5) / 20 - 0.5, (247.6 + 0.5) / 20 - 0.5)
+    np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected)
+    assert camera.distortion == ()
     assert any("freiburg3" in text for text in scan.warnings)
 
 
@@ -97,13 +100,60 @@ def test_freiburg1_keeps_its_distortion(scan_folder, name):
 def test_an_unknown_camera_is_said(scan_folder):
     moved = scan_folder.rename(scan_folder.with_name("desk"))
     scan = read_scan(moved)
-    assert scan.frames[0].camera.fx == 525
+    assert scan.frames[0].camera.fx == 26.25
     assert any("scan.intrinsics" in text for text in scan.warnings)
+    assert any("scan.depth_scale=1000" in text for text in scan.warnings)
+    stated = read_scan(moved, ScanParams(depth_scale=1000, intrinsics="100,100,16,12"))
+    assert not stated.warnings
 
 
 def test_scale_can_be_stated(scan_folder):
     depth = read_depth(read_scan(scan_folder, ScanParams(depth_scale=10000)).frames[0])
     assert depth[5, 5] == 1.0
+
+
+def test_without_lists_the_names_are_the_times(scan_folder, tiny):
+    for name in ("rgb.txt", "depth.txt"):
+        (scan_folder / name).unlink()
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert scan.layout == "tum"
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    assert [one.name for one in scan.skipped] == ["11.000000"]
+    assert any("times in their names" in text for text in scan.warnings)
+
+
+def test_associations_stand_in_for_the_lists(scan_folder, tiny):
+    for name in ("rgb.txt", "depth.txt"):
+        (scan_folder / name).unlink()
+    (scan_folder / "depth").rename(scan_folder / "depths")
+    (scan_folder / "associations.txt").write_text(
+        "10.00 rgb/10.000000.png 10.01 depths/10.010000.png\n"
+        "10.51 depths/10.510000.png 10.50 rgb/10.500000.png\n"
+    )
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    assert [frame.timestamp for frame in scan.frames] == [10_000_000_000, 10_500_000_000]
+
+
+def test_times_that_fall_or_repeat_are_told_and_the_order_kept(scan_folder):
+    lines = (scan_folder / "rgb.txt").read_text().splitlines()
+    (scan_folder / "rgb.txt").write_text("\n".join((lines[2], lines[1])))
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10.500000", "10.000000"]
+    assert any("stay in the order of their files" in text for text in scan.warnings)
+
+
+@pytest.mark.parametrize("text", ["now rgb/1.png\n", "1e99 rgb/1.png\n", "1\n", "1 ../../1.png\n", "\n"])
+def test_damaged_lists_are_told(scan_folder, text):
+    (scan_folder / "rgb.txt").write_text(text)
+    with pytest.raises(InputError, match=r"rgb\.txt"):
+        read_scan(scan_folder)
+
+
+def test_lists_of_files_that_are_not_there(scan_folder):
+    (scan_folder / "rgb.txt").write_text("10.0 rgb/a.png\n10.5 rgb/b.png\n")
+    with pytest.raises(InputError, match=r"none of its 2 frames can be used \(frame a: a\.png is missing\)"):
+        read_scan(scan_folder)
 
 
 def test_poses_without_times_cannot_be_paired(scan_folder):
