@@ -133,6 +133,8 @@ class Frame:
     confidence : how far each depth is to be trusted, (h, w) of the depth map's size or of another; higher is
         better.
     least_confidence : depth of less is missing.
+    depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
+        single views are searched for depth in between.
     """
 
     name: str
@@ -148,6 +150,7 @@ class Frame:
     color_from_depth: Pose | None = None
     confidence: Path | Packed | NDArray[np.uint8] | None = None
     least_confidence: int = 0
+    depth_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,15 @@ from stages.images import read_color, read_pinhole
 from stages.prefetch import read_ahead
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
+from stages.sift import Keypoints, keypoints
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
 from stages.stereo.partners import partners
-from stages.stereo.posed_views import PosedView, posed_views, scene_box
+from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.recognised import neighbours, recognised_depths
+from stages.stereo.scene_depth import Range, range_of_points, ranged_views, scene_box, stated_ranges
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
@@ -32,6 +35,8 @@ from stages.stereo.view_pair import depth_in_view, rectified_views
 _TOLERANCE_PX = 1.0
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
+# Points of a view that are looked for in others, where nothing else tells how far away the scene is.
+_KEYPOINTS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +60,10 @@ def views_depth(
     Images that are upside down against their poses are turned back first (see stages.stereo.turned); their
     maps say so among their warnings.
 
-    Disparities are looked for between the nearest and the farthest corner of the scene: of the box that the
-    scan states (then nothing outside it is kept either), else of a cube where the optical axes meet, as large
-    as the views show; `min_depth` and `max_depth` win over both.
+    Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
+    is kept either) or for each frame; else in that of the points which views recognise in each other, or of
+    a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
+    all of these.
 
     Parameters
     ----------
@@ -77,9 +83,24 @@ def views_depth(
         If a view has no pose, nothing tells where the scene is, or too many views cannot be used.
     """
     params = params or DepthParams()
-    views = posed_views(scan, params.min_depth, params.max_depth)
+    views = posed_views(scan)
+    _require_enough(scan, params)
+    ranges = stated_ranges(scan, views)
+    stated = None not in ranges or None not in (params.min_depth, params.max_depth)
+    warnings: dict[int, tuple[str, ...]] = {}
+    if not stated:
+        pairs = neighbours(views)
+        if params.turn_back:
+            scan, warnings = _turned_back(scan, views, pairs, params)
+        seen = _recognised_ranges(scan, views, pairs, params)
+        ranges = [one or other for one, other in zip(ranges, seen, strict=True)]
+    views = ranged_views(scan, views, ranges, params.min_depth, params.max_depth)
     chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
-    scan, warnings = _turned_back(scan, views, chosen, params) if params.turn_back else (scan, {})
+    if stated and params.turn_back:
+        pairs = sorted(
+            {(min(a, b), max(a, b)) for a, others in enumerate(chosen) for b in others[: params.partners]}
+        )
+        scan, warnings = _turned_back(scan, views, pairs, params)
     tolerance = params.agreement or _tolerance(views, chosen)
     box = scene_box(scan)
     farthest = max(view.far for view in views)
@@ -122,8 +143,48 @@ def views_depth(
             progress(len(views) + at + 1, total)
 
 
+def _require_enough(scan: Scan, params: DepthParams) -> None:
+    """Refuse a scan none of whose depth could be agreed with."""
+    count, needed = len(scan.frames), max(params.agreeing_views + 1, 2)
+    if count < needed:
+        alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
+        raise InputError(
+            f"{alone}: each place must be measured from {needed} views. Give more views"
+            + (", or lower depth.agreeing_views." if count > 1 else "."),
+            scan.folder,
+        )
+
+
+def _recognised_ranges(
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
+) -> list[Range | None]:
+    """Return the range of depth of each view in which it shows what others show, too."""
+
+    def read(frame: Frame) -> Keypoints | None:
+        try:
+            return keypoints(_grey(_color(frame)), _KEYPOINTS)
+        except InputError:
+            return None  # Reported when its turn comes.
+
+    threads = params.threads or os.cpu_count() or 1
+    found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+
+    def compare(pair: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        here, there = (found[at] for at in pair)
+        if here is None or there is None:
+            return None
+        return recognised_depths(views[pair[0]], views[pair[1]], here, there)
+
+    depths: list[list[NDArray[np.float64]]] = [[] for _ in views]
+    compared = read_ahead(compare, pairs, threads=threads, ahead=threads + 2)
+    for pair, result in zip(pairs, compared, strict=True):
+        for at, depth in zip(pair, result or (), strict=result is not None):
+            depths[at].append(depth)
+    return [range_of_points(np.concatenate(some)) if some else None for some in depths]
+
+
 def _turned_back(
-    scan: Scan, views: Sequence[PosedView], chosen: Sequence[Sequence[int]], params: DepthParams
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
 ) -> tuple[Scan, dict[int, tuple[str, ...]]]:
     """Return the scan with upside-down images turned back, and what to say of them, by their places."""
 
@@ -135,9 +196,6 @@ def _turned_back(
 
     threads = params.threads or os.cpu_count() or 1
     found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
-    pairs = sorted(
-        {(min(a, b), max(a, b)) for a, others in enumerate(chosen) for b in others[: params.partners]}
-    )
     places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
     if not places:
         return scan, {}

@@ -1,4 +1,4 @@
-"""Points that are recognised from view to view, and the motion they tell (Lowe 2004; perspective-n-point)."""
+"""Points with depth that are recognised from view to view, and the motion they tell (perspective-n-point)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.scan import Camera, DepthImage, Pose
+from stages.sift import keypoints, matches
 
 # Of each view, the strongest.
 _MOST = 800
-# A match counts where the second best is this much farther.
-_DISTINCT = 0.8
 # Pixels that a point may be off where the other view sees it, and the share of its depth along it.
 _OFF_PX = 3.0
 _OFF_DEPTH = 0.05
@@ -59,20 +58,14 @@ class Recognised:
 
 def features_of(grey: NDArray[np.uint8], depth: DepthImage, camera: Camera) -> Features:
     """Return the features of an image in the geometry of its depth map."""
-    import cv2
-
-    keypoints, descriptors = cv2.SIFT.create(nfeatures=_MOST).detectAndCompute(grey, None)
-    if len(keypoints) == 0:
-        return Features.none()
-    pixels = np.array([keypoint.pt for keypoint in keypoints], np.float32)
-    columns, rows = np.rint(pixels).astype(int).T
+    found = keypoints(grey, _MOST)
+    columns, rows = np.rint(found.pixels).astype(int).T
     z = depth[rows.clip(0, depth.shape[0] - 1), columns.clip(0, depth.shape[1] - 1)]
     there = z > 0
-    pixels, z = pixels[there], z[there]
+    pixels, z = found.pixels[there], z[there]
     rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     points = np.column_stack([rays * z[:, None], z]).astype(np.float32)
-    rooted = np.sqrt(descriptors[there] / descriptors[there].sum(axis=1, keepdims=True).clip(1e-9))
-    return Features(pixels, points, rooted.astype(np.float32), camera)
+    return Features(pixels, points, found.descriptors[there], camera)
 
 
 def recognise(source: Features, target: Features) -> Recognised | None:
@@ -81,7 +74,7 @@ def recognise(source: Features, target: Features) -> Recognised | None:
 
     if len(source.points) < 8 or len(target.points) < 8 or target.camera is None:
         return None
-    pairs = _matches(source.descriptors, target.descriptors)
+    pairs = matches(source.descriptors, target.descriptors)
     if len(pairs) < 8:
         return None
     points, pixels = source.points[pairs[:, 0]], target.pixels[pairs[:, 1]]
@@ -108,20 +101,6 @@ def recognise(source: Features, target: Features) -> Recognised | None:
     if np.count_nonzero(agree) < 8:
         return None
     return Recognised(_fitted(points[chosen][agree], there[agree], pose), int(np.count_nonzero(agree)))
-
-
-def _matches(source: NDArray[np.float32], target: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (m, 2) indices of descriptors that are each other's nearest, and distinctly so."""
-    likeness = source @ target.T
-    nearest, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
-    here = np.arange(len(source))
-    best = likeness[here, nearest]
-    rest = likeness.copy()
-    rest[here, nearest] = -1
-    # Descriptors have unit length: squared distances are 2 - 2 likeness.
-    distinct = 2 - 2 * best < _DISTINCT**2 * (2 - 2 * rest.max(axis=1))
-    kept = distinct & (back[nearest] == here)
-    return np.column_stack([here[kept], nearest[kept]])
 
 
 def _fitted(source: NDArray[np.float32], target: NDArray[np.float32], near: Pose) -> Pose:

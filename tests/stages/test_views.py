@@ -19,7 +19,8 @@ from stages.scan import Camera, Frame, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
 from stages.stereo.partners import affinity, partners
-from stages.stereo.posed_views import PosedView, estimated_box, posed_views
+from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.scene_depth import estimated_box, ranged_views
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
 
@@ -217,7 +218,7 @@ def test_views_that_look_past_each_other_need_a_depth_range() -> None:
     scan = replace(scan, frames=shifted)
     with pytest.raises(InputError, match=r"min_depth.*max_depth"):
         list(views_depth(scan))
-    views = posed_views(scan, 0.5, 2.0)
+    views = ranged_views(scan, posed_views(scan), [None] * 7, 0.5, 2.0)
     assert {(one.near, one.far) for one in views} == {(0.5, 2.0)}
 
 
@@ -238,8 +239,15 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
 
 def test_a_view_alone_cannot_be_measured() -> None:
     scan, _ = posed_scene.scan()
-    with pytest.raises(InputError, match=r"meet|look past|no other view"):
+    with pytest.raises(InputError, match=r"one view alone has no depth: .* from 3 views"):
         list(views_depth(replace(scan, frames=scan.frames[:1])))
+    with pytest.raises(InputError, match=r"of 2 views no depth is agreed with: .*depth\.agreeing_views"):
+        list(views_depth(replace(scan, frames=scan.frames[:2])))
+    two = [
+        result
+        for _, result in views_depth(replace(scan, frames=scan.frames[:2]), DepthParams(agreeing_views=1))
+    ]
+    assert all(isinstance(result, DepthMap) for result in two)
 
 
 def test_views_without_poses_or_images_are_told() -> None:
