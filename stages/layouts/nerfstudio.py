@@ -1,7 +1,8 @@
 """nerfstudio, instant-ngp and Blender: `transforms.json` lists views, cameras, poses and perhaps depth maps.
 
 Cameras have OpenGL's axes (y up, z back). `applied_transform` A and `applied_scale` s say how the world
-of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out.
+of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out. Where no
+frame has a depth map, all are single views.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from stages.layouts.files import IMAGES, common_size, inside, numbers
 from stages.layouts.layout import Layout
 from stages.layouts.phones import seen_in
 from stages.layouts.stated import stated_camera
-from stages.layouts.views import without_depth
+from stages.layouts.views import NOT_METRES, in_metres, single_view
 from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
@@ -61,28 +62,59 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         raise InputError("it holds no list of frames.", path)
     entries = _in_order(entries, path)
     _require_unmixed(document, entries, path)
-    with_depth = [entry for entry in entries if _depth_path(entry) is not None]
-    if not with_depth:
-        raise without_depth(path, "Frames with depth name it by depth_file_path (nerfstudio).")
-    skipped = tuple(
-        SkippedFrame(_name(entry), "it has no depth_file_path")
-        for entry in entries
-        if _depth_path(entry) is None
-    )
-    colors = [_color_file(folder, entry, path) for entry in with_depth]
+    used = [entry for entry in entries if _depth_path(entry) is not None] or entries
+    colors = [_color_file(folder, entry, path) for entry in used]
     depths = [
-        inside(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path) for entry in with_depth
+        inside(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path)
+        for entry in used
+        if _depth_path(entry) is not None
     ]
-    cameras = _cameras(folder, options, [document | entry for entry in with_depth], colors, path)
-    depth_cameras = _depth_cameras(cameras, depths, path)
+    cameras = _cameras(folder, options, [document | entry for entry in used], colors, path)
     given = options.file("poses", folder)
     if given is None:
-        poses = _poses(document, with_depth, path)
+        poses = _poses(document, used, path)
     else:
-        names = [_name(entry) for entry in with_depth]
+        names = [_name(entry) for entry in used]
         poses = trajectories.match(trajectories.read_trajectory(given), names, given)
-    scale = options.depth_scale or _depth_scale(document, path)
-    frames = [
+    warnings = _warnings(folder, path)
+    if not depths:
+        if given is None:
+            # There are no depth maps whose unit it could be.
+            poses = [in_metres(pose, options.depth_scale) for pose in poses]
+            warnings += [NOT_METRES] if options.depth_scale is None else []
+        views = [_view(*one) for one in zip(used, cameras, colors, poses, strict=True)]
+        frames = [one for one in views if isinstance(one, Frame)]
+        skipped = [one for one in views if isinstance(one, SkippedFrame)]
+    else:
+        scale = options.depth_scale or _depth_scale(document, path)
+        frames = _frames(used, cameras, colors, depths, poses, scale, path)
+        skipped = [
+            SkippedFrame(_name(entry), "it has no depth_file_path")
+            for entry in entries
+            if _depth_path(entry) is None
+        ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _view(entry: dict[str, Any], camera: Camera, color: Path, pose: Pose | None) -> Frame | SkippedFrame:
+    try:
+        return single_view(_name(entry), camera, color, pose)
+    except InputError as error:
+        return SkippedFrame(_name(entry), str(error))
+
+
+def _frames(
+    entries: Sequence[dict[str, Any]],
+    cameras: Sequence[Camera],
+    colors: Sequence[Path],
+    depths: Sequence[Path],
+    poses: Sequence[Pose | None],
+    scale: float | None,
+    path: Path,
+) -> list[Frame]:
+    """Return frames with depth."""
+    depth_cameras = _depth_cameras(cameras, depths, path)
+    return [
         Frame(
             name=_name(entry),
             camera=depth_camera,
@@ -94,15 +126,14 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             color_camera=None if camera == depth_camera else camera,
         )
         for entry, camera, depth_camera, color, depth, pose in zip(
-            with_depth, cameras, depth_cameras, colors, depths, poses, strict=True
+            entries, cameras, depth_cameras, colors, depths, poses, strict=True
         )
     ]
-    return Scan(LAYOUT.name, frames, None, folder, skipped, _warnings(folder, path))
 
 
-def _warnings(folder: Path, path: Path) -> tuple[str, ...]:
+def _warnings(folder: Path, path: Path) -> list[str]:
     others = [other.name for other in sorted(folder.glob("transforms*.json")) if other != path]
-    return (f"only {path.name} is read, not {', '.join(others)}",) if others else ()
+    return [f"only {path.name} is read, not {', '.join(others)}"] if others else []
 
 
 def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
@@ -278,7 +309,7 @@ def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
 
 LAYOUT = Layout(
     name="nerfstudio",
-    text="transforms.json with depth_file_path (nerfstudio, instant-ngp, Blender)",
+    text="transforms.json, with depth_file_path or of single views (nerfstudio, instant-ngp, Blender)",
     matches=_matches,
     read=_read,
 )

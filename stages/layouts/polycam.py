@@ -1,6 +1,7 @@
 """Polycam's raw data: `keyframes/` with a JSON of camera and pose for each image, depth and confidence.
 
-Poses are camera-to-world, with OpenGL's camera axes (y up, z back).
+Poses are camera-to-world, in metres, with OpenGL's camera axes (y up, z back). Phones without a LiDAR write
+no depth: these are single views.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from stages.layouts.files import IMAGES, common_size, images, numbers
 from stages.layouts.layout import Layout
 from stages.layouts.phones import least_confidence, seen_in
 from stages.layouts.stated import stated_camera
-from stages.layouts.views import without_depth
+from stages.layouts.views import single_view
 from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
@@ -35,14 +36,12 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     keyframes = folder / "keyframes"
     camera_files, colors, warnings = _chosen(folder)
     depths = _by_stem(keyframes / "depth")
-    if not depths:
-        raise without_depth(folder, "Polycam keeps it in keyframes/depth/ when the phone has a LiDAR.")
     trusts = _by_stem(keyframes / "confidence")
     least = 0
-    if trusts:
+    if trusts and depths:
         least, said = least_confidence(options, _LEVELS, folder)
         warnings.append(said)
-    size = common_size(list(depths.values()))
+    size = common_size(list(depths.values())) if depths else None
     color_size = common_size(list(colors.values()))
     stems = [file.stem for file in camera_files]
     given = options.file("poses", folder)
@@ -50,15 +49,18 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for position, (stem, file) in enumerate(zip(stems, camera_files, strict=True)):
-        lacking = next(
-            (what for what, held in (("image", colors), ("depth map", depths)) if stem not in held), None
-        )
+        needed = (("image", colors), ("depth map", depths)) if depths else (("image", colors),)
+        lacking = next((what for what, held in needed if stem not in held), None)
         if lacking is not None:
             skipped.append(SkippedFrame(stem, f"its {lacking} is missing"))
             continue
         try:
             table = documents.read_document(file)
             color_camera = _camera(table, file, options, folder, color_size)
+            pose = _pose(table, file) if poses is None else poses[position]
+            if size is None:
+                frames.append(single_view(stem, color_camera, colors[stem], pose))
+                continue
             frames.append(
                 Frame(
                     name=stem,
@@ -66,7 +68,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                     color=colors[stem],
                     depth=depths[stem],
                     depth_scale=options.depth_scale or 1000.0,
-                    world_from_camera=_pose(table, file) if poses is None else poses[position],
+                    world_from_camera=pose,
                     timestamp=_nanoseconds(stem),
                     color_camera=color_camera,
                     confidence=trusts.get(stem),
@@ -133,7 +135,7 @@ def _nanoseconds(stem: str) -> int | None:
 
 LAYOUT = Layout(
     name="polycam",
-    text="keyframes/ with corrected_cameras/ or cameras/, images and depth/ (Polycam's raw data)",
+    text="keyframes/ with corrected_cameras/ or cameras/, images and perhaps depth/ (Polycam's raw data)",
     matches=_matches,
     read=_read,
 )

@@ -216,13 +216,45 @@ def test_a_file_that_is_no_list_is_one_sentence(scan_folder):
             read_scan(scan_folder)
 
 
-def test_views_without_depth_are_refused_with_the_reason(scan_folder, tiny):
-    content = document(tiny)
+def without_depth(tiny, poses=None):
+    content = document(tiny, poses)
     for entry in content["frames"]:
         del entry["depth_file_path"]
-    write(scan_folder, content)
-    with pytest.raises(InputError, match="have no depth, and views of this layout alone cannot be read yet"):
-        read_scan(scan_folder)
+    return content
+
+
+def test_frames_without_any_depth_are_single_views(scan_folder, tiny):
+    write(scan_folder, without_depth(tiny))
+    scan = read_scan(scan_folder)
+    tiny.assert_views(scan)
+    assert any("scan.depth_scale" in text for text in scan.warnings)
+
+
+def test_single_views_in_another_unit(scan_folder, tiny):
+    poses = [tiny.opengl(pose) for pose in (tiny.identity, tiny.second)]
+    for pose in poses:
+        pose[:3, 3] *= 1000
+    write(scan_folder, without_depth(tiny, poses))
+    scan = read_scan(scan_folder, ScanParams(depth_scale=1000))
+    tiny.assert_views(scan)
+    assert scan.warnings == ()
+    # Stated poses are in metres.
+    rows = [" ".join(map(str, pose[:3].ravel())) for pose in (tiny.identity, tiny.second)]
+    (scan_folder / "poses.txt").write_text("\n".join(rows))
+    tiny.assert_views(read_scan(scan_folder, ScanParams(depth_scale=1000, poses="poses.txt")))
+
+
+def test_single_views_each_of_its_size(scan_folder, tiny):
+    """Images that were made smaller after their cameras were found; one that was cropped is left out."""
+    tiny.dotted_file(scan_folder / "images" / "10.png", 1)
+    write(scan_folder, without_depth(tiny))
+    scan = read_scan(scan_folder)
+    assert [frame.camera.width for frame in scan.frames] == [32 * FACTOR, 32]
+    tiny.assert_views(scan)
+    tiny.color(scan_folder / "images" / "2.png", (100, 30))
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10"]
+    assert "not the shape of the camera's" in scan.skipped[0].reason
 
 
 def test_frames_without_depth_are_left_out(scan_folder, tiny):

@@ -114,11 +114,16 @@ def test_images_of_another_shape_are_refused(scan_folder, tiny):
         read_scan(scan_folder)
 
 
-def test_without_depth_the_reason_is_said(scan_folder):
+def test_without_depth_the_frames_are_single_views(scan_folder, tiny):
     for file in (scan_folder / "keyframes" / "depth").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match=r"views of this layout alone cannot be read yet.*LiDAR"):
-        read_scan(scan_folder)
+    scan = read_scan(scan_folder)
+    tiny.assert_views(scan)
+    assert scan.warnings == ()
+    (scan_folder / "keyframes" / "corrected_images" / f"{STEMS[1]}.png").unlink()
+    assert [(one.name, one.reason) for one in read_scan(scan_folder).skipped] == [
+        (STEMS[1], "its image is missing")
+    ]
 
 
 def test_without_images_the_reason_is_said(tmp_path):
