@@ -222,9 +222,9 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     fx = fx or fy
     if fx is None or fy is None:
         raise InputError("no focal length: neither fl_x nor camera_angle_x is there.", path)
-    # The middle of the image, with pixel centres at whole numbers.
-    cx = _number(table, "cx", path, (width - 1) / 2)
-    cy = _number(table, "cy", path, (height - 1) / 2)
+    # Counted from the corner of the top left pixel, as COLMAP does, from which most files come.
+    cx = _number(table, "cx", path, width / 2) - 0.5
+    cy = _number(table, "cy", path, height / 2) - 0.5
     bent = tuple(_number(table, key, path, 0.0) for key in _BENT)
     return calibration.checked(Camera(width, height, fx, fy, cx, cy, bent if any(bent) else ()), path)
 

@@ -22,8 +22,9 @@ def document(tiny, poses=None):
         "h": 24 * FACTOR,
         "fl_x": camera["fx"],
         "fl_y": camera["fy"],
-        "cx": camera["cx"],
-        "cy": camera["cy"],
+        # Counted from the corner of the top left pixel.
+        "cx": camera["cx"] + 0.5,
+        "cy": camera["cy"] + 0.5,
         "frames": [
             {
                 "file_path": f"images/{number}.png",
