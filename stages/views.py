@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stages.depth import DepthMap, DepthParams, PairStage
 from stages.errors import InputError
-from stages.images import read_color, read_pinhole
+from stages.images import read_color, read_mask, read_pinhole, read_seen
 from stages.prefetch import read_ahead
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
@@ -201,7 +201,11 @@ def _turned_back(
         return scan, {}
     frames = list(scan.frames)
     for at in places:
-        frames[at] = replace(frames[at], color=_upside_down(frames[at]))
+        frames[at] = replace(
+            frames[at],
+            color=_upside_down(frames[at], frames[at].color, read_color),
+            mask=_upside_down(frames[at], frames[at].mask, read_mask),
+        )
     said = (
         f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
         "they were turned back",
@@ -209,18 +213,24 @@ def _turned_back(
     return replace(scan, frames=frames), dict.fromkeys(places, said)
 
 
-def _upside_down(frame: Frame) -> Packed | ColorImage:
-    """Return the frame's image turned by 180 degrees, read again each time if it is a file."""
+def _upside_down(
+    frame: Frame,
+    source: Path | Packed | NDArray[np.uint8] | None,
+    read: Callable[[Frame], NDArray[np.uint8] | None],
+) -> Packed | NDArray[np.uint8] | None:
+    """Return an image of the frame turned by 180 degrees, read again each time if it is a file."""
+    if source is None:
+        return None
 
-    def load() -> ColorImage:
-        color = read_color(frame)
-        if color is None:
+    def load() -> NDArray[np.uint8]:
+        image = read(frame)
+        if image is None:
             raise InputError(f"frame {frame.name} has no image.")
-        return np.ascontiguousarray(color[::-1, ::-1])
+        return np.ascontiguousarray(image[::-1, ::-1])
 
-    if isinstance(frame.color, Path):
-        return Packed(frame.color, "turned", load)
-    return load()
+    if isinstance(source, np.ndarray):
+        return load()
+    return Packed(source if isinstance(source, Path) else source.file, f"{frame.name}, turned", load)
 
 
 def _measure(
@@ -260,7 +270,7 @@ def _measure(
     if not depths:
         return SkippedFrame(name, "no other view sees the same from a little aside (1 to 35 degrees)")
     depth, trust = merged(depths, confidences, tolerance)
-    depth[~measurable(_grey(color), params.backdrop)] = 0
+    depth[~(measurable(_grey(color), params.backdrop) & read_seen(scan.frames[at]))] = 0
     return _Measured(depth, trust, searches[0])
 
 
@@ -319,7 +329,9 @@ def _depth_map(
 
 
 def _measured_frame(frame: Frame, view: PosedView, result: DepthMap) -> Frame:
-    return replace(frame, camera=view.camera, color=result.color, depth=result.depth)
+    return replace(
+        frame, camera=view.camera, color=result.color, depth=result.depth, mask=None, depth_range=None
+    )
 
 
 def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, scan: Scan) -> None:

@@ -70,7 +70,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         try:
             if alone:
                 found = _own_points(points, view, options)
-                frames.append(single_view(name, camera, images / view.name, pose, found))
+                frames.append(single_view(name, camera, images / view.name, pose, points=found))
                 continue
             if depth is None:
                 raise InputError("it has no depth map.")

@@ -2,13 +2,14 @@
 
 Cameras have OpenGL's axes (y up, z back). `applied_transform` A and `applied_scale` s say how the world
 of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out. Where no
-frame has a depth map, all are single views.
+frame has a depth map, all are single views. Masks (`mask_path`) and transparency say where nothing is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,13 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
+from stages.images import has_alpha, read_alpha
 from stages.layouts.files import IMAGES, common_size, inside, numbers
 from stages.layouts.layout import Layout
 from stages.layouts.phones import seen_in
 from stages.layouts.stated import stated_camera
 from stages.layouts.views import NOT_METRES, in_metres, single_view
-from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -69,6 +71,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         for entry in used
         if _depth_path(entry) is not None
     ]
+    masks = [_mask(folder, entry, color, path) for entry, color in zip(used, colors, strict=True)]
     cameras = _cameras(folder, options, [document | entry for entry in used], colors, path)
     given = options.file("poses", folder)
     if given is None:
@@ -82,12 +85,12 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             # There are no depth maps whose unit it could be.
             poses = [in_metres(pose, options.depth_scale) for pose in poses]
             warnings += [NOT_METRES] if options.depth_scale is None else []
-        views = [_view(*one) for one in zip(used, cameras, colors, poses, strict=True)]
+        views = [_view(*one) for one in zip(used, cameras, colors, masks, poses, strict=True)]
         frames = [one for one in views if isinstance(one, Frame)]
         skipped = [one for one in views if isinstance(one, SkippedFrame)]
     else:
         scale = options.depth_scale or _depth_scale(document, path)
-        frames = _frames(used, cameras, colors, depths, poses, scale, path)
+        frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
         skipped = [
             SkippedFrame(_name(entry), "it has no depth_file_path")
             for entry in entries
@@ -96,9 +99,11 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
 
 
-def _view(entry: dict[str, Any], camera: Camera, color: Path, pose: Pose | None) -> Frame | SkippedFrame:
+def _view(
+    entry: dict[str, Any], camera: Camera, color: Path, mask: Path | Packed | None, pose: Pose | None
+) -> Frame | SkippedFrame:
     try:
-        return single_view(_name(entry), camera, color, pose)
+        return single_view(_name(entry), camera, color, pose, mask=mask)
     except InputError as error:
         return SkippedFrame(_name(entry), str(error))
 
@@ -107,6 +112,7 @@ def _frames(
     entries: Sequence[dict[str, Any]],
     cameras: Sequence[Camera],
     colors: Sequence[Path],
+    masks: Sequence[Path | Packed | None],
     depths: Sequence[Path],
     poses: Sequence[Pose | None],
     scale: float | None,
@@ -124,9 +130,10 @@ def _frames(
             depth_scale=scale or (1.0 if depth.suffix.lower() == ".exr" else 1000.0),
             world_from_camera=pose,
             color_camera=None if camera == depth_camera else camera,
+            mask=mask,
         )
-        for entry, camera, depth_camera, color, depth, pose in zip(
-            entries, cameras, depth_cameras, colors, depths, poses, strict=True
+        for entry, camera, depth_camera, color, mask, depth, pose in zip(
+            entries, cameras, depth_cameras, colors, masks, depths, poses, strict=True
         )
     ]
 
@@ -165,6 +172,13 @@ def _color_file(folder: Path, entry: dict[str, Any], path: Path) -> Path:
     if file.is_file():
         return file
     return next((one for s in IMAGES if (one := file.with_name(file.name + s)).is_file()), file)
+
+
+def _mask(folder: Path, entry: dict[str, Any], color: Path, path: Path) -> Path | Packed | None:
+    """Return what says where the image shows nothing: a mask of its own, or its transparency (Blender)."""
+    if entry.get("mask_path") is not None:
+        return inside(folder, entry["mask_path"], f"frame {_name(entry)}: mask_path", path)
+    return Packed(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
 
 
 def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> None:

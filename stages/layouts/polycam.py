@@ -1,29 +1,32 @@
 """Polycam's raw data: `keyframes/` with a JSON of camera and pose for each image, depth and confidence.
 
 Poses are camera-to-world, in metres, with OpenGL's camera axes (y up, z back). Phones without a LiDAR write
-no depth: these are single views.
+no depth: these are single views. Corrected images have black borders, which are left out with their depth.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
+from stages.layouts.black_border import border_mask
 from stages.layouts.files import IMAGES, common_size, images, numbers
 from stages.layouts.layout import Layout
 from stages.layouts.phones import least_confidence, seen_in
 from stages.layouts.stated import stated_camera
 from stages.layouts.views import single_view
-from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 _LEVELS = (0, 127, 255)
 # Optimised and undistorted, the first is the better one; long captures lack it.
-_SETS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+_CORRECTED = "corrected_images"
+_SETS = (("corrected_cameras", _CORRECTED), ("cameras", "images"))
 
 
 def _matches(folder: Path) -> str | None:
@@ -44,6 +47,11 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     size = common_size(list(depths.values())) if depths else None
     color_size = common_size(list(colors.values()))
     stems = [file.stem for file in camera_files]
+    masks = {
+        stem: Packed(color, "border", partial(border_mask, color))
+        for stem, color in colors.items()
+        if color.parent.name == _CORRECTED
+    }
     given = options.file("poses", folder)
     poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
     frames: list[Frame] = []
@@ -59,7 +67,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             color_camera = _camera(table, file, options, folder, color_size)
             pose = _pose(table, file) if poses is None else poses[position]
             if size is None:
-                frames.append(single_view(stem, color_camera, colors[stem], pose))
+                frames.append(single_view(stem, color_camera, colors[stem], pose, mask=masks.get(stem)))
                 continue
             frames.append(
                 Frame(
@@ -73,6 +81,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                     color_camera=color_camera,
                     confidence=trusts.get(stem),
                     least_confidence=least,
+                    mask=masks.get(stem),
                 )
             )
         except InputError as error:

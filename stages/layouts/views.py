@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.images import image_size
 from stages.layouts.phones import seen_in
-from stages.scan import Camera, Frame, Pose
+from stages.scan import Camera, Frame, Packed, Pose
 from stages.stereo.scene_depth import range_of_points
 
 NOT_METRES = (
@@ -24,7 +24,9 @@ def single_view(
     camera: Camera,
     color: Path,
     pose: Pose | None,
+    *,
     points: NDArray[np.float64] | None = None,
+    mask: Path | Packed | None = None,
 ) -> Frame:
     """Return the frame of a view without depth.
 
@@ -33,6 +35,7 @@ def single_view(
     camera : of the image in any size: images are often made smaller after their cameras were found.
     pose : world-from-camera, metres.
     points : (n, 3) metres, world, that a reconstruction found in the view.
+    mask : as of a Frame.
 
     Raises
     ------
@@ -45,7 +48,7 @@ def single_view(
     depth_range = None
     if points is not None and pose is not None:
         depth_range = range_of_points((points - pose[:3, 3]) @ pose[:3, 2])
-    return Frame(name, camera, color=color, world_from_camera=pose, depth_range=depth_range)
+    return Frame(name, camera, color=color, world_from_camera=pose, mask=mask, depth_range=depth_range)
 
 
 def in_metres(pose: Pose | None, units: float | None) -> Pose | None:

@@ -222,6 +222,22 @@ def test_views_that_look_past_each_other_need_a_depth_range() -> None:
     assert {(one.near, one.far) for one in views} == {(0.5, 2.0)}
 
 
+def test_nothing_is_kept_where_a_mask_says_so() -> None:
+    scan, _ = posed_scene.scan()
+    mask = np.full((180, 240), 255, np.uint8)
+    mask[:, 130:] = 0
+    frames = list(scan.frames)
+    # The image of the third is upside down, and its mask with it.
+    frames[2] = upside_down(replace(frames[2], mask=mask))
+    frames[3] = replace(frames[3], mask=mask)
+    sound = [result.depth > 0 for _, result in views_depth(scan)]
+    found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
+    for at in (2, 3):
+        assert not found[at][:, 130:].any()
+        # A few pixels miss the agreement of what was masked in the other.
+        assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.002
+
+
 def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
     scan, _ = posed_scene.scan()
     broken = tmp_path / "broken.png"
@@ -261,7 +277,8 @@ def test_views_without_poses_or_images_are_told() -> None:
 
 
 def upside_down(frame: Frame) -> Frame:
-    return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]))
+    mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[::-1, ::-1])
+    return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]), mask=mask)
 
 
 @pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
