@@ -26,7 +26,7 @@ from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
 from stages.stereo.partners import partners
 from stages.stereo.posed_views import PosedView, posed_views
-from stages.stereo.recognised import neighbours, recognised_depths
+from stages.stereo.recognised import Recognised, neighbours, recognised
 from stages.stereo.scene_depth import Range, range_of_points, ranged_views, scene_box, stated_ranges
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_pair import depth_in_view, rectified_views
@@ -35,8 +35,10 @@ from stages.stereo.view_pair import depth_in_view, rectified_views
 _TOLERANCE_PX = 1.0
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
-# Points of a view that are looked for in others, where nothing else tells how far away the scene is.
+# Points of a view that are looked for in others.
 _KEYPOINTS = 2000
+# Rows of a pair that differ by more cost the matcher its best match.
+_LARGEST_OFF_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +65,7 @@ def views_depth(
     Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
     is kept either) or for each frame; else in that of the points which views recognise in each other, or of
     a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
-    all of these.
+    all of these. Where recognised points lie elsewhere than the poses say, the maps have a warning.
 
     Parameters
     ----------
@@ -85,22 +87,12 @@ def views_depth(
     params = params or DepthParams()
     views = posed_views(scan)
     _require_enough(scan, params)
-    ranges = stated_ranges(scan, views)
-    stated = None not in ranges or None not in (params.min_depth, params.max_depth)
-    warnings: dict[int, tuple[str, ...]] = {}
-    if not stated:
-        pairs = neighbours(views)
-        if params.turn_back:
-            scan, warnings = _turned_back(scan, views, pairs, params)
-        seen = _recognised_ranges(scan, views, pairs, params)
-        ranges = [one or other for one, other in zip(ranges, seen, strict=True)]
+    pairs = neighbours(views)
+    scan, warnings = _turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
+    seen, doubts = _recognised(scan, views, pairs, params)
+    ranges = [one or other for one, other in zip(stated_ranges(scan, views), seen, strict=True)]
     views = ranged_views(scan, views, ranges, params.min_depth, params.max_depth)
     chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
-    if stated and params.turn_back:
-        pairs = sorted(
-            {(min(a, b), max(a, b)) for a, others in enumerate(chosen) for b in others[: params.partners]}
-        )
-        scan, warnings = _turned_back(scan, views, pairs, params)
     tolerance = params.agreement or _tolerance(views, chosen)
     box = scene_box(scan)
     farthest = max(view.far for view in views)
@@ -129,7 +121,11 @@ def views_depth(
             count = agreeing_views(views[at], depth, others, tolerance)
             depth[count < params.agreeing_views] = 0
             found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
-            return found if isinstance(found, SkippedFrame) else replace(found, warnings=warnings.get(at, ()))
+            return (
+                found
+                if isinstance(found, SkippedFrame)
+                else replace(found, warnings=(*doubts, *warnings.get(at, ())))
+            )
 
         skipped: list[SkippedFrame] = []
         second_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
@@ -155,10 +151,10 @@ def _require_enough(scan: Scan, params: DepthParams) -> None:
         )
 
 
-def _recognised_ranges(
+def _recognised(
     scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
-) -> list[Range | None]:
-    """Return the range of depth of each view in which it shows what others show, too."""
+) -> tuple[list[Range | None], tuple[str, ...]]:
+    """Return the range of depth of what each view shows and others do, and what is odd about the poses."""
 
     def read(frame: Frame) -> Keypoints | None:
         try:
@@ -167,20 +163,34 @@ def _recognised_ranges(
             return None  # Reported when its turn comes.
 
     threads = params.threads or os.cpu_count() or 1
-    found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+    points = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
 
-    def compare(pair: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        here, there = (found[at] for at in pair)
+    def compare(pair: tuple[int, int]) -> Recognised | None:
+        here, there = (points[at] for at in pair)
         if here is None or there is None:
             return None
-        return recognised_depths(views[pair[0]], views[pair[1]], here, there)
+        return recognised(views[pair[0]], views[pair[1]], here, there)
 
-    depths: list[list[NDArray[np.float64]]] = [[] for _ in views]
+    depths: list[list[NDArray[np.float64]]] = [[np.zeros(0)] for _ in views]
+    off: list[float] = []
     compared = read_ahead(compare, pairs, threads=threads, ahead=threads + 2)
-    for pair, result in zip(pairs, compared, strict=True):
-        for at, depth in zip(pair, result or (), strict=result is not None):
-            depths[at].append(depth)
-    return [range_of_points(np.concatenate(some)) if some else None for some in depths]
+    for pair, found in zip(pairs, compared, strict=True):
+        if found is not None:
+            off.append(found.off)
+            for at, some in zip(pair, found.depths, strict=True):
+                depths[at].append(some)
+    return [range_of_points(np.concatenate(some)) for some in depths], _doubts(off)
+
+
+def _doubts(off: Sequence[float]) -> tuple[str, ...]:
+    usual = float(np.median(off)) if off else 0.0
+    if usual <= _LARGEST_OFF_PX:
+        return ()
+    return (
+        f"what two views show is off by {usual:.1f} px (median) from where their poses put it, more than "
+        f"{_LARGEST_OFF_PX:g} px: poses or calibration do not fit the images well, and depth will have holes "
+        "and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy state others",
+    )
 
 
 def _turned_back(
@@ -268,7 +278,10 @@ def _measure(
         confidences.append(trust)
         searches.append(found.search)
     if not depths:
-        return SkippedFrame(name, "no other view sees the same from a little aside (1 to 35 degrees)")
+        where = "before or behind it" if chosen[at] else "too near, too far aside, or look elsewhere"
+        return SkippedFrame(
+            name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
+        )
     depth, trust = merged(depths, confidences, tolerance)
     depth[~(measurable(_grey(color), params.backdrop) & read_seen(scan.frames[at]))] = 0
     return _Measured(depth, trust, searches[0])

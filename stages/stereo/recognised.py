@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,29 @@ from stages.stereo.posed_views import PosedView
 _RANKS = (1, 2, 4, 8, 16)
 # Degrees between the optical axes of views that may see the same.
 _WIDEST = 45.0
-# Share of the image's diagonal that a match may be off its epipolar line: 1.6 px of 640×480.
-_TOLERANCE = 0.002
+# Share of the image's diagonal that a match may be off its epipolar line, 8 px of 640×480: poses of phones
+# are off by several pixels.
+_TOLERANCE = 0.01
 # Views see the same where so many matches are on their lines, and this share of all of them.
 _ENOUGH, _SHARE = 12, 0.3
-# Degrees: under a smaller angle, a pixel moves a point by a large share of its depth.
-_SMALLEST = 1.0
+# A match tells how far away it is where the rays differ by so many degrees, and by so many times what the
+# matches of the pair are off.
+_SMALLEST, _SURE = 1.0, 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recognised:
+    """What two views recognise in each other.
+
+    Attributes
+    ----------
+    off : pixels, how far the median match lies off its epipolar line; more than one says that poses or
+        calibration do not fit the images.
+    depths : of the matches that tell, (n,) metres along the axis of the first view, and of the second.
+    """
+
+    off: float
+    depths: tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def neighbours(views: Sequence[PosedView]) -> list[tuple[int, int]]:
@@ -38,43 +56,40 @@ def neighbours(views: Sequence[PosedView]) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def recognised_depths(
-    first: PosedView, second: PosedView, here: Keypoints, there: Keypoints
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the depths, along the axis of each view, of the points that both recognise.
+def recognised(first: PosedView, second: PosedView, here: Keypoints, there: Keypoints) -> Recognised | None:
+    """Return what two views recognise in each other; None where they do not see the same.
 
     Parameters
     ----------
     here, there : the points of both images, without distortion.
-
-    Returns
-    -------
-    (n,) metres along the axis of the first, and of the second; n is 0 where they do not see the same.
     """
-    none = np.zeros(0)
     same = matches(here.descriptors, there.descriptors)
     one, other = (
         points.pixels[same[:, side]].astype(np.float64) for side, points in enumerate((here, there))
     )
     lines = fundamental(first, second)
     off = np.maximum(off_line(lines, one, other), off_line(lines.T, other, one))
-    diagonal = math.hypot(first.camera.width, first.camera.height)
-    fits = off <= _TOLERANCE * diagonal
+    fits = off <= _TOLERANCE * math.hypot(first.camera.width, first.camera.height)
     if np.count_nonzero(fits) < max(_ENOUGH, _SHARE * len(same)):
-        return none, none
+        return None
     rays = [
         view.rays(*points[fits].T) @ view.world_from_camera[:3, :3].T
         for view, points in ((first, one), (second, other))
     ]
-    return _where_rays_meet(rays[0], rays[1], second.centre - first.centre)
+    usual = float(np.median(off[fits]))
+    angle = max(math.radians(_SMALLEST), _SURE * usual / first.camera.fx)
+    return Recognised(usual, _where_rays_meet(rays[0], rays[1], second.centre - first.centre, angle))
 
 
 def _where_rays_meet(
-    first: NDArray[np.float64], second: NDArray[np.float64], across: NDArray[np.float64]
+    first: NDArray[np.float64], second: NDArray[np.float64], across: NDArray[np.float64], least: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far along rays (n, 3) of z = 1, `across` apart, they come nearest to each other."""
+    """Return how far along rays (n, 3) of z = 1, `across` apart, they come nearest to each other.
+
+    Only of those that differ by the `least` angle (radians), and meet before both views.
+    """
     aa, bb, ab = ((u * v).sum(axis=1) for u, v in ((first, first), (second, second), (first, second)))
-    wide = ab < math.cos(math.radians(_SMALLEST)) * np.sqrt(aa * bb)
+    wide = ab < math.cos(least) * np.sqrt(aa * bb)
     aa, bb, ab, to_a, to_b = aa[wide], bb[wide], ab[wide], first[wide] @ across, second[wide] @ across
     determinant = aa * bb - ab**2
     here, there = (bb * to_a - ab * to_b) / determinant, (ab * to_a - aa * to_b) / determinant

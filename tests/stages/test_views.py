@@ -15,11 +15,13 @@ from stages import read_scan, views_depth
 from stages.depth import DepthMap, DepthParams
 from stages.errors import InputError
 from stages.images import read_depth
-from stages.scan import Camera, Frame, SkippedFrame
+from stages.scan import Camera, Frame, Scan, SkippedFrame
+from stages.sift import keypoints, matches
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
 from stages.stereo.partners import affinity, partners
 from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.recognised import neighbours, recognised
 from stages.stereo.scene_depth import estimated_box, ranged_views
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
@@ -214,7 +216,8 @@ def test_views_that_look_past_each_other_need_a_depth_range() -> None:
     for number, frame in enumerate(scan.frames):
         pose = posed_scene.pose(0, 0)
         pose[0, 3] += 0.1 * number
-        shifted.append(replace(frame, world_from_camera=pose))
+        other = np.random.default_rng(number).integers(0, 255, (180, 240, 3), np.uint8)
+        shifted.append(replace(frame, color=other, world_from_camera=pose))
     scan = replace(scan, frames=shifted)
     with pytest.raises(InputError, match=r"min_depth.*max_depth"):
         list(views_depth(scan))
@@ -236,6 +239,52 @@ def test_nothing_is_kept_where_a_mask_says_so() -> None:
         assert not found[at][:, 130:].any()
         # A few pixels miss the agreement of what was masked in the other.
         assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.002
+
+
+def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
+    """Of two views 7 degrees apart: the ball about 1 m, and the board about 1.45 m before them."""
+    scan, truth = posed_scene.scan()
+    views = posed_views(scan)
+    assert (0, 1) in neighbours(views)
+    points = [keypoints(frame.color[:, :, 0], 1000) for frame in scan.frames[:2]]
+
+    found = recognised(views[0], views[1], *points)
+
+    assert found.off < 0.5
+    same = matches(points[0].descriptors, points[1].descriptors)
+    for side, depth in enumerate(found.depths):
+        columns, rows = np.rint(points[side].pixels[same[:, side]]).astype(int).T
+        true = truth[side][rows, columns]
+        assert len(depth) > 50
+        np.testing.assert_allclose(
+            np.percentile(depth, (5, 50, 95)), np.percentile(true[true > 0], (5, 50, 95)), rtol=0.03
+        )
+    # From 30 cm below, the same points would be elsewhere.
+    away = np.array(scan.frames[1].world_from_camera)
+    away[1, 3] += 0.3
+    assert recognised(views[0], replace(views[1], world_from_camera=away), *points) is None
+
+
+def test_poses_that_do_not_fit_the_images_are_told() -> None:
+    scan, _ = posed_scene.scan()
+    assert not any(result.warnings for _, result in views_depth(scan))
+    # The principal point is 3 px off; the views are turned about their axes, each another way.
+    camera = replace(posed_scene.CAMERA, cy=posed_scene.CAMERA.cy + 3)
+    frames = [replace(frame, camera=camera) for frame in scan.frames]
+    results = [one for _, one in views_depth(replace(scan, frames=frames), DepthParams(max_skipped=1))]
+    said = {text for one in results if isinstance(one, DepthMap) for text in one.warnings}
+    assert len(said) == 1
+    assert "poses or calibration do not fit the images" in said.pop()
+
+
+def test_a_camera_that_moves_ahead_measures_nothing_and_says_why() -> None:
+    frames = []
+    for number in range(4):
+        where = posed_scene.pose(0, 0, distance=1.6 - 0.15 * number)
+        image, _ = posed_scene.seen(where)
+        frames.append(Frame(f"{number:04d}", posed_scene.CAMERA, color=image, world_from_camera=where))
+    with pytest.raises(InputError, match=r"from a little aside .* others stand before or behind it"):
+        list(views_depth(Scan("made", frames)))
 
 
 def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
@@ -355,9 +404,8 @@ def test_the_colours_of_a_room_alone_give_its_depth() -> None:
     """The sample's RGB-D frames without their depth: a camera that walks, whose axes meet nowhere."""
     scan = read_scan(Path(__file__).resolve().parents[2] / "samples" / "rgbd")
     frames = [replace(frame, depth=None) for frame in scan.frames[8:16]]
-    params = DepthParams(min_depth=0.5, max_depth=4.5, partners=2)
 
-    results = list(views_depth(replace(scan, frames=frames), params))
+    results = list(views_depth(replace(scan, frames=frames), DepthParams(partners=2)))
 
     wrong, covered = [], []
     for (_, result), frame in zip(results, scan.frames[8:16], strict=True):
