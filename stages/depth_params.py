@@ -157,6 +157,13 @@ class DepthParams:
         unit="grey levels",
         low=0,
     )
+    max_side: int = param(
+        1600,
+        "Single views: larger images are made smaller, to this longer side, with a warning",
+        unit="px",
+        low=64,
+        high=1 << 14,
+    )
     turn_back: bool = param(
         True,
         "Single views: images that are upside down against their poses, as corners found in several show, "

@@ -27,6 +27,7 @@ from stages.stereo.matching import SearchRange
 from stages.stereo.partners import partners
 from stages.stereo.posed_views import PosedView, posed_views
 from stages.stereo.recognised import Recognised, neighbours, recognised
+from stages.stereo.reduced import reduced
 from stages.stereo.scene_depth import Range, range_of_points, ranged_views, scene_box, stated_ranges
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_pair import depth_in_view, rectified_views
@@ -35,8 +36,8 @@ from stages.stereo.view_pair import depth_in_view, rectified_views
 _TOLERANCE_PX = 1.0
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
-# Points of a view that are looked for in others.
-_KEYPOINTS = 2000
+# Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
+_KEYPOINTS = 1000
 # Rows of a pair that differ by more cost the matcher its best match.
 _LARGEST_OFF_PX = 1.0
 
@@ -59,8 +60,8 @@ def views_depth(
     as any other, and depth is brought back into the view. What its partners say is merged, and stays
     where the maps of enough other views say the same. Flat background, which matches anything, goes that way.
 
-    Images that are upside down against their poses are turned back first (see stages.stereo.turned); their
-    maps say so among their warnings.
+    Images larger than `max_side` are made smaller first, and those that are upside down against their poses
+    are turned back (see stages.stereo.turned); the maps say so among their warnings.
 
     Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
     is kept either) or for each frame; else in that of the points which views recognise in each other, or of
@@ -85,11 +86,16 @@ def views_depth(
         If a view has no pose, nothing tells where the scene is, or too many views cannot be used.
     """
     params = params or DepthParams()
-    views = posed_views(scan)
     _require_enough(scan, params)
+    frames = [reduced(frame, params.max_side) for frame in scan.frames]
+    smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
+    scan = replace(scan, frames=frames)
+    views = posed_views(scan)
     pairs = neighbours(views)
     scan, warnings = _turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
     seen, doubts = _recognised(scan, views, pairs, params)
+    if smaller:
+        doubts = (*doubts, f"{smaller} images were made smaller, to {params.max_side} px (depth.max_side)")
     ranges = [one or other for one, other in zip(stated_ranges(scan, views), seen, strict=True)]
     views = ranged_views(scan, views, ranges, params.min_depth, params.max_depth)
     chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]

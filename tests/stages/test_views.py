@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import posed_scene
 import pytest
@@ -285,6 +286,41 @@ def test_a_camera_that_moves_ahead_measures_nothing_and_says_why() -> None:
         frames.append(Frame(f"{number:04d}", posed_scene.CAMERA, color=image, world_from_camera=where))
     with pytest.raises(InputError, match=r"from a little aside .* others stand before or behind it"):
         list(views_depth(Scan("made", frames)))
+
+
+def test_views_that_face_one_way_need_no_range() -> None:
+    """Five cameras in a row whose axes are parallel: only what they recognise says how far away things are."""
+    frames, truths = [], []
+    for number in range(5):
+        where = posed_scene.pose(0, 0)
+        where[0, 3] += 0.08 * (number - 2)
+        image, true = posed_scene.seen(where)
+        frames.append(Frame(str(number), posed_scene.CAMERA, color=image, world_from_camera=where))
+        truths.append(true)
+    for (_, result), true in zip(views_depth(Scan("made", frames)), truths, strict=True):
+        assert isinstance(result, DepthMap)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.3
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
+
+
+def test_large_images_are_made_smaller(tmp_path) -> None:
+    """A scene rendered twice as large is measured in half of its size."""
+    large = Camera(480, 360, 600.0, 610.0, 242.5, 174.5)
+    frames, truths = [], []
+    for number in range(4):
+        where = posed_scene.pose(7.0 * number, 0)
+        image, _ = posed_scene.seen(where, large)
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image)
+        frames.append(Frame(str(number), large, color=tmp_path / f"{number}.png", world_from_camera=where))
+        truths.append(posed_scene.seen(where)[1])
+    results = list(views_depth(Scan("made", frames), DepthParams(max_side=240)))
+    for (frame, result), true in zip(results, truths, strict=True):
+        assert frame.camera == posed_scene.CAMERA
+        assert any("4 images were made smaller, to 240 px" in text for text in result.warnings)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.3
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
 
 
 def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
