@@ -289,7 +289,7 @@ def test_a_camera_that_moves_ahead_measures_nothing_and_says_why() -> None:
 
 
 def test_views_that_face_one_way_need_no_range() -> None:
-    """Five cameras in a row whose axes are parallel: only what they recognise says how far away things are."""
+    """Cameras in a row whose axes are parallel: only what they recognise says how far away things are."""
     frames, truths = [], []
     for number in range(5):
         where = posed_scene.pose(0, 0)
