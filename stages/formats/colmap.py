@@ -54,6 +54,8 @@ _MODELS = (
 _STEMS = ("cameras", "images")
 _ENDS = (".bin", ".txt")
 _LONGEST_NAME = 4096
+# Points beyond this many units are none.
+_FARTHEST = 1e9
 _POINT_BYTES = 24
 # A point of a binary model: number, place, colour, error, and how many images see it; then each of these.
 _POINT, _SEEN_BYTES = "<Q3d3BdQ", 8
@@ -127,8 +129,8 @@ def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
     places = np.array(points, np.float64)
     image = np.concatenate(images)
     which = np.repeat(np.arange(len(points)), [len(seen_in) for seen_in in images])
-    finite = np.asarray(np.isfinite(places).all(axis=1))
-    image, which = image[finite[which]], which[finite[which]]
+    sound = np.asarray((np.abs(places) < _FARTHEST).all(axis=1))
+    image, which = image[sound[which]], which[sound[which]]
     if not image.size:
         return {}
     order = np.argsort(image, kind="stable")

@@ -30,6 +30,7 @@ _LEAST_SPREAD = math.sin(math.radians(3)) ** 2
 _NEAREST = 0.1
 # Fewer points of a view say little of its depth. Of more, this share (%) at either end may be false.
 _ENOUGH = 20
+_NEAREST_M = 1e-9
 _FALSE = 2.0
 # The scene goes on beyond the others by this share of what they span in disparity, and of their nearest.
 _BEYOND = 0.25
@@ -40,7 +41,7 @@ _FARTHEST = 2.0
 
 def range_of_points(depth: NDArray[np.float64]) -> Range | None:
     """Return the range of depth of a view from the depths (n,) of points, metres; None if they are few."""
-    before = depth[depth > 0]
+    before = depth[depth > _NEAREST_M]
     if len(before) < _ENOUGH:
         return None
     near, far = np.percentile(before, [_FALSE, 100 - _FALSE])

@@ -318,6 +318,19 @@ def test_binary_models_cut_anywhere_are_refused(scan_folder, which):
             read_scan(scan_folder)
 
 
+@pytest.mark.parametrize("value", [0x00, 0x7F, 0xFF])
+def test_any_damaged_byte_of_points_is_refused_or_read(workspace, value):
+    write_text(workspace / "sparse")
+    data = binary_points()
+    for at in range(0, len(data), 5):
+        (workspace / "sparse" / "points3D.bin").write_bytes(data[:at] + bytes([value]) + data[at + 1 :])
+        try:
+            for frame in read_scan(workspace).frames:
+                assert frame.depth_range is None or 0 < frame.depth_range[0] < frame.depth_range[1] < 1e10
+        except InputError as error:
+            assert "points3D.bin" in str(error)  # noqa: PT017
+
+
 @pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize("value", [0x00, 0x7F, 0xFF])
 def test_any_damaged_byte_is_refused_or_read(scan_folder, which, value):
