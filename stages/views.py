@@ -83,7 +83,8 @@ def views_depth(
     Raises
     ------
     InputError
-        If a view has no pose, nothing tells where the scene is, or too many views cannot be used.
+        If a view has no pose, nothing tells where the scene is, the poses do not fit the images, or too many
+        views cannot be used.
     """
     params = params or DepthParams()
     _require_enough(scan, params)
@@ -185,17 +186,26 @@ def _recognised(
             off.append(found.off)
             for at, some in zip(pair, found.depths, strict=True):
                 depths[at].append(some)
-    return [range_of_points(np.concatenate(some)) for some in depths], _doubts(off)
+    return [range_of_points(np.concatenate(some)) for some in depths], _doubts(off, scan, params)
 
 
-def _doubts(off: Sequence[float]) -> tuple[str, ...]:
+def _doubts(off: Sequence[float], scan: Scan, params: DepthParams) -> tuple[str, ...]:
     usual = float(np.median(off)) if off else 0.0
     if usual <= _LARGEST_OFF_PX:
         return ()
+    said = (
+        f"what two views show is off by {usual:.1f} px (median) from where their poses put it: poses or "
+        "calibration do not fit the images"
+    )
+    if usual > params.max_pose_error:
+        raise InputError(
+            f"{said}. Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
+            f"depth.max_pose_error, {params.max_pose_error:g} px, says how much is borne.",
+            scan.folder,
+        )
     return (
-        f"what two views show is off by {usual:.1f} px (median) from where their poses put it, more than "
-        f"{_LARGEST_OFF_PX:g} px: poses or calibration do not fit the images well, and depth will have holes "
-        "and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy state others",
+        f"{said} well, and depth will have holes and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy "
+        "state others",
     )
 
 

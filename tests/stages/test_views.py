@@ -271,8 +271,12 @@ def test_poses_that_do_not_fit_the_images_are_told() -> None:
     assert not any(result.warnings for _, result in views_depth(scan))
     # The principal point is 3 px off; the views are turned about their axes, each another way.
     camera = replace(posed_scene.CAMERA, cy=posed_scene.CAMERA.cy + 3)
-    frames = [replace(frame, camera=camera) for frame in scan.frames]
-    results = [one for _, one in views_depth(replace(scan, frames=frames), DepthParams(max_skipped=1))]
+    wrong = replace(scan, frames=[replace(frame, camera=camera) for frame in scan.frames])
+    with pytest.raises(
+        InputError, match=r"do not fit the images\. Give others .*depth\.max_pose_error, 1\.5 px"
+    ):
+        list(views_depth(wrong, DepthParams(max_pose_error=1.5)))
+    results = [one for _, one in views_depth(wrong, DepthParams(max_skipped=1, max_pose_error=10))]
     said = {text for one in results if isinstance(one, DepthMap) for text in one.warnings}
     assert len(said) == 1
     assert "poses or calibration do not fit the images" in said.pop()
