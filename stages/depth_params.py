@@ -157,6 +157,21 @@ class DepthParams:
         unit="grey levels",
         low=0,
     )
+    max_side: int = param(
+        1600,
+        "Single views: larger images are made smaller, to this longer side, with a warning",
+        unit="px",
+        low=64,
+        high=1 << 14,
+    )
+    max_pose_error: float = param(
+        2.0,
+        "Single views: the scan is given up when points that two views recognise are off by more, in the "
+        "median, from where poses and calibration put them; little of its depth would be right",
+        unit="px",
+        low=0,
+        low_open=True,
+    )
     turn_back: bool = param(
         True,
         "Single views: images that are upside down against their poses, as corners found in several show, "

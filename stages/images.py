@@ -36,6 +36,9 @@ _NPY_FAULTS = (
     tokenize.TokenError,
 )
 _PNG_START = b"\x89PNG\r\n\x1a\n"
+# Where a PNG says how its colours are kept, and what it says where they are with transparency.
+_PNG_COLOR_TYPE = 25
+_PNG_WITH_ALPHA = (b"\x04", b"\x06")
 # JPEG markers that start a frame (and so hold its size): SOF0-15 without DHT, JPG and DAC.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
@@ -76,6 +79,44 @@ def read_pinhole(frame: Frame) -> ColorImage | None:
     return cast(ColorImage, _undistorted(image, frame.camera, smooth=True))
 
 
+def read_mask(frame: Frame) -> NDArray[np.uint8] | None:
+    """Return the frame's mask in the size of its camera, (h, w) uint8, 0 where nothing is; None without one.
+
+    Of a mask in colour, black is what counts.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, does not decode, or has other than 8 bits a channel.
+    """
+    if frame.mask is None:
+        return None
+    image = _stored(frame.mask)
+    if image.dtype != np.uint8 or image.ndim not in (2, 3):
+        raise InputError(
+            f"a mask of 8 bits a channel is expected, not {image.shape} {image.dtype}.",
+            _called(frame.mask, frame.name),
+        )
+    return _in_size(image if image.ndim == 2 else image[:, :, :3].max(axis=2), frame.camera)
+
+
+def read_seen(frame: Frame) -> NDArray[np.bool_]:
+    """Return which pixels of what `read_pinhole` returns show the scene, (h, w): not those of the mask.
+
+    Where lens distortion is removed, pixels may lie beyond the edge of the image, too.
+
+    Raises
+    ------
+    InputError
+        As `read_mask`.
+    """
+    mask = read_mask(frame)
+    seen = np.full((frame.camera.height, frame.camera.width), 255, np.uint8) if mask is None else mask
+    if frame.camera.distortion:
+        seen = cast("NDArray[np.uint8]", _undistorted(seen, frame.camera, smooth=False))
+    return np.asarray(seen > 0)
+
+
 def read_right(frame: Frame) -> ColorImage | None:
     """Return the frame's right image as `read_color` does the left one."""
     return None if frame.right is None else _color(frame.right, frame.name)
@@ -98,6 +139,9 @@ def read_depth(frame: Frame) -> DepthImage | None:
     require_size(depth, frame.camera, frame.depth, frame.name)
     if frame.confidence is not None:
         depth[_confidence(frame.confidence, frame) < frame.least_confidence] = 0
+    mask = read_mask(frame)
+    if mask is not None:
+        depth[mask == 0] = 0
     if frame.camera.distortion:
         depth = cast(DepthImage, _undistorted(depth, frame.camera, smooth=False))
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
@@ -193,6 +237,30 @@ def decode_depth(data: bytes, source: Path | str) -> NDArray[Any]:
     return require_raw_depth(_decoded(data, source), source)
 
 
+def has_alpha(path: Path) -> bool:
+    """Say whether a file is a PNG with transparency beside its colours."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(_PNG_COLOR_TYPE + 1)
+    except OSError:
+        return False  # Reported when the image is read.
+    return start.startswith(_PNG_START) and start[_PNG_COLOR_TYPE:] in _PNG_WITH_ALPHA
+
+
+def read_alpha(path: Path) -> NDArray[np.uint8]:
+    """Return how opaque each pixel of an image is, (h, w) uint8: 255 where it is so by half or more, else 0.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, does not decode, or has no transparency of 8 bits.
+    """
+    image = read_stored(path)
+    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
+        raise InputError("an image with 8 bits of transparency (RGBA) is expected.", path)
+    return np.asarray(255 * (image[:, :, 3] >= 128), np.uint8)
+
+
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:
     """Raise InputError unless the image has the size the camera was calibrated for."""
     height, width = image.shape[:2]
@@ -201,11 +269,7 @@ def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: 
             f"the image is {width}×{height}, but its camera is calibrated for "
             f"{camera.width}×{camera.height}. "
             "Give images of the calibrated size, or the calibration of this size.",
-            source
-            if isinstance(source, Path)
-            else str(source)
-            if isinstance(source, Packed)
-            else f"frame {name}",
+            _called(source, name),
         )
 
 
@@ -237,7 +301,7 @@ def _color(source: Path | Packed | ColorImage, name: str) -> ColorImage:
     if isinstance(source, Packed):
         source, name = source.load(), str(source)
     if isinstance(source, Path):
-        return decode_color(_file_bytes(source), source)
+        return decode_color(file_bytes(source), source)
     image = np.asarray(source)
     if image.dtype != np.uint8 or image.ndim not in (2, 3):
         raise InputError(f"colour must be (h, w, 3) uint8, not {image.shape} {image.dtype}.", f"frame {name}")
@@ -259,19 +323,34 @@ def _stored_depth(source: Path | Packed, frame: Frame) -> DepthImage:
 
 def _confidence(source: Path | Packed | NDArray[np.uint8], frame: Frame) -> NDArray[np.uint8]:
     """Return the confidence in the size of the depth map, never averaged."""
+    image = _stored(source)
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise InputError(
+            f"confidence of 8 bits in one channel is expected, not {image.shape} {image.dtype}.",
+            _called(source, frame.name),
+        )
+    return _in_size(image, frame.camera)
+
+
+def _stored(source: Path | Packed | NDArray[np.uint8]) -> NDArray[Any]:
+    if isinstance(source, Path):
+        return read_stored(source)
+    return source.load() if isinstance(source, Packed) else source
+
+
+def _in_size(image: NDArray[np.uint8], camera: Camera) -> NDArray[np.uint8]:
     import cv2
 
+    size = (camera.width, camera.height)
+    # Plain INTER_NEAREST takes the pixel at the corner, not at the middle.
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint8)
+
+
+def _called(source: object, name: str) -> Path | str:
+    """Return how a message calls the image of a frame."""
     if isinstance(source, Path):
-        image = read_stored(source)
-    else:
-        image = source.load() if isinstance(source, Packed) else source
-    if image.ndim != 2 or image.dtype != np.uint8:
-        where = source if isinstance(source, Path) else f"frame {frame.name}"
-        raise InputError(
-            f"confidence of 8 bits in one channel is expected, not {image.shape} {image.dtype}.", where
-        )
-    size = (frame.camera.width, frame.camera.height)
-    return cast("NDArray[np.uint8]", cv2.resize(image, size, interpolation=cv2.INTER_NEAREST))
+        return source
+    return str(source) if isinstance(source, Packed) else f"frame {name}"
 
 
 def read_stored(path: Path) -> NDArray[Any]:
@@ -282,10 +361,11 @@ def read_stored(path: Path) -> NDArray[Any]:
     InputError
         If the file is missing or does not decode.
     """
-    return _decoded(_file_bytes(path), path)
+    return _decoded(file_bytes(path), path)
 
 
-def _file_bytes(path: Path) -> bytes:
+def file_bytes(path: Path) -> bytes:
+    """Return what is in a file, or raise InputError where it cannot be opened."""
     try:
         return path.read_bytes()
     except (OSError, ValueError) as error:

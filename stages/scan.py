@@ -101,7 +101,8 @@ class Packed:
     file : what holds it; another content of it is another image.
     name : of the image in the file, for messages and so that images of one file differ.
     load : returns it, (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of `depth_scale` for
-        depth, (h, w) uint8 for confidence; raises InputError. Any thread may call it, any number of times.
+        depth, (h, w) uint8 for confidence and masks; raises InputError. Any thread may call it, any number of
+        times.
     """
 
     file: Path
@@ -137,6 +138,10 @@ class Frame:
     confidence : how far each depth is to be trusted, (h, w) of the depth map's size or of another; higher is
         better.
     least_confidence : depth of less is missing.
+    mask : 0 where the image shows nothing of the scene (a backdrop, a border, what moves), (h, w) of its size
+        or of another; such pixels get no depth.
+    depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
+        single views are searched for depth in between.
     """
 
     name: str
@@ -152,6 +157,8 @@ class Frame:
     color_from_depth: Pose | None = None
     confidence: Path | Packed | NDArray[np.uint8] | None = None
     least_confidence: int = 0
+    mask: Path | Packed | NDArray[np.uint8] | None = None
+    depth_range: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

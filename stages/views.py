@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,16 +15,20 @@ from numpy.typing import NDArray
 
 from stages.depth import DepthMap, DepthParams, PairStage
 from stages.errors import InputError
-from stages.images import read_color, read_pinhole
+from stages.images import read_color, read_mask, read_pinhole, read_seen
 from stages.prefetch import read_ahead
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
+from stages.sift import Keypoints, keypoints
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
 from stages.stereo.partners import partners
-from stages.stereo.posed_views import PosedView, posed_views, scene_box
+from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.recognised import Recognised, neighbours, recognised
+from stages.stereo.reduced import reduced
+from stages.stereo.scene_depth import Range, range_of_points, ranged_views, scene_box, stated_ranges
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
@@ -32,6 +36,10 @@ from stages.stereo.view_pair import depth_in_view, rectified_views
 _TOLERANCE_PX = 1.0
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
+# Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
+_KEYPOINTS = 1000
+# Rows of a pair that differ by more cost the matcher its best match.
+_LARGEST_OFF_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +60,13 @@ def views_depth(
     as any other, and depth is brought back into the view. What its partners say is merged, and stays
     where the maps of enough other views say the same. Flat background, which matches anything, goes that way.
 
-    Images that are upside down against their poses are turned back first (see stages.stereo.turned); their
-    maps say so among their warnings.
+    Images larger than `max_side` are made smaller first, and those that are upside down against their poses
+    are turned back (see stages.stereo.turned); the maps say so among their warnings.
 
-    Disparities are looked for between the nearest and the farthest corner of the scene: of the box that the
-    scan states (then nothing outside it is kept either), else of a cube where the optical axes meet, as large
-    as the views show; `min_depth` and `max_depth` win over both.
+    Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
+    is kept either) or for each frame; else in that of the points which views recognise in each other, or of
+    a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
+    all of these. Where recognised points lie elsewhere than the poses say, the maps have a warning.
 
     Parameters
     ----------
@@ -74,12 +83,23 @@ def views_depth(
     Raises
     ------
     InputError
-        If a view has no pose, nothing tells where the scene is, or too many views cannot be used.
+        If a view has no pose, nothing tells where the scene is, the poses do not fit the images, or too many
+        views cannot be used.
     """
     params = params or DepthParams()
-    views = posed_views(scan, params.min_depth, params.max_depth)
+    _require_enough(scan, params)
+    frames = [reduced(frame, params.max_side) for frame in scan.frames]
+    smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
+    scan = replace(scan, frames=frames)
+    views = posed_views(scan)
+    pairs = neighbours(views)
+    scan, warnings = _turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
+    seen, doubts = _recognised(scan, views, pairs, params)
+    if smaller:
+        doubts = (*doubts, f"{smaller} images were made smaller, to {params.max_side} px (depth.max_side)")
+    ranges = [one or other for one, other in zip(stated_ranges(scan, views), seen, strict=True)]
+    views = ranged_views(scan, views, ranges, params.min_depth, params.max_depth)
     chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
-    scan, warnings = _turned_back(scan, views, chosen, params) if params.turn_back else (scan, {})
     tolerance = params.agreement or _tolerance(views, chosen)
     box = scene_box(scan)
     farthest = max(view.far for view in views)
@@ -108,7 +128,11 @@ def views_depth(
             count = agreeing_views(views[at], depth, others, tolerance)
             depth[count < params.agreeing_views] = 0
             found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
-            return found if isinstance(found, SkippedFrame) else replace(found, warnings=warnings.get(at, ()))
+            return (
+                found
+                if isinstance(found, SkippedFrame)
+                else replace(found, warnings=(*doubts, *warnings.get(at, ())))
+            )
 
         skipped: list[SkippedFrame] = []
         second_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
@@ -122,8 +146,71 @@ def views_depth(
             progress(len(views) + at + 1, total)
 
 
+def _require_enough(scan: Scan, params: DepthParams) -> None:
+    """Refuse a scan none of whose depth could be agreed with."""
+    count, needed = len(scan.frames), max(params.agreeing_views + 1, 2)
+    if count < needed:
+        alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
+        raise InputError(
+            f"{alone}: each place must be measured from {needed} views. Give more views"
+            + (", or lower depth.agreeing_views." if count > 1 else "."),
+            scan.folder,
+        )
+
+
+def _recognised(
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
+) -> tuple[list[Range | None], tuple[str, ...]]:
+    """Return the range of depth of what each view shows and others do, and what is odd about the poses."""
+
+    def read(frame: Frame) -> Keypoints | None:
+        try:
+            return keypoints(_grey(_color(frame)), _KEYPOINTS)
+        except InputError:
+            return None  # Reported when its turn comes.
+
+    threads = params.threads or os.cpu_count() or 1
+    points = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+
+    def compare(pair: tuple[int, int]) -> Recognised | None:
+        here, there = (points[at] for at in pair)
+        if here is None or there is None:
+            return None
+        return recognised(views[pair[0]], views[pair[1]], here, there)
+
+    depths: list[list[NDArray[np.float64]]] = [[np.zeros(0)] for _ in views]
+    off: list[float] = []
+    compared = read_ahead(compare, pairs, threads=threads, ahead=threads + 2)
+    for pair, found in zip(pairs, compared, strict=True):
+        if found is not None:
+            off.append(found.off)
+            for at, some in zip(pair, found.depths, strict=True):
+                depths[at].append(some)
+    return [range_of_points(np.concatenate(some)) for some in depths], _doubts(off, scan, params)
+
+
+def _doubts(off: Sequence[float], scan: Scan, params: DepthParams) -> tuple[str, ...]:
+    usual = float(np.median(off)) if off else 0.0
+    if usual <= _LARGEST_OFF_PX:
+        return ()
+    said = (
+        f"what two views show is off by {usual:.1f} px (median) from where their poses put it: poses or "
+        "calibration do not fit the images"
+    )
+    if usual > params.max_pose_error:
+        raise InputError(
+            f"{said}. Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
+            f"depth.max_pose_error, {params.max_pose_error:g} px, says how much is borne.",
+            scan.folder,
+        )
+    return (
+        f"{said} well, and depth will have holes and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy "
+        "state others",
+    )
+
+
 def _turned_back(
-    scan: Scan, views: Sequence[PosedView], chosen: Sequence[Sequence[int]], params: DepthParams
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
 ) -> tuple[Scan, dict[int, tuple[str, ...]]]:
     """Return the scan with upside-down images turned back, and what to say of them, by their places."""
 
@@ -135,15 +222,16 @@ def _turned_back(
 
     threads = params.threads or os.cpu_count() or 1
     found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
-    pairs = sorted(
-        {(min(a, b), max(a, b)) for a, others in enumerate(chosen) for b in others[: params.partners]}
-    )
     places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
     if not places:
         return scan, {}
     frames = list(scan.frames)
     for at in places:
-        frames[at] = replace(frames[at], color=_upside_down(frames[at]))
+        frames[at] = replace(
+            frames[at],
+            color=_upside_down(frames[at], frames[at].color, read_color),
+            mask=_upside_down(frames[at], frames[at].mask, read_mask),
+        )
     said = (
         f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
         "they were turned back",
@@ -151,18 +239,24 @@ def _turned_back(
     return replace(scan, frames=frames), dict.fromkeys(places, said)
 
 
-def _upside_down(frame: Frame) -> Packed | ColorImage:
-    """Return the frame's image turned by 180 degrees, read again each time if it is a file."""
+def _upside_down(
+    frame: Frame,
+    source: Path | Packed | NDArray[np.uint8] | None,
+    read: Callable[[Frame], NDArray[np.uint8] | None],
+) -> Packed | NDArray[np.uint8] | None:
+    """Return an image of the frame turned by 180 degrees, read again each time if it is a file."""
+    if source is None:
+        return None
 
-    def load() -> ColorImage:
-        color = read_color(frame)
-        if color is None:
+    def load() -> NDArray[np.uint8]:
+        image = read(frame)
+        if image is None:
             raise InputError(f"frame {frame.name} has no image.")
-        return np.ascontiguousarray(color[::-1, ::-1])
+        return np.ascontiguousarray(image[::-1, ::-1])
 
-    if isinstance(frame.color, Path):
-        return Packed(frame.color, "turned", load)
-    return load()
+    if isinstance(source, np.ndarray):
+        return load()
+    return Packed(source if isinstance(source, Path) else source.file, f"{frame.name}, turned", load)
 
 
 def _measure(
@@ -200,9 +294,12 @@ def _measure(
         confidences.append(trust)
         searches.append(found.search)
     if not depths:
-        return SkippedFrame(name, "no other view sees the same from a little aside (1 to 35 degrees)")
+        where = "before or behind it" if chosen[at] else "too near, too far aside, or look elsewhere"
+        return SkippedFrame(
+            name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
+        )
     depth, trust = merged(depths, confidences, tolerance)
-    depth[~measurable(_grey(color), params.backdrop)] = 0
+    depth[~(measurable(_grey(color), params.backdrop) & read_seen(scan.frames[at]))] = 0
     return _Measured(depth, trust, searches[0])
 
 
@@ -261,7 +358,9 @@ def _depth_map(
 
 
 def _measured_frame(frame: Frame, view: PosedView, result: DepthMap) -> Frame:
-    return replace(frame, camera=view.camera, color=result.color, depth=result.depth)
+    return replace(
+        frame, camera=view.camera, color=result.color, depth=result.depth, mask=None, depth_range=None
+    )
 
 
 def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, scan: Scan) -> None:

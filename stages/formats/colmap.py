@@ -1,4 +1,4 @@
-"""Read COLMAP's sparse models (text and binary) and its depth maps.
+"""Read COLMAP's sparse models (text and binary), their points, and its depth maps.
 
 A model's own conventions stay in here: world-to-camera poses with the scalar of the quaternion first, and
 pixels counted from the corner of the top left one.
@@ -54,7 +54,11 @@ _MODELS = (
 _STEMS = ("cameras", "images")
 _ENDS = (".bin", ".txt")
 _LONGEST_NAME = 4096
+# Points beyond this many units are none.
+_FARTHEST = 1e9
 _POINT_BYTES = 24
+# A point of a binary model: number, place, colour, error, and how many images see it; then each of these.
+_POINT, _SEEN_BYTES = "<Q3d3BdQ", 8
 # The three numbers of a depth map's header; no more than this is looked at for them.
 _DEPTH_HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
 _DEPTH_HEADER_BYTES = 64
@@ -66,11 +70,13 @@ class View:
 
     Attributes
     ----------
+    identity : its number in the model.
     name : its path below the folder of images, with `/`.
     camera : with pixel centres at whole numbers.
     world_from_camera : (4, 4) float64, in the model's own unit of length; None where it is not finite.
     """
 
+    identity: int
     name: str
     camera: Camera
     world_from_camera: Pose | None
@@ -97,6 +103,41 @@ def read_model(folder: Path) -> list[View]:
     if end == ".bin":
         return list(_binary_views(images_path, dict(_binary_cameras(cameras_path))))
     return list(_text_views(images_path, dict(_text_cameras(cameras_path))))
+
+
+def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
+    """Read the points of a model: for the number of each image, those (n, 3) that were found in it.
+
+    Their unit is the model's own. Without points3D.bin or .txt, or where the file holds none, nothing is in
+    the result.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is cut short or damaged.
+    """
+    path = next((folder / f"points3D{end}" for end in _ENDS if (folder / f"points3D{end}").is_file()), None)
+    if path is None:
+        return {}
+    points: list[tuple[float, ...]] = []
+    images: list[NDArray[np.int64]] = []
+    for point, seen_in in _binary_points(path) if path.suffix == ".bin" else _text_points(path):
+        points.append(point)
+        images.append(seen_in)
+    if not points:
+        return {}
+    places = np.array(points, np.float64)
+    image = np.concatenate(images)
+    which = np.repeat(np.arange(len(points)), [len(seen_in) for seen_in in images])
+    sound = np.asarray((np.abs(places) < _FARTHEST).all(axis=1))
+    image, which = image[sound[which]], which[sound[which]]
+    if not image.size:
+        return {}
+    order = np.argsort(image, kind="stable")
+    names, starts = np.unique(image[order], return_index=True)
+    return {
+        int(name): places[part] for name, part in zip(names, np.split(which[order], starts[1:]), strict=True)
+    }
 
 
 def depth_map_size(path: Path) -> tuple[int, int]:
@@ -166,15 +207,20 @@ def _camera(
 
 
 def _view(
-    name: str, numbers: Sequence[float], identity: int, cameras: Mapping[int, Camera], path: Path
+    identity: int,
+    name: str,
+    numbers: Sequence[float],
+    camera: int,
+    cameras: Mapping[int, Camera],
+    path: Path,
 ) -> View:
     """Return an image of its quaternion w x y z and translation, both world-to-camera."""
     w, *rest = numbers
-    if identity not in cameras:
-        raise InputError(f"image {name}: there is no camera {identity}.", path)
+    if camera not in cameras:
+        raise InputError(f"image {name}: there is no camera {camera}.", path)
     documents.require_inside(name, path, "an image")
     pose = trajectories.pose_from_quaternion(rest[3:], [*rest[:3], w], path, f"image {name}")
-    return View(name, cameras[identity], None if pose is None else trajectories.inverted(pose))
+    return View(identity, name, cameras[camera], None if pose is None else trajectories.inverted(pose))
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
@@ -209,11 +255,12 @@ def _text_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
             continue
         words = text.split(maxsplit=9)
         try:
-            numbers, identity, name = [float(word) for word in words[1:8]], int(words[8]), words[9]
+            identity, camera, name = int(words[0]), int(words[8]), words[9]
+            numbers = [float(word) for word in words[1:8]]
         except (ValueError, IndexError) as error:
             raise InputError(f"line {number} is not `id qw qx qy qz tx ty tz camera name`.", path) from error
         after_image = True
-        yield _view(name, numbers, identity, cameras, path)
+        yield _view(identity, name, numbers, camera, cameras, path)
 
 
 def _are_points(text: str) -> bool:
@@ -238,7 +285,7 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
     data = _mapped(path)
     (count,), at = _unpacked("<Q", data, 0, path)
     for _ in range(count):
-        (_, *numbers, identity), at = _unpacked("<I7dI", data, at, path)
+        (identity, *numbers, camera), at = _unpacked("<I7dI", data, at, path)
         end = data.find(b"\0", at, at + _LONGEST_NAME)
         if end < 0:
             raise InputError("the file is cut short or damaged: the name of an image has no end.", path)
@@ -250,7 +297,33 @@ def _binary_views(path: Path, cameras: Mapping[int, Camera]) -> Iterator[View]:
         at += _POINT_BYTES * points
         if at > len(data):
             raise InputError(f"the file is cut short or damaged: image {name} lacks points.", path)
-        yield _view(name, numbers, identity, cameras, path)
+        yield _view(identity, name, numbers, camera, cameras, path)
+
+
+def _text_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
+    """Yield points, and the numbers of their images, from lines `id x y z r g b error (image place)…`."""
+    for number, text in documents.lines(path):
+        words = text.split()
+        try:
+            point = tuple(float(word) for word in words[1:4])
+            images = np.array([int(word) for word in words[8::2]], np.int64)
+        except (ValueError, OverflowError):
+            point, images = (), np.zeros(0, np.int64)
+        if len(words) < 8 or len(words) % 2 or not point:
+            raise InputError(f"line {number} is not `id x y z r g b error (image place)…`.", path)
+        yield point, images
+
+
+def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.int64]]]:
+    data = _mapped(path)
+    (count,), at = _unpacked("<Q", data, 0, path)
+    for _ in range(count):
+        (_, x, y, z, *_, seen), at = _unpacked(_POINT, data, at, path)
+        end = at + _SEEN_BYTES * seen
+        if end > len(data):
+            raise InputError("the file is cut short or damaged; copy it again.", path)
+        yield (x, y, z), np.frombuffer(data[at:end], "<u4")[::2].astype(np.int64)
+        at = end
 
 
 def _mapped(path: Path) -> mmap.mmap | bytes:

@@ -1,24 +1,29 @@
-"""COLMAP: a sparse model (cameras and images, text or binary) and the depth maps of its dense workspace.
+"""COLMAP: a sparse model (cameras and images, text or binary), with the depth maps of its dense workspace.
 
-images/                                    the undistorted images
+images/                                    the images, undistorted in a dense workspace
 sparse/cameras.bin, images.bin             or .txt; also in sparse/0/ or beside images/
-stereo/depth_maps/<name>.geometric.bin     or .photometric.bin
+sparse/points3D.bin                        or .txt: how far away is what each image shows
+stereo/depth_maps/<name>.geometric.bin     or .photometric.bin; without any, the images are single views
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.formats import colmap, trajectories
 from stages.formats.colmap import View
 from stages.layouts.files import numbers
 from stages.layouts.layout import Layout
-from stages.scan import Frame, Packed, Pose, Scan, SkippedFrame, scaled
+from stages.layouts.views import in_metres, single_view
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -52,13 +57,8 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         )
     views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
     depths = {view.name: _depth_map(workspace, view) for view in views}
-    if not any(depths.values()):
-        raise InputError(
-            f"its {len(views)} views have no depth maps (stereo/depth_maps/NAME.geometric.bin), and views "
-            "alone cannot be read yet. Make depth maps with COLMAP's image_undistorter and "
-            "patch_match_stereo, and give the workspace they write.",
-            folder,
-        )
+    alone = not any(depths.values())
+    points = colmap.read_points(model) if alone else {}
     images = workspace / "images" if (workspace / "images").is_dir() else workspace
     poses = _poses(folder, views, options)
     frames: list[Frame] = []
@@ -66,13 +66,33 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     for view, pose in zip(views, poses, strict=True):
         depth = depths[view.name]
         name = PurePosixPath(view.name).with_suffix("").as_posix()
+        camera = options.camera(view.camera.width, view.camera.height) or view.camera
         try:
+            if alone:
+                found = _own_points(points, view, options)
+                frames.append(single_view(name, camera, images / view.name, pose, points=found))
+                continue
             if depth is None:
                 raise InputError("it has no depth map.")
-            frames.append(_frame(name, view, pose, images / view.name, depth, options))
+            frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, str(error)))
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(_warnings(options, frames)))
+    warnings = _warnings(options, frames)
+    if alone and not points:
+        warnings.append(
+            "there are no points (points3D.bin or .txt): how far away things are follows from the images "
+            "alone; depth.min_depth and depth.max_depth state it"
+        )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _own_points(
+    points: Mapping[int, NDArray[np.float64]], view: View, options: ScanParams
+) -> NDArray[np.float64] | None:
+    """Return the points that were found in a view, in metres; None where the poses are of another world."""
+    if options.poses is not None or view.identity not in points:
+        return None
+    return points[view.identity] / (options.depth_scale or 1.0)
 
 
 def _depth_map(workspace: Path, view: View) -> Path | None:
@@ -86,21 +106,14 @@ def _poses(folder: Path, views: Sequence[View], options: ScanParams) -> Sequence
     given = options.file("poses", folder)
     if given is not None:
         return trajectories.match(trajectories.read_trajectory(given), [view.name for view in views], given)
-    return [_in_metres(view.world_from_camera, options) for view in views]
+    # Lengths of a model have the unit of its depth maps.
+    return [in_metres(view.world_from_camera, options.depth_scale) for view in views]
 
 
-def _in_metres(pose: Pose | None, options: ScanParams) -> Pose | None:
-    """Return a model's pose: its lengths have the unit of the depth maps."""
-    if pose is None or options.depth_scale is None:
-        return pose
-    metric: Pose = pose.copy()
-    metric[:3, 3] /= options.depth_scale
-    return metric
-
-
-def _frame(name: str, view: View, pose: Pose | None, color: Path, depth: Path, options: ScanParams) -> Frame:
-    """Return a frame; InputError where its depth map cannot be one of its camera."""
-    full = options.camera(view.camera.width, view.camera.height) or view.camera
+def _frame(
+    name: str, view: View, full: Camera, pose: Pose | None, color: Path, depth: Path, options: ScanParams
+) -> Frame:
+    """Return a frame with depth; InputError where its depth map cannot be one of its camera."""
     width, height = colmap.depth_map_size(depth)
     if not math.isclose(width / full.width, height / full.height, rel_tol=_LARGEST_STRETCH):
         raise InputError(
@@ -125,7 +138,7 @@ def _warnings(options: ScanParams, frames: Sequence[Frame]) -> list[str]:
             "the lengths of a COLMAP model are not metres, but one unit is taken for one: all lengths are "
             "off by one unknown factor; set scan.depth_scale to the number of units a metre if it is known"
         )
-    if any(frame.camera.distortion for frame in frames):
+    if any(frame.camera.distortion and frame.depth is not None for frame in frames):
         warnings.append(
             "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is this "
             "the model of the dense workspace?"
@@ -142,7 +155,7 @@ def _warnings(options: ScanParams, frames: Sequence[Frame]) -> list[str]:
 
 LAYOUT = Layout(
     name="colmap",
-    text="cameras and images .bin|txt (also in sparse/), images/, stereo/depth_maps/ (COLMAP)",
+    text="cameras and images .bin|txt (also in sparse/), images/, perhaps stereo/depth_maps/ (COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -1,13 +1,15 @@
 """nerfstudio, instant-ngp and Blender: `transforms.json` lists views, cameras, poses and perhaps depth maps.
 
 Cameras have OpenGL's axes (y up, z back). `applied_transform` A and `applied_scale` s say how the world
-of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out.
+of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out. Where no
+frame has a depth map, all are single views. Masks (`mask_path`) and transparency say where nothing is.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +17,13 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
+from stages.images import has_alpha, read_alpha
 from stages.layouts.files import IMAGES, common_size, inside, numbers
 from stages.layouts.layout import Layout
 from stages.layouts.phones import seen_in
 from stages.layouts.stated import stated_camera
-from stages.layouts.views import without_depth
-from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.layouts.views import NOT_METRES, in_metres, single_view
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -61,28 +64,63 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         raise InputError("it holds no list of frames.", path)
     entries = _in_order(entries, path)
     _require_unmixed(document, entries, path)
-    with_depth = [entry for entry in entries if _depth_path(entry) is not None]
-    if not with_depth:
-        raise without_depth(path, "Frames with depth name it by depth_file_path (nerfstudio).")
-    skipped = tuple(
-        SkippedFrame(_name(entry), "it has no depth_file_path")
-        for entry in entries
-        if _depth_path(entry) is None
-    )
-    colors = [_color_file(folder, entry, path) for entry in with_depth]
+    used = [entry for entry in entries if _depth_path(entry) is not None] or entries
+    colors = [_color_file(folder, entry, path) for entry in used]
     depths = [
-        inside(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path) for entry in with_depth
+        inside(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path)
+        for entry in used
+        if _depth_path(entry) is not None
     ]
-    cameras = _cameras(folder, options, [document | entry for entry in with_depth], colors, path)
-    depth_cameras = _depth_cameras(cameras, depths, path)
+    masks = [_mask(folder, entry, color, path) for entry, color in zip(used, colors, strict=True)]
+    cameras = _cameras(folder, options, [document | entry for entry in used], colors, path)
     given = options.file("poses", folder)
     if given is None:
-        poses = _poses(document, with_depth, path)
+        poses = _poses(document, used, path)
     else:
-        names = [_name(entry) for entry in with_depth]
+        names = [_name(entry) for entry in used]
         poses = trajectories.match(trajectories.read_trajectory(given), names, given)
-    scale = options.depth_scale or _depth_scale(document, path)
-    frames = [
+    warnings = _warnings(folder, path)
+    if not depths:
+        if given is None:
+            # There are no depth maps whose unit it could be.
+            poses = [in_metres(pose, options.depth_scale) for pose in poses]
+            warnings += [NOT_METRES] if options.depth_scale is None else []
+        views = [_view(*one) for one in zip(used, cameras, colors, masks, poses, strict=True)]
+        frames = [one for one in views if isinstance(one, Frame)]
+        skipped = [one for one in views if isinstance(one, SkippedFrame)]
+    else:
+        scale = options.depth_scale or _depth_scale(document, path)
+        frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
+        skipped = [
+            SkippedFrame(_name(entry), "it has no depth_file_path")
+            for entry in entries
+            if _depth_path(entry) is None
+        ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _view(
+    entry: dict[str, Any], camera: Camera, color: Path, mask: Path | Packed | None, pose: Pose | None
+) -> Frame | SkippedFrame:
+    try:
+        return single_view(_name(entry), camera, color, pose, mask=mask)
+    except InputError as error:
+        return SkippedFrame(_name(entry), str(error))
+
+
+def _frames(
+    entries: Sequence[dict[str, Any]],
+    cameras: Sequence[Camera],
+    colors: Sequence[Path],
+    masks: Sequence[Path | Packed | None],
+    depths: Sequence[Path],
+    poses: Sequence[Pose | None],
+    scale: float | None,
+    path: Path,
+) -> list[Frame]:
+    """Return frames with depth."""
+    depth_cameras = _depth_cameras(cameras, depths, path)
+    return [
         Frame(
             name=_name(entry),
             camera=depth_camera,
@@ -92,17 +130,17 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             depth_scale=scale or (1.0 if depth.suffix.lower() == ".exr" else 1000.0),
             world_from_camera=pose,
             color_camera=None if camera == depth_camera else camera,
+            mask=mask,
         )
-        for entry, camera, depth_camera, color, depth, pose in zip(
-            with_depth, cameras, depth_cameras, colors, depths, poses, strict=True
+        for entry, camera, depth_camera, color, mask, depth, pose in zip(
+            entries, cameras, depth_cameras, colors, masks, depths, poses, strict=True
         )
     ]
-    return Scan(LAYOUT.name, frames, None, folder, skipped, _warnings(folder, path))
 
 
-def _warnings(folder: Path, path: Path) -> tuple[str, ...]:
+def _warnings(folder: Path, path: Path) -> list[str]:
     others = [other.name for other in sorted(folder.glob("transforms*.json")) if other != path]
-    return (f"only {path.name} is read, not {', '.join(others)}",) if others else ()
+    return [f"only {path.name} is read, not {', '.join(others)}"] if others else []
 
 
 def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
@@ -134,6 +172,13 @@ def _color_file(folder: Path, entry: dict[str, Any], path: Path) -> Path:
     if file.is_file():
         return file
     return next((one for s in IMAGES if (one := file.with_name(file.name + s)).is_file()), file)
+
+
+def _mask(folder: Path, entry: dict[str, Any], color: Path, path: Path) -> Path | Packed | None:
+    """Return what says where the image shows nothing: a mask of its own, or its transparency (Blender)."""
+    if entry.get("mask_path") is not None:
+        return inside(folder, entry["mask_path"], f"frame {_name(entry)}: mask_path", path)
+    return Packed(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
 
 
 def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> None:
@@ -191,9 +236,9 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     fx = fx or fy
     if fx is None or fy is None:
         raise InputError("no focal length: neither fl_x nor camera_angle_x is there.", path)
-    # The middle of the image, with pixel centres at whole numbers.
-    cx = _number(table, "cx", path, (width - 1) / 2)
-    cy = _number(table, "cy", path, (height - 1) / 2)
+    # Counted from the corner of the top left pixel, as COLMAP does, from which most files come.
+    cx = _number(table, "cx", path, width / 2) - 0.5
+    cy = _number(table, "cy", path, height / 2) - 0.5
     bent = tuple(_number(table, key, path, 0.0) for key in _BENT)
     return calibration.checked(Camera(width, height, fx, fy, cx, cy, bent if any(bent) else ()), path)
 
@@ -278,7 +323,7 @@ def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
 
 LAYOUT = Layout(
     name="nerfstudio",
-    text="transforms.json with depth_file_path (nerfstudio, instant-ngp, Blender)",
+    text="transforms.json, with depth_file_path or of single views (nerfstudio, instant-ngp, Blender)",
     matches=_matches,
     read=_read,
 )

@@ -1,28 +1,32 @@
 """Polycam's raw data: `keyframes/` with a JSON of camera and pose for each image, depth and confidence.
 
-Poses are camera-to-world, with OpenGL's camera axes (y up, z back).
+Poses are camera-to-world, in metres, with OpenGL's camera axes (y up, z back). Phones without a LiDAR write
+no depth: these are single views. Corrected images have black borders, which are left out with their depth.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
+from stages.layouts.black_border import border_mask
 from stages.layouts.files import IMAGES, common_size, images, numbers
 from stages.layouts.layout import Layout
 from stages.layouts.phones import least_confidence, seen_in
 from stages.layouts.stated import stated_camera
-from stages.layouts.views import without_depth
-from stages.scan import Camera, Frame, Pose, Scan, SkippedFrame
+from stages.layouts.views import single_view
+from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 _LEVELS = (0, 127, 255)
 # Optimised and undistorted, the first is the better one; long captures lack it.
-_SETS = (("corrected_cameras", "corrected_images"), ("cameras", "images"))
+_CORRECTED = "corrected_images"
+_SETS = (("corrected_cameras", _CORRECTED), ("cameras", "images"))
 
 
 def _matches(folder: Path) -> str | None:
@@ -35,30 +39,36 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     keyframes = folder / "keyframes"
     camera_files, colors, warnings = _chosen(folder)
     depths = _by_stem(keyframes / "depth")
-    if not depths:
-        raise without_depth(folder, "Polycam keeps it in keyframes/depth/ when the phone has a LiDAR.")
     trusts = _by_stem(keyframes / "confidence")
     least = 0
-    if trusts:
+    if trusts and depths:
         least, said = least_confidence(options, _LEVELS, folder)
         warnings.append(said)
-    size = common_size(list(depths.values()))
+    size = common_size(list(depths.values())) if depths else None
     color_size = common_size(list(colors.values()))
     stems = [file.stem for file in camera_files]
+    masks = {
+        stem: Packed(color, "border", partial(border_mask, color))
+        for stem, color in colors.items()
+        if color.parent.name == _CORRECTED
+    }
     given = options.file("poses", folder)
     poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
     for position, (stem, file) in enumerate(zip(stems, camera_files, strict=True)):
-        lacking = next(
-            (what for what, held in (("image", colors), ("depth map", depths)) if stem not in held), None
-        )
+        needed = (("image", colors), ("depth map", depths)) if depths else (("image", colors),)
+        lacking = next((what for what, held in needed if stem not in held), None)
         if lacking is not None:
             skipped.append(SkippedFrame(stem, f"its {lacking} is missing"))
             continue
         try:
             table = documents.read_document(file)
             color_camera = _camera(table, file, options, folder, color_size)
+            pose = _pose(table, file) if poses is None else poses[position]
+            if size is None:
+                frames.append(single_view(stem, color_camera, colors[stem], pose, mask=masks.get(stem)))
+                continue
             frames.append(
                 Frame(
                     name=stem,
@@ -66,11 +76,12 @@ def _read(folder: Path, options: ScanParams) -> Scan:
                     color=colors[stem],
                     depth=depths[stem],
                     depth_scale=options.depth_scale or 1000.0,
-                    world_from_camera=_pose(table, file) if poses is None else poses[position],
+                    world_from_camera=pose,
                     timestamp=_nanoseconds(stem),
                     color_camera=color_camera,
                     confidence=trusts.get(stem),
                     least_confidence=least,
+                    mask=masks.get(stem),
                 )
             )
         except InputError as error:
@@ -133,7 +144,7 @@ def _nanoseconds(stem: str) -> int | None:
 
 LAYOUT = Layout(
     name="polycam",
-    text="keyframes/ with corrected_cameras/ or cameras/, images and depth/ (Polycam's raw data)",
+    text="keyframes/ with corrected_cameras/ or cameras/, images and perhaps depth/ (Polycam's raw data)",
     matches=_matches,
     read=_read,
 )

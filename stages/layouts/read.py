@@ -159,7 +159,7 @@ def _without_absent(scan: Scan) -> Scan:
     """Leave out the frames an image of which is not there: excerpts often keep the lists of the whole."""
     frames, absent = [], []
     for frame in scan.frames:
-        held = (frame.color, frame.right, frame.depth, frame.confidence)
+        held = (frame.color, frame.right, frame.depth, frame.confidence, frame.mask)
         files = [path for path in held if isinstance(path, Path)]
         lacking = next((path for path in files if not path.exists()), None)
         if lacking is None:

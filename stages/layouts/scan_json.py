@@ -12,7 +12,13 @@
           "depth": "depth/000000.png",   16-bit, or .npy float; optional
           "world_from_camera": [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]],   metres; null: lost
           "timestamp": 33000000,         nanoseconds; optional
-          "camera": {…}                  optional: this frame's own camera
+          "camera": {…},                 optional: this frame's own camera
+          "color_camera": {…},           of the colour image, where it has one of its own; optional
+          "color_from_depth": [[…], …],  4x4, metres: from the depth camera to that of the colour; optional
+          "confidence": "confidence/000000.png",   8-bit, of the depth map; optional, and then
+          "least_confidence": 1,         depth of less is missing
+          "mask": "mask/000000.png",     8-bit; 0 where the image shows nothing of the scene; optional
+          "depth_range": [0.5, 4.0]      metres, where to look for depth that is not there; optional
         }
       ]
     }
@@ -33,13 +39,15 @@ from stages.errors import InputError
 from stages.formats import calibration, documents, trajectories
 from stages.layouts.files import inside
 from stages.layouts.layout import Layout
-from stages.scan import Camera, Frame, Scan
+from stages.scan import Camera, Frame, Pose, Scan
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
 VERSION = 1
 FILE = "scan.json"
+_IMAGES = ("color", "depth", "confidence", "mask")
+_FARTHEST_M = 1e9
 
 
 def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
@@ -48,7 +56,7 @@ def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
     Parameters
     ----------
     folder : an existing folder.
-    frames : with `color` and `depth` as paths under `folder` (or None), sharing one depth scale and markers.
+    frames : with all images as paths under `folder` (or None), sharing one depth scale and markers.
 
     Raises
     ------
@@ -75,7 +83,8 @@ def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
 def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
     pose = frame.world_from_camera
     table: dict[str, Any] = {"name": frame.name}
-    for key, image in (("color", frame.color), ("depth", frame.depth)):
+    for key in _IMAGES:
+        image = getattr(frame, key)
         if image is None:
             continue
         if not isinstance(image, Path):
@@ -86,6 +95,14 @@ def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
         table["timestamp"] = frame.timestamp
     if frame.camera != camera:
         table["camera"] = _camera_table(frame.camera)
+    if frame.color_camera is not None:
+        table["color_camera"] = _camera_table(frame.color_camera)
+    if frame.color_from_depth is not None:
+        table["color_from_depth"] = frame.color_from_depth.tolist()
+    if frame.confidence is not None:
+        table["least_confidence"] = frame.least_confidence
+    if frame.depth_range is not None:
+        table["depth_range"] = list(frame.depth_range)
     return table
 
 
@@ -125,17 +142,25 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
         if camera is None:
             raise InputError(f"frame {name} has no camera, and neither has the scan.", path)
-        pose = _pose(entry, name, path) if poses is None else poses[i]
+        pose = _pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
+        own = entry.get("color_camera")
+        images = {key: _image(entry, key, name, path) for key in _IMAGES}
         frames.append(
             Frame(
                 name=name,
                 camera=camera,
-                color=_image(entry, "color", name, path),
-                depth=_image(entry, "depth", name, path),
+                color=images["color"],
+                depth=images["depth"],
                 depth_scale=scale,
                 depth_missing=missing,
                 world_from_camera=pose,
                 timestamp=_timestamp(entry, name, path),
+                color_camera=None if own is None else _camera(own, None, path),
+                color_from_depth=_pose(entry, "color_from_depth", name, path),
+                confidence=images["confidence"],
+                least_confidence=_least_confidence(entry, options, name, path),
+                mask=images["mask"],
+                depth_range=_depth_range(entry, name, path),
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
@@ -159,12 +184,31 @@ def _image(entry: dict[str, Any], key: str, name: str, path: Path) -> Path | Non
     return inside(path.parent, value, f"frame {name}: {key}", path)
 
 
-def _pose(entry: dict[str, Any], name: str, path: Path) -> Any:
-    value = entry.get("world_from_camera")
+def _pose(entry: dict[str, Any], key: str, name: str, path: Path) -> Pose | None:
+    value = entry.get(key)
     if value is None:
         return None
-    where = f"frame {name}"
+    where = f"frame {name}" if key == "world_from_camera" else f"frame {name}: {key}"
     return trajectories.rigid(trajectories.matrix_of(value, path, where), path, where)
+
+
+def _least_confidence(entry: dict[str, Any], options: ScanParams, name: str, path: Path) -> int:
+    value = entry.get("least_confidence", 0) if options.least_confidence is None else options.least_confidence
+    if not isinstance(value, int) or not 0 <= value <= 255:
+        raise InputError(f"frame {name}: least_confidence is no whole number from 0 to 255.", path)
+    return value
+
+
+def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, float] | None:
+    value = entry.get("depth_range")
+    if value is None:
+        return None
+    numbers = value if isinstance(value, list) and all(isinstance(one, (int, float)) for one in value) else []
+    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _FARTHEST_M:
+        raise InputError(
+            f"frame {name}: depth_range is not the nearest and the farthest depth, metres.", path
+        )
+    return float(numbers[0]), float(numbers[1])
 
 
 def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
@@ -174,13 +218,15 @@ def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
     return value
 
 
-def _camera(table: object, options: ScanParams, path: Path) -> Camera:
+def _camera(table: object, options: ScanParams | None, path: Path) -> Camera:
+    """Return the camera of a table, or what `options` state in its place."""
     if not isinstance(table, dict):
         raise InputError("a camera must be a table of names and values.", path)
     width, height = table.get("width"), table.get("height")
     if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
         raise InputError("a camera needs its width and height in pixels.", path)
-    return options.camera(width, height) or calibration.camera_from_table(table, width, height, path)
+    stated = None if options is None else options.camera(width, height)
+    return stated or calibration.camera_from_table(table, width, height, path)
 
 
 def _positive(value: object, path: Path) -> float:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.registration.features import Features, rooted
+from stages.registration.features import Features
+from stages.sift import rooted
 
 _WORDS = 32
 _SAMPLE = 20_000

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.scan import Camera, DepthImage, Pose
+from stages.sift import keypoints, matches
 
 # Features are looked for in images of at most this width, and the strongest that have a depth are kept.
 WIDEST = 480
@@ -15,10 +16,6 @@ _FOUND, _MOST = 2000, 800
 _CELLS = (8, 6)
 # Weaker corners count than by default: what is smooth or blurred has no others.
 _CONTRAST = 0.025
-# Grey values from the darkest to the brightest hundredth are stretched to all there are.
-_TAILS = 0.01
-# A match counts where the second best is this much farther.
-_DISTINCT = 0.8
 # Pixels that a point may be off where the other view sees it, and the share of its depth along it.
 _OFF_PX = 3.0
 _OFF_DEPTH = 0.05
@@ -77,29 +74,17 @@ def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> F
     camera : of the grey image, without distortion.
     depth : metres, of any size.
     """
-    import cv2
-
-    sift = cv2.SIFT.create(nfeatures=_FOUND, contrastThreshold=_CONTRAST)
-    keypoints, descriptors = sift.detectAndCompute(_stretched(grey), None)
-    if len(keypoints) == 0:
-        return Features.none()
-    pixels = np.array([keypoint.pt for keypoint in keypoints], np.float32)
-    strength = np.array([keypoint.response for keypoint in keypoints])
+    found = keypoints(grey, _FOUND, contrast=_CONTRAST)
+    pixels = found.pixels
     across, down = depth.shape[1] / grey.shape[1], depth.shape[0] / grey.shape[0]
     columns, rows = np.rint((pixels + 0.5) * (across, down) - 0.5).astype(int).T
     z = depth[rows.clip(0, depth.shape[0] - 1), columns.clip(0, depth.shape[1] - 1)]
     there = np.flatnonzero(z > 0)
-    there = there[_spread(pixels[there] / (grey.shape[1], grey.shape[0]), strength[there])[:_MOST]]
+    there = there[_spread(pixels[there] / (grey.shape[1], grey.shape[0]), found.strength[there])[:_MOST]]
     pixels, z = pixels[there], z[there]
     rays = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     points = np.column_stack([rays * z[:, None], z]).astype(np.float32)
-    return Features(pixels, points, descriptors[there].astype(np.uint8), camera)
-
-
-def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return descriptors of unit length whose distances compare better (RootSIFT, Arandjelović 2012)."""
-    sums = descriptors.sum(axis=1, keepdims=True, dtype=np.float32)
-    return np.asarray(np.sqrt(descriptors / sums.clip(1e-9)), np.float32)
+    return Features(pixels, points, found.descriptors[there], camera)
 
 
 def recognise(source: Features, target: Features) -> list[Recognised]:
@@ -109,7 +94,7 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
     """
     if min(len(source.points), len(target.points)) < _LEAST or target.camera is None:
         return []
-    pairs = _matches(rooted(source.descriptors), rooted(target.descriptors))
+    pairs = matches(source.descriptors, target.descriptors)
     found: list[Recognised] = []
     while len(found) < _MOTIONS and len(pairs) >= max(_LEAST, _LEAST_SHARE * found[0].points if found else 0):
         points, there = source.points[pairs[:, 0]], target.points[pairs[:, 1]]
@@ -126,7 +111,7 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
     return found
 
 
-def _spread(places: NDArray[np.float64], strength: NDArray[np.float64]) -> NDArray[np.int64]:
+def _spread(places: NDArray[np.floating], strength: NDArray[np.float32]) -> NDArray[np.int64]:
     """Return the order in which cells of the image give their strongest points by turns.
 
     One thing of much texture, which may move on its own, must not be all that is seen.
@@ -138,16 +123,6 @@ def _spread(places: NDArray[np.float64], strength: NDArray[np.float64]) -> NDArr
     turn = np.empty(len(order), np.int64)
     turn[order] = np.arange(len(order)) - np.repeat(first, np.diff(first, append=len(order)))
     return np.lexsort((-strength, turn))
-
-
-def _stretched(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the image with its grey values spread, so that dark images have features too."""
-    import cv2
-
-    shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size
-    low, high = np.searchsorted(shares, (_TAILS, 1 - _TAILS))
-    table = np.clip((np.arange(256) - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(grey, table), np.uint8)
 
 
 def _consensus(
@@ -187,21 +162,6 @@ def _agree(
     off = moved[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy) - pixels
     near = np.hypot(*off.T) <= slack * _OFF_PX
     return np.asarray(near & (np.abs(moved[:, 2] - there[:, 2]) <= slack * _OFF_DEPTH * there[:, 2]), bool)
-
-
-def _matches(source: NDArray[np.float32], target: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (m, 2) indices of descriptors that are each other's nearest, and distinctly so."""
-    likeness = source @ target.T
-    here = np.arange(len(source))
-    nearest = likeness.argmax(axis=1)
-    best = likeness[here, nearest]
-    likeness[here, nearest] = -1
-    # Descriptors have unit length: squared distances are 2 - 2 likeness.
-    distinct = np.flatnonzero(2 - 2 * best < _DISTINCT**2 * (2 - 2 * likeness.max(axis=1)))
-    likeness[here, nearest] = best
-    columns = nearest[distinct]
-    mutual = distinct[likeness[:, columns].max(axis=0) <= best[distinct]]
-    return np.column_stack([mutual, nearest[mutual]])
 
 
 def _fitted(source: NDArray[np.float32], target: NDArray[np.float32], near: Pose) -> Pose:

@@ -1,16 +1,9 @@
-"""Single views with poses, and the range of depth in which each of them sees the scene.
-
-Nothing is known of the scene yet. Where its bounding box is stated, the range follows from that. Else views
-are taken to look at one thing: it stands where their optical axes come nearest to each other, and reaches as
-far around as the usual view shows.
-"""
+"""Single views with poses, and the range of depth in which each of them sees the scene."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +12,6 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.scan import Camera, Frame, Pose, Scan
 
-# A stated box is tight, and poses are off by a little: it is widened by this share of its diagonal.
-_BOX_MARGIN = 0.02
-# Optical axes that differ by less than about 3 degrees from one another meet nowhere in particular.
-_LEAST_SPREAD = math.sin(math.radians(3)) ** 2
-# What is nearer than this share of the distance to the scene's middle is not looked for.
-_NEAREST = 0.1
 # No scan is that far from its origin.
 _FARTHEST_M = 1e9
 
@@ -88,71 +75,15 @@ class PosedView:
         return np.asarray(inside & (rows >= 0) & (rows <= self.camera.height - 1))
 
 
-def posed_views(scan: Scan, min_depth: float | None, max_depth: float | None) -> list[PosedView]:
-    """Return the views of a scan, each with its range of depth.
-
-    Parameters
-    ----------
-    scan : whose frames have calibrated cameras and poses.
-    min_depth, max_depth : metres; what is given holds for every view, in place of what the scene says.
+def posed_views(scan: Scan) -> list[PosedView]:
+    """Return the views of a scan, their range of depth still open: from 0 to infinity.
 
     Raises
     ------
     InputError
-        If a frame has no pose, or nothing tells where the scene is.
+        If a frame has no pose, or no calibrated camera.
     """
-    views = [_view(frame, scan.folder) for frame in scan.frames]
-    if min_depth is not None and max_depth is not None:
-        return [replace(view, near=min_depth, far=max_depth) for view in views]
-    box = scene_box(scan)
-    if box is None:
-        box = estimated_box(views)
-    if box is None:
-        raise InputError(
-            "the views look past each other, so that nothing tells where the scene is; give the range of its "
-            "depth with depth.min_depth and depth.max_depth (metres).",
-            scan.folder,
-        )
-    ranged = []
-    for view in views:
-        near, far = _depth_range(view, box)
-        near, far = min_depth or near, max_depth or far
-        if near >= far:
-            raise InputError(
-                f"depth from {near:.3g} m to {far:.3g} m is no range; correct min_depth or max_depth.",
-                scan.folder,
-            )
-        ranged.append(replace(view, near=near, far=far))
-    return ranged
-
-
-def scene_box(scan: Scan) -> NDArray[np.float64] | None:
-    """Return the box the scan states, (2, 3) metres, a little widened, or None."""
-    if scan.box is None:
-        return None
-    margin = _BOX_MARGIN * float(np.linalg.norm(scan.box[1] - scan.box[0]))
-    return np.stack([scan.box[0] - margin, scan.box[1] + margin])
-
-
-def estimated_box(views: Sequence[PosedView]) -> NDArray[np.float64] | None:
-    """Return the cube, (2, 3) metres, around what all views look at; None where their axes do not meet.
-
-    Its middle is the point of the least sum of squared distances to the optical axes; half of its edge is
-    what half the longer side of an image shows at that distance, in the median.
-    """
-    centres = np.stack([view.centre for view in views])
-    axes = np.stack([view.world_from_camera[:3, 2] for view in views])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(axis=0)
-    if np.linalg.eigvalsh(total)[0] < _LEAST_SPREAD * len(views):
-        return None
-    middle = np.linalg.solve(total, np.einsum("nij,nj->i", across, centres))
-    depth = np.einsum("ni,ni->n", middle - centres, axes)
-    if np.median(depth) <= 0:
-        return None
-    shown = [max(v.camera.width / v.camera.fx, v.camera.height / v.camera.fy) / 2 for v in views]
-    reach = float(np.median(np.array(shown)[depth > 0] * depth[depth > 0]))
-    return np.stack([middle - reach, middle + reach])
+    return [_view(frame, scan.folder) for frame in scan.frames]
 
 
 def _view(frame: Frame, folder: Path | None) -> PosedView:
@@ -166,13 +97,3 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
         )
     pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     return PosedView(pinhole, np.asarray(pose, np.float64), 0.0, math.inf)
-
-
-def _depth_range(view: PosedView, box: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the depths between which the corners of a box lie; of the whole way where it is behind."""
-    corners = np.array(list(itertools.product(*box.T)))
-    depth = (corners - view.centre) @ view.world_from_camera[:3, 2]
-    far = float(depth.max())
-    if far <= 0:
-        far = float(np.linalg.norm(corners - view.centre, axis=1).max())
-    return max(float(depth.min()), _NEAREST * far), far

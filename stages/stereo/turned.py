@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.formats.trajectories import inverted
+from stages.stereo.epipolar import fundamental, off_line
 from stages.stereo.posed_views import PosedView
 
 _CORNERS = 1000
@@ -139,29 +139,16 @@ def _counts(first: PosedView, second: PosedView, here: Corners, there: Corners) 
         return counts
     at = np.array(same)
     sides = (_both_ways(here.points[at[:, 0]], first), _both_ways(there.points[at[:, 1]], second))
-    lines = _epipolar(first, second)
+    lines = fundamental(first, second)
     limit = _TOLERANCE * float(np.hypot(second.camera.width, second.camera.height))
     for a, one in enumerate(sides[0]):
-        line = one @ lines.T
         for b, other in enumerate(sides[1]):
-            off = np.abs((line * other).sum(axis=1)) / np.maximum(np.hypot(line[:, 0], line[:, 1]), 1e-12)
-            counts[a, b] = np.count_nonzero(off <= limit)
+            counts[a, b] = np.count_nonzero(off_line(lines, one, other) <= limit)
     return counts
 
 
 def _both_ways(
     points: NDArray[np.float64], view: PosedView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points (n, 3), x y 1, as they are and turned about the middle of the image."""
-    last = np.array((view.camera.width - 1, view.camera.height - 1))
-    ones = np.ones((len(points), 1))
-    return np.hstack([points, ones]), np.hstack([last - points, ones])
-
-
-def _epipolar(first: PosedView, second: PosedView) -> NDArray[np.float64]:
-    """Return the fundamental matrix: takes pixels of the first view to lines of the second."""
-    second_from_first = inverted(second.world_from_camera) @ first.world_from_camera
-    x, y, z = second_from_first[:3, 3]
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    k_first, k_second = np.linalg.inv(first.camera.matrix), np.linalg.inv(second.camera.matrix)
-    return np.asarray(k_second.T @ across @ second_from_first[:3, :3] @ k_first)
+    """Return points (n, 2) as they are and turned about the middle of the image."""
+    return points, np.array((view.camera.width - 1, view.camera.height - 1)) - points

@@ -1,12 +1,14 @@
 """A folder of single views goes through the whole pipeline."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import posed_scene
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from cli.app import app
@@ -15,6 +17,8 @@ from pipeline.run import CACHE_VARIABLE, run
 from stages.formats.ply import read_ply
 from stages.formats.trajectories import inverted
 from stages.layouts import read_scan
+from stages.scan import Scan
+from stages.views import views_depth
 
 QUICK = ("report.views=1", "report.width=64", "compare.samples=1000")
 
@@ -61,6 +65,57 @@ def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) ->
     assert np.mean(to_board < 0.02) > 0.2
     again = run(folder, tmp_path / "out", config)
     assert all(stage.cached for stage in again.stages)
+
+
+def nerfstudio(folder: Path, scan: Scan) -> None:
+    """Write views as nerfstudio has them: a camera with y up and z back, pixels counted from the corner."""
+    camera = posed_scene.CAMERA
+    frames = []
+    for frame in scan.frames:
+        turned = frame.world_from_camera.copy()
+        turned[:3, 1:3] *= -1
+        frames.append({"file_path": f"images/{frame.name}.png", "transform_matrix": turned.tolist()})
+    (folder / "transforms.json").write_text(
+        json.dumps(
+            {"w": camera.width, "h": camera.height, "fl_x": camera.fx, "fl_y": camera.fy}
+            | {"cx": camera.cx + 0.5, "cy": camera.cy + 0.5, "frames": frames}
+        )
+    )
+
+
+def colmap(folder: Path, scan: Scan) -> None:
+    """Write views as COLMAP has them: world-to-camera, pixels counted from the corner."""
+    camera = posed_scene.CAMERA
+    values = f"{camera.fx} {camera.fy} {camera.cx + 0.5} {camera.cy + 0.5}"
+    (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {values}\n")
+    lines = []
+    for number, frame in enumerate(scan.frames):
+        camera_from_world = inverted(frame.world_from_camera)
+        x, y, z, w = Rotation.from_matrix(camera_from_world[:3, :3]).as_quat()
+        numbers = " ".join(repr(float(one)) for one in (w, x, y, z, *camera_from_world[:3, 3]))
+        lines.append(f"{number} {numbers} 1 {frame.name}.png\n\n")
+    (folder / "images.txt").write_text("".join(lines))
+
+
+@pytest.mark.parametrize("write", [nerfstudio, colmap])
+def test_views_of_other_layouts_have_the_same_depth(tmp_path: Path, write: Callable[..., None]) -> None:
+    scan, truth = posed_scene.scan()
+    (tmp_path / "images").mkdir()
+    for frame in scan.frames:
+        cv2.imwrite(str(tmp_path / "images" / f"{frame.name}.png"), frame.color)
+    write(tmp_path, scan)
+    read = read_scan(tmp_path)
+    assert (read.layout, read.is_views) == (write.__name__, True)
+
+    results = [result for _, result in views_depth(read)]
+
+    for result, own, true in zip(results, views_depth(scan), truth, strict=True):
+        # Rounding of poses moves a depth here and there across what is agreed with.
+        both = (result.depth > 0) & (own[1].depth > 0)
+        assert np.mean((result.depth > 0) == (own[1].depth > 0)) > 0.999
+        assert np.mean(np.abs(result.depth - own[1].depth)[both] < 1e-3) > 0.999
+        assert np.median(np.abs(result.depth - true)[both & (true > 0)]) < 0.004
+        assert result.warnings == ()
 
 
 def test_the_commands_know_views(folder: Path, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import posed_scene
 import pytest
@@ -15,11 +16,14 @@ from stages import read_scan, views_depth
 from stages.depth import DepthMap, DepthParams
 from stages.errors import InputError
 from stages.images import read_depth
-from stages.scan import Camera, Frame, SkippedFrame
+from stages.scan import Camera, Frame, Scan, SkippedFrame
+from stages.sift import keypoints, matches
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
 from stages.stereo.partners import affinity, partners
-from stages.stereo.posed_views import PosedView, estimated_box, posed_views
+from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.recognised import neighbours, recognised
+from stages.stereo.scene_depth import estimated_box, ranged_views
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
 
@@ -213,12 +217,114 @@ def test_views_that_look_past_each_other_need_a_depth_range() -> None:
     for number, frame in enumerate(scan.frames):
         pose = posed_scene.pose(0, 0)
         pose[0, 3] += 0.1 * number
-        shifted.append(replace(frame, world_from_camera=pose))
+        other = np.random.default_rng(number).integers(0, 255, (180, 240, 3), np.uint8)
+        shifted.append(replace(frame, color=other, world_from_camera=pose))
     scan = replace(scan, frames=shifted)
     with pytest.raises(InputError, match=r"min_depth.*max_depth"):
         list(views_depth(scan))
-    views = posed_views(scan, 0.5, 2.0)
+    views = ranged_views(scan, posed_views(scan), [None] * 7, 0.5, 2.0)
     assert {(one.near, one.far) for one in views} == {(0.5, 2.0)}
+
+
+def test_nothing_is_kept_where_a_mask_says_so() -> None:
+    scan, _ = posed_scene.scan()
+    mask = np.full((180, 240), 255, np.uint8)
+    mask[:, 130:] = 0
+    frames = list(scan.frames)
+    # The image of the third is upside down, and its mask with it.
+    frames[2] = upside_down(replace(frames[2], mask=mask))
+    frames[3] = replace(frames[3], mask=mask)
+    sound = [result.depth > 0 for _, result in views_depth(scan)]
+    found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
+    for at in (2, 3):
+        assert not found[at][:, 130:].any()
+        # A few pixels miss the agreement of what was masked in the other.
+        assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.002
+
+
+def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
+    """Of two views 7 degrees apart: the ball about 1 m, and the board about 1.45 m before them."""
+    scan, truth = posed_scene.scan()
+    views = posed_views(scan)
+    assert (0, 1) in neighbours(views)
+    points = [keypoints(frame.color[:, :, 0], 1000) for frame in scan.frames[:2]]
+
+    found = recognised(views[0], views[1], *points)
+
+    assert found.off < 0.5
+    same = matches(points[0].descriptors, points[1].descriptors)
+    for side, depth in enumerate(found.depths):
+        columns, rows = np.rint(points[side].pixels[same[:, side]]).astype(int).T
+        true = truth[side][rows, columns]
+        assert len(depth) > 50
+        np.testing.assert_allclose(
+            np.percentile(depth, (5, 50, 95)), np.percentile(true[true > 0], (5, 50, 95)), rtol=0.03
+        )
+    # From 30 cm below, the same points would be elsewhere.
+    away = np.array(scan.frames[1].world_from_camera)
+    away[1, 3] += 0.3
+    assert recognised(views[0], replace(views[1], world_from_camera=away), *points) is None
+
+
+def test_poses_that_do_not_fit_the_images_are_told() -> None:
+    scan, _ = posed_scene.scan()
+    assert not any(result.warnings for _, result in views_depth(scan))
+    # The principal point is 3 px off; the views are turned about their axes, each another way.
+    camera = replace(posed_scene.CAMERA, cy=posed_scene.CAMERA.cy + 3)
+    wrong = replace(scan, frames=[replace(frame, camera=camera) for frame in scan.frames])
+    with pytest.raises(
+        InputError, match=r"do not fit the images\. Give others .*depth\.max_pose_error, 1\.5 px"
+    ):
+        list(views_depth(wrong, DepthParams(max_pose_error=1.5)))
+    results = [one for _, one in views_depth(wrong, DepthParams(max_skipped=1, max_pose_error=10))]
+    said = {text for one in results if isinstance(one, DepthMap) for text in one.warnings}
+    assert len(said) == 1
+    assert "poses or calibration do not fit the images" in said.pop()
+
+
+def test_a_camera_that_moves_ahead_measures_nothing_and_says_why() -> None:
+    frames = []
+    for number in range(4):
+        where = posed_scene.pose(0, 0, distance=1.6 - 0.15 * number)
+        image, _ = posed_scene.seen(where)
+        frames.append(Frame(f"{number:04d}", posed_scene.CAMERA, color=image, world_from_camera=where))
+    with pytest.raises(InputError, match=r"from a little aside .* others stand before or behind it"):
+        list(views_depth(Scan("made", frames)))
+
+
+def test_views_that_face_one_way_need_no_range() -> None:
+    """Cameras in a row whose axes are parallel: only what they recognise says how far away things are."""
+    frames, truths = [], []
+    for number in range(5):
+        where = posed_scene.pose(0, 0)
+        where[0, 3] += 0.08 * (number - 2)
+        image, true = posed_scene.seen(where)
+        frames.append(Frame(str(number), posed_scene.CAMERA, color=image, world_from_camera=where))
+        truths.append(true)
+    for (_, result), true in zip(views_depth(Scan("made", frames)), truths, strict=True):
+        assert isinstance(result, DepthMap)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.3
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
+
+
+def test_large_images_are_made_smaller(tmp_path) -> None:
+    """A scene rendered twice as large is measured in half of its size."""
+    large = Camera(480, 360, 600.0, 610.0, 242.5, 174.5)
+    frames, truths = [], []
+    for number in range(4):
+        where = posed_scene.pose(7.0 * number, 0)
+        image, _ = posed_scene.seen(where, large)
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image)
+        frames.append(Frame(str(number), large, color=tmp_path / f"{number}.png", world_from_camera=where))
+        truths.append(posed_scene.seen(where)[1])
+    results = list(views_depth(Scan("made", frames), DepthParams(max_side=240)))
+    for (frame, result), true in zip(results, truths, strict=True):
+        assert frame.camera == posed_scene.CAMERA
+        assert any("4 images were made smaller, to 240 px" in text for text in result.warnings)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.3
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
 
 
 def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
@@ -238,8 +344,15 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
 
 def test_a_view_alone_cannot_be_measured() -> None:
     scan, _ = posed_scene.scan()
-    with pytest.raises(InputError, match=r"meet|look past|no other view"):
+    with pytest.raises(InputError, match=r"one view alone has no depth: .* from 3 views"):
         list(views_depth(replace(scan, frames=scan.frames[:1])))
+    with pytest.raises(InputError, match=r"of 2 views no depth is agreed with: .*depth\.agreeing_views"):
+        list(views_depth(replace(scan, frames=scan.frames[:2])))
+    two = [
+        result
+        for _, result in views_depth(replace(scan, frames=scan.frames[:2]), DepthParams(agreeing_views=1))
+    ]
+    assert all(isinstance(result, DepthMap) for result in two)
 
 
 def test_views_without_poses_or_images_are_told() -> None:
@@ -253,7 +366,8 @@ def test_views_without_poses_or_images_are_told() -> None:
 
 
 def upside_down(frame: Frame) -> Frame:
-    return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]))
+    mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[::-1, ::-1])
+    return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]), mask=mask)
 
 
 @pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
@@ -330,9 +444,8 @@ def test_the_colours_of_a_room_alone_give_its_depth() -> None:
     """The sample's RGB-D frames without their depth: a camera that walks, whose axes meet nowhere."""
     scan = read_scan(Path(__file__).resolve().parents[2] / "samples" / "rgbd")
     frames = [replace(frame, depth=None) for frame in scan.frames[8:16]]
-    params = DepthParams(min_depth=0.5, max_depth=4.5, partners=2)
 
-    results = list(views_depth(replace(scan, frames=frames), params))
+    results = list(views_depth(replace(scan, frames=frames), DepthParams(partners=2)))
 
     wrong, covered = [], []
     for (_, result), frame in zip(results, scan.frames[8:16], strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from stages.fusion.posed_depth import read_matching_color
-from stages.images import read_depth
+from stages.images import read_depth, read_pinhole
 
 PIXEL = (26, 17)
 INTRINSICS = (100.0, 100.0, 16.0, 12.0)
@@ -85,6 +85,15 @@ class TinyWorld:
         z = float(read_depth(frame)[v, u])
         point = ((u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z, 1.0)
         return (frame.world_from_camera @ point)[:3]
+
+    def assert_views(self, scan) -> None:
+        """Check that these are single views which see the known points at the known pixel."""
+        assert scan.is_views
+        for frame, point in zip(scan.frames, WORLD_POINTS, strict=True):
+            at = self.pixel(point, np.linalg.inv(frame.world_from_camera), frame.camera)
+            factor = frame.camera.width / 32
+            np.testing.assert_allclose((at + 0.5) / factor - 0.5, PIXEL, atol=1e-6)
+            assert read_pinhole(frame).shape == (frame.camera.height, frame.camera.width, 3)
 
     def pixel(self, point, camera_from_world: np.ndarray, camera) -> np.ndarray:
         """Where a camera sees a world point, without distortion."""

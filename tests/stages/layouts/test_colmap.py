@@ -164,10 +164,88 @@ def test_fisheye_cameras_are_refused_with_the_reason(scan_folder, write):
         read_scan(scan_folder)
 
 
-def test_views_without_any_depth_are_refused_with_the_reason(workspace):
+# 30 points before each view by hand, 1 to 3 m away along its axis; the second looks along +x from (1, 2, 3).
+AWAY = np.linspace(1, 3, 30)
+POINTS = [(0.0, 0.0, z) for z in AWAY] + [(1 + x, 2.0, 3.0) for x in AWAY]
+# Numbers of the images as written: FIRST is 2, SECOND is 1; there is no 7.
+SEEN = [(2,)] * 30 + [(1, 7)] * 30
+
+
+def text_points():
+    return "# points\n" + "".join(
+        f"{n} {x} {y} {z} 9 9 9 0.5 {' '.join(f'{image} {n}' for image in seen)}\n"
+        for n, ((x, y, z), seen) in enumerate(zip(POINTS, SEEN, strict=True))
+    )
+
+
+def binary_points():
+    data = struct.pack("<Q", len(POINTS))
+    for n, (point, seen) in enumerate(zip(POINTS, SEEN, strict=True)):
+        data += struct.pack("<Q3d3BdQ", n, *point, 9, 9, 9, 0.5, len(seen))
+        data += b"".join(struct.pack("<II", image, n) for image in seen)
+    return data
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+def test_views_without_any_depth_are_single_views_with_a_range_of_depth(workspace, tiny, write):
+    write(workspace / "sparse")
+    points = text_points().encode() if write is write_text else binary_points()
+    (workspace / "sparse" / f"points3D.{'txt' if write is write_text else 'bin'}").write_bytes(points)
+    scan = read_scan(workspace)
+    tiny.assert_views(scan)
+    assert [frame.name for frame in scan.frames] == ["left side/a view 2", "10"]
+    # The 2nd and the 98th percentile are 1.04 m and 2.96 m, and the scene goes on a little beyond.
+    for frame in scan.frames:
+        near, far = frame.depth_range
+        assert 0.75 < near < 1.0
+        assert 3.0 < far < 6.0
+    assert len(scan.warnings) == 1
+    assert "not metres" in scan.warnings[0]
+    scaled = read_scan(workspace, ScanParams(depth_scale=2))
+    np.testing.assert_allclose(scaled.frames[1].world_from_camera[:3, 3], (0.5, 1, 1.5), atol=1e-9)
+    np.testing.assert_allclose(scaled.frames[1].depth_range, (near / 2, far / 2), rtol=1e-9)
+
+
+def test_single_views_without_points(workspace, tiny):
     write_text(workspace / "sparse")
-    with pytest.raises(InputError, match=r"2 views have no depth maps .*views alone cannot be read yet"):
-        read_scan(workspace)
+    scan = read_scan(workspace)
+    tiny.assert_views(scan)
+    assert [frame.depth_range for frame in scan.frames] == [None, None]
+    assert any("no points" in text and "depth.min_depth" in text for text in scan.warnings)
+
+
+def test_single_views_may_be_distorted_and_smaller_than_their_cameras(workspace):
+    write_text(workspace / "sparse", 4, (200, 200, 33, 25, 0.1, 0, 0, 0))
+    path = workspace / "sparse" / "cameras.txt"
+    path.write_text(path.read_text().replace("32 24", "64 48"))
+    scan = read_scan(workspace)
+    camera = scan.frames[0].camera
+    assert (camera.width, camera.fx, camera.cx, camera.cy) == (32, 100, 16, 12)
+    assert camera.distortion == (0.1, 0, 0, 0)
+    assert not any("distortion" in text for text in scan.warnings)
+
+
+@pytest.mark.parametrize("end", [".bin", ".txt"])
+def test_damaged_points_are_told(workspace, end):
+    write_text(workspace / "sparse")
+    path = workspace / "sparse" / f"points3D{end}"
+    sound = binary_points() if end == ".bin" else b"1 0 0 2 9 9 9 0.5 2 1\n"
+    cuts = (4, 30, len(sound) - 3) if end == ".bin" else (3, 12, len(sound) - 3)
+    for end_of_file in cuts:
+        path.write_bytes(sound[:end_of_file])
+        with pytest.raises(InputError, match="points3D"):
+            read_scan(workspace)
+    for wrong in (b"1 x 0 2 9 9 9 0.5 2 1\n", b"1 0 0 2 9 9 9 0.5 2.5 1\n", b"9" * 5000) * (end == ".txt"):
+        path.write_bytes(wrong)
+        with pytest.raises(InputError, match="line 1"):
+            read_scan(workspace)
+    if end == ".bin":
+        path.write_bytes(struct.pack("<Q", 2**63) + sound[8:])
+        with pytest.raises(InputError, match="cut short"):
+            read_scan(workspace)
+    else:
+        path.write_bytes(b"".join(b"%d nan inf 1e400 9 9 9 0.5 2 1\n" % n for n in range(30)))
+        assert read_scan(workspace).frames[0].depth_range is None
 
 
 def test_photometric_maps_stand_in_and_are_told(workspace, tiny):
@@ -238,6 +316,19 @@ def test_binary_models_cut_anywhere_are_refused(scan_folder, which):
         (scan_folder / "sparse" / file).write_bytes(data[:end])
         with pytest.raises(InputError, match=file):
             read_scan(scan_folder)
+
+
+@pytest.mark.parametrize("value", [0x00, 0x7F, 0xFF])
+def test_any_damaged_byte_of_points_is_refused_or_read(workspace, value):
+    write_text(workspace / "sparse")
+    data = binary_points()
+    for at in range(0, len(data), 5):
+        (workspace / "sparse" / "points3D.bin").write_bytes(data[:at] + bytes([value]) + data[at + 1 :])
+        try:
+            for frame in read_scan(workspace).frames:
+                assert frame.depth_range is None or 0 < frame.depth_range[0] < frame.depth_range[1] < 1e10
+        except InputError as error:
+            assert "points3D.bin" in str(error)  # noqa: PT017
 
 
 @pytest.mark.parametrize("which", [0, 1])

@@ -1,11 +1,12 @@
 import zlib
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from stages.errors import InputError
-from stages.images import image_size, read_color, read_depth, read_right
+from stages.images import image_size, read_color, read_depth, read_right, read_seen
 from stages.scan import Camera, Frame
 
 CAMERA = Camera(32, 24, 100, 100, 16, 12)
@@ -157,6 +158,27 @@ def test_distortion_of_rgbd_frames_is_removed(tmp_path):
     np.testing.assert_allclose((columns.mean(), rows.mean()), 2 * pinhole + 0.5, atol=1.5)
     pair = Frame("f", camera, tmp_path / "color.png", right=tmp_path / "color.png")
     np.testing.assert_array_equal(read_color(pair), color)
+
+
+def test_what_a_mask_shows_is_depth_and_seen():
+    camera = Camera(8, 6, 10, 10, 3.5, 2.5)
+    mask = np.zeros((12, 16, 3), np.uint8)
+    mask[:, 8:, 1] = 1
+    frame = Frame("a", camera, depth=np.full((6, 8), 2, np.float32), mask=mask)
+    np.testing.assert_array_equal(read_depth(frame)[3], [0, 0, 0, 0, 2, 2, 2, 2])
+    np.testing.assert_array_equal(read_seen(frame)[3], [0, 0, 0, 0, 1, 1, 1, 1])
+    with pytest.raises(InputError, match=r"frame a: a mask of 8 bits"):
+        read_seen(replace(frame, mask=mask.astype(np.uint16)))
+
+
+def test_what_lies_beyond_the_edge_of_a_distorted_image_is_not_seen():
+    """Pincushion distortion: the corners of the pinhole image lie outside of the one that was taken."""
+    bent = Camera(64, 48, 60, 60, 31.5, 23.5, (0.5, 0, 0, 0))
+    seen = read_seen(Frame("a", bent))
+    # (x, y) = (31.5, 23.5) / 60 is seen at 1 + 0.5 r² of that, 12 % farther out: 3.8 px beyond the edge.
+    assert not seen[[0, 0, -1, -1], [0, -1, 0, -1]].any()
+    assert seen[8:40, 8:56].all()
+    assert read_seen(Frame("a", replace(bent, distortion=()))).all()
 
 
 def test_a_name_no_file_can_have_is_told(tmp_path):

@@ -1,12 +1,13 @@
 import json
 import math
 
+import cv2
 import numpy as np
 import OpenEXR
 import pytest
 
 from stages.errors import InputError
-from stages.images import read_color
+from stages.images import read_color, read_depth, read_seen
 from stages.layouts import ScanParams, read_scan
 
 FACTOR = 4
@@ -22,8 +23,9 @@ def document(tiny, poses=None):
         "h": 24 * FACTOR,
         "fl_x": camera["fx"],
         "fl_y": camera["fy"],
-        "cx": camera["cx"],
-        "cy": camera["cy"],
+        # Counted from the corner of the top left pixel.
+        "cx": camera["cx"] + 0.5,
+        "cy": camera["cy"] + 0.5,
         "frames": [
             {
                 "file_path": f"images/{number}.png",
@@ -216,13 +218,78 @@ def test_a_file_that_is_no_list_is_one_sentence(scan_folder):
             read_scan(scan_folder)
 
 
-def test_views_without_depth_are_refused_with_the_reason(scan_folder, tiny):
-    content = document(tiny)
+def without_depth(tiny, poses=None):
+    content = document(tiny, poses)
     for entry in content["frames"]:
         del entry["depth_file_path"]
+    return content
+
+
+def test_frames_without_any_depth_are_single_views(scan_folder, tiny):
+    write(scan_folder, without_depth(tiny))
+    scan = read_scan(scan_folder)
+    tiny.assert_views(scan)
+    assert any("scan.depth_scale" in text for text in scan.warnings)
+
+
+def test_single_views_in_another_unit(scan_folder, tiny):
+    poses = [tiny.opengl(pose) for pose in (tiny.identity, tiny.second)]
+    for pose in poses:
+        pose[:3, 3] *= 1000
+    write(scan_folder, without_depth(tiny, poses))
+    scan = read_scan(scan_folder, ScanParams(depth_scale=1000))
+    tiny.assert_views(scan)
+    assert scan.warnings == ()
+    # Stated poses are in metres.
+    rows = [" ".join(map(str, pose[:3].ravel())) for pose in (tiny.identity, tiny.second)]
+    (scan_folder / "poses.txt").write_text("\n".join(rows))
+    tiny.assert_views(read_scan(scan_folder, ScanParams(depth_scale=1000, poses="poses.txt")))
+
+
+def test_single_views_each_of_its_size(scan_folder, tiny):
+    """Images that were made smaller after their cameras were found; one that was cropped is left out."""
+    tiny.dotted_file(scan_folder / "images" / "10.png", 1)
+    write(scan_folder, without_depth(tiny))
+    scan = read_scan(scan_folder)
+    assert [frame.camera.width for frame in scan.frames] == [32 * FACTOR, 32]
+    tiny.assert_views(scan)
+    tiny.color(scan_folder / "images" / "2.png", (100, 30))
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10"]
+    assert "not the shape of the camera's" in scan.skipped[0].reason
+
+
+@pytest.mark.parametrize("with_depth", [True, False])
+def test_masks_say_where_nothing_is(scan_folder, tiny, with_depth):
+    mask = np.full((24 * FACTOR, 32 * FACTOR), 255, np.uint8)
+    mask[: 4 * FACTOR] = 0
+    content = document(tiny) if with_depth else without_depth(tiny)
+    for entry in content["frames"]:
+        entry["mask_path"] = entry["file_path"].replace("images", "masks")
+        (scan_folder / "masks").mkdir(exist_ok=True)
+        cv2.imwrite(str(scan_folder / entry["mask_path"]), mask)
     write(scan_folder, content)
-    with pytest.raises(InputError, match="have no depth, and views of this layout alone cannot be read yet"):
+    frame = read_scan(scan_folder).frames[0]
+    seen = read_depth(frame) > 0 if with_depth else read_seen(frame)
+    factor = 1 if with_depth else FACTOR
+    assert seen.shape == (24 * factor, 32 * factor)
+    assert not seen[: 4 * factor].any()
+    assert seen[4 * factor :].all()
+    content["frames"][0]["mask_path"] = "../mask.png"
+    write(scan_folder, content)
+    with pytest.raises(InputError, match="mask_path is not a path inside"):
         read_scan(scan_folder)
+
+
+def test_transparency_is_a_mask(scan_folder, tiny):
+    image = np.full((24 * FACTOR, 32 * FACTOR, 4), 200, np.uint8)
+    image[:, :40, 3] = 127
+    cv2.imwrite(str(scan_folder / "images" / "2.png"), image)
+    write(scan_folder, without_depth(tiny))
+    first, second = read_scan(scan_folder).frames
+    assert np.flatnonzero(~read_seen(first).all(axis=0)).tolist() == list(range(40))
+    assert read_seen(first)[:, 40:].all()
+    assert second.mask is None
 
 
 def test_frames_without_depth_are_left_out(scan_folder, tiny):

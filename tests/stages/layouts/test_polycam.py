@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
-from stages.images import read_depth
+from stages.images import read_depth, read_seen
 from stages.layouts import ScanParams, read_scan
 
 FACTOR = 4
@@ -114,11 +114,38 @@ def test_images_of_another_shape_are_refused(scan_folder, tiny):
         read_scan(scan_folder)
 
 
-def test_without_depth_the_reason_is_said(scan_folder):
+def test_without_depth_the_frames_are_single_views(scan_folder, tiny):
     for file in (scan_folder / "keyframes" / "depth").iterdir():
         file.unlink()
-    with pytest.raises(InputError, match=r"views of this layout alone cannot be read yet.*LiDAR"):
-        read_scan(scan_folder)
+    scan = read_scan(scan_folder)
+    tiny.assert_views(scan)
+    assert scan.warnings == ()
+    (scan_folder / "keyframes" / "corrected_images" / f"{STEMS[1]}.png").unlink()
+    assert [(one.name, one.reason) for one in read_scan(scan_folder).skipped] == [
+        (STEMS[1], "its image is missing")
+    ]
+
+
+def test_black_borders_of_corrected_images_paint_nothing(scan_folder):
+    """Five columns of the image from its left edge go, and the one after, but not a dark thing inside."""
+    for stem in STEMS:
+        for name in ("images", "corrected_images"):
+            path = str(scan_folder / "keyframes" / name / f"{stem}.png")
+            image = cv2.imread(path)
+            image[:, :5] = 3
+            image[40:60, 60:80] = 0
+            cv2.imwrite(path, image)
+    depth = read_depth(read_scan(scan_folder).frames[0])
+    # Each pixel of depth is four of the image's.
+    assert not depth[:, 0].any()
+    assert (depth[4:, 1:] > 0).all()
+    for file in (scan_folder / "keyframes" / "depth").iterdir():
+        file.unlink()
+    view = read_scan(scan_folder).frames[0]
+    assert np.flatnonzero(~read_seen(view).all(axis=0)).tolist() == [0, 1, 2, 3, 4, 5]
+    for file in (scan_folder / "keyframes" / "corrected_images").iterdir():
+        file.unlink()
+    assert read_seen(read_scan(scan_folder).frames[0]).all()
 
 
 def test_without_images_the_reason_is_said(tmp_path):

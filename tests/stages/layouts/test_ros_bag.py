@@ -19,6 +19,7 @@ from stages.formats import ros_db3
 from stages.fusion.posed_depth import read_matching_color
 from stages.images import read_color, read_depth
 from stages.layouts import ScanParams, read_scan
+from stages.scan import Scan
 
 START = 1_700_000_000_000_000_000
 INTERVAL = 33_000_000

@@ -1,4 +1,5 @@
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -59,21 +60,24 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
 def test_what_is_written_is_read_back(tmp_path, tiny):
     usual = Camera(32, 24, 101.5, 99.25, 15.5, 11.5, (0.1, -0.2, 0.003, 0.004))
     own = Camera(32, 24, 50, 50, 16, 12)
+    large = Camera(64, 48, 200, 200, 32, 24)
     frames = [
         Frame("one", usual, tmp_path / "color" / "1.png", None, tmp_path / "depth" / "1.npy", 1.0, (7,),
               tiny.second, 123456789012345678),
-        Frame("two", own, None, None, tmp_path / "depth" / "2.npy", 1.0, (7,), tiny.identity),
+        Frame("two", own, None, None, tmp_path / "depth" / "2.npy", 1.0, (7,), tiny.identity, None,
+              large, tiny.second, tmp_path / "trust" / "2.png", 3, tmp_path / "mask.png", (0.25, 4.0)),
     ]  # fmt: skip
     (tmp_path / "color").mkdir()
     (tmp_path / "depth").mkdir()
-    for file in (frames[0].color, frames[0].depth, frames[1].depth):
+    (tmp_path / "trust").mkdir()
+    for file in (frames[0].color, frames[0].depth, frames[1].depth, frames[1].confidence, frames[1].mask):
         file.touch()
     assert write_scan_json(tmp_path, frames) == tmp_path / "scan.json"
     scan = read_scan(tmp_path)
     for written, read in zip(frames, scan.frames, strict=True):
-        np.testing.assert_array_equal(read.world_from_camera, written.world_from_camera)
-        for field in ("name", "camera", "color", "depth", "depth_scale", "depth_missing", "timestamp"):
-            assert getattr(read, field) == getattr(written, field), field
+        for field in fields(Frame):
+            one, other = getattr(read, field.name), getattr(written, field.name)
+            assert np.array_equal(one, other) if isinstance(other, np.ndarray) else one == other, field.name
 
 
 def test_a_frame_without_pose_is_kept_as_lost(tmp_path, tiny):
@@ -150,6 +154,14 @@ def test_damaged_documents_are_told(scan_folder, values, message):
         ({"depth": "../secret.png"}, "not a path inside the folder"),
         ({"color": "/etc/passwd"}, "not a path inside the folder"),
         ({"timestamp": "now"}, "timestamp"),
+        ({"mask": "../secret.png"}, "frame b: mask is not a path inside the folder"),
+        ({"color_camera": {**CAMERA, "fx": 0}}, "focal lengths"),
+        ({"color_from_depth": [[1, 2], [3, 4]]}, "frame b: color_from_depth is not a 4x4 matrix"),
+        ({"least_confidence": "x"}, "frame b: least_confidence"),
+        ({"least_confidence": 300}, "frame b: least_confidence"),
+        ({"depth_range": [2, 1]}, "frame b: depth_range"),
+        ({"depth_range": [1, float("nan")]}, "frame b: depth_range"),
+        ({"depth_range": 7}, "frame b: depth_range"),
         ({"world_from_camera": [[1, 2], [3, 4]]}, "frame b is not a 4x4 matrix"),
         ({"world_from_camera": (2 * np.eye(4)).tolist()}, "frame b.*last row"),
         ({"world_from_camera": np.diag((1.0, 1, 1.1, 1)).tolist()}, "frame b.*not rigid"),

@@ -1,0 +1,79 @@
+"""Points of images that are recognised in others (Lowe, "Distinctive image features", 2004; RootSIFT)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+# SIFT's own threshold for the contrast of a point.
+_CONTRAST = 0.04
+# Grey values from the darkest to the brightest hundredth are stretched to all there are.
+_TAILS = 0.01
+# A match counts where the second best is this much farther.
+_DISTINCT = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Recognisable points of an image.
+
+    Attributes
+    ----------
+    pixels : (n, 2) float32, x and y.
+    descriptors : (n, 128) uint8.
+    strength : (n,) float32.
+    """
+
+    pixels: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+    strength: NDArray[np.float32]
+
+
+def keypoints(grey: NDArray[np.uint8], most: int, *, contrast: float = _CONTRAST) -> Keypoints:
+    """Return the `most` strongest points of an (h, w) image, of this contrast at least."""
+    import cv2
+
+    sift = cv2.SIFT.create(nfeatures=most, contrastThreshold=contrast)
+    found, descriptors = sift.detectAndCompute(_stretched(grey), None)
+    if len(found) == 0:
+        descriptors = np.zeros((0, 128))
+    return Keypoints(
+        np.array([one.pt for one in found], np.float32).reshape(-1, 2),
+        descriptors.astype(np.uint8),
+        np.array([one.response for one in found], np.float32),
+    )
+
+
+def rooted(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return descriptors of unit length whose distances compare better (RootSIFT, Arandjelović 2012)."""
+    sums = descriptors.sum(axis=1, keepdims=True, dtype=np.float32)
+    return np.asarray(np.sqrt(descriptors / sums.clip(1e-9)), np.float32)
+
+
+def matches(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return (m, 2) indices of descriptors that are each other's nearest, and distinctly so."""
+    if len(source) == 0 or len(target) < 2:
+        return np.zeros((0, 2), np.int64)
+    likeness = rooted(source) @ rooted(target).T
+    here = np.arange(len(source))
+    nearest = likeness.argmax(axis=1)
+    best = likeness[here, nearest]
+    likeness[here, nearest] = -1
+    # Descriptors have unit length: squared distances are 2 - 2 likeness.
+    distinct = np.flatnonzero(2 - 2 * best < _DISTINCT**2 * (2 - 2 * likeness.max(axis=1)))
+    likeness[here, nearest] = best
+    columns = nearest[distinct]
+    mutual = distinct[likeness[:, columns].max(axis=0) <= best[distinct]]
+    return np.column_stack([mutual, nearest[mutual]])
+
+
+def _stretched(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the image with its grey values spread, so that dark images have points too."""
+    import cv2
+
+    shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size
+    low, high = np.searchsorted(shares, (_TAILS, 1 - _TAILS))
+    table = np.clip((np.arange(256) - low) * (255 / max(high - low, 1)), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(grey, table), np.uint8)
