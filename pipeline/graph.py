@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pipeline import registering, remeshing, report
 from pipeline.config import Config
@@ -23,6 +23,7 @@ from stages.clean import clean
 from stages.compare import VERSION as COMPARE_VERSION
 from stages.depth import VERSION as DEPTH_VERSION
 from stages.depth import depth_scan
+from stages.errors import InputError
 from stages.formats.ply import read_ply, write_ply
 from stages.fuse import VERSION as FUSE_VERSION
 from stages.fuse import fuse
@@ -45,7 +46,7 @@ def _depth(job: Job) -> Mapping[str, Any]:
 
 
 def _register(job: Job) -> Mapping[str, Any]:
-    found = register(_frames(job), job.config.register, progress=job.progress)
+    found = register(_scan(job), job.config.register, progress=job.progress)
     return _with_skipped(registering.write(job.folder, found))
 
 
@@ -55,7 +56,28 @@ def _fuse(job: Job) -> Mapping[str, Any]:
     fused = fuse(scan, job.config.fuse, progress=job.progress)
     write_ply(job.folder / "fused.ply", fused.mesh)
     figures = fused.figures()
+    doubts += _fuse_apart(job)
     return _with_skipped({**figures, "warnings": [*doubts, *figures.get("warnings", ())]})
+
+
+def _fuse_apart(job: Job) -> list[str]:
+    """Fuse the pieces that poses could not join to the one that is used, each into a mesh of its own."""
+    if "posed" not in job.inputs:
+        return []
+    said = []
+    folder = job.folder / "pieces"
+    for number, piece in registering.apart(_scan(job), job.inputs["posed"]).items():
+        try:
+            mesh = fuse(piece, job.config.fuse).mesh
+        except InputError as error:
+            said.append(f"piece {number} is not fused: {error}")
+            continue
+        folder.mkdir(exist_ok=True)
+        write_ply(folder / f"fused-{number}.ply", mesh)
+        said.append(
+            f"piece {number}, of {len(piece.frames)} frames, is fused apart: pieces/fused-{number}.ply"
+        )
+    return said
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
@@ -104,12 +126,18 @@ def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _frames(job: Job) -> Scan:
-    """Return the RGB-D scan, or the one the depth stage left, with the poses that were found."""
+    """Return the scan with depth, and the poses that were found."""
+    scan = _scan(job)
+    return registering.placed(scan, job.inputs["posed"]) if "posed" in job.inputs else scan
+
+
+def _scan(job: Job) -> Scan:
+    """Return the RGB-D scan, or the one the depth stage left."""
     frames = job.inputs["frames"]
     # No message should name the cache's folder, which is that of the depth stage's scan.
     if isinstance(frames, Path):
-        frames = replace(read_scan(frames, complete=False), folder=None)
-    return registering.placed(frames, job.inputs["posed"]) if "posed" in job.inputs else frames
+        return replace(read_scan(frames, complete=False), folder=None)
+    return cast(Scan, frames)
 
 
 def _version(*distributions: str) -> str:
@@ -148,7 +176,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("register",),
         make=_register,
         libraries=_OPENCV | _OPEN3D,
-        results=("trajectory.tum", "path.ply"),
+        results=("trajectory.tum", "path.ply", "pieces/"),
     ),
     Stage(
         name="fuse",
@@ -158,7 +186,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("fuse",),
         make=_fuse,
         libraries=_OPENCV | _OPEN3D,
-        results=("fused.ply",),
+        results=("fused.ply", "pieces/"),
     ),
     Stage(
         name="clean",
@@ -218,7 +246,8 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         why = (
             "is switched off"
             if config.register.enabled is False
-            else "its frames have poses; set register.enabled=true to find others"
+            else "its frames have poses; set register.refine=true to make them better, or "
+            "register.enabled=true to find others"
         )
         reasons["register"] = f"is not a stage of this scan: {why}"
     if not config.remesh.enabled:
@@ -228,7 +257,9 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
 
 def is_registered(scan: Scan, config: Config) -> bool:
     """Return whether the poses of a scan are found: those it lacks, or all, if asked for."""
-    return not scan.has_poses if config.register.enabled is None else config.register.enabled
+    if config.register.enabled is None:
+        return config.register.refine or not scan.has_poses
+    return config.register.enabled
 
 
 def source_of(scan: Scan) -> str:

@@ -3,6 +3,7 @@
 trajectory.tum      a pose a line, camera-to-world, of the frames that are used
 registration.json   the same as matrices by the frame's place in the scan; edges, pieces, breaks
 path.ply            a coloured cloud of what the frames show, and the camera's path in red
+pieces/             trajectories of the pieces that could not be joined to it, by their numbers
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from stages.formats.trajectories import write_tum
 from stages.fusion.posed_depth import read_matching_color
 from stages.images import read_depth
 from stages.register import Registration
-from stages.scan import ColorImage, Frame, Scan
+from stages.scan import ColorImage, Frame, Pose, Scan
 
 # Points in the cloud: enough to judge the poses by.
 _MAX_POINTS = 500_000
@@ -36,15 +37,16 @@ _FILE = "registration.json"
 
 def write(folder: Path, found: Registration) -> Mapping[str, Any]:
     """Write the files into an empty folder, and return figures."""
-    placed = [
-        (place, frame, pose)
-        for place, frame in zip(found.places, found.frames, strict=True)
-        if (pose := frame.world_from_camera) is not None
-    ]
-    times = [place if frame.timestamp is None else frame.timestamp / 1e9 for place, frame, _ in placed]
-    write_tum(folder / "trajectory.tum", times, [pose for *_, pose in placed])
+    used = dict(zip(found.places, found.frames, strict=True))
+    _write_poses(folder / "trajectory.tum", used)
+    others = {number: frames for number, frames in found.apart.items() if len(frames) > 1}
+    if others:
+        (folder / "pieces").mkdir()
+    for number, frames in others.items():
+        _write_poses(folder / "pieces" / f"trajectory-{number}.tum", frames)
     document = {
-        "poses": {str(place): pose.tolist() for place, _, pose in placed},
+        "poses": _by_place(used),
+        "apart": {str(number): _by_place(frames) for number, frames in others.items()},
         "pieces": [list(piece) for piece in found.pieces],
         "edges": [dict(edge) for edge in found.edges],
         "breaks": [{"frame": one.name, "reason": one.reason} for one in found.breaks],
@@ -57,11 +59,38 @@ def write(folder: Path, found: Registration) -> Mapping[str, Any]:
 
 def placed(scan: Scan, folder: Path) -> Scan:
     """Return the frames of a scan that poses were found for, with these."""
-    poses = json.loads((folder / _FILE).read_text(encoding="utf-8"))["poses"]
+    return _with_poses(scan, _read(folder)["poses"])
+
+
+def apart(scan: Scan, folder: Path) -> dict[int, Scan]:
+    """Return the pieces that could not be joined to these frames, by their numbers."""
+    return {int(number): _with_poses(scan, poses) for number, poses in _read(folder)["apart"].items()}
+
+
+def _read(folder: Path) -> Any:
+    return json.loads((folder / _FILE).read_text(encoding="utf-8"))
+
+
+def _with_poses(scan: Scan, poses: Mapping[str, Any]) -> Scan:
     frames = [
         replace(scan.frames[int(place)], world_from_camera=np.array(pose)) for place, pose in poses.items()
     ]
     return replace(scan, frames=frames, missing=())
+
+
+def _write_poses(path: Path, frames: Mapping[int, Frame]) -> None:
+    times = [place if frame.timestamp is None else frame.timestamp / 1e9 for place, frame in frames.items()]
+    write_tum(path, times, [_pose(frame) for frame in frames.values()])
+
+
+def _by_place(frames: Mapping[int, Frame]) -> dict[str, Any]:
+    return {str(place): _pose(frame).tolist() for place, frame in frames.items()}
+
+
+def _pose(frame: Frame) -> Pose:
+    if frame.world_from_camera is None:
+        raise ValueError(f"frame {frame.name} was given no pose")
+    return frame.world_from_camera
 
 
 def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:

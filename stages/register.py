@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,14 @@ class RegisterParams:
         low=0,
         low_open=True,
     )
+    refine: bool = param(
+        False, "Begin from the poses the scan has, and make them better; its world stays where it is."
+    )
+    piece: int = param(
+        1,
+        "Which piece of a scan that falls apart is used: 1 for the one of the most frames, 2 for the next.",
+        low=1,
+    )
     loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
 
     def __post_init__(self) -> None:
@@ -63,12 +71,13 @@ class Registration:
 
     Attributes
     ----------
-    frames : those of the largest piece, each with a pose; the first one's camera is the world.
+    frames : those of the piece that is used, each with a pose. The world is the first one's camera, or that
+        of the poses that were refined.
     places : of these frames in the scan.
     skipped : all others, and why.
     pieces : names of the frames of each piece, the largest first: poses of different pieces say nothing
         about each other.
-    poses : world_from_camera of every frame that has one, by its place in the scan; in its piece's world.
+    apart : the other pieces by their numbers from 1: frames by their places, with poses in their own world.
     edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m (None
         where recognised points alone tell the motion), points, is_loop, is_used.
     breaks : where a frame could not be placed to the one before: its name, and why.
@@ -81,7 +90,7 @@ class Registration:
     places: tuple[int, ...]
     skipped: tuple[SkippedFrame, ...]
     pieces: tuple[tuple[str, ...], ...]
-    poses: dict[int, Pose]
+    apart: dict[int, dict[int, Frame]]
     edges: tuple[dict[str, Any], ...]
     breaks: tuple[SkippedFrame, ...]
     key_frames: tuple[int, ...]
@@ -117,7 +126,7 @@ def register(
     progress: Progress = silent,
     **changes: Any,
 ) -> Registration:
-    """Find the poses of frames with depth from what they show; poses they have are not used.
+    """Find the poses of frames with depth from what they show; poses they have are used to refine them only.
 
     Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
     Key frames that may show the same place, because their poses or their looks say so, are placed to each
@@ -133,7 +142,8 @@ def register(
     Raises
     ------
     InputError
-        If fewer than two frames can be used, or no two of them can be placed to each other.
+        If fewer than two frames can be used, no two of them can be placed to each other, there are fewer
+        pieces than `piece`, or `refine` finds no poses.
 
     References
     ----------
@@ -144,18 +154,29 @@ def register(
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     began = time.perf_counter()
+    given = _given(frames) if params.refine else {}
+    if params.refine and not given:
+        raise InputError("no frame has a pose that could be refined.", where)
     max_depth = params.max_depth or _max_depth(frames)
     with one_thread_each():
-        chain = make_chain(frames, max_depth, progress)
+        chain = make_chain(frames, max_depth, progress, given)
         if len(chain.seen) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
         edges = list(key_edges(chain, max_depth))
         if params.loops:
-            edges += loops(chain, max_depth)
+            edges += loops(chain, max_depth, given)
     groups = pieces(len(chain.keys), edges)
     poses, used, wrong = placed_pieces(chain, groups, edges)
-    return _result(frames, chain, groups, poses, used, wrong, began, where)
+    return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
+
+
+def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
+    return {
+        place: pose
+        for place, frame in enumerate(frames)
+        if (pose := frame.world_from_camera) is not None and np.isfinite(pose).all()
+    }
 
 
 def _max_depth(frames: Sequence[Frame]) -> float:
@@ -180,6 +201,8 @@ def _result(
     wrong: Sequence[Edge],
     began: float,
     where: Path | None,
+    given: Mapping[int, Pose],
+    piece: int,
 ) -> Registration:
     keys, numbers = chain.keys, list(chain.seen)
     piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
@@ -200,32 +223,61 @@ def _result(
             f"{breaks[0].reason}). If poses are known, name them with scan.poses=FILE.",
             where,
         )
-    rank = {piece: i for i, piece in enumerate(order)}
-    apart = [
+    if piece > len(order) or len(sizes[order[piece - 1]]) < 2:
+        many = sum(len(size) > 1 for size in sizes)
+        raise InputError(f"there is no piece {piece} of two frames or more; there are {many}.", where)
+    chosen = sizes[order[piece - 1]]
+    rank = {index: i for i, index in enumerate(order, 1)}
+    left_out = [
         SkippedFrame(
             frames[n].name,
-            f"it is in piece {rank[piece_of[n]] + 1} of {len(order)}, which could not be joined to the first",
+            f"it is in piece {rank[piece_of[n]]} of {len(order)}, which could not be joined to piece {piece}",
         )
         for n in numbers
-        if piece_of[n] != order[0]
+        if rank[piece_of[n]] != piece
     ]
-    origin = inverted(poses[largest[0]])
+    placed = {
+        rank[index]: _in_their_world(frames, members, poses, given) for index, members in enumerate(sizes)
+    }
     return Registration(
-        frames=tuple(replace(frames[n], world_from_camera=origin @ poses[n]) for n in largest),
-        places=tuple(largest),
-        skipped=(*chain.skipped, *apart),
-        pieces=tuple(tuple(frames[n].name for n in sizes[piece]) for piece in order),
-        poses=poses,
+        frames=tuple(placed[piece].values()),
+        places=tuple(placed[piece]),
+        skipped=(*chain.skipped, *left_out),
+        pieces=tuple(tuple(frames[n].name for n in sizes[index]) for index in order),
+        apart={number: placed[number] for number in sorted(placed) if number != piece},
         edges=tuple(
             _edge(edge, keys, is_used) for edges, is_used in ((used, True), (wrong, False)) for edge in edges
         ),
         breaks=breaks,
         key_frames=tuple(keys),
         warnings=tuple(
-            _warnings(frames, chain, len(order), breaks, [poses[n] for n in largest], used, wrong)
+            _warnings(frames, chain, len(order), piece, breaks, [poses[n] for n in chosen], used, wrong)
         ),
         seconds=time.perf_counter() - began,
     )
+
+
+def _in_their_world(
+    frames: Sequence[Frame], members: Sequence[int], poses: Mapping[int, Pose], given: Mapping[int, Pose]
+) -> dict[int, Frame]:
+    """Return the frames of a piece by their places, in the world of the first, or of the poses given."""
+    known = [n for n in members if n in given]
+    into = inverted(poses[members[0]])
+    if known:
+        into = _nearest([poses[n] for n in known], [given[n] for n in known])
+    return {n: replace(frames[n], world_from_camera=into @ poses[n]) for n in members}
+
+
+def _nearest(poses: Sequence[Pose], given: Sequence[Pose]) -> Pose:
+    """Return the rigid motion that brings cameras to others: the mean of their turns, then their centres."""
+    from scipy.spatial.transform import Rotation
+
+    turns = [other[:3, :3] @ pose[:3, :3].T for pose, other in zip(poses, given, strict=True)]
+    into = np.eye(4)
+    into[:3, :3] = Rotation.from_matrix(np.stack(turns)).mean().as_matrix()
+    centres, others = (np.mean([pose[:3, 3] for pose in some], axis=0) for some in (poses, given))
+    into[:3, 3] = others - into[:3, :3] @ centres
+    return into
 
 
 def _edge(edge: Edge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
@@ -244,6 +296,7 @@ def _warnings(
     frames: Sequence[Frame],
     chain: Chain,
     count: int,
+    piece: int,
     breaks: Sequence[SkippedFrame],
     poses: Sequence[Pose],
     used: Sequence[Edge],
@@ -252,7 +305,8 @@ def _warnings(
     motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
     if count > 1:
         yield (
-            f"the frames fall into {count} pieces that could not be joined; only the largest is used. "
+            f"the frames fall into {count} pieces that could not be joined; piece {piece} is used "
+            f"(register.piece={1 if piece > 1 else 2} for another). "
             f"The chain broke at {breaks[0].name}"
             + (f" and {len(breaks) - 1} more" if len(breaks) > 1 else "")
             + f": {breaks[0].reason}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +15,15 @@ from stages.prefetch import read_ahead, workers
 from stages.progress import Progress
 from stages.registration.graph import Edge
 from stages.registration.key_views import KeyViews
-from stages.registration.motion import Motion, NoMotion, agree, angle, by_surface, motion_between
+from stages.registration.motion import (
+    Motion,
+    NoMotion,
+    agree,
+    angle,
+    by_surface,
+    motion_between,
+    refined,
+)
 from stages.registration.view import View, read_view
 from stages.scan import Frame, Pose, SkippedFrame
 
@@ -60,8 +68,15 @@ class Chain:
         return [number for number, motion in self.motions.items() if isinstance(motion, NoMotion)]
 
 
-def make_chain(frames: Sequence[Frame], max_depth: float, progress: Progress) -> Chain:
-    """Read all frames, place each to the one before, and choose key frames."""
+def make_chain(
+    frames: Sequence[Frame], max_depth: float, progress: Progress, given: Mapping[int, Pose]
+) -> Chain:
+    """Read all frames, place each to the one before, and choose key frames.
+
+    Parameters
+    ----------
+    given : world_from_camera of frames by their place: first guesses, and kept where no better is found.
+    """
     threads = workers()
     chain = Chain(KeyViews(frames, max_depth))
 
@@ -86,15 +101,19 @@ def make_chain(frames: Sequence[Frame], max_depth: float, progress: Progress) ->
             before = number, view
 
     def place(couple: tuple[int, View, int, View]) -> tuple[int, View, int, View, Motion | NoMotion]:
-        _, target, _, source = couple
+        before, target, number, source = couple
         # The motion of the later one to the earlier, so that poses are products from left to right.
+        if before in given and number in given:
+            guess = inverted(given[before]) @ given[number]
+            return *couple, refined(source, target, max_depth, guess)
         return *couple, motion_between(source, target, max_depth)
 
     last: Motion | NoMotion = NoMotion("")
     for before, target, number, source, found in read_ahead(
         place, couples(), threads=threads, ahead=threads + 2
     ):
-        if isinstance(last, Motion) and (isinstance(found, NoMotion) or found.points == 0):
+        is_given = before in given and number in given
+        if not is_given and isinstance(last, Motion) and (isinstance(found, NoMotion) or found.points == 0):
             # Nothing was recognised: a camera in motion goes on as it went.
             again = by_surface(source, target, max_depth, last.target_from_source)
             if isinstance(again, Motion):

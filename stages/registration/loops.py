@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,17 @@ _LEAST_LIKENESS = 0.15
 _DRIFT_SHIFT, _DRIFT_TURN = 0.1, 0.1
 
 
-def loops(chain: Chain, max_depth: float) -> list[Edge]:
-    """Return motions between key frames that do not follow each other and show the same place."""
+def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edge]:
+    """Return motions between key frames that do not follow each other and show the same place.
+
+    Parameters
+    ----------
+    given : world_from_camera by the frame's place; where all key frames have one, it tells who is near whom.
+    """
     features = [chain.views.features[key] for key in chain.keys]
     depths = np.array([chain.seen[key].depth_m for key in chain.keys])
-    poses = np.array([chain.poses[key] for key in chain.keys])
+    known = given if all(key in given for key in chain.keys) else chain.poses
+    poses = np.array([known[key] for key in chain.keys])
     breaks = chain.breaks
     parts = np.array([bisect_left(breaks, key) for key in chain.keys])
 

@@ -30,6 +30,8 @@ _DOUBTFUL = 0.6
 # How far two ways to find one motion may differ: in median depths and in radians.
 _AGREED_SHIFT = 0.03
 _AGREED_TURN = 0.03
+# How far off a motion that is known roughly may be.
+_NEAR_SHIFT, _NEAR_TURN = 0.1, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +88,25 @@ def motion_between(
     if agree(inverted(found.target_from_source) @ other.target_from_source, source.depth_m):
         return found
     return replace(other if other.fitness > _FIRST * found.fitness else found, is_split=True)
+
+
+def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion:
+    """Make a motion that is known roughly better; it is kept where nothing better is found.
+
+    Parameters
+    ----------
+    given : (4, 4) target_from_source.
+    """
+    meets = meeting(source, target, given)
+    kept = Motion(given, meets.information + np.eye(6), meets.fitness, None, 0)
+    found = motion_between(source, target, max_depth, given)
+    if isinstance(found, NoMotion):
+        return kept
+    off = inverted(given) @ found.target_from_source
+    near = np.linalg.norm(off[:3, 3]) <= _NEAR_SHIFT * source.depth_m and angle(off) <= _NEAR_TURN
+    better = found.fitness > (_FIRST if near else _CLEARLY) * kept.fitness
+    sure = near or found.points >= SURE_POINTS
+    return found if sure and (better or found.points >= SURE_POINTS) else kept
 
 
 def by_surface(source: View, target: View, max_depth: float, guess: Pose) -> Motion | NoMotion:

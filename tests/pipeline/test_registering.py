@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -57,6 +58,40 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
 
     again = run(unposed, out, config("fuse.voxel_size=0.03"))
     assert [outcome.cached for outcome in again.stages][:2] == [True, False]
+
+
+def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "scan"
+    shutil.copytree(unposed, folder)
+    frames = json.loads((folder / "scan.json").read_text())["frames"]
+    for frame in frames[12:]:
+        # What is seen in a mirror is another place.
+        for image in (frame["color"], frame["depth"]):
+            pixels = cv2.imread(str(folder / image), cv2.IMREAD_UNCHANGED)
+            cv2.imwrite(str(folder / image), pixels[:, ::-1])
+    result = run(folder, tmp_path / "out", config("scan.every=2", "scan.last=17"), until="fuse")
+    assert result.report["stages"]["register"]["figures"]["pieces"] == [6, 3]
+    assert len(read_tum(tmp_path / "out" / "pieces" / "trajectory-2.tum").poses) == 3
+    apart = read_ply(tmp_path / "out" / "pieces" / "fused-2.ply")
+    assert 1000 < len(apart.triangles) < len(read_ply(tmp_path / "out" / "fused.ply").triangles)
+    assert any("fused apart" in text for text in result.report["stages"]["fuse"]["figures"]["warnings"])
+
+    other = run(
+        folder, tmp_path / "out", config("scan.every=2", "scan.last=17", "register.piece=2"), until="fuse"
+    )
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum").poses) == 3
+    assert (tmp_path / "out" / "pieces" / "fused-1.ply").is_file()
+    assert not (tmp_path / "out" / "pieces" / "fused-2.ply").exists()
+    assert other.report["stages"]["register"]["figures"]["frames"] == 3
+
+
+def test_poses_of_a_scan_are_refined(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    made = run(SAMPLE, out, config("register.refine=true"), until="fuse")
+    assert [outcome.stage for outcome in made.stages] == ["register", "fuse"]
+    truth = read_scan(SAMPLE).frames[::3]
+    for pose, true in zip(read_tum(out / "trajectory.tum").poses, truth, strict=True):
+        np.testing.assert_allclose(pose, true.world_from_camera, atol=0.01)
 
 
 def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) -> None:

@@ -129,6 +129,56 @@ def test_frames_of_another_place_are_a_piece_of_their_own_and_named() -> None:
     assert any("2 pieces" in warning for warning in found.warnings)
 
 
+def test_another_piece_can_be_used() -> None:
+    here, there = hidden(sample(3)), [made_room(i) for i in range(3)]
+    found = register([*here, *there], piece=2)
+    assert found.places == (8, 9, 10)
+    np.testing.assert_allclose(found.frames[0].world_from_camera, np.eye(4), atol=1e-12)
+    assert list(found.apart) == [1]
+    assert [frame.name for frame in found.apart[1].values()] == [frame.name for frame in here]
+    assert list(found.apart[1]) == list(range(8))
+    assert trajectory_error(found, [*here, *there]) < 0.002
+    with pytest.raises(InputError, match="there is no piece 3 of two frames or more; there are 2"):
+        register([*here, *there], piece=3)
+
+
+# -- poses that are known roughly ------------------------------------------------------------------------
+
+
+def test_poses_a_scan_has_are_refined_and_its_world_stays() -> None:
+    truth = sample()
+    found = register(shaken(truth), refine=True)
+    assert found.places == tuple(range(len(truth)))
+    off = [
+        np.linalg.norm((frame.world_from_camera - true.world_from_camera)[:3, 3])
+        for frame, true in zip(found.frames, truth, strict=True)
+    ]
+    rough = [
+        np.linalg.norm((frame.world_from_camera - true.world_from_camera)[:3, 3])
+        for frame, true in zip(shaken(truth), truth, strict=True)
+    ]
+    assert np.mean(rough) > 0.02
+    # Without alignment: the world is that of the poses given, as far as their mean tells it.
+    assert np.mean(off) < 0.4 * np.mean(rough)
+    assert trajectory_error(found, truth) < 0.003
+
+
+def test_poses_are_kept_where_nothing_better_is_found() -> None:
+    wall = np.full((120, 160), 2.0, np.float32)
+    poses = [np.eye(4) for _ in range(3)]
+    for i, pose in enumerate(poses):
+        pose[0, 3] = 0.05 * i
+    walls = [Frame(str(i), CAMERA, depth=wall, world_from_camera=pose) for i, pose in enumerate(poses)]
+    found = register(walls, refine=True)
+    for frame, pose in zip(found.frames, poses, strict=True):
+        np.testing.assert_allclose(frame.world_from_camera, pose, atol=1e-6)
+
+
+def test_there_must_be_poses_to_refine() -> None:
+    with pytest.raises(InputError, match="no frame has a pose that could be refined"):
+        register(hidden(sample(6)), refine=True)
+
+
 # -- one motion ------------------------------------------------------------------------------------------
 
 
@@ -260,6 +310,18 @@ def test_a_real_table_top_whose_depth_has_a_grid_of_holes(shared_data: Path) -> 
     found = register(hidden(truth))
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.02 * path_length(truth)
+
+
+def shaken(frames: Sequence[Frame]) -> list[Frame]:
+    """Return the frames with poses that are off by 2 cm and half a degree, every one otherwise."""
+    rng = np.random.default_rng(5)
+    rough = []
+    for frame in frames:
+        pose = np.eye(4)
+        pose[:3, :3] = cv2.Rodrigues(rng.normal(0, np.radians(0.5), 3))[0]
+        pose[:3, 3] = rng.normal(0, 0.02, 3)
+        rough.append(replace(frame, world_from_camera=frame.world_from_camera @ pose))
+    return rough
 
 
 def crossed(frames: Sequence[Frame]) -> list[Frame]:
