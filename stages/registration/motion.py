@@ -87,7 +87,9 @@ def motion_between(
         return other
     if agree(inverted(found.target_from_source) @ other.target_from_source, source.depth_m):
         return found
-    return replace(other if other.fitness > _FIRST * found.fitness else found, is_split=True)
+    if other.fitness > _FIRST * found.fitness:
+        return replace(other, is_split=True)
+    return replace(found, is_split=found.is_split or other.fitness * _CLEARLY > found.fitness)
 
 
 def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion:
@@ -132,8 +134,11 @@ def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth:
     Where points tell several motions, something in view moves on its own. The motion of what stands still is
     that after which most of the surface meets; a surface that moves on its own would draw an alignment along.
     """
-    if len(seen) == 1:
+    first = inverted(seen[0].target_from_source)
+    others = [one for one in seen if not agree(first @ one.target_from_source, source.depth_m)]
+    if not others:
         return _refined(source, target, seen[0], max_depth)
+    seen = [seen[0], *others]
     meets = [meeting(source, target, one.target_from_source).fitness for one in seen]
     best = max(range(len(seen)), key=lambda i: meets[i] * (_FIRST if i == 0 else 1))
     found = _refined(source, target, seen[best], max_depth, held=seen[best].points >= SURE_POINTS)
