@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -146,7 +147,9 @@ def main() -> None:
             try:
                 pieces = RIVALS[name](hidden)
             except (RuntimeError, InputError) as error:
-                print_row([folder.name, name, f"failed: {error}"[:60]])
+                # Open3D colours its errors and puts a signature, file and line before what is wrong.
+                what = re.sub(r"\x1b\[[\d;]*m|\[Open3D Error\] .*?\.cpp:\d+: ", "", str(error)).strip()
+                print_row([folder.name, name, f"failed: {what}"[:60]])
                 continue
             speed = len(truth) / (time.perf_counter() - started)
             poses = pieces[0]

@@ -489,3 +489,18 @@ def test_rivals_see_every_nth_frame_without_pose_or_colour(
     assert all(frame.color is None and frame.world_from_camera is None for frame in seen)
     cells = capsys.readouterr().out.splitlines()[-1].split(" | ")
     assert cells[1:5] == ["spy", "2 of 3", "2", "0.0"]
+
+
+def test_a_rival_s_failure_is_a_row_that_says_why(
+    registration: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def failing(_: Any) -> Any:
+        raise RuntimeError(
+            "\x1b[1;31m[Open3D Error] (void a::b(int)) /c/d.cpp:7: Singular 6x6 system.\n\x1b[0;m"
+        )
+
+    monkeypatch.setitem(registration.RIVALS, "spy", failing)
+    monkeypatch.setattr("sys.argv", ["registration.py", str(SAMPLE), "--every", "12", "--only", "spy"])
+    registration.main()
+
+    assert capsys.readouterr().out.splitlines()[-1] == "| rgbd | spy | failed: Singular 6x6 system. |"
