@@ -6,9 +6,10 @@ recognised points can be started from; a pose graph; the surface fused from it. 
 coloured ICP to the next one and by features of their surfaces (FPFH, RANSAC) to all others, in a second pose
 graph; what it keeps is refined by ICP at three resolutions, in a third.
 
-As there, a step of the odometry that fails counts as no motion. Other than there, points without depth are
-left out of what starts a pair, images are read once, all that is random is seeded, and the tensor volume
-fuses: the legacy one takes depth in metres for millimetres in Open3D 0.20.0, and stays empty.
+As there, a step of the odometry is taken as it comes; only a fragment in which none meets anything is an
+error. Other than there, points without depth are left out of what starts a pair, images are read once, all
+that is random is seeded, and the tensor volume fuses: the legacy one takes depth in metres for millimetres in
+Open3D 0.20.0, and stays empty.
 
 References
 ----------
@@ -84,7 +85,7 @@ def reconstruction_system(
     Raises
     ------
     RuntimeError
-        If a fragment has no surface within the depth that is used, or Open3D cannot align it.
+        If no frame of a fragment meets the next, or Open3D fails.
     """
     # On one thread sums, and so poses, are the same every time; the legacy odometry gains little from more.
     with one_thread_each():
@@ -110,6 +111,9 @@ def _fragment(frames: Sequence[Frame]) -> _Fragment:
     for source, target in itertools.pairwise(range(len(frames))):
         _, motion, information = _odometry(rgbd[source], rgbd[target], camera, np.eye(4))
         edges.append(_Edge(source, target, motion, information))
+    # Open3D calls it a success if no pixel of one frame meets the other.
+    if edges and not any(edge.information.any() for edge in edges):
+        raise RuntimeError(f"no frame meets the next within {_MAX_DEPTH:g} m")
     for source, target in itertools.combinations(keys, 2):
         start = _recognised_motion(points[source], points[target], camera)
         if start is not None:
@@ -130,14 +134,6 @@ def _odometry(
 
 
 def _surface(images: Iterable[tuple[Any, Any]], poses: Iterable[Pose], camera: Camera) -> Any:
-    seen = [
-        (*one, pose)
-        for one, pose in zip(images, poses, strict=True)
-        if ((one[0] > 0) & (one[0] < _MAX_DEPTH)).any()
-    ]
-    # An empty volume is an error to Open3D, too, in words that say less.
-    if not seen:
-        raise RuntimeError(f"a fragment has no surface within {_MAX_DEPTH:g} m")
     o3d = open3d()
     f32, u16 = o3d.core.float32, o3d.core.uint16
     grid = o3d.t.geometry.VoxelBlockGrid(
@@ -145,7 +141,9 @@ def _surface(images: Iterable[tuple[Any, Any]], poses: Iterable[Pose], camera: C
     )
     matrix = o3d.core.Tensor(camera.matrix)
     cut = 1.0, _MAX_DEPTH, _FUSED_TRUNCATION / _FUSED_VOXEL
-    for depth, color, pose in seen:
+    for (depth, color), pose in zip(images, poses, strict=True):
+        if not ((depth > 0) & (depth < _MAX_DEPTH)).any():
+            continue
         metres = o3d.t.geometry.Image(o3d.core.Tensor(depth))
         share = o3d.t.geometry.Image(o3d.core.Tensor(color / np.float32(255)))
         extrinsic = o3d.core.Tensor(inverted(pose))
