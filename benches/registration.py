@@ -1,20 +1,23 @@
 """Poses found against true ones, ours beside Open3D's odometry. Prints a Markdown table.
 
-python benches/registration.py SCAN [SCAN ...] [--meshes]
+python benches/registration.py SCAN [SCAN ...] [--every N] [--depth-only] [--only NAME ...] [--meshes]
 
 Each SCAN has true poses, which are hidden from all. ATE is the root mean square distance of camera centres
 after the best rigid motion (Umeyama 1991); "scaled" after the best motion with a scale, which takes out
 what the depth calibration and the truth disagree by. RPE is the median error of the motion from each frame
-to the next. Rivals chain Open3D's odometry from frame to frame with its defaults, from files to poses:
-"hybrid" (Park, Zhou and Koltun 2017, of the legacy and the tensor pipeline) and "point to plane". Stereo
-scans are matched first, which is not timed. With --meshes, the root mean square distance of the mesh fused
-from the poses to that from the true ones.
+to the next. Poses are those of the largest piece; rivals know one piece only. Some chain Open3D's odometry
+from frame to frame with its defaults, from files to poses: "hybrid" (Park, Zhou and Koltun 2017, of the
+legacy and the tensor pipeline) and "point to plane". See open3d_reconstruction.py and open3d_slam.py for the
+others, which use one thread. Stereo scans are matched first, which is not timed. With --depth-only, rivals
+that want colours see grey. With --meshes, the root mean square distance of the mesh fused from the poses to
+that from the true ones.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,17 +26,19 @@ from typing import Any
 
 import numpy as np
 from markdown_tables import print_head, print_row
+from open3d_images import legacy_camera, legacy_image, read_images
+from open3d_reconstruction import reconstruction_system
+from open3d_slam import dense_slam
 
 from stages._open3d import open3d
 from stages.compare import compare
 from stages.depth import DepthMap, depth_scan
+from stages.errors import InputError
 from stages.formats.trajectories import inverted
 from stages.fuse import fuse
-from stages.fusion.posed_depth import read_matching_color
-from stages.images import read_depth
 from stages.layouts import read_scan
 from stages.mesh import Mesh
-from stages.register import register
+from stages.register import Registration, register
 from stages.registration.motion import angle
 from stages.scan import Frame, Pose
 
@@ -41,32 +46,31 @@ from stages.scan import Frame, Pose
 _TRUNCATION = 4.0
 
 
-def ours(frames: Sequence[Frame]) -> dict[int, Pose]:
+def ours(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
     """Find poses as `scanloom run` does."""
-    found = register(frames)
-    return {place: _pose(frame) for place, frame in zip(found.places, found.frames, strict=True)}
+    return _pieces(register(frames), frames)
 
 
-def without_loops(frames: Sequence[Frame]) -> dict[int, Pose]:
+def without_loops(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
     """Find poses as we do, but close no loops."""
-    found = register(frames, loops=False)
-    return {place: _pose(frame) for place, frame in zip(found.places, found.frames, strict=True)}
+    return _pieces(register(frames, loops=False), frames)
+
+
+def in_one_piece(
+    find: Callable[[Sequence[Frame]], dict[int, Pose]],
+) -> Callable[[Sequence[Frame]], list[dict[int, Pose]]]:
+    """Return a function whose poses are all of one world."""
+    return lambda frames: [find(frames)]
 
 
 def legacy_hybrid(frames: Sequence[Frame]) -> dict[int, Pose]:
     """Chain Open3D's legacy odometry."""
     o3d = open3d()
-    camera = frames[0].camera
-    intrinsic = o3d.camera.PinholeCameraIntrinsic(
-        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
-    )
+    intrinsic = legacy_camera(frames[0].camera)
     hybrid = o3d.pipelines.odometry.RGBDOdometryJacobianFromHybridTerm()
 
     def image(frame: Frame) -> Any:
-        depth, color = _images(frame)
-        return o3d.geometry.RGBDImage.create_from_color_and_depth(
-            o3d.geometry.Image(color), o3d.geometry.Image(depth), depth_scale=1.0, depth_trunc=_TRUNCATION
-        )
+        return legacy_image(*read_images(frame), _TRUNCATION)
 
     def step(source: Any, target: Any) -> Pose:
         option = o3d.pipelines.odometry.OdometryOption()
@@ -87,7 +91,7 @@ def tensor(method: str) -> Callable[[Sequence[Frame]], dict[int, Pose]]:
         matrix = o3d.core.Tensor(frames[0].camera.matrix)
 
         def image(frame: Frame) -> Any:
-            depth, color = _images(frame)
+            depth, color = read_images(frame)
             both = (o3d.t.geometry.Image(o3d.core.Tensor(one)) for one in (color, depth))
             return o3d.t.geometry.RGBDImage(*both)
 
@@ -108,12 +112,14 @@ def tensor(method: str) -> Callable[[Sequence[Frame]], dict[int, Pose]]:
     return chain
 
 
-RIVALS: dict[str, Callable[[Sequence[Frame]], dict[int, Pose]]] = {
+RIVALS: dict[str, Callable[[Sequence[Frame]], list[dict[int, Pose]]]] = {
     "scanloom": ours,
     "scanloom, no loops": without_loops,
-    "Open3D legacy, hybrid": legacy_hybrid,
-    "Open3D tensor, hybrid": tensor("Hybrid"),
-    "Open3D tensor, point to plane": tensor("PointToPlane"),
+    "Open3D legacy, hybrid": in_one_piece(legacy_hybrid),
+    "Open3D tensor, hybrid": in_one_piece(tensor("Hybrid")),
+    "Open3D tensor, point to plane": in_one_piece(tensor("PointToPlane")),
+    "Open3D reconstruction system": in_one_piece(reconstruction_system),
+    "Open3D dense SLAM": in_one_piece(dense_slam),
 }
 
 
@@ -123,26 +129,35 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
+    parser.add_argument("--depth-only", action="store_true", help="hide the colours")
+    parser.add_argument("--only", nargs="+", choices=RIVALS, default=list(RIVALS), metavar="NAME")
     parser.add_argument("--meshes", action="store_true", help="fuse and compare meshes too")
     options = parser.parse_args()
-    columns = ["scan", "poses", "frames", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °", "frames/s"]
-    print_head([*columns, *["mesh RMS mm"] * options.meshes], words=2)
+    if options.every < 1:
+        parser.error("--every wants 1 or more")
+    columns = ["scan", "poses", "frames", "pieces", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °"]
+    print_head([*columns, "frames/s", *["mesh RMS mm"] * options.meshes], words=2)
     for folder in options.scans:
-        truth = frames_of(folder)
-        hidden = [replace(frame, world_from_camera=None) for frame in truth]
+        truth = frames_of(folder)[:: options.every]
+        hidden = [hidden_pose(frame, depth_only=options.depth_only) for frame in truth]
         true_mesh = fuse(truth).mesh if options.meshes else None
-        for name, find in RIVALS.items():
+        for name in options.only:
             started = time.perf_counter()
             try:
-                poses = find(hidden)
-            except RuntimeError as error:
-                print_row([folder.name, name, f"failed: {error}"[:60]])
+                pieces = RIVALS[name](hidden)
+            except (RuntimeError, InputError) as error:
+                # Open3D colours its errors and puts a signature, file and line before what is wrong.
+                what = re.sub(r"\x1b\[[\d;]*m|\[Open3D Error\] .*?\.cpp:\d+: ", "", str(error)).strip()
+                print_row([folder.name, name, f"failed: {what}"[:60]])
                 continue
             speed = len(truth) / (time.perf_counter() - started)
+            poses = pieces[0]
             cells = [
                 folder.name,
                 name,
                 f"{len(poses)} of {len(truth)}",
+                str(len(pieces)),
                 *_errors(truth, poses),
                 f"{speed:.1f}",
             ]
@@ -161,6 +176,12 @@ def frames_of(folder: Path) -> list[Frame]:
         for frame, result in depth_scan(scan)
         if isinstance(result, DepthMap)
     ]
+
+
+def hidden_pose(frame: Frame, *, depth_only: bool) -> Frame:
+    """Return a frame without its pose, and without its colours if asked."""
+    frame = replace(frame, world_from_camera=None)
+    return replace(frame, color=None, color_camera=None, color_from_depth=None) if depth_only else frame
 
 
 def umeyama(a: np.ndarray, b: np.ndarray, *, scale: bool) -> tuple[Pose, float]:
@@ -213,6 +234,11 @@ def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Me
     return compare(true_mesh, mesh, samples=200_000).symmetric.rms
 
 
+def _pieces(found: Registration, frames: Sequence[Frame]) -> list[dict[int, Pose]]:
+    places = {frame.name: place for place, frame in enumerate(frames)}
+    return [{places[name]: found.poses[places[name]] for name in piece} for piece in found.pieces]
+
+
 def _chained(
     frames: Sequence[Frame], image: Callable[[Frame], Any], step: Callable[[Any, Any], Pose]
 ) -> dict[int, Pose]:
@@ -223,13 +249,6 @@ def _chained(
         poses[place] = poses[place - 1] @ step(now, before)
         before = now
     return poses
-
-
-def _images(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    depth = read_depth(frame)
-    if depth is None:
-        raise ValueError(f"frame {frame.name} has no depth")
-    return depth, read_matching_color(frame, depth)
 
 
 def _pose(frame: Frame) -> Pose:

@@ -385,3 +385,122 @@ def test_a_target_is_missed_above_1(normal_mesh_rates: ModuleType, rates: Module
     assert normal_mesh_rates.over(file, 200) == "1.50"
     assert normal_mesh_rates.over(file, None) == ""
     assert normal_mesh_rates.over(None, 200) == ""
+
+
+SAMPLE = ROOT / "samples" / "rgbd"
+
+
+@pytest.fixture
+def registration() -> ModuleType:
+    import registration
+
+    return registration
+
+
+@pytest.fixture
+def reconstruction() -> ModuleType:
+    import open3d_reconstruction
+
+    return open3d_reconstruction
+
+
+def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
+    """Largest distance, metres, and angle, radians, to true poses, in the first camera's world."""
+    from stages.formats.trajectories import inverted
+    from stages.registration.motion import angle
+
+    first = inverted(truth[0].world_from_camera)
+    off = [inverted(poses[i]) @ first @ frame.world_from_camera for i, frame in enumerate(truth)]
+    return max(np.linalg.norm(one[:3, 3]) for one in off), max(angle(one) for one in off)
+
+
+@pytest.mark.parametrize("fragment_frames", [12, 4])
+def test_open3d_s_reconstruction_system_finds_the_sample_s_poses(
+    registration: ModuleType, reconstruction: ModuleType, fragment_frames: int
+):
+    truth = registration.frames_of(SAMPLE)[::2]
+    hidden = [registration.hidden_pose(frame, depth_only=False) for frame in truth]
+
+    poses = reconstruction.reconstruction_system(hidden, fragment_frames=fragment_frames)
+
+    assert sorted(poses) == list(range(len(truth)))
+    shift, turn = worst_shift_and_turn(poses, truth)
+    assert shift < 0.01
+    assert turn < np.radians(0.5)
+
+
+def test_a_scan_beyond_the_reconstruction_system_s_depth_fails(
+    registration: ModuleType, reconstruction: ModuleType
+):
+    near = registration.frames_of(SAMPLE)[:2]
+    far = [
+        dataclasses.replace(frame, depth=np.full((240, 320), 3.5, np.float32), world_from_camera=None)
+        for frame in near
+    ]
+
+    with pytest.raises(RuntimeError, match="no frame meets the next within 3 m"):
+        reconstruction.reconstruction_system(far)
+
+
+def test_points_that_do_not_agree_do_not_move_a_rigid_motion(reconstruction: ModuleType):
+    rng = np.random.default_rng(3)
+    a = rng.uniform(-1, 1, (30, 3))
+    motion = np.eye(4)
+    motion[:3, :3] = [[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]
+    motion[:3, 3] = (0.1, -0.2, 0.3)
+    b = a @ motion[:3, :3].T + motion[:3, 3]
+    b[::3] += rng.uniform(0.5, 1, (10, 3))
+
+    np.testing.assert_allclose(reconstruction.rigid_motion(a, b), motion, atol=1e-9)
+    assert reconstruction.rigid_motion(a[:4], b[:4]) is None
+    assert reconstruction.rigid_motion(a, rng.uniform(-1, 1, (30, 3))) is None
+    half_a_turn = a * (-1, -1, 1)
+    assert reconstruction.rigid_motion(a, half_a_turn) is None
+
+
+def test_open3d_s_dense_slam_follows_the_sample(registration: ModuleType):
+    from open3d_slam import dense_slam
+
+    truth = registration.frames_of(SAMPLE)[:4]
+
+    poses = dense_slam([registration.hidden_pose(frame, depth_only=True) for frame in truth])
+
+    shift, turn = worst_shift_and_turn(poses, truth)
+    assert shift < 0.01
+    assert turn < np.radians(1)
+
+
+def test_rivals_see_every_nth_frame_without_pose_or_colour(
+    registration: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    truth = registration.frames_of(SAMPLE)[::8]
+    seen = []
+
+    def spied(frames: Any) -> Any:
+        seen.extend(frames)
+        return [{i: frame.world_from_camera for i, frame in enumerate(truth[:2])}, {2: np.eye(4)}]
+
+    monkeypatch.setitem(registration.RIVALS, "spy", spied)
+    options = ["--every", "8", "--depth-only", "--only", "spy"]
+    monkeypatch.setattr("sys.argv", ["registration.py", str(SAMPLE), *options])
+    registration.main()
+
+    assert [frame.name for frame in seen] == ["0000", "0008", "0016"]
+    assert all(frame.color is None and frame.world_from_camera is None for frame in seen)
+    cells = capsys.readouterr().out.splitlines()[-1].split(" | ")
+    assert cells[1:5] == ["spy", "2 of 3", "2", "0.0"]
+
+
+def test_a_rival_s_failure_is_a_row_that_says_why(
+    registration: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def failing(_: Any) -> Any:
+        raise RuntimeError(
+            "\x1b[1;31m[Open3D Error] (void a::b(int)) /c/d.cpp:7: Singular 6x6 system.\n\x1b[0;m"
+        )
+
+    monkeypatch.setitem(registration.RIVALS, "spy", failing)
+    monkeypatch.setattr("sys.argv", ["registration.py", str(SAMPLE), "--every", "12", "--only", "spy"])
+    registration.main()
+
+    assert capsys.readouterr().out.splitlines()[-1] == "| rgbd | spy | failed: Singular 6x6 system. |"

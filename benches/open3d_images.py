@@ -1,0 +1,49 @@
+"""A frame as Open3D's pipelines take it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stages._open3d import open3d
+from stages.fusion.posed_depth import read_matching_color
+from stages.images import read_depth
+from stages.scan import Camera, ColorImage, DepthImage, Frame
+
+# What pipelines that want colours see where a frame has none.
+_GREY = 128
+
+
+def read_images(frame: Frame) -> tuple[DepthImage, ColorImage]:
+    """Return a frame's depth, (h, w) metres, and its colours in the same place, (h, w, 3); grey for none.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no depth.
+    """
+    depth = read_depth(frame)
+    if depth is None:
+        raise ValueError(f"frame {frame.name} has no depth")
+    if frame.color is None:
+        return depth, np.full((*depth.shape, 3), _GREY, np.uint8)
+    return depth, read_matching_color(frame, depth)
+
+
+def legacy_image(depth: DepthImage, color: ColorImage, truncation: float) -> Any:
+    """Return a legacy RGBDImage of grey intensities, its depth cut at `truncation` metres."""
+    o3d = open3d()
+    return o3d.geometry.RGBDImage.create_from_color_and_depth(
+        o3d.geometry.Image(color),
+        o3d.geometry.Image(depth),
+        depth_scale=1.0,
+        depth_trunc=truncation,
+    )
+
+
+def legacy_camera(camera: Camera) -> Any:
+    """Return the camera for the legacy pipelines."""
+    return open3d().camera.PinholeCameraIntrinsic(
+        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+    )
