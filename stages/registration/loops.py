@@ -51,7 +51,7 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edg
             motion = by_points(here, there, points, max_depth)
         else:
             guess = inverted(poses[target]) @ poses[source]
-            motion = by_surface(here, there, max_depth, guess)
+            motion = by_surface(here, there, max_depth, guess, near=True)
             if isinstance(motion, Motion) and not _is_near(guess, motion, depths[source]):
                 return None
         return None if isinstance(motion, NoMotion) else Edge(source, target, motion, is_certain=False)

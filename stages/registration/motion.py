@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.formats.trajectories import inverted
 from stages.registration.features import Recognised, recognise
-from stages.registration.odometry import Meeting, align, meeting
+from stages.registration.odometry import Meeting, align, align_from_afar, meeting
 from stages.registration.view import View
 from stages.scan import Pose
 
@@ -18,8 +18,11 @@ from stages.scan import Pose
 SURE_POINTS = 15
 # Below this a surface is flat, or nearly a cylinder or sphere: it slides along itself.
 FIRM = 2e-3
-# Least share of a view that must meet the other's surface; and where sure points say so too.
+# Least share of a view that must meet the other's surface: where the motion is nearly known; where it is not;
+# where, besides, both views have so many points and none of them in common; and where sure points say so too.
 LEAST_FITNESS = 0.3
+_LEAST_FROM_AFAR = 0.5
+_LEAST_UNRECOGNISED, _RICH = 0.75, 100
 _LEAST_BESIDE_POINTS = 0.1
 # How much more of the surface must meet for another motion than that of the most points.
 _FIRST = 1.05
@@ -111,18 +114,28 @@ def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion
     return found if sure and (better or found.points >= SURE_POINTS) else kept
 
 
-def by_surface(source: View, target: View, max_depth: float, guess: Pose) -> Motion | NoMotion:
-    """Find the motion between two views by their surfaces alone, from a first guess and from both sides."""
+def by_surface(
+    source: View, target: View, max_depth: float, guess: Pose, *, near: bool = False
+) -> Motion | NoMotion:
+    """Find the motion between two views by their surfaces alone, from a first guess and from both sides.
+
+    Parameters
+    ----------
+    near : the guess is a good one.
+    """
+    fit = align if near else align_from_afar
+    rich = min(len(source.features.points), len(target.features.points)) >= _RICH
+    least = LEAST_FITNESS if near else _LEAST_UNRECOGNISED if rich else _LEAST_FROM_AFAR
     if min(source.firmness, target.firmness) < FIRM:
         return NoMotion(
             "the surface in view is flat or slides along itself, and nothing on it is recognised: "
             "nothing holds the motion"
         )
-    there = align(source, target, guess, max_depth)
+    there = fit(source, target, guess, max_depth)
     meets = None if there is None else meeting(source, target, there[0])
-    if there is None or meets is None or meets.fitness < LEAST_FITNESS:
-        return _apart(meets)
-    back = align(target, source, inverted(guess), max_depth)
+    if there is None or meets is None or meets.fitness < least:
+        return _apart(meets, "nothing is recognised in both, and " if rich and not near else "")
+    back = fit(target, source, inverted(guess), max_depth)
     if back is None or not agree(back[0] @ there[0], source.depth_m):
         return NoMotion("the surfaces fit in more than one way")
     return Motion(there[0], meets.information, meets.fitness, there[1], 0)

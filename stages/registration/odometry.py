@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +14,12 @@ from stages._open3d import open3d
 from stages.registration.view import View
 from stages.scan import Pose
 
-# Iterations from the coarsest of three resolutions to the finest.
+# Iterations from the coarsest of three resolutions to the finest; and where the first guess is a mere guess.
 _ITERATIONS = (6, 4, 4)
+_ROUGH_ITERATIONS = (12, 8, 2)
 # Surfaces are compared where they are within this share of the median depth, at least this many metres.
 _REACH_SHARE = 0.015
+_ROUGH_REACH_SHARE = 0.07
 _LEAST_REACH_M = 0.01
 
 
@@ -59,10 +61,24 @@ def align(source: View, target: View, start: Pose, max_depth: float) -> tuple[Po
     rmse : distance along the target's normals, metres, root mean square of what meets.
     None, if no motion is found from this guess.
     """
+    loss = open3d().t.pipelines.odometry.OdometryLossParams(_reach(source, target))
+    return _align(source, target, start, max_depth, loss, _ITERATIONS)
+
+
+def align_from_afar(source: View, target: View, start: Pose, max_depth: float) -> tuple[Pose, float] | None:
+    """Return the same from a guess that may be far off: surfaces farther apart are compared first."""
+    reach = max(_ROUGH_REACH_SHARE * min(source.depth_m, target.depth_m), _LEAST_REACH_M)
+    # What is far off pulls as it is far: by Open3D's own bound on the pull fewer views come together.
+    loss = open3d().t.pipelines.odometry.OdometryLossParams(reach, reach)
+    rough = _align(source, target, start, max_depth, loss, _ROUGH_ITERATIONS)
+    return None if rough is None else align(source, target, rough[0], max_depth)
+
+
+def _align(
+    source: View, target: View, start: Pose, max_depth: float, loss: Any, iterations: Sequence[int]
+) -> tuple[Pose, float] | None:
     o3d = open3d()
     odometry = o3d.t.pipelines.odometry
-    reach = _reach(source, target)
-    steps = [odometry.OdometryConvergenceCriteria(n) for n in _ITERATIONS]
     try:
         found = odometry.rgbd_odometry_multi_scale(
             source.image,
@@ -71,9 +87,9 @@ def align(source: View, target: View, start: Pose, max_depth: float) -> tuple[Po
             o3d.core.Tensor(np.ascontiguousarray(start)),
             1.0,
             float(min(max_depth, 1e3)),
-            steps,
+            [odometry.OdometryConvergenceCriteria(n) for n in iterations],
             odometry.Method.PointToPlane,
-            odometry.OdometryLossParams(reach),
+            loss,
         )
     except RuntimeError:
         # Open3D raises where no pixel meets the other surface, or the system cannot be solved.

@@ -110,6 +110,13 @@ def test_surfaces_alone_are_enough_where_there_is_no_colour() -> None:
     assert all(edge["points"] == 0 for edge in found.edges)
 
 
+def test_surfaces_alone_are_enough_eighteen_degrees_apart() -> None:
+    truth = sample(3)
+    found = register([replace(frame, color=None) for frame in hidden(truth)])
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.005 * path_length(truth)
+
+
 def test_shuffled_frames_are_joined_by_what_they_show() -> None:
     truth = sample()
     order = np.random.default_rng(3).permutation(len(truth))
@@ -301,6 +308,13 @@ def test_pieces_are_what_edges_join() -> None:
 def test_a_real_kitchen_with_its_poses_hidden(shared_data: Path) -> None:
     truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:40])
     found = register(hidden(truth))
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.03
+
+
+def test_a_real_kitchen_without_colours(shared_data: Path) -> None:
+    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30:2])
+    found = register([replace(frame, color=None) for frame in hidden(truth)])
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.03
 
