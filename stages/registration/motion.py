@@ -184,8 +184,9 @@ def _refined(
     return Motion(points, meets.information, meets.fitness, None, seen.points)
 
 
-def _apart(meets: Meeting | None) -> NoMotion:
-    return NoMotion(f"only {0 if meets is None else meets.fitness:.0%} of the surface meets the other view's")
+def _apart(meets: Meeting | None, why: str = "") -> NoMotion:
+    share = 0 if meets is None else meets.fitness
+    return NoMotion(f"{why}only {share:.0%} of the surface meets the other view's")
 
 
 def agree(difference: Pose, depth: float) -> bool:
