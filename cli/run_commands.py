@@ -72,7 +72,9 @@ def run(
     scan: Annotated[
         Path,
         typer.Argument(
-            metavar="SCAN", help="Folder of the scan, or a recording (.bag, .db3).", show_default=False
+            metavar="SCAN",
+            help="Folder of the scan, or a recording (.bag, .db3, .sens, .r3d).",
+            show_default=False,
         ),
     ],
     target: Annotated[

@@ -19,7 +19,9 @@ from stages.sanity import require_poses
 ScanFolder = Annotated[
     Path,
     typer.Argument(
-        metavar="SCAN", help="Folder of the scan, or a recording (.bag, .db3).", show_default=False
+        metavar="SCAN",
+        help="Folder of the scan, or a recording (.bag, .db3, .sens, .r3d).",
+        show_default=False,
     ),
 ]
 
@@ -93,10 +95,11 @@ def register(
     params: RegisterParams,
     out: Output,
 ) -> None:
-    """Find the camera poses of a scan with depth from what its frames show; poses it has are not used.
+    """Find the camera poses of a scan with depth from what its frames show.
 
-    OUTDIR gets trajectory.tum (camera-to-world), registration.json (matrices, edges, pieces, where the chain
-    broke) and path.ply, a coloured cloud with the camera's path in red.
+    Poses it has are not used, except with --refine, which makes them better. OUTDIR gets trajectory.tum
+    (camera-to-world), registration.json (matrices, edges, pieces, where the chain broke), path.ply (a
+    coloured cloud, the camera's path in red), and pieces/ with the poses of what could not be joined.
 
     Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
     """
