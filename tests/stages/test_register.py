@@ -54,6 +54,11 @@ def whole() -> Registration:
     return register(hidden(sample()))
 
 
+@pytest.fixture(scope="module")
+def half() -> Registration:
+    return register(hidden(sample(2)))
+
+
 # -- poses -----------------------------------------------------------------------------------------------
 
 
@@ -77,33 +82,33 @@ def test_the_first_camera_is_the_world(whole: Registration) -> None:
     np.testing.assert_allclose(whole.frames[0].world_from_camera, np.eye(4), atol=1e-12)
 
 
-def test_poses_a_scan_has_are_not_used(whole: Registration) -> None:
-    wrong = [replace(frame, world_from_camera=np.eye(4)) for frame in sample()]
+def test_poses_a_scan_has_are_not_used(half: Registration) -> None:
+    wrong = [replace(frame, world_from_camera=np.eye(4)) for frame in sample(2)]
     again = register(wrong)
-    for one, other in zip(again.frames, whole.frames, strict=True):
+    for one, other in zip(again.frames, half.frames, strict=True):
         np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
 
 
 def test_equal_frames_give_equal_bits_however_many_threads(
-    whole: Registration, monkeypatch: pytest.MonkeyPatch
+    half: Registration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 1)
-    again = register(hidden(sample()))
-    for one, other in zip(again.frames, whole.frames, strict=True):
+    again = register(hidden(sample(2)))
+    for one, other in zip(again.frames, half.frames, strict=True):
         np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
-    assert again.edges == whole.edges
+    assert again.edges == half.edges
 
 
-def test_loops_make_poses_better() -> None:
+def test_loops_make_poses_better(whole: Registration) -> None:
     truth = sample()
-    with_loops, without = (register(hidden(truth), loops=loops) for loops in (True, False))
+    with_loops, without = whole, register(hidden(truth), loops=False)
     assert sum(edge["is_loop"] for edge in with_loops.edges) > 0
     assert not any(edge["is_loop"] for edge in without.edges)
     assert trajectory_error(with_loops, truth) < trajectory_error(without, truth)
 
 
 def test_surfaces_alone_are_enough_where_there_is_no_colour() -> None:
-    truth = sample()
+    truth = sample(2)
     found = register([replace(frame, color=None) for frame in hidden(truth)])
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.02 * path_length(truth)
@@ -270,12 +275,12 @@ def test_colour_finer_than_depth_tells_more() -> None:
     assert np.median(apart) < 0.01
 
 
-def test_a_thing_that_moves_through_the_view_does_not_carry_the_camera_along() -> None:
+def test_a_thing_that_moves_through_the_view_does_not_carry_the_camera_along(half: Registration) -> None:
     truth = sample(2)
     found = register(crossed(hidden(truth)))
     assert trajectory_error(found, truth) < 0.01 * path_length(truth)
     assert any("something moves on its own" in warning for warning in found.warnings)
-    assert not any("own" in warning for warning in register(hidden(truth)).warnings)
+    assert not any("own" in warning for warning in half.warnings)
 
 
 def test_a_camera_that_stands_still_is_named() -> None:
@@ -306,7 +311,7 @@ def test_pieces_are_what_edges_join() -> None:
 
 
 def test_a_real_kitchen_with_its_poses_hidden(shared_data: Path) -> None:
-    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:40])
+    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30])
     found = register(hidden(truth))
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.03
