@@ -48,12 +48,12 @@ _TRUNCATION = 4.0
 
 def ours(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
     """Find poses as `scanloom run` does."""
-    return _pieces(register(frames), frames)
+    return _pieces(register(frames))
 
 
 def without_loops(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
     """Find poses as we do, but close no loops."""
-    return _pieces(register(frames, loops=False), frames)
+    return _pieces(register(frames, loops=False))
 
 
 def in_one_piece(
@@ -234,9 +234,10 @@ def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Me
     return compare(true_mesh, mesh, samples=200_000).symmetric.rms
 
 
-def _pieces(found: Registration, frames: Sequence[Frame]) -> list[dict[int, Pose]]:
-    places = {frame.name: place for place, frame in enumerate(frames)}
-    return [{places[name]: found.poses[places[name]] for name in piece} for piece in found.pieces]
+def _pieces(found: Registration) -> list[dict[int, Pose]]:
+    """Return poses by place, of each piece in its own world; that which is used first."""
+    used = dict(zip(found.places, found.frames, strict=True))
+    return [{place: _pose(frame) for place, frame in one.items()} for one in (used, *found.apart.values())]
 
 
 def _chained(
