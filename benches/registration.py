@@ -36,6 +36,7 @@ from stages.depth import DepthMap, depth_scan
 from stages.errors import InputError
 from stages.formats.trajectories import inverted
 from stages.fuse import fuse
+from stages.fusion.posed_depth import rigid_pose
 from stages.layouts import read_scan
 from stages.mesh import Mesh
 from stages.register import Registration, register
@@ -200,7 +201,7 @@ def _errors(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
     places = sorted(poses)
     a, b = (
         np.array([one[:3, 3] for one in of])
-        for of in ([poses[p] for p in places], [_pose(truth[p]) for p in places])
+        for of in ([poses[p] for p in places], [rigid_pose(truth[p]) for p in places])
     )
     path = np.linalg.norm(np.diff(b, axis=0), axis=1).sum()
     ates = []
@@ -209,7 +210,7 @@ def _errors(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
         off = factor * a @ pose[:3, :3].T + pose[:3, 3] - b
         ates.append(float(np.sqrt((off**2).sum(axis=1).mean())))
     steps = [
-        inverted(inverted(_pose(truth[p])) @ _pose(truth[q])) @ inverted(poses[p]) @ poses[q]
+        inverted(inverted(rigid_pose(truth[p])) @ rigid_pose(truth[q])) @ inverted(poses[p]) @ poses[q]
         for p, q in itertools.pairwise(places)
     ]
     shift = float(np.median([np.linalg.norm(step[:3, 3]) for step in steps]))
@@ -227,7 +228,7 @@ def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Me
     places = sorted(poses)
     aligned, _ = umeyama(
         np.array([poses[p][:3, 3] for p in places]),
-        np.array([_pose(truth[p])[:3, 3] for p in places]),
+        np.array([rigid_pose(truth[p])[:3, 3] for p in places]),
         scale=False,
     )
     mesh = fuse([replace(truth[p], world_from_camera=aligned @ poses[p]) for p in places]).mesh
@@ -237,7 +238,9 @@ def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Me
 def _pieces(found: Registration) -> list[dict[int, Pose]]:
     """Return poses by place, of each piece in its own world; that which is used first."""
     used = dict(zip(found.places, found.frames, strict=True))
-    return [{place: _pose(frame) for place, frame in one.items()} for one in (used, *found.apart.values())]
+    return [
+        {place: rigid_pose(frame) for place, frame in one.items()} for one in (used, *found.apart.values())
+    ]
 
 
 def _chained(
@@ -250,12 +253,6 @@ def _chained(
         poses[place] = poses[place - 1] @ step(now, before)
         before = now
     return poses
-
-
-def _pose(frame: Frame) -> Pose:
-    if frame.world_from_camera is None:
-        raise ValueError(f"frame {frame.name} has no pose")
-    return frame.world_from_camera
 
 
 if __name__ == "__main__":

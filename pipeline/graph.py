@@ -51,22 +51,23 @@ def _register(job: Job) -> Mapping[str, Any]:
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
-    scan = _frames(job)
+    unplaced = _scan(job)
+    scan = _placed(unplaced, job)
     doubts = require_poses(scan) if job.config.scan.check_poses else []
     fused = fuse(scan, job.config.fuse, progress=job.progress)
     write_ply(job.folder / "fused.ply", fused.mesh)
     figures = fused.figures()
-    doubts += _fuse_apart(job)
+    doubts += _fuse_apart(unplaced, job)
     return _with_skipped({**figures, "warnings": [*doubts, *figures.get("warnings", ())]})
 
 
-def _fuse_apart(job: Job) -> list[str]:
+def _fuse_apart(scan: Scan, job: Job) -> list[str]:
     """Fuse the pieces that poses could not join to the one that is used, each into a mesh of its own."""
     if "posed" not in job.inputs:
         return []
     said = []
     folder = job.folder / "pieces"
-    for number, piece in registering.apart(_scan(job), job.inputs["posed"]).items():
+    for number, piece in registering.apart(scan, job.inputs["posed"]).items():
         try:
             mesh = fuse(piece, job.config.fuse).mesh
         except InputError as error:
@@ -126,8 +127,11 @@ def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _frames(job: Job) -> Scan:
-    """Return the scan with depth, and the poses that were found."""
-    scan = _scan(job)
+    return _placed(_scan(job), job)
+
+
+def _placed(scan: Scan, job: Job) -> Scan:
+    """Return the scan with the poses that were found, if any were looked for."""
     return registering.placed(scan, job.inputs["posed"]) if "posed" in job.inputs else scan
 
 

@@ -22,10 +22,10 @@ from pipeline.depth_maps import cloud_of
 from stages.errors import InputError
 from stages.formats.ply import write_ply_cloud
 from stages.formats.trajectories import write_tum
-from stages.fusion.posed_depth import read_matching_color
+from stages.fusion.posed_depth import read_matching_color, rigid_pose
 from stages.images import read_depth
 from stages.register import Registration
-from stages.scan import ColorImage, Frame, Pose, Scan
+from stages.scan import ColorImage, Frame, Scan
 
 # Points in the cloud: enough to judge the poses by.
 _MAX_POINTS = 500_000
@@ -80,17 +80,11 @@ def _with_poses(scan: Scan, poses: Mapping[str, Any]) -> Scan:
 
 def _write_poses(path: Path, frames: Mapping[int, Frame]) -> None:
     times = [place if frame.timestamp is None else frame.timestamp / 1e9 for place, frame in frames.items()]
-    write_tum(path, times, [_pose(frame) for frame in frames.values()])
+    write_tum(path, times, [rigid_pose(frame) for frame in frames.values()])
 
 
 def _by_place(frames: Mapping[int, Frame]) -> dict[str, Any]:
-    return {str(place): _pose(frame).tolist() for place, frame in frames.items()}
-
-
-def _pose(frame: Frame) -> Pose:
-    if frame.world_from_camera is None:
-        raise ValueError(f"frame {frame.name} was given no pose")
-    return frame.world_from_camera
+    return {str(place): rigid_pose(frame).tolist() for place, frame in frames.items()}
 
 
 def _cloud(frames: Sequence[Frame]) -> tuple[NDArray[np.float32], ColorImage]:

@@ -39,7 +39,7 @@ from stages.stereo.subpixel import refined
 
 __all__ = ["VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
 
-VERSION = 2
+VERSION = 3
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25

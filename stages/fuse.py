@@ -21,7 +21,7 @@ from stages.prefetch import read_ahead, workers
 from stages.progress import Progress, silent
 from stages.scan import ColorImage, Frame, Scan, SkippedFrame
 
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True)

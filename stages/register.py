@@ -211,22 +211,20 @@ def _result(
     for n in numbers:
         sizes[piece_of[n]].append(n)
     order = sorted(range(len(groups)), key=lambda piece: (-len(sizes[piece]), piece))
-    largest = sizes[order[0]]
     breaks = tuple(
         SkippedFrame(frames[after].name, motion.reason)
         for after, motion in zip(numbers[1:], chain.motions.values(), strict=True)
         if isinstance(motion, NoMotion)
     )
-    if len(largest) < 2:
+    usable = sum(len(size) > 1 for size in sizes)
+    if not usable:
         raise InputError(
             f"no two of its {len(numbers)} frames can be placed to each other (frame {breaks[0].name}: "
             f"{breaks[0].reason}). If poses are known, name them with scan.poses=FILE.",
             where,
         )
-    if piece > len(order) or len(sizes[order[piece - 1]]) < 2:
-        many = sum(len(size) > 1 for size in sizes)
-        raise InputError(f"there is no piece {piece} of two frames or more; there are {many}.", where)
-    chosen = sizes[order[piece - 1]]
+    if piece > usable:
+        raise InputError(f"there is no piece {piece} of two frames or more; there are {usable}.", where)
     rank = {index: i for i, index in enumerate(order, 1)}
     left_out = [
         SkippedFrame(
@@ -250,8 +248,9 @@ def _result(
         ),
         breaks=breaks,
         key_frames=tuple(keys),
-        warnings=tuple(
-            _warnings(frames, chain, len(order), piece, breaks, [poses[n] for n in chosen], used, wrong)
+        warnings=(
+            *_said_of_pieces(len(order), usable, piece, breaks),
+            *_warnings(frames, chain, [poses[n] for n in placed[piece]], used, wrong),
         ),
         seconds=time.perf_counter() - began,
     )
@@ -292,25 +291,24 @@ def _edge(edge: Edge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
     }
 
 
+def _said_of_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> Iterator[str]:
+    if count > 1:
+        another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
+        more = f" and {len(breaks) - 1} more" if len(breaks) > 1 else ""
+        yield (
+            f"the frames fall into {count} pieces that could not be joined; piece {piece} is used{another}. "
+            f"The chain broke at {breaks[0].name}{more}: {breaks[0].reason}"
+        )
+
+
 def _warnings(
     frames: Sequence[Frame],
     chain: Chain,
-    count: int,
-    piece: int,
-    breaks: Sequence[SkippedFrame],
     poses: Sequence[Pose],
     used: Sequence[Edge],
     wrong: Sequence[Edge],
 ) -> Iterator[str]:
     motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
-    if count > 1:
-        yield (
-            f"the frames fall into {count} pieces that could not be joined; piece {piece} is used "
-            f"(register.piece={1 if piece > 1 else 2} for another). "
-            f"The chain broke at {breaks[0].name}"
-            + (f" and {len(breaks) - 1} more" if len(breaks) > 1 else "")
-            + f": {breaks[0].reason}"
-        )
     split = [motion for motion in motions if motion.is_split]
     if len(split) > 0.1 * max(len(motions), 1):
         yield (

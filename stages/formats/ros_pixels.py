@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.formats.ros_messages import ImageMessage
+from stages.formats.ros_messages import ImageMessage, read_compressed, read_image
 from stages.images import decode_color, decode_depth
 from stages.scan import MAX_PIXELS, ColorImage
 
+# In ROS 1 `sensor_msgs/CompressedImage`, in ROS 2 `sensor_msgs/msg/CompressedImage`.
+_COMPRESSED = "CompressedImage"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _DEPTHS = {"mono16": "u2", "16uc1": "u2", "z16": "u2", "32fc1": "f4"}
 # Bytes a pixel, and which of OpenCV's conversions makes RGB of it; None for what is RGB.
@@ -45,14 +47,33 @@ def is_color(encoding: str) -> bool:
     return encoding.lower() in _COLORS
 
 
-def color_of(image: ImageMessage, source: Path | str) -> ColorImage:
-    """Return (h, w, 3) uint8 RGB; `source` stands in messages.
+def color_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False) -> ColorImage:
+    """Return the image of a message as (h, w, 3) uint8 RGB.
+
+    Parameters
+    ----------
+    kind : the message type; compressed images are told by it.
+    source : stands in messages.
+    is_cdr : it is ROS 2's.
 
     Raises
     ------
     InputError
-        If the encoding is not known or the data is not of the stated size.
+        If the message is damaged, the encoding is not known, or the data is not of the stated size.
     """
+    if kind.endswith(_COMPRESSED):
+        return decode_color(read_compressed(data, source, is_cdr=is_cdr)[1], source)
+    return _color(read_image(data, source, is_cdr=is_cdr), source)
+
+
+def depth_in(data: bytes, kind: str, source: Path | str, *, is_cdr: bool = False) -> NDArray[Any]:
+    """Return the depth map of a message, (h, w) uint16 or float32 as stored; for the rest as `color_in`."""
+    if kind.endswith(_COMPRESSED):
+        return _compressed_depth(*read_compressed(data, source, is_cdr=is_cdr), source)
+    return _depth(read_image(data, source, is_cdr=is_cdr), source)
+
+
+def _color(image: ImageMessage, source: Path | str) -> ColorImage:
     import cv2
 
     known = _COLORS.get(image.encoding.lower())
@@ -69,14 +90,7 @@ def color_of(image: ImageMessage, source: Path | str) -> ColorImage:
     return cast(ColorImage, cv2.cvtColor(pixels, getattr(cv2, conversion)))
 
 
-def depth_of(image: ImageMessage, source: Path | str) -> NDArray[Any]:
-    """Return (h, w) uint16 or float32 as stored; `source` stands in messages.
-
-    Raises
-    ------
-    InputError
-        As `color_of`.
-    """
+def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
     kind = _DEPTHS.get(image.encoding.lower())
     if kind is None:
         raise InputError(
@@ -89,20 +103,7 @@ def depth_of(image: ImageMessage, source: Path | str) -> NDArray[Any]:
     return cast("NDArray[Any]", rows.view(stored).astype(kind))
 
 
-def compressed_color(image: tuple[str, bytes], source: Path | str) -> ColorImage:
-    """Return a compressed image, format and bytes, as `color_of` does."""
-    return decode_color(image[1], source)
-
-
-def compressed_depth(image: tuple[str, bytes], source: Path | str) -> NDArray[Any]:
-    """Return a compressed depth map, format and bytes, as (h, w) uint16.
-
-    Raises
-    ------
-    InputError
-        If it is compressed in another way than as PNG of whole numbers, or does not decode.
-    """
-    form, data = image
+def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any]:
     # Before the PNG stand numbers that only float depth is packed with.
     start = data.find(_PNG, 0, 64)
     if start < 0 or "32fc1" in form.lower():

@@ -66,7 +66,7 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
     InputError
         If the frame has no pose or no depth, or its file cannot be read.
     """
-    pose = _pose(frame)
+    pose = rigid_pose(frame)
     depth = read_depth(frame)
     if depth is None:
         raise InputError("there is no depth map.", f"frame {frame.name}")
@@ -132,7 +132,8 @@ def _seen_by_depth(color: ColorImage, frame: Frame, camera: Camera, depth: Depth
     )
 
 
-def _pose(frame: Frame) -> Pose:
+def rigid_pose(frame: Frame) -> Pose:
+    """Return a frame's pose, or raise InputError where it has none, or one that is no rotation and shift."""
     if frame.world_from_camera is None:
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     pose = np.asarray(frame.world_from_camera, np.float64)

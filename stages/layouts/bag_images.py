@@ -8,14 +8,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from stages.formats.ros_bag import RosBag, Topic, read_message
-from stages.formats.ros_messages import (
-    COMPRESSED_IMAGE,
-    STAMP_BYTES,
-    read_compressed,
-    read_image,
-    read_stamp,
-)
-from stages.formats.ros_pixels import color_of, compressed_color, compressed_depth, depth_of
+from stages.formats.ros_messages import STAMP_BYTES, read_stamp
+from stages.formats.ros_pixels import color_in, depth_in
 from stages.layouts.streams import Images
 from stages.scan import ColorImage
 
@@ -36,14 +30,8 @@ def _stamp(bag: RosBag, topic: Topic, number: int) -> int:
 
 
 def _color(bag: RosBag, name: str, topic: Topic, number: int) -> ColorImage:
-    data, source = read_message(bag, topic, number), f"{bag.path}: {name} {number:06d}"
-    if topic.kind == COMPRESSED_IMAGE:
-        return compressed_color(read_compressed(data, source), source)
-    return color_of(read_image(data, source), source)
+    return color_in(read_message(bag, topic, number), topic.kind, f"{bag.path}: {name} {number:06d}")
 
 
 def _depth(bag: RosBag, name: str, topic: Topic, number: int) -> NDArray[Any]:
-    data, source = read_message(bag, topic, number), f"{bag.path}: {name} {number:06d}"
-    if topic.kind == COMPRESSED_IMAGE:
-        return compressed_depth(read_compressed(data, source), source)
-    return depth_of(read_image(data, source), source)
+    return depth_in(read_message(bag, topic, number), topic.kind, f"{bag.path}: {name} {number:06d}")

@@ -18,12 +18,10 @@ from stages.formats.ros_messages import (
     read_transform,
 )
 from stages.layouts.bag_images import bag_images
-from stages.layouts.realsense_streams import RealSense, RealSenseStream
+from stages.layouts.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
 from stages.scan import Pose
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data")
-# A person changes an option now and then, a damaged file a million times.
-_MOST_OPTIONS = 100
 
 
 def realsense_bag(bag: RosBag) -> RealSense | None:
@@ -51,7 +49,7 @@ def _units(bag: RosBag, stream: RealSenseStream) -> list[float]:
     if option is not None:
         return [
             read_float(read_message(bag, option, number), bag.path)
-            for number in range(min(len(option), _MOST_OPTIONS))
+            for number in range(min(len(option), MOST_OPTIONS))
         ]
     image = read_image(read_message(bag, bag.topics[f"{stream.images.name}/image/data"], 0), bag.path)
     return [read_float(image.rest, bag.path)] if len(image.rest) == 4 else []

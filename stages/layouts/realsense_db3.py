@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.formats import trajectories
 from stages.formats.ros_db3 import Db3, Db3Topic, read_row
-from stages.formats.ros_messages import CameraMessage, read_compressed, read_image, read_text
-from stages.formats.ros_pixels import color_of, compressed_color, compressed_depth, depth_of
-from stages.layouts.realsense_streams import RealSense, RealSenseStream
+from stages.formats.ros_messages import CameraMessage, read_text
+from stages.formats.ros_pixels import color_in, depth_in
+from stages.layouts.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
 from stages.layouts.streams import Images
 from stages.scan import ColorImage, Pose
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data(/compressed|/compressedDepth)?")
-# A person changes an option now and then, a damaged file a million times.
-_MOST_OPTIONS = 100
 
 
 def realsense_db3(recording: Db3) -> RealSense | None:
@@ -71,17 +69,13 @@ def _stamp(recording: Db3, name: str, topic: Db3Topic, number: int) -> int:
 
 
 def _color(recording: Db3, name: str, topic: Db3Topic, number: int) -> ColorImage:
-    data, source = read_row(recording, int(topic.rows[number])), f"{recording.path}: {name} {number:06d}"
-    if topic.kind.endswith("CompressedImage"):
-        return compressed_color(read_compressed(data, source, is_cdr=True), source)
-    return color_of(read_image(data, source, is_cdr=True), source)
+    data = read_row(recording, int(topic.rows[number]))
+    return color_in(data, topic.kind, f"{recording.path}: {name} {number:06d}", is_cdr=True)
 
 
 def _depth(recording: Db3, name: str, topic: Db3Topic, number: int) -> NDArray[Any]:
-    data, source = read_row(recording, int(topic.rows[number])), f"{recording.path}: {name} {number:06d}"
-    if topic.kind.endswith("CompressedImage"):
-        return compressed_depth(read_compressed(data, source, is_cdr=True), source)
-    return depth_of(read_image(data, source, is_cdr=True), source)
+    data = read_row(recording, int(topic.rows[number]))
+    return depth_in(data, topic.kind, f"{recording.path}: {name} {number:06d}", is_cdr=True)
 
 
 def _camera(recording: Db3, name: str) -> CameraMessage | None:
@@ -105,7 +99,7 @@ def _units(recording: Db3, stream: RealSenseStream) -> list[float]:
     option = recording.topics.get(f"{stream.sensor}/option/Depth_Units/value")
     if option is None:
         return []
-    words = [_text(recording, option, number) for number in range(min(len(option.rows), _MOST_OPTIONS))]
+    words = [_text(recording, option, number) for number in range(min(len(option.rows), MOST_OPTIONS))]
     return [_numbers({"Depth_Units": word}, "Depth_Units", 1, recording.path)[0] for word in words]
 
 

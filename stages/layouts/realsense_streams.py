@@ -22,6 +22,8 @@ from stages.scan import Camera, Pose
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
+# A person changes an option now and then, a damaged file a million times: so many values are read.
+MOST_OPTIONS = 100
 # Whatever the name says, the maker's own library projects all three like this, to thousandths of a pixel.
 _LIKE_OPENCV = ("brown conrady", "inverse brown conrady", "modified brown conrady", "plumb_bob")
 # Millimetres are by far the most frequent, but not what every model records.

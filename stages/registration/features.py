@@ -96,17 +96,20 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
         return []
     pairs = matches(source.descriptors, target.descriptors)
     found: list[Recognised] = []
-    while len(found) < _MOTIONS and len(pairs) >= max(_LEAST, _LEAST_SHARE * found[0].points if found else 0):
+    least: float = _LEAST
+    while len(found) < _MOTIONS and len(pairs) >= least:
         points, there = source.points[pairs[:, 0]], target.points[pairs[:, 1]]
         pixels = target.pixels[pairs[:, 1]]
         pose = _consensus(points, pixels, target.camera, _MORE_TRIALS if found else _TRIALS)
         if pose is None:
             break
         agree = _agree(pose, points, there, pixels, target.camera, 1.0)
-        if np.count_nonzero(agree) < max(_LEAST, _LEAST_SHARE * found[0].points if found else 0):
+        count = int(np.count_nonzero(agree))
+        if count < least:
             break
         pose = _fitted(points[agree], there[agree], pose)
-        found.append(Recognised(pose, int(np.count_nonzero(agree))))
+        found.append(Recognised(pose, count))
+        least = max(_LEAST, _LEAST_SHARE * found[0].points)
         pairs = pairs[~(agree | _agree(pose, points, there, pixels, target.camera, 2.0))]
     return found
 

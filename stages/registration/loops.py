@@ -14,7 +14,7 @@ from stages.registration.appearance import likeness
 from stages.registration.chain import Chain
 from stages.registration.features import recognise
 from stages.registration.graph import Edge
-from stages.registration.motion import Motion, NoMotion, angle, by_points, by_surface
+from stages.registration.motion import Motion, NoMotion, by_points, by_surface, is_near
 from stages.scan import Pose
 
 # Loops are looked for with this many views that should overlap and this many that look alike.
@@ -22,8 +22,6 @@ _NEAR, _ALIKE = 5, 3
 # What is recognised in both for a loop to be believed, and how likely two views look alike by chance.
 _LOOP_POINTS = 25
 _LEAST_LIKENESS = 0.15
-# How far the chain may have drifted where surfaces alone close a loop: in median depths, and radians.
-_DRIFT_SHIFT, _DRIFT_TURN = 0.1, 0.1
 
 
 def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edge]:
@@ -52,7 +50,9 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edg
         else:
             guess = inverted(poses[target]) @ poses[source]
             motion = by_surface(here, there, max_depth, guess, near=True)
-            if isinstance(motion, Motion) and not _is_near(guess, motion, depths[source]):
+            if isinstance(motion, Motion) and not is_near(
+                inverted(guess) @ motion.target_from_source, depths[source]
+            ):
                 return None
         return None if isinstance(motion, NoMotion) else Edge(source, target, motion, is_certain=False)
 
@@ -60,11 +60,6 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edg
     threads = workers()
     found = read_ahead(close, couples, threads=threads, ahead=2 * threads)
     return [edge for edge in found if edge is not None]
-
-
-def _is_near(guess: Pose, motion: Motion, depth: float) -> bool:
-    off = inverted(guess) @ motion.target_from_source
-    return bool(np.linalg.norm(off[:3, 3]) < _DRIFT_SHIFT * depth and angle(off) < _DRIFT_TURN)
 
 
 def _near(

@@ -15,12 +15,12 @@ from stages.registration.view import View
 from stages.scan import Pose
 
 # Matched points from which a motion is believed without a surface that agrees.
-SURE_POINTS = 15
+_SURE_POINTS = 15
 # Below this a surface is flat, or nearly a cylinder or sphere: it slides along itself.
-FIRM = 2e-3
+_FIRM = 2e-3
 # Least share of a view that must meet the other's surface: where the motion is nearly known; where it is not;
 # where, besides, both views have so many points and none of them in common; and where sure points say so too.
-LEAST_FITNESS = 0.3
+_LEAST_FITNESS = 0.3
 _LEAST_FROM_AFAR = 0.5
 _LEAST_UNRECOGNISED, _RICH = 0.75, 100
 _LEAST_BESIDE_POINTS = 0.1
@@ -33,8 +33,9 @@ _DOUBTFUL = 0.6
 # How far two ways to find one motion may differ: in median depths and in radians.
 _AGREED_SHIFT = 0.03
 _AGREED_TURN = 0.03
-# How far off a motion that is known roughly may be.
-_NEAR_SHIFT, _NEAR_TURN = 0.1, 0.1
+# How far off a motion that is known roughly may be, by the same measures.
+_NEAR_SHIFT = 0.1
+_NEAR_TURN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +108,10 @@ def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion
     found = motion_between(source, target, max_depth, given)
     if isinstance(found, NoMotion):
         return kept
-    off = inverted(given) @ found.target_from_source
-    near = np.linalg.norm(off[:3, 3]) <= _NEAR_SHIFT * source.depth_m and angle(off) <= _NEAR_TURN
-    better = found.fitness > (_FIRST if near else _CLEARLY) * kept.fitness
-    sure = near or found.points >= SURE_POINTS
-    return found if sure and (better or found.points >= SURE_POINTS) else kept
+    sure = found.points >= _SURE_POINTS
+    if is_near(inverted(given) @ found.target_from_source, source.depth_m):
+        return found if sure or found.fitness > _FIRST * kept.fitness else kept
+    return found if sure and found.fitness > _CLEARLY * kept.fitness else kept
 
 
 def by_surface(
@@ -125,8 +125,8 @@ def by_surface(
     """
     fit = align if near else align_from_afar
     rich = min(len(source.features.points), len(target.features.points)) >= _RICH
-    least = LEAST_FITNESS if near else _LEAST_UNRECOGNISED if rich else _LEAST_FROM_AFAR
-    if min(source.firmness, target.firmness) < FIRM:
+    least = _LEAST_FITNESS if near else _LEAST_UNRECOGNISED if rich else _LEAST_FROM_AFAR
+    if min(source.firmness, target.firmness) < _FIRM:
         return NoMotion(
             "the surface in view is flat or slides along itself, and nothing on it is recognised: "
             "nothing holds the motion"
@@ -154,7 +154,7 @@ def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth:
     seen = [seen[0], *others]
     meets = [meeting(source, target, one.target_from_source).fitness for one in seen]
     best = max(range(len(seen)), key=lambda i: meets[i] * (_FIRST if i == 0 else 1))
-    found = _refined(source, target, seen[best], max_depth, held=seen[best].points >= SURE_POINTS)
+    found = _refined(source, target, seen[best], max_depth, held=seen[best].points >= _SURE_POINTS)
     return found if isinstance(found, NoMotion) else replace(found, is_split=True)
 
 
@@ -163,15 +163,15 @@ def _refined(
 ) -> Motion | NoMotion:
     """Return the motion that points tell, made better by the surfaces where these hold it."""
     points = seen.target_from_source
-    sure = seen.points >= SURE_POINTS
+    sure = seen.points >= _SURE_POINTS
     aligned = None if held else align(source, target, points, max_depth)
-    if aligned is not None and min(source.firmness, target.firmness) >= FIRM:
+    if aligned is not None and min(source.firmness, target.firmness) >= _FIRM:
         pose, rmse = aligned
         meets = meeting(source, target, pose)
         same = agree(inverted(points) @ pose, source.depth_m)
         # Else the points may be on something that moves on its own, and the rest of the surface tell.
         if same or (sure and meets.fitness > _CLEARLY * meeting(source, target, points).fitness):
-            if meets.fitness < (_LEAST_BESIDE_POINTS if same and sure else LEAST_FITNESS):
+            if meets.fitness < (_LEAST_BESIDE_POINTS if same and sure else _LEAST_FITNESS):
                 return _apart(meets)
             return Motion(pose, meets.information, meets.fitness, rmse, seen.points if same else 0)
     if not sure:
@@ -191,9 +191,16 @@ def _apart(meets: Meeting | None, why: str = "") -> NoMotion:
 
 def agree(difference: Pose, depth: float) -> bool:
     """Say whether a motion is next to none, for views of this median depth."""
-    return bool(
-        np.linalg.norm(difference[:3, 3]) <= _AGREED_SHIFT * depth and angle(difference) <= _AGREED_TURN
-    )
+    return _is_within(difference, _AGREED_SHIFT * depth, _AGREED_TURN)
+
+
+def is_near(difference: Pose, depth: float) -> bool:
+    """Say whether a chain may have drifted by a motion, for views of this median depth."""
+    return _is_within(difference, _NEAR_SHIFT * depth, _NEAR_TURN)
+
+
+def _is_within(motion: Pose, shift: float, turn: float) -> bool:
+    return bool(np.linalg.norm(motion[:3, 3]) <= shift and angle(motion) <= turn)
 
 
 def angle(pose: Pose) -> float:
