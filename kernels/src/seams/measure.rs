@@ -1,0 +1,728 @@
+//! What a collapse costs, where it leads and what it may not do, on a surface with seams.
+//!
+//! Two quadrics (Feng, Ni and Luo 2012): one of shape alone for each vertex, from the triangles of all its copies
+//! and from the walls that stand on seams and boundaries; one of shape and attributes for each wedge, from the
+//! wedge's own triangles. Away from seams the second says all. Where a seam is near, the place comes from the first,
+//! the attributes of each wedge from its own second, and the cost is the weighted sum of both.
+//!
+//! A seam is a curve of edges. Its vertices stay on it: what lies beside it collapses into it, an edge of it
+//! shrinks along it, and where it ends, forks or meets the boundary its vertex stays. Along a seam the texture
+//! coordinates of one end are kept on each side, and so remain on the chart's border.
+
+use std::cell::RefCell;
+
+use super::Surface;
+use super::record::Log;
+use super::texture::{Charts, Drifts, Uv, drift, keeps_side, seam_after, seam_before};
+use super::wedges::{NONE, Wedges};
+use crate::connectivity::Connectivity;
+use crate::engine::{Collapsed, Measure, Proposal, Reach};
+use crate::geometry::{Vec3, distance2, midpoint, position};
+use crate::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
+use crate::legality::keeps_triangles;
+use crate::mesh::{Mesh, Pin};
+use crate::quadric::Quadric;
+use crate::star::Star;
+
+/// Strength of the spring that holds a vertex at the middle of its edge where the error does not: on a plane.
+const TETHER: f64 = 1e-9;
+
+/// The same for the choice among edges that cost nothing: shorter ones go first.
+const SHORTER_FIRST: f64 = 1e-10;
+
+/// Weight of the walls on seams and boundaries, against the area of the square over the edge.
+const WALL: f64 = 1.0;
+
+/// A penalty for valence counts from here.
+const HIGH_VALENCE: u32 = 8;
+
+/// What a user can set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Knobs {
+    /// Share of itself by which the cost of a collapse grows that meets several materials.
+    pub across_materials: f64,
+    /// The same for several parts.
+    pub across_parts: f64,
+    /// The same for each edge a vertex would have beyond eight.
+    pub valence: f64,
+    /// The same for each wedge of the ends beyond two.
+    pub wedges: f64,
+    /// Weight of the quadric of shape against that of shape and attributes, near seams.
+    pub shape: f64,
+    /// Largest distance in the image between a seam and what it was, as a length.
+    pub seam_drift: f64,
+}
+
+/// A refusal of this measure.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Standing {
+    /// Both ends must stay where they are.
+    Pinned,
+    /// A triangle would turn over, or lose its area.
+    Fold,
+    /// A seam would be cut, joined with another, or left.
+    Seam,
+    /// A triangle of the image would turn over, or a texture coordinate leave its chart.
+    Chart,
+    /// The image of a seam would be too far from what it was.
+    Drift,
+}
+
+/// Where the star of an edge may go.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    place: Vec3,
+    /// The end whose texture coordinates are kept; none if the quadrics tell them.
+    keep: Option<usize>,
+    cost: f64,
+}
+
+/// A wedge at an end of the edge, and what it becomes part of.
+#[derive(Clone, Copy, Debug)]
+struct Member {
+    wedge: u32,
+    end: usize,
+    class: usize,
+}
+
+/// What several wedges become.
+#[derive(Clone, Copy, Debug)]
+struct Class<const K: usize> {
+    quadric: Quadric<K>,
+    /// A wedge of it at each end, if there is one.
+    at_end: [u32; 2],
+    is_merged: bool,
+    value: [f64; K],
+    home: u32,
+}
+
+/// What is worked out about one edge.
+#[derive(Clone, Debug)]
+struct Plan<const K: usize> {
+    members: Vec<Member>,
+    classes: Vec<Class<K>>,
+    candidates: Vec<Candidate>,
+    /// Wedges of the two sides of the edge, at its first and second end; none on a boundary.
+    sides: [Option<[u32; 2]>; 2],
+    is_plain: bool,
+    /// Seam edges whose drift grows, and to what.
+    drifts: [Option<(EdgeId, f64)>; 2],
+}
+
+impl<const K: usize> Default for Plan<K> {
+    fn default() -> Self {
+        Self {
+            members: vec![],
+            classes: vec![],
+            candidates: vec![],
+            sides: [None; 2],
+            is_plain: true,
+            drifts: [None; 2],
+        }
+    }
+}
+
+/// What the triangles around a vertex have in common.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+struct Common {
+    material: Option<i32>,
+    part: Option<i32>,
+}
+
+impl Common {
+    fn with(self, other: Self) -> Self {
+        Self {
+            material: self.material.filter(|_| self.material == other.material),
+            part: self.part.filter(|_| self.part == other.part),
+        }
+    }
+}
+
+pub struct Seams<const D: usize, const K: usize> {
+    knobs: Knobs,
+    wedges: Wedges<K>,
+    shape: Vec<Quadric<0>>,
+    quadrics: Vec<Quadric<K>>,
+    /// The wedge of all corners of a vertex, or none.
+    only: Vec<u32>,
+    is_seam: Vec<bool>,
+    /// Seam and boundary edges of each vertex.
+    seam_degree: Vec<u32>,
+    valence: Vec<u32>,
+    common: Vec<Common>,
+    is_tied: Vec<bool>,
+    charts: Charts,
+    drifts: Drifts,
+    plan: RefCell<Plan<K>>,
+    log: Option<Log<K>>,
+}
+
+impl<const D: usize, const K: usize> Seams<D, K> {
+    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>, is_tied: Vec<bool>, knobs: Knobs, record: bool) -> Self {
+        const { assert!(D == K + 3) };
+        let connectivity = &mesh.connectivity;
+        let slots = connectivity.vertex_slots();
+        let wedges = Wedges::new(mesh, surface);
+        let is_seam: Vec<bool> = (0..connectivity.edge_slots())
+            .map(|e| wedges.is_seam(connectivity, EdgeId::from_index(e)))
+            .collect();
+        let mut quadrics = vec![Quadric::default(); wedges.attributes.len()];
+        let mut shape = vec![Quadric::default(); slots];
+        let mut common = vec![Common { material: None, part: None }; slots];
+        let mut seen = vec![false; slots];
+        for t in connectivity.triangles() {
+            let source = mesh.triangle_source[t.index()] as usize;
+            let own = Common { material: Some(surface.materials[source]), part: Some(surface.parts[source]) };
+            let halfedges = [0, 1, 2].map(|i| HalfedgeId(3 * t.0 + i));
+            let points = halfedges.map(|h| {
+                let place = mesh.point(connectivity.origin(h));
+                let attributes = &wedges.attributes[wedges.of(h) as usize];
+                std::array::from_fn::<f64, D, _>(|i| if i < 3 { place[i] } else { attributes[i - 3] })
+            });
+            let quadric = Quadric::<K>::of_triangle(points.each_ref(), 1.0);
+            let plane = Quadric::<0>::of_triangle(points.map(|p| position(&p)).each_ref(), 0.0);
+            for h in halfedges {
+                let v = connectivity.origin(h).index();
+                quadrics[wedges.of(h) as usize].add(&quadric);
+                shape[v].add(&plane);
+                common[v] = if seen[v] { common[v].with(own) } else { own };
+                seen[v] = true;
+            }
+        }
+        let mut seam_degree = vec![0; slots];
+        for edge in connectivity.edges().filter(|e| is_seam[e.index()]) {
+            let first = connectivity.halfedge(edge);
+            let ends = connectivity.ends(edge);
+            for h in [first, connectivity.twin(first)].into_iter().filter(|h| h.is_some()) {
+                let across = mesh.point(connectivity.origin(Connectivity::prev(h)));
+                let [a, b] = ends.map(|v| mesh.point(v));
+                ends.iter().for_each(|v| shape[v.index()].add_wall(WALL, [a, b, across]));
+            }
+            ends.iter().for_each(|v| seam_degree[v.index()] += 1);
+        }
+        let only = (0..slots).map(VertexId::from_index).map(|v| match connectivity.outgoing[v.index()] {
+            HalfedgeId::NONE => NONE,
+            _ => wedges.only(connectivity, v).unwrap_or(NONE),
+        });
+        let valence = (0..slots).map(VertexId::from_index).map(|v| connectivity.spokes(v).count() as u32);
+        let log = record.then(|| {
+            let left_out = vec![NONE; 3 * surface.triangles.len()];
+            let mut log = Log { corner_wedge: left_out.clone(), corner_vertex: left_out, ..Log::default() };
+            for h in (0..3 * connectivity.triangle_slots() as u32).map(HalfedgeId) {
+                let corner = (3 * mesh.triangle_source[h.index() / 3] + h.0 % 3) as usize;
+                log.corner_wedge[corner] = wedges.of(h);
+                log.corner_vertex[corner] = connectivity.origin(h).0;
+            }
+            log
+        });
+        Self {
+            knobs,
+            only: only.collect(),
+            valence: valence.collect(),
+            charts: Charts::new(mesh, &wedges, &is_seam),
+            drifts: Drifts::new(connectivity.edge_slots()),
+            plan: RefCell::default(),
+            wedges,
+            shape,
+            quadrics,
+            is_seam,
+            seam_degree,
+            common,
+            is_tied,
+            log,
+        }
+    }
+
+    /// Attributes of a corner, and the corner of the input that has the same.
+    pub fn corner(&self, t: TriangleId, corner: u32) -> ([f64; K], u32) {
+        let wedge = self.wedges.of(HalfedgeId(3 * t.0 + corner)) as usize;
+        (self.wedges.attributes[wedge], self.wedges.source[wedge])
+    }
+
+    pub fn largest_drift(&self) -> f64 {
+        self.drifts.largest
+    }
+
+    pub fn into_log(self) -> Option<Log<K>> {
+        self.log
+    }
+
+    /// Which ends of an edge must stay where they are.
+    fn staying(&self, mesh: &Mesh<3>, edge: EdgeId) -> Result<[bool; 2], Standing> {
+        let ends = mesh.connectivity.ends(edge);
+        let mut stays = mesh.staying_ends(edge);
+        if stays == [true, true] {
+            return Err(Standing::Pinned);
+        }
+        let on_seam = self.is_seam[edge.index()];
+        for (stays, v) in stays.iter_mut().zip(ends) {
+            let degree = self.seam_degree[v.index()];
+            // Along a seam those where it ends, forks or meets the boundary; beside it all that lie on it.
+            *stays |= if on_seam { degree != 2 } else { degree != 0 };
+        }
+        if stays == [true, true] { Err(Standing::Seam) } else { Ok(stays) }
+    }
+
+    /// Whether the ends have one wedge each and no seam: the most there is of a surface.
+    #[inline]
+    fn is_plain(&self, ends: [VertexId; 2]) -> bool {
+        ends.iter().all(|v| self.only[v.index()] != NONE && self.seam_degree[v.index()] == 0)
+    }
+
+    /// The factor that the penalties come to.
+    fn penalty(&self, ends: [VertexId; 2], wedges: usize) -> f64 {
+        let [a, b] = ends.map(|v| v.index());
+        let common = self.common[a].with(self.common[b]);
+        let valence = (self.valence[a] + self.valence[b]).saturating_sub(4 + HIGH_VALENCE);
+        let mut factor = 1.0 + self.knobs.valence * f64::from(valence);
+        if common.material.is_none() {
+            factor += self.knobs.across_materials;
+        }
+        if common.part.is_none() {
+            factor += self.knobs.across_parts;
+        }
+        factor + self.knobs.wedges * wedges.saturating_sub(2) as f64
+    }
+
+    /// Work out what wedges become and where the edge may go, the cheapest place first.
+    fn plan(&self, mesh: &Mesh<3>, edge: EdgeId, plan: &mut Plan<K>) -> Result<(), Standing> {
+        let connectivity = &mesh.connectivity;
+        let ends = connectivity.ends(edge);
+        let stays = self.staying(mesh, edge)?;
+        let first = connectivity.halfedge(edge);
+        let second = connectivity.twin(first);
+        for h in [first, second].into_iter().filter(|h| h.is_some()) {
+            let [a, b] = [Connectivity::next(h), Connectivity::prev(h)];
+            if [a, b].iter().all(|&h| self.is_seam[connectivity.edge(h).index()]) {
+                return Err(Standing::Seam);
+            }
+        }
+        plan.is_plain = self.is_plain(ends);
+        self.group(connectivity, ends, [first, second], plan);
+
+        let places = ends.map(|v| *mesh.point(v));
+        let middle = midpoint(&places[0], &places[1]);
+        plan.candidates.clear();
+        let mut add = |place: Vec3, keep: Option<usize>| {
+            plan.candidates.push(Candidate { place, keep, cost: 0.0 });
+        };
+        let shape = self.shape[ends[0].index()].sum(&self.shape[ends[1].index()]);
+        match stays {
+            [true, _] => add(places[0], Some(0)),
+            [_, true] => add(places[1], Some(1)),
+            _ => {
+                let best = if plan.is_plain {
+                    plan.classes[0].quadric.minimum(&middle, TETHER).0
+                } else {
+                    shape.minimum(&middle, TETHER).0
+                };
+                let along_image = self.is_seam[edge.index()]
+                    && plan.sides.iter().flatten().any(|&[w, _]| self.is_textured(w));
+                if along_image {
+                    add(best, Some(0));
+                    add(best, Some(1));
+                } else {
+                    add(best, None);
+                }
+                add(places[0], Some(0));
+                add(places[1], Some(1));
+            }
+        }
+        let length2 = distance2(&places[0], &places[1]);
+        let factor = self.penalty(ends, plan.members.len());
+        for i in 0..plan.candidates.len() {
+            let Candidate { place, keep, .. } = plan.candidates[i];
+            let exact = keep.is_some_and(|end| place == places[end]);
+            let mut cost = SHORTER_FIRST * shape.area * length2;
+            for class in plan.classes.iter().filter(|class| class.is_merged || !exact) {
+                cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
+            }
+            if !plan.is_plain {
+                cost += self.knobs.shape * shape.error(&place);
+            }
+            plan.candidates[i].cost = factor * cost;
+        }
+        plan.candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        Ok(())
+    }
+
+    fn is_textured(&self, wedge: u32) -> bool {
+        self.wedges.is_textured[wedge as usize]
+    }
+
+    /// Put the wedges of both ends into classes: those that meet along the edge, on one side of it, become one.
+    fn group(
+        &self,
+        connectivity: &Connectivity,
+        ends: [VertexId; 2],
+        [first, second]: [HalfedgeId; 2],
+        plan: &mut Plan<K>,
+    ) {
+        let wedges = &self.wedges;
+        plan.members.clear();
+        plan.classes.clear();
+        plan.sides = [
+            Some([wedges.of(first), wedges.of(Connectivity::next(first))]),
+            second.is_some().then(|| [wedges.of(Connectivity::next(second)), wedges.of(second)]),
+        ];
+        for (end, &v) in ends.iter().enumerate() {
+            let own = plan.members.len();
+            let mut join = |wedge: u32| {
+                if !plan.members[own..].iter().any(|m| m.wedge == wedge) {
+                    plan.members.push(Member { wedge, end, class: plan.members.len() });
+                }
+            };
+            match self.only[v.index()] {
+                NONE => connectivity.fan(v).for_each(|h| join(wedges.of(h))),
+                wedge => join(wedge),
+            }
+        }
+        for [a, b] in plan.sides.into_iter().flatten() {
+            let class = |end: usize, wedge: u32| {
+                plan.members.iter().find(|m| m.end == end && m.wedge == wedge).map_or(0, |m| m.class)
+            };
+            let (one, other) = (class(0, a), class(1, b));
+            let (kept, gone) = (one.min(other), one.max(other));
+            plan.members.iter_mut().filter(|m| m.class == gone).for_each(|m| m.class = kept);
+        }
+        // Classes without gaps, in the order of their first member.
+        for i in 0..plan.members.len() {
+            let Member { wedge, end, class } = plan.members[i];
+            let quadric = &self.quadrics[wedge as usize];
+            if class == i {
+                let mut at_end = [NONE; 2];
+                at_end[end] = wedge;
+                plan.members[i].class = plan.classes.len();
+                plan.classes.push(Class {
+                    quadric: *quadric,
+                    at_end,
+                    is_merged: false,
+                    value: wedges.attributes[wedge as usize],
+                    home: wedges.home[wedge as usize],
+                });
+            } else {
+                let class = plan.members[class].class;
+                plan.members[i].class = class;
+                let class = &mut plan.classes[class];
+                class.quadric.add(quadric);
+                class.is_merged = true;
+                if class.at_end[end] == NONE {
+                    class.at_end[end] = wedge;
+                }
+            }
+        }
+    }
+
+    /// Attributes of a class at a place.
+    fn value(&self, plan: &Plan<K>, class: &Class<K>, place: &Vec3, keep: Option<usize>) -> [f64; K] {
+        let attributes = &self.wedges.attributes;
+        let some = if class.at_end[0] != NONE { class.at_end[0] } else { class.at_end[1] };
+        let mut value = class.quadric.attributes_at(place, &class.value);
+        if !self.is_textured(some) {
+            return value;
+        }
+        let uv = match keep {
+            Some(end) if class.at_end[end] != NONE => Some(self.wedges.uv(class.at_end[end])),
+            Some(end) => {
+                // A wedge of the other end alone differs by colour or normal only from one that meets the edge.
+                let meets =
+                    |side: &&[u32; 2]| self.wedges.is_same_place(side[1 - end], class.at_end[1 - end]);
+                plan.sides.iter().flatten().find(meets).map(|side| self.wedges.uv(side[end]))
+            }
+            None => {
+                let [a, b] = class.at_end;
+                let is_one = a != NONE && b != NONE && self.wedges.uv(a) == self.wedges.uv(b);
+                is_one.then(|| self.wedges.uv(a))
+            }
+        };
+        if let Some(uv) = uv {
+            value[..2].copy_from_slice(&uv);
+        }
+        // To the bit, so that what has not changed is known for it.
+        if let Some(end) = keep.filter(|&end| K == 2 && class.at_end[end] != NONE) {
+            value = attributes[class.at_end[end] as usize];
+        }
+        value
+    }
+
+    /// Whether a candidate leaves all triangles of space and image their sides up, every texture coordinate in its
+    /// chart and seams near where they were; completes the plan.
+    fn try_candidate(
+        &self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        plan: &mut Plan<K>,
+        candidate: Candidate,
+    ) -> Result<(), Standing> {
+        keeps_triangles(star, &candidate.place).map_err(|_| Standing::Fold)?;
+        let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
+        for i in 0..plan.classes.len() {
+            let class = plan.classes[i];
+            let stays = exact.is_some_and(|end| !class.is_merged && class.at_end[end] != NONE);
+            if !stays {
+                plan.classes[i].value = self.value(plan, &class, &candidate.place, candidate.keep);
+            }
+        }
+        for wing in &star.wings {
+            let v = star.ends[wing.end];
+            let first = HalfedgeId(3 * wing.triangle.0);
+            let corners = [first, Connectivity::next(first), Connectivity::prev(first)];
+            let wedges = corners.map(|h| self.wedges.of(h));
+            if !self.is_textured(wedges[0]) {
+                continue;
+            }
+            let moved = if mesh.connectivity.origin(corners[0]) == v {
+                0
+            } else if mesh.connectivity.origin(corners[1]) == v {
+                1
+            } else {
+                2
+            };
+            let before = wedges.map(|w| self.wedges.uv(w));
+            let mut after = before;
+            let Some(to) = plan.members.iter().find(|m| m.end == wing.end && m.wedge == wedges[moved]) else {
+                continue;
+            };
+            after[moved] = uv_of(&plan.classes[to.class].value);
+            if !keeps_side(before, after) {
+                return Err(Standing::Chart);
+            }
+        }
+        for class in plan.classes.iter_mut() {
+            let mut homes = class.at_end.iter().filter(|&&w| w != NONE);
+            let Some(&some) = homes.clone().next() else { continue };
+            let uv = uv_of(&class.value);
+            class.home = if !self.is_textured(some) {
+                self.wedges.home[some as usize]
+            } else if let Some(&w) = homes.find(|&&w| self.wedges.uv(w) == uv) {
+                self.wedges.home[w as usize]
+            } else {
+                let start = self.wedges.home[some as usize];
+                let at_seam = candidate.keep.is_some();
+                match self.charts.locate(start, uv) {
+                    Some(home) => home,
+                    // A coordinate taken from the seam is in the chart; only the way there leaves it.
+                    None if at_seam => start,
+                    None => return Err(Standing::Chart),
+                }
+            };
+        }
+        self.follow_seam(mesh, star, plan)
+    }
+
+    /// How far the images of a seam go from what they were when its edge shrinks.
+    fn follow_seam(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &mut Plan<K>) -> Result<(), Standing> {
+        plan.drifts = [None; 2];
+        if !self.is_seam[star.edge.index()] {
+            return Ok(());
+        }
+        let connectivity = &mesh.connectivity;
+        let ends_here = star.ends.map(|v| self.seam_degree[v.index()] != 2);
+        let first = connectivity.halfedge(star.edge);
+        let mut apart: f64 = 0.0;
+        let mut next = [None; 2];
+        for (side, h) in
+            [first, connectivity.twin(first)].into_iter().enumerate().filter(|(_, h)| h.is_some())
+        {
+            // Halfedges of the second side run from the second end to the first.
+            let (from, to) = (side, 1 - side);
+            let uv = |h: HalfedgeId| self.wedges.uv(self.wedges.of(h));
+            let wedge = self.wedges.of(h);
+            let is_textured = self.is_textured(wedge);
+            let [a, b] = if is_textured { [uv(h), uv(Connectivity::next(h))] } else { [[0.0; 2]; 2] };
+            let (mut before, mut after) = (a, b);
+            if !ends_here[to] {
+                let beyond = seam_after(mesh, &self.is_seam, h);
+                next[to] = Some(connectivity.edge(beyond));
+                if is_textured {
+                    after = uv(Connectivity::next(beyond));
+                }
+            }
+            if !ends_here[from] {
+                let beyond = seam_before(mesh, &self.is_seam, h);
+                next[from] = Some(connectivity.edge(beyond));
+                if is_textured {
+                    before = uv(beyond);
+                }
+            }
+            if is_textured {
+                let class =
+                    plan.members.iter().find(|m| m.end == from && m.wedge == wedge).map_or(0, |m| m.class);
+                apart = apart.max(drift(before, [a, b], uv_of(&plan.classes[class].value), after));
+            }
+        }
+        let own = self.drifts.of(star.edge);
+        for (drift, edge) in plan.drifts.iter_mut().zip(next) {
+            *drift = edge.map(|edge| (edge, own.max(self.drifts.of(edge)) + apart));
+        }
+        let largest = plan.drifts.iter().flatten().map(|d| d.1).fold(own + apart, f64::max);
+        if largest > self.knobs.seam_drift { Err(Standing::Drift) } else { Ok(()) }
+    }
+
+    /// Whether a collapse would lay an edge between two tied vertices: another sheet may have that edge already.
+    fn ties(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        if !self.is_tied[star.ends[survivor].index()] {
+            return false;
+        }
+        let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
+        mesh.connectivity.spokes(gone).any(|(_, v)| {
+            v != kept && self.is_tied[v.index()] && star.vanishing.iter().all(|(_, apex, _)| *apex != v)
+        })
+    }
+}
+
+#[inline]
+fn uv_of<const K: usize>(value: &[f64; K]) -> Uv {
+    if K >= 2 { [value[0], value[1]] } else { [0.0; 2] }
+}
+
+impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
+    type Bound = Standing;
+    type Change = ();
+
+    const REACH: Reach = Reach::Spokes;
+
+    fn priority(&self, mesh: &Mesh<3>, edge: EdgeId) -> Result<f64, Standing> {
+        let ends = mesh.connectivity.ends(edge);
+        let free = |v: &VertexId| mesh.pin(*v) == Pin::Free;
+        if self.is_plain(ends) && ends.iter().all(free) {
+            let [a, b] = ends.map(|v| &self.quadrics[self.only[v.index()] as usize]);
+            let together = a.sum(b);
+            let places = ends.map(|v| mesh.point(v));
+            let (_, error) = together.minimum(&midpoint(places[0], places[1]), TETHER);
+            let cost = error + SHORTER_FIRST * together.area * distance2(places[0], places[1]);
+            return Ok(self.penalty(ends, 2) * cost);
+        }
+        let mut plan = self.plan.borrow_mut();
+        self.plan(mesh, edge, &mut plan)?;
+        Ok(plan.candidates[0].cost)
+    }
+
+    fn propose(&mut self, mesh: &Mesh<3>, star: &Star<3>) -> Result<Proposal<3, ()>, Standing> {
+        let mut plan = self.plan.take();
+        let proposal = self.proposal(mesh, star, &mut plan);
+        self.plan.replace(plan);
+        proposal
+    }
+
+    fn judge(&mut self, _: &Mesh<3>, _: &Star<3>, _: &mut Proposal<3, ()>) -> Result<(), Standing> {
+        Ok(())
+    }
+
+    fn commit(&mut self, mesh: &Mesh<3>, star: &Star<3>, collapsed: &Collapsed, (): ()) {
+        let connectivity = &mesh.connectivity;
+        let survivor = collapsed.survivor;
+        let end = usize::from(star.ends[1] == survivor);
+        let plan = self.plan.take();
+        let kept = |class: &Class<K>| match class.at_end[end] {
+            NONE => class.at_end[1 - end],
+            wedge => wedge,
+        };
+        for class in &plan.classes {
+            let wedge = kept(class) as usize;
+            self.quadrics[wedge] = class.quadric;
+            self.wedges.home[wedge] = class.home;
+            if self.wedges.attributes[wedge] != class.value {
+                let same = class
+                    .at_end
+                    .into_iter()
+                    .find(|&w| w != NONE && self.wedges.attributes[w as usize] == class.value);
+                self.wedges.source[wedge] = same.map_or(NONE, |w| self.wedges.source[w as usize]);
+                self.wedges.attributes[wedge] = class.value;
+                if let Some(log) = &mut self.log {
+                    log.changed.push(wedge as u32);
+                    log.changed_to.push(class.value);
+                    log.changed_when.push(log.removed.len() as u32);
+                }
+            }
+        }
+        for wing in &star.wings {
+            let first = HalfedgeId(3 * wing.triangle.0);
+            let corners = [first, Connectivity::next(first), Connectivity::prev(first)];
+            for h in corners.into_iter().filter(|&h| connectivity.origin(h) == survivor) {
+                let old = self.wedges.of(h);
+                if let Some(to) = plan.members.iter().find(|m| m.end == wing.end && m.wedge == old) {
+                    self.wedges.of_corner[h.index()] = kept(&plan.classes[to.class]);
+                }
+            }
+        }
+        if let Some(log) = &mut self.log {
+            for member in &plan.members {
+                let into = kept(&plan.classes[member.class]);
+                if into != member.wedge {
+                    log.wedge_removed.push(member.wedge);
+                    log.wedge_survivor.push(into);
+                    log.wedge_when.push(log.removed.len() as u32);
+                }
+            }
+            log.removed.push(collapsed.removed.0);
+            log.survivor.push(survivor.0);
+            log.places.push(*mesh.point(survivor));
+        }
+
+        let [a, b] = star.ends.map(|v| v.index());
+        self.shape[survivor.index()] = self.shape[a].sum(&self.shape[b]);
+        self.common[survivor.index()] = self.common[a].with(self.common[b]);
+        self.is_tied[survivor.index()] |= self.is_tied[a] || self.is_tied[b];
+        for (edge, drift) in plan.drifts.into_iter().flatten() {
+            self.drifts.set(edge, drift);
+        }
+        for (kept, gone) in collapsed.merged.into_iter().flatten() {
+            self.is_seam[kept.index()] |= self.is_seam[gone.index()];
+            let larger = self.drifts.of(kept).max(self.drifts.of(gone));
+            self.drifts.set(kept, larger);
+        }
+        let mut spokes = [0, 0];
+        for (edge, _) in connectivity.spokes(survivor) {
+            spokes[0] += 1;
+            spokes[1] += u32::from(self.is_seam[edge.index()]);
+        }
+        [self.valence[survivor.index()], self.seam_degree[survivor.index()]] = spokes;
+        self.only[survivor.index()] = match plan.classes.as_slice() {
+            [class] => kept(class),
+            _ => self.wedges.only(connectivity, survivor).unwrap_or(NONE),
+        };
+        for &(_, apex, _) in &star.vanishing {
+            self.valence[apex.index()] -= 1;
+            if self.only[apex.index()] == NONE {
+                self.only[apex.index()] = self.wedges.only(connectivity, apex).unwrap_or(NONE);
+            }
+        }
+        self.plan.replace(plan);
+    }
+
+    fn cost(&self, _: &Proposal<3, ()>) -> f64 {
+        self.plan.borrow().candidates.first().map_or(f64::NEG_INFINITY, |chosen| chosen.cost)
+    }
+}
+
+impl<const D: usize, const K: usize> Seams<D, K> {
+    fn proposal(
+        &self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        plan: &mut Plan<K>,
+    ) -> Result<Proposal<3, ()>, Standing> {
+        self.plan(mesh, star.edge, plan)?;
+        let mut refusal = Standing::Fold;
+        for i in 0..plan.candidates.len() {
+            let candidate = plan.candidates[i];
+            let survivor = candidate.keep.unwrap_or_else(|| {
+                let [a, b] = star.end_points.map(|p| distance2(&p, &candidate.place));
+                usize::from(b < a)
+            });
+            if self.ties(mesh, star, survivor) {
+                refusal = Standing::Pinned;
+                continue;
+            }
+            match self.try_candidate(mesh, star, plan, candidate) {
+                Ok(()) => {
+                    plan.candidates.swap(0, i);
+                    return Ok(Proposal { survivor, point: candidate.place, change: () });
+                }
+                Err(standing) => refusal = standing,
+            }
+        }
+        Err(refusal)
+    }
+}
