@@ -18,9 +18,10 @@ from stages.errors import InputError
 from stages.formats.colors import to_uint8
 from stages.formats.polygons import split_polygons
 from stages.formats.text_numbers import parse_numbers
-from stages.formats.textures import beside, read_texture, write_texture
-from stages.mesh import Mesh, Texture, validated
+from stages.formats.textures import beside, read_texture, write_images
+from stages.mesh import Mesh, validated
 from stages.replacing import replacing
+from stages.texture import Material, Texture
 
 
 @dataclass
@@ -211,10 +212,10 @@ def _texture(
 
 def _images(
     statements: _Statements, folder: Path, notes: list[str]
-) -> tuple[tuple[NDArray[np.uint8], ...], dict[str, int]]:
+) -> tuple[tuple[Material, ...], dict[str, int]]:
     """Return the images of the materials in use, and the number of each material's image."""
     used = {name for _, name in statements.materials}
-    images: list[NDArray[np.uint8]] = []
+    images: list[Material] = []
     numbers: dict[str, int] = {}
     by_file: dict[str, int | None] = {}
     for library in statements.libraries:
@@ -222,12 +223,10 @@ def _images(
             if material not in used:
                 continue
             if file not in by_file:
-                image = read_texture(beside(folder, file))
+                image = read_texture(folder, file, notes)
                 by_file[file] = None if image is None else len(images)
-                if image is None:
-                    notes.append(f"the texture image {file} is missing or cannot be read")
-                else:
-                    images.append(image)
+                if image is not None:
+                    images.append(Material(image=image))
             number = by_file[file]
             if number is not None:
                 numbers[material] = number
@@ -307,9 +306,8 @@ def _face_lines(v: NDArray[Any], vt: NDArray[Any] | None, vn: NDArray[Any] | Non
 
 def _write_materials(path: Path, texture: Texture) -> None:
     lines = ["newmtl material_-1", "Kd 0.5 0.5 0.5"]
-    for number, image in enumerate(texture.images):
-        file = path.with_name(f"{path.stem}_{number}.png")
-        write_texture(file, image)
-        lines += [f"newmtl material_{number}", "Kd 1 1 1", f"map_Kd {file.name}"]
+    names = write_images(path, texture.images)
+    for number, material in enumerate(texture.materials):
+        lines += [f"newmtl material_{number}", "Kd 1 1 1", f"map_Kd {names[id(material.image)]}"]
     with replacing(path.with_name(f"{path.stem}.mtl")) as part:
         part.write_text("\n".join([*lines, ""]))

@@ -16,9 +16,10 @@ from stages.errors import InputError
 from stages.formats.colors import to_uint8
 from stages.formats.ply_format import Lists, Table, read_tables
 from stages.formats.polygons import split_polygons
-from stages.formats.textures import beside, read_texture, write_texture
-from stages.mesh import Mesh, Texture, validated
+from stages.formats.textures import read_texture, write_images
+from stages.mesh import Mesh, validated
 from stages.replacing import replacing
+from stages.texture import Material, Texture
 
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
 _VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
@@ -141,20 +142,14 @@ def _texture(
     if not np.isfinite(uvs).all():
         notes.append("the texture is left out: some of its coordinates are not finite")
         return None
-    images = []
-    for name in names:
-        image = read_texture(beside(folder, name))
-        if image is None:
-            notes.append(f"the texture is left out: its image {name} is missing or cannot be read")
-            return None
-        images.append(image)
+    images = tuple(Material(image=read_texture(folder, name, notes)) for name in names)
     numbers = face.get("texnumber")
     if isinstance(numbers, np.ndarray):
         material_ids = numbers[source].astype(np.int32)
     else:
         material_ids = np.zeros(len(mesh.triangles), np.int32)
     material_ids[(material_ids < 0) | (material_ids >= len(images))] = -1
-    return Texture(uvs, material_ids, tuple(images))
+    return Texture(uvs, material_ids, images)
 
 
 def _corner_uvs(
@@ -211,10 +206,8 @@ def write_ply(
     if mesh.texture is not None:
         face.append(("texcoord", _narrowed(mesh.texture.uvs.reshape(-1, 6))))
         face.append(("texnumber", mesh.texture.material_ids.astype("<i4")))
-        for number, image in enumerate(mesh.texture.images):
-            file = path.with_name(f"{path.stem}_{number}.png")
-            write_texture(file, image)
-            comments.append(f"{_TEXTURE_COMMENT} {file.name}")
+        names = write_images(path, mesh.texture.images)
+        comments += [f"{_TEXTURE_COMMENT} {name}" for name in names.values()]
     face += [(name, _narrowed(values)) for name, values in (face_values or {}).items()]
     vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
     vertex += [(name, _narrowed(values)) for name, values in (vertex_values or {}).items()]
