@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stages.cleaning.merge import merge_vertices
 from stages.convert import as_mesh, to_trimesh, with_vertex_colors
 from stages.errors import InputError, UsageError
 from stages.formats.obj import read_obj, write_obj
 from stages.formats.ply import read_ply, write_ply
-from stages.mesh import Mesh, Texture
+from stages.mesh import Mesh
 from stages.replacing import replacing
+from stages.texture import Material, Texture
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 _WRITABLE = (".ply", ".obj", ".off", ".stl", ".glb")
@@ -171,7 +171,7 @@ def _joined_textures(meshes: list[Mesh]) -> Texture | None:
     if all(mesh.texture is None for mesh in meshes):
         return None
     uvs, material_ids = [], []
-    images: list[NDArray[np.uint8]] = []
+    materials: list[Material] = []
     for mesh in meshes:
         if mesh.texture is None:
             uvs.append(np.zeros((len(mesh.triangles), 3, 2)))
@@ -179,9 +179,9 @@ def _joined_textures(meshes: list[Mesh]) -> Texture | None:
             continue
         ids = mesh.texture.material_ids
         uvs.append(mesh.texture.uvs)
-        material_ids.append(np.where(ids >= 0, ids + len(images), -1).astype(np.int32))
-        images += mesh.texture.images
-    return Texture(np.concatenate(uvs), np.concatenate(material_ids), tuple(images))
+        material_ids.append(np.where(ids >= 0, ids + len(materials), -1).astype(np.int32))
+        materials += mesh.texture.materials
+    return Texture(np.concatenate(uvs), np.concatenate(material_ids), tuple(materials))
 
 
 def _require_honest_gltf(path: Path, extension: str) -> None:
