@@ -28,6 +28,7 @@ _FIGURES = {
         "max_shape_m",
         "max_texture_levels",
     ),
+    "seams": ("similar_distance_m", "joined_vertices", "texture_scale_m", "seam_drift"),
     "jia01": (
         "largest_shape_change_m",
         "largest_texture_change_levels",
@@ -83,6 +84,11 @@ class Simplified:
     largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
     resolution_m : jia01: what was used.
     max_shape_m, max_texture_levels : jia01 and certified: what was used; None for no bound.
+    similar_distance_m : seams: vertices closer than this were taken for one.
+    joined_vertices : seams: how many vertices of the input were copies of others.
+    texture_scale_m : seams: metres that a shift by the image's side counted as.
+    seam_drift : seams: proven: no point of a seam is farther, in the image, from where it was; as a share of
+        the image's side.
     bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
     """
 
@@ -116,6 +122,10 @@ class Simplified:
     max_shape_m: float | None = None
     max_texture_levels: float | None = None
     bounded: dict[str, bool] = field(default_factory=dict)
+    similar_distance_m: float | None = None
+    joined_vertices: int | None = None
+    texture_scale_m: float | None = None
+    seam_drift: float | None = None
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from stages import _kernels, jia01, quadric
+from stages import _kernels, jia01, quadric, seams
 from stages.certified import simplify_certified
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
@@ -124,11 +124,15 @@ def simplify(
     Graphics 6(7), 2001: shape change (1)-(2), texture change (3), placement (4)-(6), order (7).
     """
     params = resolve(SimplifyParams, params, changes)
-    method = params.chosen()
     mesh = as_mesh(mesh)
+    textured = mesh.texture is not None and bool(mesh.texture.has_uvs().any())
+    method = params.chosen(textured=textured)
     locked, factors = resolve_control(mesh, lock, importance, regions)
-    if len(factors) and method == "jia01":
-        raise UsageError("importance has no meaning for method jia01; give triangles or ratio, and no bound.")
+    if len(factors) and method in ("jia01", "seams"):
+        raise UsageError(
+            f"importance has no meaning for method {method}; give triangles or ratio, no bound, and method "
+            "quadric."
+        )
     if partial:
         progress = _contented(progress)
     if method == "certified":
@@ -158,6 +162,8 @@ def simplify(
     try:
         if method == "quadric":
             return quadric.by_quadrics(mesh, params, locked, factors, running, progress)
+        if method == "seams":
+            return seams.by_seams(mesh, params, locked, running, progress)
         return jia01.by_sums(mesh, params, locked, running, progress)
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error

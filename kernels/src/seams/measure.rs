@@ -5,15 +5,15 @@
 //! wedge's own triangles. Away from seams the second says all. Where a seam is near, the place comes from the first,
 //! the attributes of each wedge from its own second, and the cost is the weighted sum of both.
 //!
-//! A seam is a curve of edges. Its vertices stay on it: what lies beside it collapses into it, an edge of it
-//! shrinks along it, and where it ends, forks or meets the boundary its vertex stays. Along a seam the texture
-//! coordinates of one end are kept on each side, and so remain on the chart's border.
+//! A seam is a curve of edges. What lies beside it collapses into it, and an edge of it shrinks along it, to the
+//! texture coordinates that one of its ends has on each side: so they remain on the chart's border. Where that end
+//! goes from lies in further charts, as where three meet, it keeps its place in those.
 
 use std::cell::RefCell;
 
 use super::Surface;
 use super::record::Log;
-use super::texture::{Charts, Drifts, Uv, drift, keeps_side, seam_after, seam_before};
+use super::texture::{Charts, Drifts, Uv, from_segment, keeps_side, seam_after, seam_before};
 use super::wedges::{NONE, Wedges};
 use crate::connectivity::Connectivity;
 use crate::engine::{Collapsed, Measure, Proposal, Reach};
@@ -75,6 +75,18 @@ struct Candidate {
     /// The end whose texture coordinates are kept; none if the quadrics tell them.
     keep: Option<usize>,
     cost: f64,
+    /// How far the image of the seam would be from what it was.
+    drift: f64,
+}
+
+/// A seam edge that takes in the place of one that shrinks.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    next: EdgeId,
+    /// How far its image is then from what it was in the input, at the most.
+    drift: f64,
+    /// The square of its length in space.
+    length2: f64,
 }
 
 /// A wedge at an end of the edge, and what it becomes part of.
@@ -91,9 +103,18 @@ struct Class<const K: usize> {
     quadric: Quadric<K>,
     /// A wedge of it at each end, if there is one.
     at_end: [u32; 2],
+    /// Whether it has several wedges at an end that differ in their place in the image.
+    is_torn: [bool; 2],
     is_merged: bool,
     value: [f64; K],
     home: u32,
+}
+
+impl<const K: usize> Class<K> {
+    /// Whether nothing but one wedge, of the end that is kept, is in it.
+    fn is_only_at(&self, keep: Option<usize>) -> bool {
+        !self.is_merged && keep.is_some_and(|end| self.at_end[end] != NONE)
+    }
 }
 
 /// What is worked out about one edge.
@@ -105,8 +126,7 @@ struct Plan<const K: usize> {
     /// Wedges of the two sides of the edge, at its first and second end; none on a boundary.
     sides: [Option<[u32; 2]>; 2],
     is_plain: bool,
-    /// Seam edges whose drift grows, and to what.
-    drifts: [Option<(EdgeId, f64)>; 2],
+    runs: [Option<Run>; 2],
 }
 
 impl<const K: usize> Default for Plan<K> {
@@ -117,7 +137,7 @@ impl<const K: usize> Default for Plan<K> {
             candidates: vec![],
             sides: [None; 2],
             is_plain: true,
-            drifts: [None; 2],
+            runs: [None; 2],
         }
     }
 }
@@ -247,22 +267,6 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         self.log
     }
 
-    /// Which ends of an edge must stay where they are.
-    fn staying(&self, mesh: &Mesh<3>, edge: EdgeId) -> Result<[bool; 2], Standing> {
-        let ends = mesh.connectivity.ends(edge);
-        let mut stays = mesh.staying_ends(edge);
-        if stays == [true, true] {
-            return Err(Standing::Pinned);
-        }
-        let on_seam = self.is_seam[edge.index()];
-        for (stays, v) in stays.iter_mut().zip(ends) {
-            let degree = self.seam_degree[v.index()];
-            // Along a seam those where it ends, forks or meets the boundary; beside it all that lie on it.
-            *stays |= if on_seam { degree != 2 } else { degree != 0 };
-        }
-        if stays == [true, true] { Err(Standing::Seam) } else { Ok(stays) }
-    }
-
     /// Whether the ends have one wedge each and no seam: the most there is of a surface.
     #[inline]
     fn is_plain(&self, ends: [VertexId; 2]) -> bool {
@@ -288,45 +292,50 @@ impl<const D: usize, const K: usize> Seams<D, K> {
     fn plan(&self, mesh: &Mesh<3>, edge: EdgeId, plan: &mut Plan<K>) -> Result<(), Standing> {
         let connectivity = &mesh.connectivity;
         let ends = connectivity.ends(edge);
-        let stays = self.staying(mesh, edge)?;
-        let first = connectivity.halfedge(edge);
-        let second = connectivity.twin(first);
-        for h in [first, second].into_iter().filter(|h| h.is_some()) {
-            let [a, b] = [Connectivity::next(h), Connectivity::prev(h)];
-            if [a, b].iter().all(|&h| self.is_seam[connectivity.edge(h).index()]) {
-                return Err(Standing::Seam);
-            }
+        let stays = mesh.staying_ends(edge);
+        if stays == [true, true] {
+            return Err(Standing::Pinned);
         }
+        let on_seam = self.is_seam[edge.index()];
+        // Beside a seam, what lies on it stays there.
+        let may_go = |end: usize| !stays[end] && (on_seam || self.seam_degree[ends[end].index()] == 0);
+        if !may_go(0) && !may_go(1) {
+            return Err(Standing::Seam);
+        }
+        let first = connectivity.halfedge(edge);
         plan.is_plain = self.is_plain(ends);
-        self.group(connectivity, ends, [first, second], plan);
+        self.group(connectivity, ends, [first, connectivity.twin(first)], plan);
+        // The tip of a seam has one wedge for both sides: nothing tells which side it would go to.
+        let [goes_to_first, goes_to_second] =
+            [0, 1].map(|end| may_go(1 - end) && plan.classes.iter().all(|class| !class.is_torn[end]));
 
         let places = ends.map(|v| *mesh.point(v));
-        let middle = midpoint(&places[0], &places[1]);
+        let shape = self.shape[ends[0].index()].sum(&self.shape[ends[1].index()]);
         plan.candidates.clear();
         let mut add = |place: Vec3, keep: Option<usize>| {
-            plan.candidates.push(Candidate { place, keep, cost: 0.0 });
+            plan.candidates.push(Candidate { place, keep, cost: 0.0, drift: 0.0 });
         };
-        let shape = self.shape[ends[0].index()].sum(&self.shape[ends[1].index()]);
-        match stays {
-            [true, _] => add(places[0], Some(0)),
-            [_, true] => add(places[1], Some(1)),
-            _ => {
-                let best = if plan.is_plain {
-                    plan.classes[0].quadric.minimum(&middle, TETHER).0
-                } else {
-                    shape.minimum(&middle, TETHER).0
-                };
-                let along_image = self.is_seam[edge.index()]
-                    && plan.sides.iter().flatten().any(|&[w, _]| self.is_textured(w));
-                if along_image {
-                    add(best, Some(0));
-                    add(best, Some(1));
-                } else {
-                    add(best, None);
-                }
-                add(places[0], Some(0));
-                add(places[1], Some(1));
+        if goes_to_first && goes_to_second {
+            let middle = midpoint(&places[0], &places[1]);
+            let quadric = &plan.classes[0].quadric;
+            let best = if plan.is_plain {
+                quadric.minimum(&middle, TETHER).0
+            } else {
+                shape.minimum(&middle, TETHER).0
+            };
+            let has_image = plan.sides.iter().flatten().any(|&[wedge, _]| self.is_textured(wedge));
+            if on_seam && has_image {
+                add(best, Some(0));
+                add(best, Some(1));
+            } else {
+                add(best, None);
             }
+        }
+        if goes_to_first {
+            add(places[0], Some(0));
+        }
+        if goes_to_second {
+            add(places[1], Some(1));
         }
         let length2 = distance2(&places[0], &places[1]);
         let factor = self.penalty(ends, plan.members.len());
@@ -334,16 +343,24 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             let Candidate { place, keep, .. } = plan.candidates[i];
             let exact = keep.is_some_and(|end| place == places[end]);
             let mut cost = SHORTER_FIRST * shape.area * length2;
-            for class in plan.classes.iter().filter(|class| class.is_merged || !exact) {
+            for class in plan.classes.iter().filter(|class| !(exact && class.is_only_at(keep))) {
                 cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
             }
             if !plan.is_plain {
                 cost += self.knobs.shape * shape.error(&place);
             }
+            if let Some(end) = keep.filter(|_| on_seam) {
+                let (drift, area) =
+                    self.follow_seam(mesh, edge, plan.sides, end).fold((0f64, 0.0), |(most, area), run| {
+                        (most.max(run.drift), area + run.drift * run.drift * run.length2)
+                    });
+                plan.candidates[i].drift = drift;
+                cost += area;
+            }
             plan.candidates[i].cost = factor * cost;
         }
         plan.candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        Ok(())
+        if plan.candidates.is_empty() { Err(Standing::Seam) } else { Ok(()) }
     }
 
     fn is_textured(&self, wedge: u32) -> bool {
@@ -396,6 +413,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 plan.classes.push(Class {
                     quadric: *quadric,
                     at_end,
+                    is_torn: [false; 2],
                     is_merged: false,
                     value: wedges.attributes[wedge as usize],
                     home: wedges.home[wedge as usize],
@@ -406,8 +424,9 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 let class = &mut plan.classes[class];
                 class.quadric.add(quadric);
                 class.is_merged = true;
-                if class.at_end[end] == NONE {
-                    class.at_end[end] = wedge;
+                match class.at_end[end] {
+                    NONE => class.at_end[end] = wedge,
+                    other => class.is_torn[end] |= !wedges.is_same_place(other, wedge),
                 }
             }
         }
@@ -458,8 +477,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
         for i in 0..plan.classes.len() {
             let class = plan.classes[i];
-            let stays = exact.is_some_and(|end| !class.is_merged && class.at_end[end] != NONE);
-            if !stays {
+            if !class.is_only_at(exact) {
                 plan.classes[i].value = self.value(plan, &class, &candidate.place, candidate.keep);
             }
         }
@@ -507,56 +525,58 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 }
             };
         }
-        self.follow_seam(mesh, star, plan)
+        plan.runs = [None; 2];
+        if let Some(end) = candidate.keep.filter(|_| self.is_seam[star.edge.index()]) {
+            if candidate.drift > self.knobs.seam_drift {
+                return Err(Standing::Drift);
+            }
+            let mut runs = self.follow_seam(mesh, star.edge, plan.sides, end);
+            let runs = [runs.next(), runs.next()];
+            plan.runs = runs;
+        }
+        Ok(())
     }
 
-    /// How far the images of a seam go from what they were when its edge shrinks.
-    fn follow_seam(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &mut Plan<K>) -> Result<(), Standing> {
-        plan.drifts = [None; 2];
-        if !self.is_seam[star.edge.index()] {
-            return Ok(());
-        }
+    /// The runs of seam that change when a seam edge shrinks to its end `keep`: on each side of it the next seam
+    /// edge beyond the other end, and how far the image is then from what it was.
+    fn follow_seam<'a>(
+        &'a self,
+        mesh: &'a Mesh<3>,
+        edge: EdgeId,
+        sides: [Option<[u32; 2]>; 2],
+        keep: usize,
+    ) -> impl Iterator<Item = Run> + 'a {
         let connectivity = &mesh.connectivity;
-        let ends_here = star.ends.map(|v| self.seam_degree[v.index()] != 2);
-        let first = connectivity.halfedge(star.edge);
-        let mut apart: f64 = 0.0;
-        let mut next = [None; 2];
-        for (side, h) in
-            [first, connectivity.twin(first)].into_iter().enumerate().filter(|(_, h)| h.is_some())
-        {
+        let first = connectivity.halfedge(edge);
+        let halfedges = [first, connectivity.twin(first)].into_iter().enumerate();
+        halfedges.zip(sides).filter_map(move |((side, h), wedges)| {
+            let uvs = wedges?.map(|w| if self.is_textured(w) { self.wedges.uv(w) } else { [0.0; 2] });
             // Halfedges of the second side run from the second end to the first.
-            let (from, to) = (side, 1 - side);
-            let uv = |h: HalfedgeId| self.wedges.uv(self.wedges.of(h));
-            let wedge = self.wedges.of(h);
-            let is_textured = self.is_textured(wedge);
-            let [a, b] = if is_textured { [uv(h), uv(Connectivity::next(h))] } else { [[0.0; 2]; 2] };
-            let (mut before, mut after) = (a, b);
-            if !ends_here[to] {
-                let beyond = seam_after(mesh, &self.is_seam, h);
-                next[to] = Some(connectivity.edge(beyond));
-                if is_textured {
-                    after = uv(Connectivity::next(beyond));
-                }
-            }
-            if !ends_here[from] {
-                let beyond = seam_before(mesh, &self.is_seam, h);
-                next[from] = Some(connectivity.edge(beyond));
-                if is_textured {
-                    before = uv(beyond);
-                }
-            }
-            if is_textured {
-                let class =
-                    plan.members.iter().find(|m| m.end == from && m.wedge == wedge).map_or(0, |m| m.class);
-                apart = apart.max(drift(before, [a, b], uv_of(&plan.classes[class].value), after));
-            }
+            let beyond = if side == keep {
+                Connectivity::next(seam_after(mesh, &self.is_seam, h))
+            } else {
+                seam_before(mesh, &self.is_seam, h)
+            };
+            let next = connectivity.edge(if side == keep { Connectivity::prev(beyond) } else { beyond });
+            let (kept, gone) = (uvs[keep], uvs[1 - keep]);
+            let wedge = self.wedges.of(beyond);
+            let far = if self.is_textured(wedge) { self.wedges.uv(wedge) } else { kept };
+            let before = self.drifts.of(edge).max(self.drifts.of(next));
+            let length2 =
+                distance2(mesh.point(connectivity.origin(beyond)), mesh.point(connectivity.ends(edge)[keep]));
+            Some(Run { next, drift: before + from_segment(gone, kept, far), length2 })
+        })
+    }
+
+    /// Find the seams around a vertex again: where a chart has vanished between two others, they may be one.
+    fn look_again(&mut self, connectivity: &Connectivity, v: VertexId) {
+        for (edge, _) in connectivity.spokes(v) {
+            self.is_seam[edge.index()] = self.wedges.is_seam(connectivity, edge);
         }
-        let own = self.drifts.of(star.edge);
-        for (drift, edge) in plan.drifts.iter_mut().zip(next) {
-            *drift = edge.map(|edge| (edge, own.max(self.drifts.of(edge)) + apart));
+        for (_, other) in connectivity.spokes(v) {
+            let seams = connectivity.spokes(other).filter(|(edge, _)| self.is_seam[edge.index()]).count();
+            self.seam_degree[other.index()] = seams as u32;
         }
-        let largest = plan.drifts.iter().flatten().map(|d| d.1).fold(own + apart, f64::max);
-        if largest > self.knobs.seam_drift { Err(Standing::Drift) } else { Ok(()) }
     }
 
     /// Whether a collapse would lay an edge between two tied vertices: another sheet may have that edge already.
@@ -664,13 +684,15 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
         self.shape[survivor.index()] = self.shape[a].sum(&self.shape[b]);
         self.common[survivor.index()] = self.common[a].with(self.common[b]);
         self.is_tied[survivor.index()] |= self.is_tied[a] || self.is_tied[b];
-        for (edge, drift) in plan.drifts.into_iter().flatten() {
-            self.drifts.set(edge, drift);
+        for run in plan.runs.into_iter().flatten() {
+            self.drifts.raise(run.next, run.drift);
         }
         for (kept, gone) in collapsed.merged.into_iter().flatten() {
             self.is_seam[kept.index()] |= self.is_seam[gone.index()];
-            let larger = self.drifts.of(kept).max(self.drifts.of(gone));
-            self.drifts.set(kept, larger);
+            self.drifts.raise(kept, self.drifts.of(gone));
+        }
+        if self.is_seam[star.edge.index()] {
+            self.look_again(connectivity, survivor);
         }
         let mut spokes = [0, 0];
         for (edge, _) in connectivity.spokes(survivor) {

@@ -111,21 +111,15 @@ pub fn seam_before(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeI
     at
 }
 
-/// Distance of `p` from the segment `a`–`b`.
-fn from_segment(p: Uv, a: Uv, b: Uv) -> f64 {
+/// Distance of `p` from the segment `a`–`b`. When the seam's vertex at `p` goes and what is left of it is that segment, no
+/// point of the old run is farther from the new one than this, nor one of the new from the old: matched end with end
+/// and `p` with the point nearest to it, both are straight between.
+pub fn from_segment(p: Uv, a: Uv, b: Uv) -> f64 {
     let (along, to_p) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
     let length2 = along[0] * along[0] + along[1] * along[1];
     let dot = along[0] * to_p[0] + along[1] * to_p[1];
     let t = if length2 > 0.0 { (dot / length2).clamp(0.0, 1.0) } else { 0.0 };
     (to_p[0] - t * along[0]).hypot(to_p[1] - t * along[1])
-}
-
-/// How far a run of a seam's image is from what it becomes, both ways, when its edge `a`–`b` shrinks to `n`: `before`
-/// and `after` are the seam's next points. Matching `a` and `b` with the points nearest to them on the new run, and `n`
-/// with that on the old, in this order, the largest of the three distances is the greatest of all, since between
-/// matched points both runs are straight.
-pub fn drift(before: Uv, [a, b]: [Uv; 2], n: Uv, after: Uv) -> f64 {
-    from_segment(a, before, n).max(from_segment(b, n, after)).max(from_segment(n, a, b))
 }
 
 /// What is recorded of seams: how far each edge's image is from what it was in the input, at the most.
@@ -143,8 +137,9 @@ impl Drifts {
         self.of_edge[edge.index()]
     }
 
-    pub fn set(&mut self, edge: EdgeId, drift: f64) {
-        self.of_edge[edge.index()] = drift;
+    pub fn raise(&mut self, edge: EdgeId, drift: f64) {
+        let own = &mut self.of_edge[edge.index()];
+        *own = own.max(drift);
         self.largest = self.largest.max(drift);
     }
 }

@@ -1,0 +1,229 @@
+"""Simplification of textured meshes, along their seams."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.centred import attributes_of
+from stages.color_weight import color_weight
+from stages.mesh import Mesh
+from stages.progress import Progress
+from stages.raycasting import bounding_box
+from stages.similar import default_similar_distance, similar_sets
+from stages.simplified import Simplified
+from stages.simplify_params import SimplifyParams
+
+Floats = NDArray[np.float64]
+
+# What the parameters of this method are if they are not given.
+_TEXTURE_WEIGHT = 1.0
+_NORMAL_WEIGHT = 1.0
+_ACROSS_TEXTURES = 0.5
+_ACROSS_PARTS = 0.5
+_VALENCE_PENALTY = 0.1
+_SET_PENALTY = 0.1
+_SHAPE_WEIGHT = 1.0
+
+
+def by_seams(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    """Simplify with method `seams`; see `simplify`.
+
+    Parameters
+    ----------
+    lock : (n,) bool, vertices that stay.
+    running : up to how many triangles, with a record or not, and what Ctrl-C does.
+    """
+    distance = params.similar_distance
+    if distance is None:
+        distance = default_similar_distance(mesh.vertices)
+    sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
+    low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+    origin = 0.5 * low + 0.5 * high
+    attributes = _attributes(mesh, positions, params, running)
+    texture = mesh.texture
+    count = len(mesh.triangles)
+    has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
+    found = _kernels.simplify_seams(
+        positions - origin,
+        sets,
+        mesh.triangles,
+        attributes.columns,
+        has_uvs,
+        np.full(count, -1, np.int32) if texture is None else texture.material_ids,
+        np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
+        lock if len(lock) else np.zeros(len(positions), bool),
+        knobs=_knobs(params, attributes.uv_scale),
+        running=running,
+        progress=progress,
+    )
+    moved = (found.vertices != (positions - origin)[found.vertex_source]).any(axis=1, keepdims=True)
+    vertices = np.where(moved, found.vertices + origin, positions[found.vertex_source])
+    return Simplified(
+        mesh=_as_mesh(mesh, vertices, found, attributes),
+        vertex_source=found.vertex_source,
+        triangle_source=found.triangle_source,
+        method="seams",
+        stopped_by=found.stopped_by,
+        refused=found.standing,
+        attribute_scale_m_per_level=attributes.color_scale,
+        splits=0,
+        collapses=found.collapses,
+        attempts=found.attempts,
+        triangles_before=count,
+        similar_distance_m=distance,
+        joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
+        texture_scale_m=attributes.uv_scale,
+        seam_drift=found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Attributes:
+    """Attributes of corners as lengths: (3 m, k) texture coordinates, colours, normals, and what each unit counts."""
+
+    columns: Floats
+    uv_scale: float
+    color_scale: float
+    normal_scale: float
+    has_uvs: bool
+    has_colors: bool
+    has_normals: bool
+
+    def split(self, corners: Floats) -> tuple[Floats | None, Floats | None, Floats | None]:
+        """Return texture coordinates, colours and normals of rows like those of `columns`, in their own units."""
+        uvs = colors = normals = None
+        if self.has_uvs:
+            uvs, corners = corners[:, :2] / self.uv_scale, corners[:, 2:]
+        if self.has_colors:
+            colors, corners = corners[:, :3] / self.color_scale, corners[:, 3:]
+        if self.has_normals:
+            normals = corners / self.normal_scale
+        return uvs, colors, normals
+
+
+def _attributes(mesh: Mesh, positions: Floats, params: SimplifyParams, running: _kernels.Running) -> _Attributes:
+    corners = mesh.triangles.reshape(-1)
+    columns: list[Floats] = []
+    uv_scale = color_scale = normal_scale = 0.0
+    texture = mesh.texture
+    if texture is not None and texture.has_uvs().any():
+        weight = _TEXTURE_WEIGHT if params.texture_weight is None else params.texture_weight
+        # A weight of 0 would leave no place for the coordinates.
+        uv_scale = max(weight, 1e-9) * _metres_per_image(mesh, positions)
+        columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
+    if mesh.colors is not None:
+        color_scale = params.attribute_scale or 0.0
+        if params.attribute_scale is None:
+            color_scale = color_weight(mesh, running.target_triangles, running.threads)
+        color_scale = max(color_scale, 1e-12)
+        columns.append(attributes_of(mesh)[corners] * color_scale)
+    normals = mesh.corner_normals.reshape(-1, 3) if mesh.corner_normals is not None else None
+    if normals is None and mesh.normals is not None:
+        normals = mesh.normals[corners]
+    if normals is not None:
+        weight = _NORMAL_WEIGHT if params.normal_weight is None else params.normal_weight
+        normal_scale = max(weight * _metres_per_normal(mesh, positions, running.target_triangles), 1e-12)
+        columns.append(normals * normal_scale)
+    return _Attributes(
+        columns=np.ascontiguousarray(np.hstack(columns)) if columns else np.zeros((len(corners), 0)),
+        uv_scale=uv_scale,
+        color_scale=color_scale,
+        normal_scale=normal_scale,
+        has_uvs=uv_scale > 0,
+        has_colors=mesh.colors is not None,
+        has_normals=normals is not None,
+    )
+
+
+def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
+    """Return the length on the surface that the image's side covers, in the mean over the surface's area."""
+    assert mesh.texture is not None
+    points, uvs = positions[mesh.triangles], mesh.texture.uvs
+    area = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1)
+    (ux, uy), (vx, vy) = (uvs[:, 1] - uvs[:, 0]).T, (uvs[:, 2] - uvs[:, 0]).T
+    in_image = np.abs(ux * vy - uy * vx)
+    if not in_image.sum() > 0:
+        # Every triangle has one texel: a palette. Any other colour is far away.
+        return float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
+    seen = in_image > 0
+    return float(np.sqrt(area[seen].sum() / in_image[seen].sum())) or 1.0
+
+
+def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
+    """Return the length that weighs as much as a difference of 1 of normals.
+
+    On a round surface, an edge of length e is about e² / 8r off in its middle, where the normal is e / 2r off a
+    linear one's: an eighth of the edges that will be left balances the two.
+    """
+    points = positions[mesh.triangles]
+    area = 0.5 * np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1).sum()
+    return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
+
+
+def _knobs(params: SimplifyParams, uv_scale: float) -> _kernels.SeamKnobs:
+    def given(value: float | None, default: float) -> float:
+        return default if value is None else value
+
+    drift = params.max_seam_drift
+    return _kernels.SeamKnobs(
+        across_materials=given(params.across_textures, _ACROSS_TEXTURES),
+        across_parts=given(params.across_parts, _ACROSS_PARTS),
+        valence=given(params.valence_penalty, _VALENCE_PENALTY),
+        wedges=given(params.set_penalty, _SET_PENALTY),
+        shape=given(params.shape_weight, _SHAPE_WEIGHT),
+        seam_drift=np.inf if drift is None else drift * uv_scale,
+    )
+
+
+def _as_mesh(mesh: Mesh, vertices: Floats, found: Any, attributes: _Attributes) -> Mesh:
+    """Return what the mesh has become, with coordinates, colours and normals of its corners."""
+    triangles, triangle_source = found.triangles, found.triangle_source
+    uvs, colors, normals = attributes.split(found.corners)
+    kept = found.corner_source >= 0
+    if uvs is not None and mesh.texture is not None:
+        uvs[kept] = mesh.texture.uvs.reshape(-1, 2)[found.corner_source[kept]]
+        uvs = uvs.reshape(-1, 3, 2)
+    levels = None
+    if colors is not None and mesh.colors is not None:
+        levels = np.rint(colors).clip(0, 255).astype(np.uint8)
+        levels[kept] = mesh.colors[mesh.triangles.reshape(-1)[found.corner_source[kept]]]
+        vertices, triangles, levels = _one_color_each(vertices, triangles, levels)
+    base = mesh.with_(vertices=vertices, colors=levels, normals=None)
+    light = base.with_triangles(triangles, triangle_source, uvs=uvs)
+    return light if normals is None else _with_normals(light, normals)
+
+
+def _one_color_each(
+    vertices: Floats, triangles: NDArray[np.int32], levels: NDArray[np.uint8]
+) -> tuple[Floats, NDArray[np.int32], NDArray[np.uint8]]:
+    """Double the vertices whose corners differ in colour."""
+    packed = levels.astype(np.int64) @ [1 << 16, 1 << 8, 1]
+    corners = triangles.reshape(-1).astype(np.int64)
+    key, first, inverse = np.unique(corners << 24 | packed, return_index=True, return_inverse=True)
+    again = inverse.reshape(-1, 3).astype(np.int32)
+    return vertices[key >> 24], again, levels[first]
+
+
+def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
+    """Give corners their normals, and vertices where all corners of one agree."""
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    unit = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    corners = mesh.triangles.reshape(-1)
+    of_vertex = np.zeros((len(mesh.vertices), 3))
+    of_vertex[corners] = unit
+    if np.allclose(of_vertex[corners], unit, atol=1e-9):
+        return mesh.with_(normals=of_vertex, corner_normals=None)
+    return mesh.with_(normals=None, corner_normals=unit.reshape(-1, 3, 3))
+
+
