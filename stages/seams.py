@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,12 @@ from stages.color_weight import color_weight
 from stages.mesh import Mesh
 from stages.progress import Progress
 from stages.raycasting import bounding_box
+from stages.seam_attributes import SeamAttributes, SeamState
+from stages.seam_record import LOGGED, SeamRecord
 from stages.similar import default_similar_distance, similar_sets
 from stages.simplified import Simplified
 from stages.simplify_params import SimplifyParams
+from stages.spatial_order import is_scattered, ordered, with_rows
 
 Floats = NDArray[np.float64]
 
@@ -44,13 +47,45 @@ def by_seams(
     lock : (n,) bool, vertices that stay.
     running : up to how many triangles, with a record or not, and what Ctrl-C does.
     """
+    # A record names the corners of the input all along.
+    run = _in_order if not running.record and is_scattered(mesh) else _as_it_is
+    return run(mesh, params, lock, running, progress)
+
+
+def _in_order(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    """Simplify a scattered mesh in an order that suits the caches; the result is in that of the input."""
+    order = ordered(mesh)
+    found = _as_it_is(order.mesh, params, lock[order.vertices] if len(lock) else lock, running, progress)
+    sources = order.vertices[found.vertex_source], order.triangles[found.triangle_source]
+    vertices, triangles = (np.argsort(source, kind="stable") for source in sources)
+    return replace(
+        found,
+        mesh=with_rows(found.mesh, vertices, triangles),
+        vertex_source=sources[0][vertices].astype(np.int32),
+        triangle_source=sources[1][triangles].astype(np.int32),
+    )
+
+
+def _as_it_is(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
     distance = params.similar_distance
     if distance is None:
         distance = default_similar_distance(mesh.vertices)
     sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
-    attributes = _attributes(mesh, positions, params, running)
+    attributes = _attributes(mesh, positions, origin, params, running)
     texture = mesh.texture
     count = len(mesh.triangles)
     has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
@@ -67,11 +102,21 @@ def by_seams(
         running=running,
         progress=progress,
     )
-    moved = (found.vertices != (positions - origin)[found.vertex_source]).any(axis=1, keepdims=True)
-    vertices = np.where(moved, found.vertices + origin, positions[found.vertex_source])
-    return Simplified(
-        mesh=_as_mesh(mesh, vertices, found, attributes),
+    left = SeamState(
+        places=found.vertices,
+        triangles=found.triangles,
+        corners=found.corners,
+        corner_source=found.corner_source,
         vertex_source=found.vertex_source,
+        triangle_source=found.triangle_source,
+    )
+    light, vertex_source = attributes.as_mesh(mesh, left)
+    record = None
+    if found.log is not None:
+        record = SeamRecord(mesh, attributes, **{name: getattr(found.log, name) for name in LOGGED})
+    return Simplified(
+        mesh=light,
+        vertex_source=vertex_source,
         triangle_source=found.triangle_source,
         method="seams",
         stopped_by=found.stopped_by,
@@ -81,6 +126,7 @@ def by_seams(
         collapses=found.collapses,
         attempts=found.attempts,
         triangles_before=count,
+        record=record,
         similar_distance_m=distance,
         joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
         texture_scale_m=attributes.uv_scale,
@@ -88,33 +134,12 @@ def by_seams(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Attributes:
-    """Attributes of corners as lengths: (3 m, k) texture coordinates, colours, normals, and what each unit counts."""
-
-    columns: Floats
-    uv_scale: float
-    color_scale: float
-    normal_scale: float
-    has_uvs: bool
-    has_colors: bool
-    has_normals: bool
-
-    def split(self, corners: Floats) -> tuple[Floats | None, Floats | None, Floats | None]:
-        """Return texture coordinates, colours and normals of rows like those of `columns`, in their own units."""
-        uvs = colors = normals = None
-        if self.has_uvs:
-            uvs, corners = corners[:, :2] / self.uv_scale, corners[:, 2:]
-        if self.has_colors:
-            colors, corners = corners[:, :3] / self.color_scale, corners[:, 3:]
-        if self.has_normals:
-            normals = corners / self.normal_scale
-        return uvs, colors, normals
-
-
-def _attributes(mesh: Mesh, positions: Floats, params: SimplifyParams, running: _kernels.Running) -> _Attributes:
+def _attributes(
+    mesh: Mesh, positions: Floats, origin: Floats, params: SimplifyParams, running: _kernels.Running
+) -> SeamAttributes:
+    """Return what the corners carry, each attribute in metres by its weight."""
     corners = mesh.triangles.reshape(-1)
-    columns: list[Floats] = []
+    columns: list[NDArray[np.floating[Any]]] = []
     uv_scale = color_scale = normal_scale = 0.0
     texture = mesh.texture
     if texture is not None and texture.has_uvs().any():
@@ -135,7 +160,9 @@ def _attributes(mesh: Mesh, positions: Floats, params: SimplifyParams, running: 
         weight = _NORMAL_WEIGHT if params.normal_weight is None else params.normal_weight
         normal_scale = max(weight * _metres_per_normal(mesh, positions, running.target_triangles), 1e-12)
         columns.append(normals * normal_scale)
-    return _Attributes(
+    return SeamAttributes(
+        origin=origin,
+        positions=positions,
         columns=np.ascontiguousarray(np.hstack(columns)) if columns else np.zeros((len(corners), 0)),
         uv_scale=uv_scale,
         color_scale=color_scale,
@@ -163,11 +190,13 @@ def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
 def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
     """Return the length that weighs as much as a difference of 1 of normals.
 
-    On a round surface, an edge of length e is about e² / 8r off in its middle, where the normal is e / 2r off a
-    linear one's: an eighth of the edges that will be left balances the two.
+    On a round surface of radius r, an edge of length e is e² / 8r off in its middle, and the normals of its
+    ends are e / r apart: an eighth of the length of the edges that will be left balances the two.
     """
     points = positions[mesh.triangles]
-    area = 0.5 * np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1).sum()
+    area = (
+        0.5 * np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1).sum()
+    )
     return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
 
 
@@ -184,46 +213,3 @@ def _knobs(params: SimplifyParams, uv_scale: float) -> _kernels.SeamKnobs:
         shape=given(params.shape_weight, _SHAPE_WEIGHT),
         seam_drift=np.inf if drift is None else drift * uv_scale,
     )
-
-
-def _as_mesh(mesh: Mesh, vertices: Floats, found: Any, attributes: _Attributes) -> Mesh:
-    """Return what the mesh has become, with coordinates, colours and normals of its corners."""
-    triangles, triangle_source = found.triangles, found.triangle_source
-    uvs, colors, normals = attributes.split(found.corners)
-    kept = found.corner_source >= 0
-    if uvs is not None and mesh.texture is not None:
-        uvs[kept] = mesh.texture.uvs.reshape(-1, 2)[found.corner_source[kept]]
-        uvs = uvs.reshape(-1, 3, 2)
-    levels = None
-    if colors is not None and mesh.colors is not None:
-        levels = np.rint(colors).clip(0, 255).astype(np.uint8)
-        levels[kept] = mesh.colors[mesh.triangles.reshape(-1)[found.corner_source[kept]]]
-        vertices, triangles, levels = _one_color_each(vertices, triangles, levels)
-    base = mesh.with_(vertices=vertices, colors=levels, normals=None)
-    light = base.with_triangles(triangles, triangle_source, uvs=uvs)
-    return light if normals is None else _with_normals(light, normals)
-
-
-def _one_color_each(
-    vertices: Floats, triangles: NDArray[np.int32], levels: NDArray[np.uint8]
-) -> tuple[Floats, NDArray[np.int32], NDArray[np.uint8]]:
-    """Double the vertices whose corners differ in colour."""
-    packed = levels.astype(np.int64) @ [1 << 16, 1 << 8, 1]
-    corners = triangles.reshape(-1).astype(np.int64)
-    key, first, inverse = np.unique(corners << 24 | packed, return_index=True, return_inverse=True)
-    again = inverse.reshape(-1, 3).astype(np.int32)
-    return vertices[key >> 24], again, levels[first]
-
-
-def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
-    """Give corners their normals, and vertices where all corners of one agree."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    unit = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    corners = mesh.triangles.reshape(-1)
-    of_vertex = np.zeros((len(mesh.vertices), 3))
-    of_vertex[corners] = unit
-    if np.allclose(of_vertex[corners], unit, atol=1e-9):
-        return mesh.with_(normals=of_vertex, corner_normals=None)
-    return mesh.with_(normals=None, corner_normals=unit.reshape(-1, 3, 3))
-
-

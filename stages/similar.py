@@ -30,8 +30,8 @@ def similar_sets(
 ) -> tuple[NDArray[np.int32], Vertices]:
     """Find the sets of similar vertices (Feng, Ni and Luo 2012, section 2.1).
 
-    Two vertices are similar if they are closer than `distance`, or a chain of such steps leads from one to the
-    other. The ends of an edge are not similar for being close.
+    Two vertices are similar if they are closer than `distance`, or a chain of such steps leads from one to
+    the other. The ends of an edge are not similar for being close.
 
     Parameters
     ----------
@@ -47,18 +47,51 @@ def similar_sets(
     UsageError
         If `distance` is so large that most of the mesh would be one.
     """
-    positions, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    label: NDArray[Any] = inverse.reshape(-1)
-    if distance > 0 and len(positions) > 1:
-        label = _joined(positions, label[triangles], distance)[label]
-    found, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    rank = np.empty(len(found), np.int64)
-    rank[np.argsort(first)] = np.arange(len(found))
-    sets = rank[inverse.reshape(-1)].astype(np.int32)
+    sets, first = _equal(vertices)
+    if distance == 0 or len(first) < 2:
+        return sets, vertices[first][sets]
+    joined = _joined(vertices[first], sets, triangles, distance)
+    if joined is None:
+        return sets, vertices[first][sets]
+    sets = _ranked(joined[sets])
     return sets, _means(vertices, sets)
 
 
-def _joined(positions: Vertices, triangles: NDArray[Any], distance: float) -> NDArray[Any]:
+def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:
+    """Return the set of equal vertices each one is in, and the first vertex of each set."""
+    # Adding 0 makes −0 equal to 0 to the bit.
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+        key = (mixed ^ (mixed >> np.uint64(29))).sum(axis=1)
+    sets = _ranked(key)
+    first = _firsts(sets)
+    if not np.array_equal(vertices[first][sets], vertices):
+        # Two positions with the same key.
+        sets = _ranked(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
+        first = _firsts(sets)
+    return sets, first
+
+
+def _ranked(labels: NDArray[Any]) -> NDArray[np.int32]:
+    """Return labels numbered from 0 in the order they first occur."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int32)
+    rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
+    return rank[inverse.reshape(-1)]
+
+
+def _firsts(sets: NDArray[np.int32]) -> NDArray[Any]:
+    """Return the first member of each set."""
+    first = np.empty(int(sets.max(initial=-1)) + 1, np.int64)
+    first[sets[::-1]] = np.arange(len(sets))[::-1]
+    return first
+
+
+def _joined(
+    positions: Vertices, sets: NDArray[np.int32], triangles: Triangles, distance: float
+) -> NDArray[Any] | None:
+    """Return a label for each of `positions`, one for those that are close; None if none are."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -70,8 +103,13 @@ def _joined(positions: Vertices, triangles: NDArray[Any], distance: float) -> ND
             f"similar_distance {distance:g} m is far more than the distance between vertices: "
             f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
         )
+    if pairs_in_all == 0:
+        return None
     pairs = tree.query_pairs(distance, output_type="ndarray")
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    close = np.zeros(count, bool)
+    close[pairs] = True
+    edges = sets[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    edges = np.sort(edges[close[edges].all(axis=1)], axis=1)
     pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
     links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     return np.asarray(connected_components(links, directed=False)[1])
@@ -81,8 +119,7 @@ def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
     size = np.bincount(sets)
     total = np.stack([np.bincount(sets, vertices[:, axis]) for axis in range(3)], axis=1)
     mean = (total / np.maximum(size, 1)[:, None])[sets]
-    one = np.empty((len(size), 3))
-    one[sets[::-1]] = vertices[::-1]
+    one = vertices[_firsts(sets)]
     # A set of equal vertices keeps their position to the bit, which a mean need not.
     uneven = np.zeros(len(size), bool)
     np.logical_or.at(uneven, sets, (vertices != one[sets]).any(axis=1))

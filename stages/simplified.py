@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stages.collapse_record import CollapseRecord
 from stages.edges import edges_of
 from stages.mesh import Mesh
+from stages.seam_record import SeamRecord
 
 # What only one of the methods has to tell.
 _FIGURES = {
@@ -54,15 +55,17 @@ class Simplified:
     mesh : Mesh
     vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    method : "quadric", "certified" or "jia01".
+    method : "quadric", "certified", "seams" or "jia01".
     stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
         "request" when the caller was content with less, "unproven" when the bounds cannot be proven: they do
         not even hold between the input and itself, as where sheets of different colours touch.
     refused : edges of the result by the rule that refused them last: "length", "shape", "texture" and "color"
         are bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
         between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
-        for a proof, "pinned" for an edge between two vertices that must stay. Edges whose turn had not come
-        are not counted.
+        for a proof, "seam" for an edge that would cut or join texture seams, "chart" for one that would turn
+        a triangle over in the image or take a texture coordinate out of its chart, "drift" for the bound
+        max_seam_drift, "pinned" for an edge between two vertices that must stay. Edges whose turn had not
+        come are not counted.
     attribute_scale_m_per_level : what was used.
     splits, collapses, attempts : edges split and collapsed; edges whose turn came, some repeatedly.
     triangles_before : triangles of the input.
@@ -104,7 +107,7 @@ class Simplified:
     attempts: int
     triangles_before: int
     fitted: bool = False
-    record: CollapseRecord | None = None
+    record: CollapseRecord | SeamRecord | None = None
     shape_bound: NDArray[np.float64] | None = None
     color_bound: NDArray[np.float64] | None = None
     shape_bound_m: float | None = None
@@ -135,7 +138,7 @@ class Simplified:
     def warnings(self) -> tuple[str, ...]:
         """What a person should know of the result, in plain sentences."""
         kept = self.refused.get("topology", 0) + self.refused.get("bridge", 0)
-        by_bounds = self.method != "quadric" and self.stopped_by != "triangles"
+        by_bounds = self.method not in ("quadric", "seams") and self.stopped_by != "triangles"
         # There are at least half as many edges as sides of triangles.
         if by_bounds or kept <= _CROWDED * 1.5 * len(self.mesh.triangles):
             return ()

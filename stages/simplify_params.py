@@ -77,10 +77,11 @@ class SimplifyParams:
         "auto",
         "quadric: to a number of triangles, with the least squared error of shape and colour. certified: as "
         "far as bounds on the distance and on the difference of colour are proven for every point, or to a "
-        "number of triangles within them. seams: to a number of triangles, with texture coordinates, "
-        "colours and normals of every corner, and no crack along their seams. jia01: within bounds on the summed change of shape and texture. "
-        "auto: jia01 with resolution or paper_rule, else certified with max_shape or max_texture, else "
-        "quadric with triangles or ratio, else jia01.",
+        "number of triangles within them. seams: to a number of triangles, with the texture coordinates, "
+        "colours and normals of every corner, and no crack along texture seams. jia01: within bounds on the "
+        "summed change of shape and texture. auto: jia01 with resolution or paper_rule, else certified with "
+        "max_shape or max_texture, else with triangles or ratio seams if the mesh is textured and quadric if "
+        "not, else jia01.",
         group=_HOW,
         choices=("auto", "quadric", "certified", "jia01", "seams"),
     )

@@ -312,55 +312,60 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         let places = ends.map(|v| *mesh.point(v));
         let shape = self.shape[ends[0].index()].sum(&self.shape[ends[1].index()]);
         plan.candidates.clear();
-        let mut add = |place: Vec3, keep: Option<usize>| {
-            plan.candidates.push(Candidate { place, keep, cost: 0.0, drift: 0.0 });
-        };
+        let has_image = plan.sides.iter().flatten().any(|&[wedge, _]| self.is_textured(wedge));
+        let mut wanted = [None; 4];
         if goes_to_first && goes_to_second {
             let middle = midpoint(&places[0], &places[1]);
-            let quadric = &plan.classes[0].quadric;
-            let best = if plan.is_plain {
-                quadric.minimum(&middle, TETHER).0
-            } else {
-                shape.minimum(&middle, TETHER).0
-            };
-            let has_image = plan.sides.iter().flatten().any(|&[wedge, _]| self.is_textured(wedge));
+            if plan.is_plain {
+                // No place is better; its ends are for where that one is not legal.
+                let best = plan.classes[0].quadric.minimum(&middle, TETHER).0;
+                plan.candidates.push(self.priced(mesh, edge, plan, best, None));
+                return Ok(());
+            }
+            let best = shape.minimum(&middle, TETHER).0;
             if on_seam && has_image {
-                add(best, Some(0));
-                add(best, Some(1));
+                wanted[..2].copy_from_slice(&[Some((best, Some(0))), Some((best, Some(1)))]);
             } else {
-                add(best, None);
+                wanted[0] = Some((best, None));
             }
         }
-        if goes_to_first {
-            add(places[0], Some(0));
-        }
-        if goes_to_second {
-            add(places[1], Some(1));
-        }
-        let length2 = distance2(&places[0], &places[1]);
-        let factor = self.penalty(ends, plan.members.len());
-        for i in 0..plan.candidates.len() {
-            let Candidate { place, keep, .. } = plan.candidates[i];
-            let exact = keep.is_some_and(|end| place == places[end]);
-            let mut cost = SHORTER_FIRST * shape.area * length2;
-            for class in plan.classes.iter().filter(|class| !(exact && class.is_only_at(keep))) {
-                cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
-            }
-            if !plan.is_plain {
-                cost += self.knobs.shape * shape.error(&place);
-            }
-            if let Some(end) = keep.filter(|_| on_seam) {
-                let (drift, area) =
-                    self.follow_seam(mesh, edge, plan.sides, end).fold((0f64, 0.0), |(most, area), run| {
-                        (most.max(run.drift), area + run.drift * run.drift * run.length2)
-                    });
-                plan.candidates[i].drift = drift;
-                cost += area;
-            }
-            plan.candidates[i].cost = factor * cost;
+        wanted[2] = goes_to_first.then_some((places[0], Some(0)));
+        wanted[3] = goes_to_second.then_some((places[1], Some(1)));
+        for (place, keep) in wanted.into_iter().flatten() {
+            plan.candidates.push(self.priced(mesh, edge, plan, place, keep));
         }
         plan.candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         if plan.candidates.is_empty() { Err(Standing::Seam) } else { Ok(()) }
+    }
+
+    /// A place for the edge's vertex, and what it costs.
+    fn priced(
+        &self,
+        mesh: &Mesh<3>,
+        edge: EdgeId,
+        plan: &Plan<K>,
+        place: Vec3,
+        keep: Option<usize>,
+    ) -> Candidate {
+        let ends = mesh.connectivity.ends(edge);
+        let places = ends.map(|v| mesh.point(v));
+        let exact = keep.filter(|&end| place == *places[end]);
+        let [a, b] = ends.map(|v| &self.shape[v.index()]);
+        let mut cost = SHORTER_FIRST * (a.area + b.area) * distance2(places[0], places[1]);
+        for class in plan.classes.iter().filter(|class| !class.is_only_at(exact)) {
+            cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
+        }
+        if !plan.is_plain {
+            cost += self.knobs.shape * (a.error(&place) + b.error(&place));
+        }
+        let mut drift: f64 = 0.0;
+        if let Some(end) = keep.filter(|_| self.is_seam[edge.index()]) {
+            for run in self.follow_seam(mesh, edge, plan.sides, end) {
+                drift = drift.max(run.drift);
+                cost += run.drift * run.drift * run.length2;
+            }
+        }
+        Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost, drift }
     }
 
     fn is_textured(&self, wedge: u32) -> bool {
@@ -436,17 +441,19 @@ impl<const D: usize, const K: usize> Seams<D, K> {
     fn value(&self, plan: &Plan<K>, class: &Class<K>, place: &Vec3, keep: Option<usize>) -> [f64; K] {
         let attributes = &self.wedges.attributes;
         let some = if class.at_end[0] != NONE { class.at_end[0] } else { class.at_end[1] };
-        let mut value = class.quadric.attributes_at(place, &class.value);
+        let mut value = class.quadric.attributes_at(place, &attributes[some as usize]);
         if !self.is_textured(some) {
             return value;
         }
         let uv = match keep {
             Some(end) if class.at_end[end] != NONE => Some(self.wedges.uv(class.at_end[end])),
             Some(end) => {
-                // A wedge of the other end alone differs by colour or normal only from one that meets the edge.
-                let meets =
-                    |side: &&[u32; 2]| self.wedges.is_same_place(side[1 - end], class.at_end[1 - end]);
-                plan.sides.iter().flatten().find(meets).map(|side| self.wedges.uv(side[end]))
+                // A wedge of the other end alone may differ by colour or normal only from one that meets the
+                // edge. Where it is in another chart, it stays at its place in there.
+                let own = class.at_end[1 - end];
+                let meets = |side: &&[u32; 2]| self.wedges.is_same_place(side[1 - end], own);
+                let beside = plan.sides.iter().flatten().find(meets).map(|side| side[end]);
+                Some(self.wedges.uv(beside.unwrap_or(own)))
             }
             None => {
                 let [a, b] = class.at_end;
@@ -477,9 +484,10 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
         for i in 0..plan.classes.len() {
             let class = plan.classes[i];
-            if !class.is_only_at(exact) {
-                plan.classes[i].value = self.value(plan, &class, &candidate.place, candidate.keep);
-            }
+            plan.classes[i].value = match exact.filter(|_| class.is_only_at(exact)) {
+                Some(end) => self.wedges.attributes[class.at_end[end] as usize],
+                None => self.value(plan, &class, &candidate.place, candidate.keep),
+            };
         }
         for wing in &star.wings {
             let v = star.ends[wing.end];
@@ -652,6 +660,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
                 if let Some(log) = &mut self.log {
                     log.changed.push(wedge as u32);
                     log.changed_to.push(class.value);
+                    log.changed_source.push(self.wedges.source[wedge]);
                     log.changed_when.push(log.removed.len() as u32);
                 }
             }
@@ -726,6 +735,29 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         plan: &mut Plan<K>,
     ) -> Result<Proposal<3, ()>, Standing> {
         self.plan(mesh, star.edge, plan)?;
+        let refusal = match self.first_legal(mesh, star, plan) {
+            Ok(proposal) => return Ok(proposal),
+            Err(refusal) => refusal,
+        };
+        if !plan.is_plain || star.end_stays != [false, false] {
+            return Err(refusal);
+        }
+        plan.candidates.clear();
+        for end in 0..2 {
+            let candidate = self.priced(mesh, star.edge, plan, star.end_points[end], Some(end));
+            plan.candidates.push(candidate);
+        }
+        plan.candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        self.first_legal(mesh, star, plan)
+    }
+
+    /// The cheapest candidate that is legal, first in the plan; or why the last one is not.
+    fn first_legal(
+        &self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        plan: &mut Plan<K>,
+    ) -> Result<Proposal<3, ()>, Standing> {
         let mut refusal = Standing::Fold;
         for i in 0..plan.candidates.len() {
             let candidate = plan.candidates[i];

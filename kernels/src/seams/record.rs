@@ -1,9 +1,9 @@
 //! The progressive record: all that has to be known to have the surface at any number of triangles.
 
-/// Collapses in their order. Collapse `i` merged `merged[i]` wedges and gave new values to `changed[i]`.
+/// Collapses in their order, and what each did to wedges.
 #[derive(Clone, Debug, Default)]
 pub struct Log<const K: usize> {
-    /// Vertices by the numbers of the input: which vanished, which took it in, and where that went.
+    /// Vertices by the numbers of `corner_vertex`: which vanished, which took it in, and where that went.
     pub removed: Vec<u32>,
     pub survivor: Vec<u32>,
     pub places: Vec<[f64; 3]>,
@@ -14,6 +14,8 @@ pub struct Log<const K: usize> {
     /// Wedges that took new attributes, and the collapse that gave them.
     pub changed: Vec<u32>,
     pub changed_to: Vec<[f64; K]>,
+    /// The corner of the input that has the same, if one has.
+    pub changed_source: Vec<u32>,
     pub changed_when: Vec<u32>,
     /// Wedge and vertex of each corner of the input; none in triangles that were left out.
     pub corner_wedge: Vec<u32>,
