@@ -74,7 +74,7 @@ class _Buffer:
 def write_gltf(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
 
-    Triangles are put in the order of parts and materials. Parts that share no vertices become nodes.
+    Triangles of one part and material are put together. Parts that share no vertices become nodes.
 
     Raises
     ------
@@ -156,7 +156,8 @@ def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Ro
     order = np.lexsort(keys[::-1])
     ordered = keys[:, order]
     begins = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).any(axis=0)) + 1
-    for chosen in np.split(order, begins):
+    # By their first triangles, so that a mesh whose groups lie together keeps its order.
+    for chosen in sorted(np.split(order, begins), key=lambda rows: int(rows[0])):
         yield int(keys[0, chosen[0]]), int(keys[1, chosen[0]]), chosen
 
 
@@ -179,7 +180,10 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     if columns:
         first = same_rows([*columns, corners])
         wedges = np.flatnonzero(first == np.arange(len(first)))
-        index = np.searchsorted(wedges, first)
+        # In the order of their vertices, which so come back in theirs.
+        order = np.argsort(corners[wedges], kind="stable")
+        index = np.argsort(order)[np.searchsorted(wedges, first)]
+        wedges = wedges[order]
         source = corners[wedges]
     elif chosen is None:
         wedges, index, source = np.zeros(0, np.int64), corners, np.arange(len(mesh.vertices))
@@ -213,7 +217,8 @@ def _positions(buffer: _Buffer, vertices: Floats) -> int:
 
 def _unit(normals: Floats) -> NDArray[np.float32] | None:
     """Return normals of unit length, as the format wants them; None if some have no length."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not (length > 0).all() or not np.isfinite(length).all():
         return None
     return np.where(abs(length - 1) > _UNIT, normals / length, normals).astype(np.float32)
