@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.merge import same_rows
-from stages.errors import StageError
+from stages.errors import MeshError, StageError
 from stages.formats.colors import linear_from_srgb
 from stages.formats.gltf_container import Tree
 from stages.formats.gltf_materials import MaterialWriter, multiplies_colors
@@ -31,6 +31,7 @@ _FLOAT, _SHORT, _INT, _BYTE = 5126, 5123, 5125, 5121
 _VERTICES, _INDICES = 34962, 34963  # what a buffer view is for
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _LARGEST = 1 << 32
+_LARGEST_FLOAT = float(np.finfo(np.float32).max)
 # A mesh this many times its size away from the origin loses digits that a move saves.
 _FAR = 4.0
 # Normals this close to unit length are written as they are.
@@ -80,6 +81,8 @@ def write_gltf(path: Path | str, mesh: Mesh) -> None:
     ------
     StageError
         If the system refuses to write, or the mesh is larger than a GLB file can be (4 GiB).
+    MeshError
+        If a vertex lies beyond what single precision holds.
     """
     path = Path(path)
     tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
@@ -95,6 +98,8 @@ def write_gltf(path: Path | str, mesh: Mesh) -> None:
 def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mesh) -> None:
     if len(mesh.triangles) == 0:
         return
+    if abs(mesh.vertices).max() > _LARGEST_FLOAT:
+        raise MeshError("vertices lie farther out than single precision can tell; write PLY.", "mesh")
     move = _move(mesh.vertices)
     mesh = mesh.with_(vertices=mesh.vertices - move)
     parts = np.full(len(mesh.triangles), -1, np.int32) if mesh.part_ids is None else mesh.part_ids
@@ -198,7 +203,7 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     if normals is not None and (unit := _unit(normals)) is not None:
         attributes["NORMAL"] = buffer.accessor(unit, "VEC3", _FLOAT, _VERTICES)
     if uvs is not None:
-        turned = uvs[wedges] * (1, -1) + (0, 1)
+        turned = (uvs[wedges] * (1, -1) + (0, 1)).clip(-_LARGEST_FLOAT, _LARGEST_FLOAT)
         attributes["TEXCOORD_0"] = buffer.accessor(turned.astype(np.float32), "VEC2", _FLOAT, _VERTICES)
     if mesh.colors is not None:
         shown = material is None or material.image is None or multiplies_colors(material)
