@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from stages.errors import InputError
+from stages.errors import InputError, MeshError
 from stages.formats.gltf import read_gltf
 from stages.formats.gltf_writer import write_gltf
 from stages.formats.image_bytes import encoded_png
@@ -355,6 +355,13 @@ def test_far_from_the_origin_digits_are_kept(tmp_path):
     back = read_gltf(tmp_path / "far.glb")
     moved = back.vertices[back.triangles] - mesh.vertices[mesh.triangles]
     assert abs(moved).max() < 1e-6
+
+
+def test_what_single_precision_cannot_hold_is_refused(tmp_path):
+    mesh = boxes().with_(vertices=boxes().vertices * 1e39)
+    with pytest.raises(MeshError, match="write PLY"):
+        write_gltf(tmp_path / "far.glb", mesh)
+    assert not list(tmp_path.iterdir())
 
 
 def test_images_of_other_kinds_are_written_as_png(tmp_path):
