@@ -85,7 +85,7 @@ def two_cubes(gap: float) -> Mesh:
     import trimesh
 
     box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide().subdivide()
-    vertices = np.concatenate([box.vertices, box.vertices + [1 + gap, 0, 0]])
+    vertices = np.concatenate([box.vertices, box.vertices + np.array([1 + gap, 0, 0])])
     triangles = np.concatenate([box.faces, box.faces + len(box.vertices)])
     parts = np.repeat([0, 1], len(box.faces)).astype(np.int32)
     return Mesh(vertices, triangles.astype(np.int32), part_ids=parts, part_names=("left", "right"))

@@ -55,7 +55,7 @@ def textured(name: str) -> Mesh:
 
 
 def assert_sound(light: Mesh, source: np.ndarray, mesh: Mesh) -> None:
-    """After welding: no open, crowded or doubled place the input did not have; in the image: nothing turned over."""
+    """Welded, it has no open, crowded or doubled place that the input has not; no image has turned over."""
     now, before = welded(light), welded(mesh)
     assert all(a <= b for a, b in zip(edge_counts(now), edge_counts(before), strict=True))
     assert overlapping(now) <= overlapping(before)
@@ -83,6 +83,7 @@ def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts
     result = simplify(mesh, method="seams", ratio=TEN[-1], record=True)
     assert isinstance(result.record, SeamRecord)
     for ratio in TEN:
+        # A collapse on a boundary takes one triangle, all others two.
         wanted = max(int(ratio * len(mesh.triangles)), len(result.mesh.triangles))
         replayed = result.record.replay(triangles=wanted)
         assert wanted - 1 <= len(replayed.mesh.triangles) <= wanted
@@ -228,7 +229,7 @@ def test_colours_that_differ_between_copies_stay_apart() -> None:
     assert set(map(tuple, result.mesh.colors.tolist())) == {(250, 20, 20), (20, 20, 250)}
     positions, counts = np.unique(result.mesh.vertices, axis=0, return_counts=True)
     assert counts.max() == 2
-    assert (positions[counts == 2][:, 1] == 4).all()
+    assert np.abs(positions[counts == 2][:, 1] - 4).max() < 0.01
 
 
 def test_normals_of_corners_follow_sharp_edges() -> None:
@@ -300,8 +301,8 @@ def test_similar_distance_joins_parts_that_only_touch() -> None:
 
 
 def test_a_penalty_puts_off_what_it_is_for() -> None:
-    mesh = wrapped_ball(bumps=0.1)
-    parts = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 0] > 0).astype(np.int32)
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+    parts = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
     halves = mesh.with_(part_ids=parts, part_names=("back", "front"))
 
     def left_on_border(**changes: Any) -> int:
@@ -314,13 +315,13 @@ def test_a_penalty_puts_off_what_it_is_for() -> None:
 
 
 def test_high_valence_is_put_off() -> None:
-    mesh = wrapped_ball(rings=6, sectors=64, bumps=0)
+    mesh = wrapped_ball(rings=40, sectors=40)
 
-    def most(**changes: Any) -> int:
-        light = simplify(mesh, method="seams", ratio=0.3, **changes).mesh
-        return int(np.bincount(welded(light).reshape(-1)).max())
+    def beyond_eight(**changes: Any) -> int:
+        light = simplify(mesh, method="seams", ratio=0.2, **changes).mesh
+        return int(np.maximum(np.bincount(welded(light).reshape(-1)) - 8, 0).sum())
 
-    assert most(valence_penalty=1e6) <= most(valence_penalty=0)
+    assert beyond_eight(valence_penalty=10) < beyond_eight(valence_penalty=0)
 
 
 def test_materials_are_borders() -> None:
@@ -383,10 +384,8 @@ def test_what_touches_in_many_sheets_is_left_whole() -> None:
     at = np.arange(n * n).reshape(n, n)
     squares = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=2).reshape(-1, 4)
     one = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
-    sheets = []
-    for angle in (0, 2, 4):
-        sheets.append(np.column_stack([x.ravel() * np.cos(angle), x.ravel() * np.sin(angle), y.ravel()]))
-    vertices = np.concatenate(sheets)
+    turned = [(x.ravel() * np.cos(angle), x.ravel() * np.sin(angle), y.ravel()) for angle in (0, 2, 4)]
+    vertices = np.concatenate([np.column_stack(sheet) for sheet in turned])
     triangles = np.concatenate([one + i * n * n for i in range(3)]).astype(np.int32)
     mesh = Mesh(vertices, triangles)
     result = simplify(mesh, method="seams", ratio=0.2)

@@ -13,8 +13,8 @@ use std::cell::RefCell;
 
 use super::Surface;
 use super::record::Log;
-use super::texture::{Charts, Drifts, Uv, from_segment, keeps_side, seam_after, seam_before};
-use super::wedges::{NONE, Wedges};
+use super::texture::{Charts, Drifts, from_segment, keeps_side, seam_after, seam_before};
+use super::wedges::{NONE, Wedges, seams, uv_of};
 use crate::connectivity::Connectivity;
 use crate::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::geometry::{Vec3, distance2, midpoint, position};
@@ -182,10 +182,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         const { assert!(D == K + 3) };
         let connectivity = &mesh.connectivity;
         let slots = connectivity.vertex_slots();
-        let wedges = Wedges::new(mesh, surface);
-        let is_seam: Vec<bool> = (0..connectivity.edge_slots())
-            .map(|e| wedges.is_seam(connectivity, EdgeId::from_index(e)))
-            .collect();
+        let is_seam = seams(mesh, surface);
+        let wedges = Wedges::new(mesh, surface, &is_seam);
         let mut quadrics = vec![Quadric::default(); wedges.attributes.len()];
         let mut shape = vec![Quadric::default(); slots];
         let mut common = vec![Common { material: None, part: None }; slots];
@@ -597,11 +595,6 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             v != kept && self.is_tied[v.index()] && star.vanishing.iter().all(|(_, apex, _)| *apex != v)
         })
     }
-}
-
-#[inline]
-fn uv_of<const K: usize>(value: &[f64; K]) -> Uv {
-    if K >= 2 { [value[0], value[1]] } else { [0.0; 2] }
 }
 
 impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {

@@ -1,5 +1,6 @@
-//! Wedges: runs of corners around a vertex with equal attributes (Hoppe, "New quadric metric for simplifying meshes with
-//! appearance attributes", 1999). A vertex inside a chart has one, one on a seam two or more.
+//! Charts, the seams between them, and wedges: runs of corners around a vertex with equal attributes in one chart (Hoppe,
+//! "New quadric metric for simplifying meshes with appearance attributes", 1999). A vertex inside a chart has one, one
+//! on a seam two or more.
 
 use super::Surface;
 use crate::connectivity::Connectivity;
@@ -9,6 +10,61 @@ use crate::mesh::Mesh;
 /// No corner of the input, no triangle.
 pub const NONE: u32 = u32::MAX;
 
+/// The corner of the input that a halfedge starts from.
+pub fn input_corner(mesh: &Mesh<3>, h: HalfedgeId) -> usize {
+    3 * mesh.triangle_source[h.index() / 3] as usize + (h.0 % 3) as usize
+}
+
+/// Which edges the surface's image is torn at: where texture coordinates or materials differ, and where it ends.
+pub fn seams<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>) -> Vec<bool> {
+    let connectivity = &mesh.connectivity;
+    let look = |h: HalfedgeId| {
+        let corner = input_corner(mesh, h);
+        let t = corner / 3;
+        let uv = if surface.textured[t] { uv_of(&surface.corners[corner]) } else { [0.0; 2] };
+        (surface.materials[t], surface.textured[t], uv)
+    };
+    let is_seam = |edge: EdgeId| {
+        let h = connectivity.halfedge(edge);
+        let twin = connectivity.twin(h);
+        twin.is_none()
+            || look(h) != look(Connectivity::next(twin))
+            || look(Connectivity::next(h)) != look(twin)
+    };
+    (0..connectivity.edge_slots()).map(|e| is_seam(EdgeId::from_index(e))).collect()
+}
+
+/// The chart of each triangle: triangles with no seam between are of one.
+pub fn charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
+    let mut chart = vec![NONE; connectivity.triangle_slots()];
+    let mut count = 0;
+    let mut open = vec![];
+    for start in 0..chart.len() {
+        if chart[start] != NONE {
+            continue;
+        }
+        chart[start] = count;
+        open.push(start);
+        while let Some(t) = open.pop() {
+            for h in (3 * t..3 * t + 3).map(HalfedgeId::from_index) {
+                let beyond = connectivity.twin(h).index() / 3;
+                if !is_seam[connectivity.edge(h).index()] && chart[beyond] == NONE {
+                    chart[beyond] = count;
+                    open.push(beyond);
+                }
+            }
+        }
+        count += 1;
+    }
+    chart
+}
+
+/// The first two attributes, where there are two.
+#[inline]
+pub fn uv_of<const K: usize>(attributes: &[f64; K]) -> [f64; 2] {
+    if K < 2 { [0.0; 2] } else { [attributes[0], attributes[1]] }
+}
+
 pub struct Wedges<const K: usize> {
     /// Wedge of each corner, by its halfedge.
     pub of_corner: Vec<u32>,
@@ -17,24 +73,25 @@ pub struct Wedges<const K: usize> {
     pub source: Vec<u32>,
     /// A triangle of the input whose image holds the texture coordinate.
     pub home: Vec<u32>,
-    pub material: Vec<i32>,
+    pub chart: Vec<u32>,
     pub is_textured: Vec<bool>,
 }
 
 impl<const K: usize> Wedges<K> {
-    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>) -> Self {
+    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>, is_seam: &[bool]) -> Self {
         let connectivity = &mesh.connectivity;
-        let input = |h: HalfedgeId| 3 * mesh.triangle_source[h.index() / 3] + h.0 % 3;
-        let look = |h: HalfedgeId| {
-            let corner = input(h) as usize;
-            (&surface.corners[corner], surface.materials[corner / 3], surface.textured[corner / 3])
+        let chart = charts(connectivity, is_seam);
+        let attributes = |h: HalfedgeId| &surface.corners[input_corner(mesh, h)];
+        // Whether a corner goes on with the wedge of the one before it, clockwise.
+        let goes_on = |h: HalfedgeId, before: HalfedgeId| {
+            !is_seam[connectivity.edge(h).index()] && attributes(h) == attributes(before)
         };
         let mut wedges = Self {
             of_corner: vec![NONE; 3 * connectivity.triangle_slots()],
             attributes: Vec::with_capacity(mesh.points.len()),
             source: Vec::with_capacity(mesh.points.len()),
             home: Vec::with_capacity(mesh.points.len()),
-            material: Vec::with_capacity(mesh.points.len()),
+            chart: Vec::with_capacity(mesh.points.len()),
             is_textured: Vec::with_capacity(mesh.points.len()),
         };
         let mut fan = vec![];
@@ -43,18 +100,17 @@ impl<const K: usize> Wedges<K> {
             fan.extend(connectivity.fan(v));
             // A closed fan begins where a wedge does.
             if !connectivity.is_boundary_vertex(v) {
-                let begin =
-                    (0..fan.len()).find(|&i| look(fan[i]) != look(fan[(i + fan.len() - 1) % fan.len()]));
+                let last = fan.len() - 1;
+                let begin = (0..=last).find(|&i| !goes_on(fan[i], fan[if i == 0 { last } else { i - 1 }]));
                 fan.rotate_left(begin.unwrap_or(0));
             }
             for (i, &h) in fan.iter().enumerate() {
-                if i == 0 || look(h) != look(fan[i - 1]) {
-                    let (attributes, material, is_textured) = look(h);
-                    wedges.attributes.push(*attributes);
-                    wedges.source.push(input(h));
+                if i == 0 || !goes_on(h, fan[i - 1]) {
+                    wedges.attributes.push(*attributes(h));
+                    wedges.source.push(input_corner(mesh, h) as u32);
                     wedges.home.push(h.0 / 3);
-                    wedges.material.push(material);
-                    wedges.is_textured.push(is_textured);
+                    wedges.chart.push(chart[h.index() / 3]);
+                    wedges.is_textured.push(surface.textured[input_corner(mesh, h) / 3]);
                 }
                 wedges.of_corner[h.index()] = wedges.attributes.len() as u32 - 1;
             }
@@ -70,19 +126,17 @@ impl<const K: usize> Wedges<K> {
     /// Texture coordinate of a wedge.
     #[inline]
     pub fn uv(&self, wedge: u32) -> [f64; 2] {
-        // Without room for a texture coordinate there is none.
-        if K < 2 { [0.0; 2] } else { self.attributes[wedge as usize][..2].try_into().unwrap_or_default() }
+        uv_of(&self.attributes[wedge as usize])
     }
 
-    /// Whether two wedges look alike where they meet: one image, one place in it.
+    /// Whether two wedges are at one place of one chart.
     #[inline]
     pub fn is_same_place(&self, a: u32, b: u32) -> bool {
         if a == b {
             return true;
         }
         let (i, j) = (a as usize, b as usize);
-        let alike = self.material[i] == self.material[j] && self.is_textured[i] == self.is_textured[j];
-        alike && (!self.is_textured[i] || self.uv(a) == self.uv(b))
+        self.chart[i] == self.chart[j] && (!self.is_textured[i] || self.uv(a) == self.uv(b))
     }
 
     /// Whether the surface's image is torn at an edge, or its material changes, or it ends.

@@ -36,7 +36,16 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
     let set_count = sets.iter().max().map_or(0, |&s| s as usize + 1);
     let corner = |h: u32| kept[h as usize / 3][h as usize % 3];
     let set = |h: usize| sets[corner(h as u32) as usize] as usize;
-    let (twins, torn) = twins(3 * kept.len(), set_count, |h| (set(h as usize) as u32, corner(h)));
+    let (mut twins, mut torn) = twins(3 * kept.len(), set_count, |h| (set(h as usize) as u32, corner(h)));
+    // Two triangles back to back are no surface.
+    let across = |h: HalfedgeId| set(Connectivity::prev(h).index());
+    for h in (0..twins.len()).map(HalfedgeId::from_index) {
+        let twin = twins[h.index()];
+        if twin.is_some() && across(h) == across(twin) {
+            [twins[h.index()], twins[twin.index()]] = [HalfedgeId::NONE; 2];
+            [torn[h.index()], torn[twin.index()]] = [true; 2];
+        }
+    }
 
     let (corner_vertex, vertex_count) = fans(&twins);
     let mut fan_of_set = vec![VertexId::NONE; set_count];
