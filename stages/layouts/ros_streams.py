@@ -14,7 +14,7 @@ from stages.formats import calibration
 from stages.formats.ros_pixels import is_color, is_depth
 from stages.formats.ros_recording import RosRecording
 from stages.layouts.ros_images import ros_images
-from stages.layouts.ros_topics import ImageTopic, between, camera_message, image_topics
+from stages.layouts.ros_topics import ImageTopic, between, camera_message, has_camera, image_topics
 from stages.layouts.streams import Stream, Streams, stated_depth_camera, unknown_place
 from stages.scan import Camera
 
@@ -58,13 +58,19 @@ def ros_streams(recording: RosRecording, options: ScanParams) -> Streams | None:
         return Streams(seen, None, scale, None, tuple(warnings))
     color = min(colors, key=lambda one: _unlikeness(one, depth))
     color_from_depth = None
-    if not _is_aligned(depth) and color.frame != depth.frame:
+    is_one_view = _is_aligned(depth) or color.frame == depth.frame
+    if not is_one_view:
         color_from_depth = between(recording, depth, color)
         if color_from_depth is None:
             warnings.append(unknown_place(depth.name, color.name))
     return Streams(
         seen,
-        Stream(ros_images(color.name, color.topic), _recorded_camera(recording, color)),
+        Stream(
+            ros_images(color.name, color.topic),
+            seen.camera
+            if is_one_view and not has_camera(recording, color)
+            else _recorded_camera(recording, color),
+        ),
         scale,
         color_from_depth,
         tuple(warnings),

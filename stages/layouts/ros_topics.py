@@ -78,6 +78,11 @@ def _image_topic(recording: RosRecording, name: str, topic: Messages) -> ImageTo
         return None
 
 
+def has_camera(recording: RosRecording, images: ImageTopic) -> bool:
+    """Say whether a `camera_info` stands beside a topic of images."""
+    return f"{images.place}/camera_info" in recording.topics
+
+
 def camera_message(recording: RosRecording, images: ImageTopic) -> CameraMessage:
     """Return the `camera_info` beside a topic of images.
 

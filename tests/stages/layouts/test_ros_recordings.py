@@ -233,3 +233,10 @@ def test_a_recording_of_other_messages_says_what_it_holds(tmp_path):
         file = Recording([], units=(), others=others).write_ros2(tmp_path / storage, storage)
         with pytest.raises(InputError, match=r"there are no depth images .*/weather"):
             read_scan(file)
+
+
+def test_colour_that_only_the_depth_has_a_camera_for(tmp_path):
+    bag = drivers("/cam/aligned_depth_to_color/image_raw", ["/cam/color/image_raw"])
+    bag.streams[1] = dataclasses.replace(bag.streams[1], intrinsics=None)
+    (frame,) = read_scan(bag.write_ros2(tmp_path / "take", "mcap"), complete=False).frames
+    assert frame.color_camera == frame.camera
