@@ -6,6 +6,7 @@ Depth is 16-bit millimetres or float metres, as ROS has it. Depth that is aligne
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,10 @@ if TYPE_CHECKING:
 # What the drivers of RealSense, Kinect and ZED call depth as the colour camera sees it.
 _ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb")
 _LIKE_OPENCV = ("plumb_bob", "rational_polynomial", "none", "")
+_FISHEYE = ("equidistant", "fisheye")
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+# A fisheye bends lines without coefficients, too.
+_UNBENT = (0.0, 0.0, 0.0, 0.0)
 # Grey images in 16 bits are depth only where the name says so: infrared has them too.
 _SURELY_DEPTH = ("16uc1", "32fc1")
 _NOT_DEPTH = ("infra", "/ir", "confidence", "disparity")
@@ -120,15 +124,19 @@ def _recorded_camera(recording: RosRecording, images: ImageTopic) -> Camera:
     is_rectified = images.is_rectified and message.projection.any()
     matrix = message.projection if is_rectified else message.matrix
     distortion = () if is_rectified or not any(message.distortion) else message.distortion
-    if distortion and message.model not in _LIKE_OPENCV:
+    is_fisheye = message.model in _FISHEYE and not is_rectified
+    if distortion and message.model not in (*_LIKE_OPENCV, *_FISHEYE):
         raise InputError(
-            f"the lens of {images.name} is described as {message.model[:40]!r}; plumb_bob and "
-            "rational_polynomial are known.",
+            f"the lens of {images.name} is described as {message.model[:40]!r}; plumb_bob, "
+            "rational_polynomial and equidistant are known.",
             recording.path,
         )
-    if len(distortion) not in _COEFFICIENTS:
+    if is_fisheye:
+        distortion = (message.distortion or _UNBENT)[: len(_UNBENT)]
+    if len(distortion) not in ((len(_UNBENT),) if is_fisheye else _COEFFICIENTS):
         raise InputError(
             f"the lens of {images.name} has {len(distortion)} coefficients, not 4, 5, 8, 12 or 14.",
             recording.path,
         )
-    return calibration.matrix_camera(matrix, distortion, message.width, message.height, recording.path)
+    camera = calibration.matrix_camera(matrix, distortion, message.width, message.height, recording.path)
+    return replace(camera, fisheye=is_fisheye)

@@ -131,9 +131,9 @@ def test_rectified_images_have_the_projection_as_camera(tmp_path):
 
 
 def test_a_ros_camera_that_is_not_known(tmp_path):
-    fish = ros_color(model="equidistant", distortion=(0.1, 0, 0, 0))
-    with pytest.raises(InputError, match="described as 'equidistant'"):
-        read_scan(ros_bag(color=fish).write(tmp_path / "take.bag"), complete=False)
+    odd = ros_color(model="ftheta", distortion=(0.1, 0, 0, 0))
+    with pytest.raises(InputError, match="described as 'ftheta'"):
+        read_scan(ros_bag(color=odd).write(tmp_path / "take.bag"), complete=False)
     file = ros_bag(ros_depth(intrinsics=None)).write(tmp_path / "take.bag")
     with pytest.raises(InputError, match=r"no /cam/depth/camera_info.*scan\.intrinsics"):
         read_scan(file, complete=False)
@@ -240,3 +240,13 @@ def test_colour_that_only_the_depth_has_a_camera_for(tmp_path):
     bag.streams[1] = dataclasses.replace(bag.streams[1], intrinsics=None)
     (frame,) = read_scan(bag.write_ros2(tmp_path / "take", "mcap"), complete=False).frames
     assert frame.color_camera == frame.camera
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"), [((0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4)), ((), (0, 0, 0, 0))]
+)
+def test_a_fisheye_colour_camera(tmp_path, said, expected):
+    fish = ros_color(model="equidistant", distortion=said)
+    (frame,) = read_scan(ros_bag(color=fish).write(tmp_path / "take.bag"), complete=False).frames
+    assert (frame.color_camera.fisheye, frame.color_camera.distortion) == (True, expected)
+    assert not frame.camera.fisheye
