@@ -1,6 +1,7 @@
 """Ordinary recordings of ROS 1 and 2: which topics are depth and colour, and where their cameras stand."""
 
 import dataclasses
+import struct
 
 import cv2
 import numpy as np
@@ -250,3 +251,22 @@ def test_a_fisheye_colour_camera(tmp_path, said, expected):
     (frame,) = read_scan(ros_bag(color=fish).write(tmp_path / "take.bag"), complete=False).frames
     assert (frame.color_camera.fisheye, frame.color_camera.distortion) == (True, expected)
     assert not frame.camera.fisheye
+
+
+def test_float_depth_that_is_compressed(tmp_path):
+    """What is stored of a depth z is A / z + B in 16 bits: 2 m is 1000 / 2 + 3 = 503; 0 is missing."""
+    stored = np.full((24, 32), 503, np.uint16)
+    stored[0, 0] = 0
+    data = struct.pack("<iff", 0, 1000, 3) + cv2.imencode(".png", stored)[1].tobytes()
+    images = [
+        Image(START, stored, "", compressed=("32FC1; compressedDepth png", data), frame="depth_optical")
+    ]
+    depth = ros_depth(images=images, topic="/image_raw/compressedDepth")
+    file = ros_bag(depth, links=LINKS).write_ros2(tmp_path / "take", "mcap")
+    (frame,) = read_scan(file, complete=False).frames
+    assert read_depth(frame)[17, 26] == 2
+    assert read_depth(frame)[0, 0] == 0
+    images[0].compressed = ("32FC1; compressedDepth png", data[12:])
+    (frame,) = read_scan(ros_bag(depth).write(tmp_path / "take.bag"), complete=False).frames
+    with pytest.raises(InputError, match="quantization is missing"):
+        read_depth(frame)
