@@ -122,8 +122,9 @@ def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any
     # What is stored is factor / depth + offset, 0 where depth is missing.
     with np.errstate(all="ignore"):
         inverse = stored.astype(np.float32) - np.float32(offset)
-        depth = np.float32(factor) / np.where(inverse > 0, inverse, np.float32(1))
-    return np.where((stored > 0) & (inverse > 0), depth, np.float32(0))
+        depth: NDArray[np.float32] = np.float32(factor) / np.where(inverse > 0, inverse, np.float32(1))
+    depth[(stored == 0) | ~(inverse > 0)] = 0
+    return depth
 
 
 def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint8]:
