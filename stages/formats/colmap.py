@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.formats import documents, trajectories
 from stages.formats.calibration import checked
+from stages.formats.fov_lens import fisheye_of_fov
 from stages.scan import MAX_PIXELS, Camera, Pose
 
 
@@ -47,7 +48,7 @@ _MODELS = (
     _Model("OPENCV", 8, (0, 1, 2, 3), (4, 5, 6, 7)),
     _Model("OPENCV_FISHEYE", 8, (0, 1, 2, 3), (4, 5, 6, 7), fisheye=True),
     _Model("FULL_OPENCV", 12, (0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
-    _Model("FOV", 5),
+    _Model("FOV", 5, (0, 1, 2, 3)),
     _Model("SIMPLE_RADIAL_FISHEYE", 4, (0, 0, 1, 2), (3, None, None, None), fisheye=True),
     _Model("RADIAL_FISHEYE", 5, (0, 0, 1, 2), (3, 4, None, None), fisheye=True),
     _Model("THIN_PRISM_FISHEYE", 12),
@@ -215,7 +216,8 @@ def _camera(
     fx, fy, cx, cy = (values[at] for at in model.matrix)
     bent = tuple(0.0 if at is None else values[at] for at in model.distortion)
     bent = bent if model.fisheye or any(bent) else ()
-    return checked(Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, bent, model.fisheye), path)
+    camera = checked(Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, bent, model.fisheye), path)
+    return fisheye_of_fov(camera, values[4], path) if model.name == "FOV" else camera
 
 
 def _view(

@@ -23,6 +23,7 @@ MODELS = {
     3: "RADIAL",
     4: "OPENCV",
     5: "OPENCV_FISHEYE",
+    7: "FOV",
     8: "SIMPLE_RADIAL_FISHEYE",
     9: "RADIAL_FISHEYE",
     10: "THIN_PRISM_FISHEYE",
@@ -184,6 +185,35 @@ def test_fisheye_models(workspace, number, values, distortion, write):
     assert (camera.distortion, camera.fisheye) == (distortion, True)
     stated = read_scan(workspace, ScanParams(intrinsics="90,91,15,11")).frames[0].camera
     assert (stated.fx, stated.distortion, stated.fisheye) == (90, distortion, True)
+
+
+@pytest.mark.parametrize("omega", [0.0, 0.6, 0.9, 1.1])
+def test_a_lens_of_the_fov_model(workspace, omega):
+    """The model's own equation says where it sees a point (0.1, 0.05, 1) and one far aside."""
+    write_text(workspace / "sparse", 7, (20, 22, 16.5, 12.5, omega))
+    camera = read_scan(workspace).frames[0].camera
+    for x, y in ((0.1, 0.05), (-0.5, 0.3)):
+        far = np.hypot(x, y)
+        bent = np.arctan(2 * far * np.tan(omega / 2)) / omega / far if omega else 1
+        expected = (20 * x * bent + 16, 22 * y * bent + 12)
+        if camera.fisheye:
+            point, still = np.array([[[x, y, 1.0]]]), np.zeros(3)
+            seen = cv2.fisheye.projectPoints(point, still, still, camera.matrix, np.array(camera.distortion))[
+                0
+            ].ravel()
+        else:
+            seen = camera.matrix[:2] @ (x, y, 1)
+        np.testing.assert_allclose(seen, expected, atol=0.01)
+    assert camera.fisheye == (omega > 0)
+
+
+@pytest.mark.parametrize("omega", [-1, 3.5, 2.9])
+def test_lenses_of_the_fov_model_that_cannot_be_read(workspace, omega):
+    write_text(workspace / "sparse", 7, (500, 500, 16.5, 12.5, omega))
+    path = workspace / "sparse" / "cameras.txt"
+    path.write_text(path.read_text().replace("32 24", "3200 2400").replace("16.5 12.5", "1600 1200"))
+    with pytest.raises(InputError, match=r"cameras\.txt.*FOV lens"):
+        read_scan(workspace)
 
 
 def test_a_fisheye_view_becomes_the_view_of_a_pinhole(workspace):
