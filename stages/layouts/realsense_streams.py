@@ -16,6 +16,7 @@ from stages.errors import InputError
 from stages.formats import calibration
 from stages.formats.ros_messages import CameraMessage
 from stages.formats.trajectories import inverted
+from stages.layouts.rigs import stated_rig
 from stages.layouts.streams import Images, Pair, Stream, Streams, stated_depth_camera, unknown_place
 from stages.scan import Camera, Pose
 
@@ -105,6 +106,9 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
             f"the recording holds no depth, only {names}. Record the depth stream too.", recording.path
         )
     left, right = (one.images for one in grey[:2])
+    stated = stated_rig(left, recording.path.parent, options)
+    if stated is not None:
+        return Pair(left, right, stated[0], tuple(stated[1]))
     cameras = [_recorded_camera(recording, one.name) for one in (left, right)]
     right_from_left = _between(recording, left.name, right.name)
     if right_from_left is None and options.baseline is None:

@@ -16,6 +16,7 @@ from stages.formats import calibration
 from stages.formats.ros_messages import CameraMessage
 from stages.formats.ros_pixels import is_color
 from stages.formats.ros_recording import RosRecording
+from stages.layouts.rigs import stated_rig
 from stages.layouts.ros_images import ros_images
 from stages.layouts.ros_topics import ImageTopic, between, camera_message, image_topics
 from stages.layouts.streams import Pair
@@ -40,9 +41,11 @@ def ros_pair(recording: RosRecording, options: ScanParams) -> Pair | None:
     if not couples:
         return None
     left, right = min(couples, key=_unlikeness)
-    warnings = () if len(couples) == 1 else (f"of {len(couples)} pairs of topics, {left.name} is used",)
+    warnings = [] if len(couples) == 1 else [f"of {len(couples)} pairs of topics, {left.name} is used"]
     first, second = (ros_images(one.name, one.topic) for one in (left, right))
-    return Pair(first, second, _rig(recording, left, right, options), warnings)
+    stated = stated_rig(first, recording.path.parent, options)
+    rig, said = stated or (_rig(recording, left, right, options), [])
+    return Pair(first, second, rig, (*warnings, *said))
 
 
 def _couples(found: Sequence[ImageTopic]) -> list[tuple[ImageTopic, ImageTopic]]:
@@ -63,10 +66,8 @@ def _unlikeness(couple: tuple[ImageTopic, ImageTopic]) -> tuple[bool, bool, bool
 
 
 def _rig(recording: RosRecording, left: ImageTopic, right: ImageTopic, options: ScanParams) -> StereoRig:
-    sides = dict(
-        zip(("left", "right"), (camera_message(recording, one) for one in (left, right)), strict=True)
-    )
-    first, second = sides.values()
+    first, second = (camera_message(recording, one) for one in (left, right))
+    sides = {"left": first, "right": second}
     is_rectified = left.is_rectified and bool(first.projection.any() and second.projection.any())
     document: dict[str, Any] = {"unit": "m"}
     if not second.projection[0, 3]:

@@ -100,3 +100,14 @@ def test_a_baseline_that_nothing_says(tmp_path):
         read_scan(file, complete=False)
     rig = read_scan(file, ScanParams(baseline=0.07), complete=False).rig
     np.testing.assert_allclose(rig.right_from_left[:3, 3], (-0.07, 0, 0))
+
+
+def test_what_is_stated_wins(tmp_path):
+    file = pair(tmp_path, {"intrinsics": None}, {"intrinsics": None})
+    with pytest.raises(InputError, match=r"no /cam/left/camera_info.*scan\.intrinsics"):
+        read_scan(file, complete=False)
+    rig = read_scan(file, ScanParams(intrinsics="80,81,15,11", baseline=0.07), complete=False).rig
+    assert (rig.left.fx, rig.right.fy, rig.baseline, rig.rectified) == (80, 81, 0.07, True)
+    (file.parent / "mine.json").write_text('{"fx": 70, "fy": 70, "cx": 15, "cy": 11, "baseline": 0.06}')
+    rig = read_scan(file, ScanParams(calibration="mine.json"), complete=False).rig
+    assert (rig.left.fx, rig.baseline) == (70, 0.06)
