@@ -19,7 +19,7 @@ from stages.errors import InputError, MeshError, ScanloomError, StageError, Usag
 from stages.fuse import Fused, FuseParams, fuse
 from stages.inspection import Inspection, inspect
 from stages.layouts import ScanParams, read_scan
-from stages.mesh import Mesh, Texture
+from stages.mesh import Mesh
 from stages.mesh_files import read_mesh, write_mesh
 from stages.normal_mesh import NormalMesh, Offsets, decode
 from stages.regions import Box, Sphere
@@ -28,6 +28,7 @@ from stages.remesh import RemeshParams, remesh
 from stages.render import View, render
 from stages.scan import Camera, Frame, Scan, StereoRig
 from stages.simplify import Simplified, SimplifyParams, simplify
+from stages.texture import Image, Material, Texture
 from stages.topology import Topology, topology
 from stages.viewpoints import viewpoints
 from stages.views import views_depth
@@ -47,8 +48,10 @@ __all__ = [
     "Frame",
     "FuseParams",
     "Fused",
+    "Image",
     "InputError",
     "Inspection",
+    "Material",
     "Mesh",
     "MeshError",
     "MeshLike",

@@ -1,7 +1,8 @@
 """Meshes of other libraries in and out, without loss, and without importing a library nobody used.
 
-What each class can hold: Open3D's legacy class has everything; its tensor class one texture image;
-trimesh texture coordinates per vertex only, so vertices on seams are duplicated on the way out.
+What each class can hold: Open3D's legacy class has all but parts, normals of corners and what materials say
+beside their images; its tensor class one texture image; trimesh texture coordinates per vertex only, so
+vertices on seams are duplicated on the way out.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.errors import MeshError
-from stages.formats.colors import to_uint8
-from stages.mesh import Mesh, Texture, validated
+from stages.formats.colors import linear_from_srgb, srgb_from_linear, to_uint8
+from stages.mesh import Mesh, validated
+from stages.texture import Image, Material, Texture
 
 # Open3D's and trimesh's classes cannot be named here without importing the libraries.
 MeshLike: TypeAlias = Mesh | tuple[ArrayLike, ArrayLike] | Any
@@ -124,7 +126,8 @@ def _texture(
     uvs: NDArray[Any], material_ids: NDArray[Any] | None, images: tuple[NDArray[np.uint8], ...]
 ) -> Texture:
     ids = np.zeros(len(uvs), np.int32) if material_ids is None else material_ids.reshape(-1).astype(np.int32)
-    return Texture(uvs.astype(np.float64), np.where((ids >= 0) & (ids < len(images)), ids, -1), images)
+    materials = tuple(Material(image=Image(given=image)) for image in images)
+    return Texture(uvs.astype(np.float64), np.where((ids >= 0) & (ids < len(images)), ids, -1), materials)
 
 
 def _from_unit(colors: NDArray[Any]) -> NDArray[np.uint8]:
@@ -156,10 +159,10 @@ def to_open3d(mesh: Mesh) -> Any:
         result.vertex.normals = o3d.core.Tensor(mesh.normals)
     if mesh.texture is not None:
         result.triangle.texture_uvs = o3d.core.Tensor(mesh.texture.uvs)
-        result.triangle.material_ids = o3d.core.Tensor(mesh.texture.material_ids)
+        result.triangle.material_ids = o3d.core.Tensor(_image_ids(mesh.texture))
         if mesh.texture.images:
             result.material.set_default_properties()
-            image = np.ascontiguousarray(mesh.texture.images[0])
+            image = np.ascontiguousarray(mesh.texture.images[0].pixels)
             result.material.texture_maps["albedo"] = o3d.t.geometry.Image(o3d.core.Tensor(image))
     return result
 
@@ -178,10 +181,17 @@ def to_open3d_legacy(mesh: Mesh) -> Any:
         result.vertex_normals = o3d.utility.Vector3dVector(mesh.normals)
     if mesh.texture is not None:
         result.triangle_uvs = o3d.utility.Vector2dVector(mesh.texture.uvs.reshape(-1, 2))
-        result.triangle_material_ids = o3d.utility.IntVector(mesh.texture.material_ids)
-        flipped = (np.ascontiguousarray(image[::-1]) for image in mesh.texture.images)
+        result.triangle_material_ids = o3d.utility.IntVector(_image_ids(mesh.texture))
+        flipped = (np.ascontiguousarray(image.pixels[::-1]) for image in mesh.texture.images)
         result.textures = [o3d.geometry.Image(image) for image in flipped]
     return result
+
+
+def _image_ids(texture: Texture) -> NDArray[np.int32]:
+    """Return (m,) which of `texture.images` each triangle takes its colours from; -1 for none."""
+    numbers = {id(image): number for number, image in enumerate(texture.images)}
+    of_material = [numbers.get(id(material.image), -1) for material in texture.materials]
+    return np.array([*of_material, -1], np.int32)[texture.material_ids]
 
 
 def to_trimesh(mesh: Mesh) -> Any:
@@ -205,7 +215,7 @@ def to_trimesh(mesh: Mesh) -> Any:
 
 def _textured_trimesh(mesh: Mesh, trimesh: Any) -> Any:
     assert mesh.texture is not None
-    from PIL import Image
+    from PIL.Image import fromarray
 
     uvs = mesh.texture.uvs.reshape(-1, 2)
     corners = mesh.triangles.reshape(-1)
@@ -213,7 +223,7 @@ def _textured_trimesh(mesh: Mesh, trimesh: Any) -> Any:
         np.column_stack((corners, uvs)), axis=0, return_index=True, return_inverse=True
     )
     source = corners[first]
-    material = trimesh.visual.material.SimpleMaterial(image=Image.fromarray(mesh.texture.images[0]))
+    material = trimesh.visual.material.SimpleMaterial(image=fromarray(mesh.texture.images[0].pixels))
     return trimesh.Trimesh(
         mesh.vertices[source],
         wedge_of_corner.reshape(-1, 3),
@@ -226,37 +236,85 @@ def _textured_trimesh(mesh: Mesh, trimesh: Any) -> Any:
 def with_vertex_colors(mesh: Mesh) -> Mesh:
     """Return the mesh with its texture turned into vertex colours; unchanged if it has no texture.
 
-    Each textured corner samples its image bilinearly (the image repeats beyond its edges); a vertex takes
-    the mean of its corners, which differ along seams only. Vertices without a textured corner keep their
-    colour, or become grey if there is none.
+    Each textured corner samples its image bilinearly, beyond its edges as the material says, times the base
+    colour; a vertex takes the mean of its corners, which differ along seams only. Where there is no image,
+    vertices keep their colour, else take the base colour of their material, else become grey. A mesh
+    whose materials say nothing of colours gets none. A note names an image that cannot be decoded.
     """
-    if mesh.texture is None:
+    texture = mesh.texture
+    if texture is None:
         return mesh
-    if not mesh.texture.images:
-        return mesh.with_(texture=None)
     count = len(mesh.vertices)
-    colors = np.full((count, 3), _UNTEXTURED, np.uint8) if mesh.colors is None else mesh.colors.copy()
     sums, corners_of = np.zeros((count, 3)), np.zeros(count)
-    for number, image in enumerate(mesh.texture.images):
-        chosen = mesh.texture.material_ids == number
-        corners = mesh.triangles[chosen].reshape(-1)
-        samples = _bilinear(image[..., :3], mesh.texture.uvs[chosen].reshape(-1, 2))
-        corners_of += np.bincount(corners, minlength=count)
-        for channel in range(3):
-            sums[:, channel] += np.bincount(corners, samples[:, channel], minlength=count)
-    textured = corners_of > 0
-    colors[textured] = np.rint(sums[textured] / corners_of[textured, None]).astype(np.uint8)
-    return mesh.with_(colors=colors, texture=None)
+    notes = list(mesh.notes)
+    has_uvs = texture.has_uvs()
+    for number, material in enumerate(texture.materials):
+        chosen = texture.material_ids == number
+        for rows, image in ((chosen & has_uvs, material.image), (chosen & ~has_uvs, None)):
+            samples = _corner_colors(material, image, texture.uvs[rows].reshape(-1, 2), notes)
+            if samples is None or (image is None and mesh.colors is not None):
+                continue
+            corners = mesh.triangles[rows].reshape(-1)
+            corners_of += np.bincount(corners, minlength=count)
+            for channel in range(3):
+                sums[:, channel] += np.bincount(corners, samples[:, channel], minlength=count)
+    colored = corners_of > 0
+    colors = mesh.colors
+    if colored.any():
+        colors = np.full((count, 3), _UNTEXTURED, np.uint8) if colors is None else colors.copy()
+        colors[colored] = np.rint(sums[colored] / corners_of[colored, None]).astype(np.uint8)
+    return mesh.with_(colors=colors, texture=None, notes=tuple(notes))
 
 
-def _bilinear(image: NDArray[np.uint8], uvs: NDArray[np.float64]) -> NDArray[np.float64]:
+def _corner_colors(
+    material: Material, image: Image | None, uvs: NDArray[np.float64], notes: list[str]
+) -> NDArray[np.float64] | None:
+    """Return (k, 3) colours 0..255 at texture coordinates (k, 2); None if nothing is known of them."""
+    if image is not None and len(uvs):
+        try:
+            samples = _bilinear(image.pixels[..., :3], uvs, material.wrap)
+        except MeshError as error:
+            notes.append(str(error))
+        else:
+            return samples if material.base_color is None else _times(samples, material.base_color[:3])
+    if material.base_color is None:
+        return None
+    return np.tile(np.array(material.base_color[:3]) * 255, (len(uvs), 1))
+
+
+def _times(samples: NDArray[np.float64], factor: tuple[float, ...]) -> NDArray[np.float64]:
+    if min(factor) == max(factor) == 1:
+        return samples
+    return 255 * srgb_from_linear(linear_from_srgb(samples / 255) * linear_from_srgb(np.array(factor)))
+
+
+def _bilinear(
+    image: NDArray[np.uint8], uvs: NDArray[np.float64], wrap: tuple[str, str]
+) -> NDArray[np.float64]:
     height, width = image.shape[:2]
     # Pixel centres lie at half texels, and v counts from the bottom.
-    x = (uvs[:, 0] % 1) * width - 0.5
-    y = (1 - uvs[:, 1]) % 1 * height - 0.5
-    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = (x - left)[:, None], (y - top)[:, None]
-    columns, rows = (left % width, (left + 1) % width), (top % height, (top + 1) % height)
+    columns, fx = _texels(uvs[:, 0], width, wrap[0])
+    rows, fy = _texels(1 - uvs[:, 1], height, wrap[1])
     upper = image[rows[0], columns[0]] * (1 - fx) + image[rows[0], columns[1]] * fx
     lower = image[rows[1], columns[0]] * (1 - fx) + image[rows[1], columns[1]] * fx
     return np.asarray(upper * (1 - fy) + lower * fy)
+
+
+def _texels(
+    at: NDArray[np.float64], count: int, way: str
+) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]]:
+    """Return the texels around places in units of the image, and the share (k, 1) of the second."""
+    # Brought near first: the places may be as far off as numbers go.
+    place = at.clip(-1, 2) if way == "clamp" else at % (2 if way == "mirror" else 1)
+    place = place * count - 0.5
+    first = np.floor(place).astype(np.int64)
+    return (_inside(first, count, way), _inside(first + 1, count, way)), (place - first)[:, None]
+
+
+def _inside(index: NDArray[np.int64], count: int, way: str) -> NDArray[np.int64]:
+    if way == "clamp":
+        return index.clip(0, count - 1)
+    if way == "mirror":
+        index = index % (2 * count)
+        return np.minimum(index, 2 * count - 1 - index)
+    return index % count

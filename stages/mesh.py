@@ -9,26 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import MeshError
+from stages.texture import Image, Material, Texture, rows_or, validated_texture
+
+__all__ = ["Colors", "Image", "Material", "Mesh", "Texture", "Triangles", "Vertices", "validated"]
 
 Vertices = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 Colors = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, eq=False)
-class Texture:
-    """Texture coordinates and images of a mesh.
-
-    Attributes
-    ----------
-    uvs : (m, 3, 2) float64, per corner; (0, 0) is the lower left corner of the image.
-    material_ids : (m,) int32, which image each triangle takes its colours from; -1 for none.
-    images : tuple of (h, w, 3) or (h, w, 4) uint8 arrays, RGB(A), top row first.
-    """
-
-    uvs: NDArray[np.float64]
-    material_ids: NDArray[np.int32]
-    images: tuple[NDArray[np.uint8], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +28,11 @@ class Mesh:
     triangles : (m, 3) int32, counter-clockwise seen from outside.
     colors : (n, 3) uint8 RGB, or None.
     normals : (n, 3) float64 unit vertex normals, or None.
-    texture : see Texture, or None.
+    texture : texture coordinates per corner and a material per triangle; see Texture, or None.
+    corner_normals : (m, 3, 3) float64 unit normals of the corners, or None. Given where those of a vertex
+        differ, as along sharp edges, 0 where a corner has none; `normals` is then None or holds means.
+    part_ids : (m,) int32 into `part_names`, -1 for none; or None. Objects and groups of OBJ, nodes of glTF.
+    part_names : of the parts; names may repeat.
     """
 
     vertices: Vertices
@@ -49,12 +40,46 @@ class Mesh:
     colors: Colors | None = None
     normals: NDArray[np.float64] | None = None
     texture: Texture | None = None
+    corner_normals: NDArray[np.float64] | None = None
+    part_ids: NDArray[np.int32] | None = None
+    part_names: tuple[str, ...] = ()
     # What a reader met on the way and a person should know: a missing image, polygons that were split.
     notes: tuple[str, ...] = field(default=())
 
     def with_(self, **changes: Any) -> Mesh:
-        """Return the same mesh with some fields replaced."""
+        """Return the same mesh with some fields replaced; other triangles need `with_triangles`."""
         return replace(self, **changes)
+
+    def with_triangles(
+        self,
+        triangles: Triangles,
+        source: NDArray[Any],
+        *,
+        uvs: NDArray[np.float64] | None = None,
+        corner_normals: NDArray[np.float64] | None = None,
+    ) -> Mesh:
+        """Return the mesh with other triangles, which keep the material, part and corners they come from.
+
+        Parameters
+        ----------
+        triangles : (k, 3) int32.
+        source : (k,) the triangle each one is or lies on, -1 for new ones, which have no material, texture
+            coordinates or part; or a mask (m,) of those that stay.
+        uvs : (k, 3, 2), corner_normals : (k, 3, 3), where the corners are not those of `source`; of no effect
+            if the mesh has none. Without them normals of the corners of new triangles are 0.
+        """
+        texture, part_ids = self.texture, self.part_ids
+        if self.corner_normals is None:
+            corner_normals = None
+        elif corner_normals is None:
+            corner_normals = rows_or(self.corner_normals, source, 0.0)
+        return replace(
+            self,
+            triangles=triangles,
+            texture=None if texture is None else texture.rows(source, uvs),
+            corner_normals=corner_normals,
+            part_ids=None if part_ids is None else rows_or(part_ids, source, -1),
+        )
 
 
 def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
@@ -80,22 +105,32 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
     if normals is not None:
         normals = _array(normals, np.float64, (3,), "normals", where)
         _require_count(normals, len(vertices), "normals", where)
-    texture = None if mesh.texture is None else _texture(mesh.texture, len(triangles), where)
-    return mesh.with_(vertices=vertices, triangles=triangles, colors=colors, normals=normals, texture=texture)
+    texture, corner_normals, part_ids = mesh.texture, mesh.corner_normals, mesh.part_ids
+    if texture is not None:
+        texture = validated_texture(texture, len(triangles), where)
+    if corner_normals is not None:
+        corner_normals = _array(corner_normals, np.float64, (3, 3), "corner normals", where)
+        _require_count(corner_normals, len(triangles), "corner normals", where, "triangles")
+    if part_ids is not None:
+        part_ids = _part_ids(part_ids, len(triangles), len(mesh.part_names), where)
+    return mesh.with_(
+        vertices=vertices,
+        triangles=triangles,
+        colors=colors,
+        normals=normals,
+        texture=texture,
+        corner_normals=corner_normals,
+        part_ids=part_ids,
+    )
 
 
-def _texture(texture: Texture, triangle_count: int, where: str) -> Texture:
-    uvs = _array(texture.uvs, np.float64, (3, 2), "texture coordinates", where)
-    material_ids = np.asarray(texture.material_ids)
-    if len(uvs) != triangle_count or material_ids.shape != (triangle_count,):
-        raise MeshError(
-            f"there are {len(uvs)} × 3 texture coordinates and {material_ids.size} material indices "
-            f"for {triangle_count} triangles.",
-            where,
-        )
-    if ((material_ids < -1) | (material_ids >= len(texture.images))).any():
-        raise MeshError(f"a material index is beyond the {len(texture.images)} texture images.", where)
-    return Texture(uvs, material_ids.astype(np.int32), texture.images)
+def _part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> NDArray[np.int32]:
+    array = np.asarray(data)
+    if array.shape != (triangle_count,) or array.dtype.kind not in "iu":
+        raise MeshError(f"there are {array.size} part indices for {triangle_count} triangles.", where)
+    if ((array < -1) | (array >= part_count)).any():
+        raise MeshError(f"a part index is beyond the {part_count} part names.", where)
+    return np.ascontiguousarray(array, np.int32)
 
 
 def _array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: str) -> Any:
@@ -139,6 +174,6 @@ def _require_finite(vertices: Vertices, name: str, where: str) -> None:
         )
 
 
-def _require_count(array: NDArray[Any], count: int, name: str, where: str) -> None:
+def _require_count(array: NDArray[Any], count: int, name: str, where: str, of: str = "vertices") -> None:
     if len(array) != count:
-        raise MeshError(f"there are {len(array)} {name} for {count} vertices.", where)
+        raise MeshError(f"there are {len(array)} {name} for {count} {of}.", where)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -66,13 +66,8 @@ def with_rows(mesh: Mesh, vertices: Rows, triangles: Rows) -> Mesh:
     # take is several times as fast as brackets.
     number = np.empty(len(vertices), np.int32)
     number[vertices] = np.arange(len(vertices), dtype=np.int32)
-    texture = mesh.texture
-    if texture is not None:
-        texture = replace(texture, uvs=texture.uvs[triangles], material_ids=texture.material_ids[triangles])
-    return mesh.with_(
+    return mesh.with_triangles(number.take(mesh.triangles.take(triangles, axis=0)), triangles).with_(
         vertices=mesh.vertices.take(vertices, axis=0),
-        triangles=number.take(mesh.triangles.take(triangles, axis=0)),
         colors=None if mesh.colors is None else mesh.colors.take(vertices, axis=0),
         normals=None if mesh.normals is None else mesh.normals.take(vertices, axis=0),
-        texture=texture,
     )

@@ -80,26 +80,40 @@ def _split_neighbours(traced: Traced, flat: Ids) -> Traced:
     v = triangles[cap, (halfedge % 3 + 2) % 3]
     columns = (other[:, None] % 3 + np.arange(3)) % 3
     p, q, w = np.take_along_axis(triangles[neighbour], columns, axis=1).T
-    uvs = None
-    if traced.mesh.texture is not None:
-        uvs = traced.mesh.texture.uvs.copy()
-        corner = np.take_along_axis(uvs[neighbour], columns[..., None], axis=1)
-        middle = _between(traced.mesh.vertices, p, q, v, corner)
-        uvs[neighbour] = np.stack((corner[:, 0], middle, corner[:, 2]), axis=1)
-        uvs[cap] = np.stack((middle, corner[:, 1], corner[:, 2]), axis=1)
+    mesh = traced.mesh
+    share = _share(mesh.vertices, p, q, v)
+    split = (cap, neighbour, columns, share)
+    uvs = None if mesh.texture is None else _split_corners(mesh.texture.uvs, *split)
+    corner_normals = None
+    if mesh.corner_normals is not None:
+        corner_normals = _split_corners(mesh.corner_normals, *split, unit=True)
     triangles[neighbour] = np.stack((p, v, w), axis=1)
     triangles[cap] = np.stack((v, q, w), axis=1)
     origin = np.arange(count)
     origin[cap] = neighbour
-    return traced.with_triangles(triangles.astype(np.int32), uvs, origin).keep(keep)
+    return traced.with_triangles(triangles.astype(np.int32), origin, uvs, corner_normals).keep(keep)
 
 
-def _between(vertices: Vertices, p: Ids, q: Ids, v: Ids, corner: Vertices) -> Vertices:
-    """Return the texture coordinate of v, which lies between p and q."""
+def _split_corners(
+    values: Vertices, cap: Ids, neighbour: Ids, columns: Ids, share: Vertices, *, unit: bool = False
+) -> Vertices:
+    """Return values per corner after the split; at v lies what lies between those at p and q."""
+    values = values.copy()
+    corner = np.take_along_axis(values[neighbour], columns[..., None], axis=1)
+    middle = corner[:, 0] * (1 - share) + corner[:, 1] * share
+    if unit:
+        length = np.linalg.norm(middle, axis=-1, keepdims=True)
+        middle /= np.where(length == 0, 1, length)
+    values[neighbour] = np.stack((corner[:, 0], middle, corner[:, 2]), axis=1)
+    values[cap] = np.stack((middle, corner[:, 1], corner[:, 2]), axis=1)
+    return values
+
+
+def _share(vertices: Vertices, p: Ids, q: Ids, v: Ids) -> Vertices:
+    """Return (k, 1) how far v, which lies between p and q, is on the way from p."""
     from_p = np.linalg.norm(vertices[v] - vertices[p], axis=1, keepdims=True)
     from_q = np.linalg.norm(vertices[v] - vertices[q], axis=1, keepdims=True)
-    share = from_p / (from_p + from_q)
-    return np.asarray(corner[:, 0] * (1 - share) + corner[:, 1] * share)
+    return np.asarray(from_p / (from_p + from_q))
 
 
 def _edge_lengths(vertices: Vertices, triangles: Triangles | Ids) -> Vertices:

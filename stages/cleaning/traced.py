@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.edges import Ids
-from stages.mesh import Mesh, Texture, Triangles
+from stages.mesh import Mesh, Triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,28 +34,32 @@ class Traced:
         """Drop the triangles that are not chosen."""
         if chosen.all():
             return self
-        texture = self.mesh.texture
-        if texture is not None:
-            texture = Texture(texture.uvs[chosen], texture.material_ids[chosen], texture.images)
-        mesh = self.mesh.with_(triangles=self.mesh.triangles[chosen], texture=texture)
+        mesh = self.mesh.with_triangles(self.mesh.triangles[chosen], chosen)
         return replace(self, mesh=mesh, triangle_source=self.triangle_source[chosen])
 
-    def with_triangles(self, triangles: Triangles, uvs: NDArray[np.float64] | None, origin: Ids) -> Traced:
+    def with_triangles(
+        self,
+        triangles: Triangles,
+        origin: Ids,
+        uvs: NDArray[np.float64] | None,
+        corner_normals: NDArray[np.float64] | None,
+    ) -> Traced:
         """Replace the triangles; row i is, or lies on, what was row origin[i], whose material it keeps."""
-        texture = self.mesh.texture
-        if texture is not None and uvs is not None:
-            texture = Texture(uvs, texture.material_ids[origin], texture.images)
-        mesh = self.mesh.with_(triangles=triangles, texture=texture)
+        mesh = self.mesh.with_triangles(triangles, origin, uvs=uvs, corner_normals=corner_normals)
         return replace(self, mesh=mesh, triangle_source=self.triangle_source[origin])
 
     def flip(self, chosen: NDArray[np.bool_]) -> Traced:
         """Turn the chosen triangles over."""
         order = np.where(chosen[:, None], [0, 2, 1], [0, 1, 2])
         triangles = np.take_along_axis(self.mesh.triangles, order, axis=1)
-        uvs = None
-        if self.mesh.texture is not None:
-            uvs = np.take_along_axis(self.mesh.texture.uvs, order[..., None], axis=1)
-        return self.with_triangles(triangles, uvs, np.arange(len(triangles)))
+        mesh = self.mesh
+        uvs = None if mesh.texture is None else mesh.texture.uvs
+        corner_normals = mesh.corner_normals
+        if uvs is not None:
+            uvs = np.take_along_axis(uvs, order[..., None], axis=1)
+        if corner_normals is not None:
+            corner_normals = np.take_along_axis(corner_normals, order[..., None], axis=1)
+        return self.with_triangles(triangles, np.arange(len(triangles)), uvs, corner_normals)
 
     def unite(self, representative: Ids) -> Traced:
         """Let each vertex be replaced by its representative in all triangles."""
@@ -85,14 +89,8 @@ class Traced:
 
     def extend(self, triangles: Triangles) -> Traced:
         """Add triangles that lie on no original one; they carry no texture."""
-        texture = self.mesh.texture
-        if texture is not None:
-            texture = Texture(
-                np.concatenate((texture.uvs, np.zeros((len(triangles), 3, 2)))),
-                np.concatenate((texture.material_ids, np.full(len(triangles), -1, np.int32))),
-                texture.images,
-            )
-        mesh = self.mesh.with_(triangles=np.concatenate((self.mesh.triangles, triangles)), texture=texture)
+        source = np.concatenate((np.arange(len(self.mesh.triangles)), np.full(len(triangles), -1)))
+        mesh = self.mesh.with_triangles(np.concatenate((self.mesh.triangles, triangles)), source)
         new = np.full(len(triangles), -1, np.int64)
         return replace(self, mesh=mesh, triangle_source=np.concatenate((self.triangle_source, new)))
 

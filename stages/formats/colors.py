@@ -24,3 +24,16 @@ def to_uint8(values: NDArray[Any]) -> NDArray[np.uint8]:
     if values.dtype.kind == "f" and numbers.size and numbers.max() <= 1:
         numbers *= 255
     return np.rint(np.clip(numbers, 0, 255)).astype(np.uint8)
+
+
+def linear_from_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how much light displayed values 0..1 stand for (IEC 61966-2-1)."""
+    low = np.clip(values, 0, 1)
+    return np.where(low <= 0.04045, low / 12.92, ((low + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_from_linear(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverse of `linear_from_srgb`."""
+    low = np.clip(values, 0, 1)
+    # Written so that 1 stays 1.
+    return np.where(low <= 0.0031308, low * 12.92, 1 - 1.055 * (1 - low ** (1 / 2.4)))

@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from stages.clean import clean
 from stages.convert import to_open3d, to_trimesh
 from stages.errors import MeshError, UsageError
-from stages.mesh import Mesh, Texture
+from stages.mesh import Mesh
 from stages.mesh_files import read_mesh
+from stages.texture import Image, Material, Texture
 from stages.topology import topology
 
-IMAGES = (np.zeros((2, 2, 3), np.uint8), np.ones((2, 2, 3), np.uint8))
+MATERIALS = (Material("wood"), Material("stone", Image(given=np.ones((2, 2, 3), np.uint8))))
 
 
 def grid(rows: int = 6, columns: int = 6, *, height: float = 0.0) -> Mesh:
@@ -222,7 +223,7 @@ def test_a_cap_is_removed_by_splitting_its_neighbour(turned):
     if turned:
         triangles[3] = triangles[3, ::-1]
     uvs = vertices[triangles][..., :2] / 2
-    mesh = Mesh(vertices, triangles, texture=Texture(uvs, np.array([0, 0, 0, 1]), IMAGES))
+    mesh = Mesh(vertices, triangles, texture=Texture(uvs, np.array([0, 0, 0, 1]), MATERIALS))
     result = clean(mesh)
     assert_clean(result.mesh)
     found = topology(result.mesh)
@@ -321,7 +322,7 @@ def test_normals_and_texture_stay_with_their_corners():
     texture = Texture(
         rng.random((len(mesh.triangles), 3, 2)),
         rng.integers(0, 2, len(mesh.triangles)).astype(np.int32),
-        IMAGES,
+        MATERIALS,
     )
     normals = np.tile([0.0, 0.0, 1.0], (len(mesh.vertices), 1))
     turned = mesh.triangles.copy()

@@ -8,7 +8,8 @@ import pytest
 
 from stages import convert
 from stages.errors import MeshError
-from stages.mesh import Mesh, Texture
+from stages.mesh import Mesh
+from stages.texture import Image, Material, Texture
 
 
 def random_mesh(seed: int = 0, *, normals: bool = True) -> Mesh:
@@ -28,7 +29,10 @@ def textured(mesh: Mesh, images: int = 1) -> Mesh:
     texture = Texture(
         uvs=rng.random((count, 3, 2)),
         material_ids=rng.integers(0, images, count).astype(np.int32),
-        images=tuple(rng.integers(0, 256, (5, 7, 3)).astype(np.uint8) for _ in range(images)),
+        materials=tuple(
+            Material(image=Image(given=rng.integers(0, 256, (5, 7, 3)).astype(np.uint8)))
+            for _ in range(images)
+        ),
     )
     return mesh.with_(texture=texture)
 
@@ -48,7 +52,7 @@ def assert_same(actual: Mesh, expected: Mesh) -> None:
         np.testing.assert_array_equal(actual.texture.uvs, expected.texture.uvs)
         np.testing.assert_array_equal(actual.texture.material_ids, expected.texture.material_ids)
         for a, b in zip(actual.texture.images, expected.texture.images, strict=True):
-            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(a.pixels, b.pixels)
 
 
 WAYS = (convert.to_open3d, convert.to_open3d_legacy, convert.to_trimesh)
@@ -82,7 +86,7 @@ def test_trimesh_keeps_each_corner_of_a_texture():
     np.testing.assert_array_equal(back.vertices[back.triangles], mesh.vertices[mesh.triangles])
     np.testing.assert_array_equal(back.normals[back.triangles], mesh.normals[mesh.triangles])
     np.testing.assert_array_equal(back.texture.uvs, mesh.texture.uvs)
-    np.testing.assert_array_equal(back.texture.images[0], mesh.texture.images[0])
+    np.testing.assert_array_equal(back.texture.images[0].pixels, mesh.texture.images[0].pixels)
 
 
 def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
@@ -90,14 +94,14 @@ def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
     from stages.formats.textures import read_texture
 
     folder = shared_data / "meshes" / "fuze"
-    image = read_texture(folder / "fuze uv.jpg")
+    image = read_texture(folder, "fuze uv.jpg", []).pixels
     read = open3d().io.read_triangle_mesh(str(folder / "fuze.obj"), True)
-    np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0], image)
+    np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0].pixels, image)
     # Before 0.20 its tensor reader leaves textures of OBJ files out.
     if tuple(map(int, open3d().__version__.split(".")[:2])) < (0, 20):
         return
     read = open3d().t.io.read_triangle_mesh(str(folder / "fuze.obj"))
-    np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0], image)
+    np.testing.assert_array_equal(convert.as_mesh(read).texture.images[0].pixels, image)
 
 
 def test_conversion_copies():
@@ -156,7 +160,7 @@ def test_vertex_colors_from_texture_read_pixel_centres():
     mesh = Mesh(
         np.eye(7)[:, :3],
         np.array([[0, 1, 2], [3, 4, 5]], np.int32),
-        texture=Texture(uvs, np.zeros(2, np.int32), (image,)),
+        texture=Texture(uvs, np.zeros(2, np.int32), (Material(image=Image(given=image)),)),
     )
     colored = convert.with_vertex_colors(mesh)
     assert colored.texture is None
@@ -165,7 +169,7 @@ def test_vertex_colors_from_texture_read_pixel_centres():
 
 def test_vertex_colors_keep_what_has_no_texture():
     mesh = textured(random_mesh())
-    texture = Texture(mesh.texture.uvs, np.full(len(mesh.triangles), -1, np.int32), mesh.texture.images)
+    texture = Texture(mesh.texture.uvs, np.full(len(mesh.triangles), -1, np.int32), mesh.texture.materials)
     np.testing.assert_array_equal(convert.with_vertex_colors(mesh.with_(texture=texture)).colors, mesh.colors)
     plain = random_mesh()
     assert convert.with_vertex_colors(plain) is plain
