@@ -43,8 +43,8 @@ class SeamAttributes:
     ----------
     origin : (3,) float64, metres; places count from there.
     positions : (n, 3) float64, metres, of the vertices, equal for those that are one.
-    columns : (3 m, k) float64, metres: texture coordinates (2), colours (3) and normals (3) of each corner,
-        those of them that are there.
+    columns : (3 m, k) float64, metres: texture coordinates (2, zeros if there are none), colours (3) and normals
+        (3) of each corner, if they are there.
     uv_scale, color_scale, normal_scale : metres for the image's side, a level, and a length of 1.
     has_uvs, has_colors, has_normals : which of them are there.
     """
@@ -61,13 +61,10 @@ class SeamAttributes:
 
     def split(self, corners: Floats) -> tuple[Floats | None, Floats | None, Floats | None]:
         """Return texture coordinates, colours and normals of rows like those of `columns`, in their units."""
-        uvs = colors = normals = None
-        if self.has_uvs:
-            uvs, corners = corners[:, :2] / self.uv_scale, corners[:, 2:]
-        if self.has_colors:
-            colors, corners = corners[:, :3] / self.color_scale, corners[:, 3:]
-        if self.has_normals:
-            normals = corners / self.normal_scale
+        uvs = corners[:, :2] / self.uv_scale if self.has_uvs else None
+        others = corners[:, 2:]
+        colors = others[:, :3] / self.color_scale if self.has_colors else None
+        normals = others[:, -3:] / self.normal_scale if self.has_normals else None
         return uvs, colors, normals
 
     def as_mesh(self, mesh: Mesh, left: SeamState) -> tuple[Mesh, Ids]:

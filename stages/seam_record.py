@@ -236,7 +236,7 @@ def _require_sound(record: SeamRecord, path: Path) -> None:
     """Refuse a record whose collapses cannot have taken place on its mesh."""
     corners, collapses = 3 * len(record.mesh.triangles), len(record.removed)
     attributes, columns = record.attributes, record.attributes.columns.shape[-1]
-    wanted = 2 * attributes.has_uvs + 3 * attributes.has_colors + 3 * attributes.has_normals
+    wanted = 2 + 3 * attributes.has_colors + 3 * attributes.has_normals
     merged, changed = len(record.wedge_removed), len(record.changed)
     shapes: dict[str, tuple[NDArray[Any], type, tuple[int, ...]]] = {
         "origin": (attributes.origin, np.float64, (3,)),

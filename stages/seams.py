@@ -147,6 +147,8 @@ def _attributes(
         # A weight of 0 would leave no place for the coordinates.
         uv_scale = max(weight, 1e-9) * _metres_per_image(mesh, positions)
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
+    else:
+        columns.append(np.zeros((len(corners), 2)))
     if mesh.colors is not None:
         color_scale = params.attribute_scale or 0.0
         if params.attribute_scale is None:
@@ -163,7 +165,7 @@ def _attributes(
     return SeamAttributes(
         origin=origin,
         positions=positions,
-        columns=np.ascontiguousarray(np.hstack(columns)) if columns else np.zeros((len(corners), 0)),
+        columns=np.ascontiguousarray(np.hstack(columns)),
         uv_scale=uv_scale,
         color_scale=color_scale,
         normal_scale=normal_scale,

@@ -87,7 +87,7 @@ pub fn simplify<const D: usize, const K: usize>(
         let input = surface.triangles[welded.triangle_source[h / 3] as usize][h % 3];
         points[v.index()] = surface.points[input as usize];
         vertex_source[v.index()] = input;
-        if welded.is_tied[v.index()] || surface.fixed[input as usize] {
+        if welded.tie[v.index()] != weld::UNTIED || surface.fixed[input as usize] {
             pins[v.index()] = Pin::Fixed;
         }
     }
@@ -98,7 +98,7 @@ pub fn simplify<const D: usize, const K: usize>(
         triangle_source: welded.triangle_source,
         pins,
     };
-    let measure = Seams::<D, K>::new(&mesh, &surface, welded.is_tied, knobs, record);
+    let measure = Seams::<D, K>::new(&mesh, &surface, welded.tie, knobs, record);
     let mut engine = Engine::new(mesh, measure);
     let mut stop = Stop::Exhausted;
     // Told in a hundred steps, so that the loop itself stays as it is.

@@ -73,7 +73,8 @@ pub struct SeamLog {
 }
 
 /// Simplify a mesh whose vertices are doubled along seams. `sets` (n,) says which vertices are one; `corners` (3 m, k)
-/// are the attributes of the corners as lengths, the texture coordinate first where triangles are `textured` (m,).
+/// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
+/// then three or six more.
 #[pyfunction]
 #[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, fixed, *, knobs, running, progress))]
 #[allow(clippy::too_many_arguments)]
@@ -120,13 +121,10 @@ pub fn simplify_seams(
     };
     let (knobs, running) = (knobs.0, &*running);
     match corners.as_array().ncols() {
-        0 => light.simplify::<3, 0>(py, &corners, knobs, running, &progress),
         2 => light.simplify::<5, 2>(py, &corners, knobs, running, &progress),
-        3 => light.simplify::<6, 3>(py, &corners, knobs, running, &progress),
         5 => light.simplify::<8, 5>(py, &corners, knobs, running, &progress),
-        6 => light.simplify::<9, 6>(py, &corners, knobs, running, &progress),
         8 => light.simplify::<11, 8>(py, &corners, knobs, running, &progress),
-        k => Err(PyValueError::new_err(format!("{k} attributes a corner; 0, 2, 3, 5, 6 or 8 are known"))),
+        k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
     }
 }
 

@@ -15,6 +15,7 @@ use super::Surface;
 use super::record::Log;
 use super::texture::{Charts, Drifts, from_segment, keeps_side, seam_after, seam_before};
 use super::wedges::{NONE, Wedges, seams, uv_of};
+use super::weld::UNTIED;
 use crate::connectivity::Connectivity;
 use crate::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::geometry::{Vec3, distance2, midpoint, position};
@@ -142,20 +143,26 @@ impl<const K: usize> Default for Plan<K> {
     }
 }
 
-/// What the triangles around a vertex have in common.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-struct Common {
-    material: Option<i32>,
-    part: Option<i32>,
+/// Materials, or parts, that differ.
+const SEVERAL: i32 = i32::MIN;
+
+/// What is looked at together of a vertex, and kept together for it.
+#[derive(Clone, Copy, Debug)]
+struct Spot {
+    /// The wedge of all its corners, or none.
+    only: u32,
+    /// Its seam and boundary edges.
+    seam_degree: u32,
+    valence: u32,
+    /// Of all triangles around it, or [`SEVERAL`].
+    material: i32,
+    part: i32,
 }
 
-impl Common {
-    fn with(self, other: Self) -> Self {
-        Self {
-            material: self.material.filter(|_| self.material == other.material),
-            part: self.part.filter(|_| self.part == other.part),
-        }
-    }
+/// What two have in common.
+#[inline]
+fn common(a: i32, b: i32) -> i32 {
+    if a == b { a } else { SEVERAL }
 }
 
 pub struct Seams<const D: usize, const K: usize> {
@@ -163,14 +170,11 @@ pub struct Seams<const D: usize, const K: usize> {
     wedges: Wedges<K>,
     shape: Vec<Quadric<0>>,
     quadrics: Vec<Quadric<K>>,
-    /// The wedge of all corners of a vertex, or none.
-    only: Vec<u32>,
+    spots: Vec<Spot>,
     is_seam: Vec<bool>,
-    /// Seam and boundary edges of each vertex.
-    seam_degree: Vec<u32>,
-    valence: Vec<u32>,
-    common: Vec<Common>,
-    is_tied: Vec<bool>,
+    /// The set of each vertex that must stay with others; see [`super::weld`].
+    tie: Vec<u32>,
+    has_ties: bool,
     charts: Charts,
     drifts: Drifts,
     plan: RefCell<Plan<K>>,
@@ -178,7 +182,7 @@ pub struct Seams<const D: usize, const K: usize> {
 }
 
 impl<const D: usize, const K: usize> Seams<D, K> {
-    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>, is_tied: Vec<bool>, knobs: Knobs, record: bool) -> Self {
+    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>, tie: Vec<u32>, knobs: Knobs, record: bool) -> Self {
         const { assert!(D == K + 3) };
         let connectivity = &mesh.connectivity;
         let slots = connectivity.vertex_slots();
@@ -186,11 +190,11 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         let wedges = Wedges::new(mesh, surface, &is_seam);
         let mut quadrics = vec![Quadric::default(); wedges.attributes.len()];
         let mut shape = vec![Quadric::default(); slots];
-        let mut common = vec![Common { material: None, part: None }; slots];
-        let mut seen = vec![false; slots];
+        let nothing = Spot { only: NONE, seam_degree: 0, valence: 0, material: SEVERAL, part: SEVERAL };
+        let mut spots = vec![nothing; slots];
         for t in connectivity.triangles() {
             let source = mesh.triangle_source[t.index()] as usize;
-            let own = Common { material: Some(surface.materials[source]), part: Some(surface.parts[source]) };
+            let (material, part) = (surface.materials[source], surface.parts[source]);
             let halfedges = [0, 1, 2].map(|i| HalfedgeId(3 * t.0 + i));
             let points = halfedges.map(|h| {
                 let place = mesh.point(connectivity.origin(h));
@@ -203,11 +207,16 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 let v = connectivity.origin(h).index();
                 quadrics[wedges.of(h) as usize].add(&quadric);
                 shape[v].add(&plane);
-                common[v] = if seen[v] { common[v].with(own) } else { own };
-                seen[v] = true;
+                let spot = &mut spots[v];
+                let is_first = h == connectivity.outgoing[v];
+                (spot.material, spot.part) = if spot.valence == 0 {
+                    (material, part)
+                } else {
+                    (common(spot.material, material), common(spot.part, part))
+                };
+                spot.valence += 1 + u32::from(is_first && connectivity.twin(h).is_none());
             }
         }
-        let mut seam_degree = vec![0; slots];
         for edge in connectivity.edges().filter(|e| is_seam[e.index()]) {
             let first = connectivity.halfedge(edge);
             let ends = connectivity.ends(edge);
@@ -216,13 +225,11 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 let [a, b] = ends.map(|v| mesh.point(v));
                 ends.iter().for_each(|v| shape[v.index()].add_wall(WALL, [a, b, across]));
             }
-            ends.iter().for_each(|v| seam_degree[v.index()] += 1);
+            ends.iter().for_each(|v| spots[v.index()].seam_degree += 1);
         }
-        let only = (0..slots).map(VertexId::from_index).map(|v| match connectivity.outgoing[v.index()] {
-            HalfedgeId::NONE => NONE,
-            _ => wedges.only(connectivity, v).unwrap_or(NONE),
-        });
-        let valence = (0..slots).map(VertexId::from_index).map(|v| connectivity.spokes(v).count() as u32);
+        for v in connectivity.vertices() {
+            spots[v.index()].only = wedges.only(connectivity, v).unwrap_or(NONE);
+        }
         let log = record.then(|| {
             let left_out = vec![NONE; 3 * surface.triangles.len()];
             let mut log = Log { corner_wedge: left_out.clone(), corner_vertex: left_out, ..Log::default() };
@@ -235,8 +242,6 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         });
         Self {
             knobs,
-            only: only.collect(),
-            valence: valence.collect(),
             charts: Charts::new(mesh, &wedges, &is_seam),
             drifts: Drifts::new(connectivity.edge_slots()),
             plan: RefCell::default(),
@@ -244,9 +249,9 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             shape,
             quadrics,
             is_seam,
-            seam_degree,
-            common,
-            is_tied,
+            spots,
+            has_ties: tie.iter().any(|&set| set != UNTIED),
+            tie,
             log,
         }
     }
@@ -268,19 +273,18 @@ impl<const D: usize, const K: usize> Seams<D, K> {
     /// Whether the ends have one wedge each and no seam: the most there is of a surface.
     #[inline]
     fn is_plain(&self, ends: [VertexId; 2]) -> bool {
-        ends.iter().all(|v| self.only[v.index()] != NONE && self.seam_degree[v.index()] == 0)
+        ends.map(|v| &self.spots[v.index()]).iter().all(|spot| spot.only != NONE && spot.seam_degree == 0)
     }
 
     /// The factor that the penalties come to.
     fn penalty(&self, ends: [VertexId; 2], wedges: usize) -> f64 {
-        let [a, b] = ends.map(|v| v.index());
-        let common = self.common[a].with(self.common[b]);
-        let valence = (self.valence[a] + self.valence[b]).saturating_sub(4 + HIGH_VALENCE);
+        let [a, b] = ends.map(|v| &self.spots[v.index()]);
+        let valence = (a.valence + b.valence).saturating_sub(4 + HIGH_VALENCE);
         let mut factor = 1.0 + self.knobs.valence * f64::from(valence);
-        if common.material.is_none() {
+        if common(a.material, b.material) == SEVERAL {
             factor += self.knobs.across_materials;
         }
-        if common.part.is_none() {
+        if common(a.part, b.part) == SEVERAL {
             factor += self.knobs.across_parts;
         }
         factor + self.knobs.wedges * wedges.saturating_sub(2) as f64
@@ -296,7 +300,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         }
         let on_seam = self.is_seam[edge.index()];
         // Beside a seam, what lies on it stays there.
-        let may_go = |end: usize| !stays[end] && (on_seam || self.seam_degree[ends[end].index()] == 0);
+        let may_go = |end: usize| !stays[end] && (on_seam || self.spots[ends[end].index()].seam_degree == 0);
         if !may_go(0) && !may_go(1) {
             return Err(Standing::Seam);
         }
@@ -392,7 +396,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                     plan.members.push(Member { wedge, end, class: plan.members.len() });
                 }
             };
-            match self.only[v.index()] {
+            match self.spots[v.index()].only {
                 NONE => connectivity.fan(v).for_each(|h| join(wedges.of(h))),
                 wedge => join(wedge),
             }
@@ -581,18 +585,24 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         }
         for (_, other) in connectivity.spokes(v) {
             let seams = connectivity.spokes(other).filter(|(edge, _)| self.is_seam[edge.index()]).count();
-            self.seam_degree[other.index()] = seams as u32;
+            self.spots[other.index()].seam_degree = seams as u32;
         }
     }
 
-    /// Whether a collapse would lay an edge between two tied vertices: another sheet may have that edge already.
-    fn ties(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
-        if !self.is_tied[star.ends[survivor].index()] {
+    /// Whether a collapse would lay an edge where another sheet may have one: between two tied vertices, or to a tied
+    /// vertex that both ends reach in different sheets. The link condition knows nothing of sheets.
+    fn meets_another_sheet(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        if !self.has_ties {
             return false;
         }
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
-        mesh.connectivity.spokes(gone).any(|(_, v)| {
-            v != kept && self.is_tied[v.index()] && star.vanishing.iter().all(|(_, apex, _)| *apex != v)
+        let own = self.tie[kept.index()];
+        let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
+        mesh.connectivity.spokes(gone).filter(|(_, v)| *v != kept).any(|(_, v)| {
+            let tie = self.tie[v.index()];
+            tie != UNTIED
+                && ((own != UNTIED && (own == tie || !is_apex(v)))
+                    || mesh.connectivity.spokes(kept).any(|(_, u)| u != v && self.tie[u.index()] == tie))
         })
     }
 }
@@ -607,7 +617,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
         let ends = mesh.connectivity.ends(edge);
         let free = |v: &VertexId| mesh.pin(*v) == Pin::Free;
         if self.is_plain(ends) && ends.iter().all(free) {
-            let [a, b] = ends.map(|v| &self.quadrics[self.only[v.index()] as usize]);
+            let [a, b] = ends.map(|v| &self.quadrics[self.spots[v.index()].only as usize]);
             let together = a.sum(b);
             let places = ends.map(|v| mesh.point(v));
             let (_, error) = together.minimum(&midpoint(places[0], places[1]), TETHER);
@@ -684,8 +694,6 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
 
         let [a, b] = star.ends.map(|v| v.index());
         self.shape[survivor.index()] = self.shape[a].sum(&self.shape[b]);
-        self.common[survivor.index()] = self.common[a].with(self.common[b]);
-        self.is_tied[survivor.index()] |= self.is_tied[a] || self.is_tied[b];
         for run in plan.runs.into_iter().flatten() {
             self.drifts.raise(run.next, run.drift);
         }
@@ -696,20 +704,25 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
         if self.is_seam[star.edge.index()] {
             self.look_again(connectivity, survivor);
         }
-        let mut spokes = [0, 0];
+        let (mut valence, mut seam_degree) = (0, 0);
         for (edge, _) in connectivity.spokes(survivor) {
-            spokes[0] += 1;
-            spokes[1] += u32::from(self.is_seam[edge.index()]);
+            valence += 1;
+            seam_degree += u32::from(self.is_seam[edge.index()]);
         }
-        [self.valence[survivor.index()], self.seam_degree[survivor.index()]] = spokes;
-        self.only[survivor.index()] = match plan.classes.as_slice() {
+        let only = match plan.classes.as_slice() {
             [class] => kept(class),
             _ => self.wedges.only(connectivity, survivor).unwrap_or(NONE),
         };
+        let (material, part) = {
+            let [a, b] = [a, b].map(|v| &self.spots[v]);
+            (common(a.material, b.material), common(a.part, b.part))
+        };
+        self.spots[survivor.index()] = Spot { only, seam_degree, valence, material, part };
         for &(_, apex, _) in &star.vanishing {
-            self.valence[apex.index()] -= 1;
-            if self.only[apex.index()] == NONE {
-                self.only[apex.index()] = self.wedges.only(connectivity, apex).unwrap_or(NONE);
+            let spot = &mut self.spots[apex.index()];
+            spot.valence -= 1;
+            if spot.only == NONE {
+                spot.only = self.wedges.only(connectivity, apex).unwrap_or(NONE);
             }
         }
         self.plan.replace(plan);
@@ -758,7 +771,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 let [a, b] = star.end_points.map(|p| distance2(&p, &candidate.place));
                 usize::from(b < a)
             });
-            if self.ties(mesh, star, survivor) {
+            if self.meets_another_sheet(mesh, star, survivor) {
                 refusal = Standing::Pinned;
                 continue;
             }

@@ -10,13 +10,17 @@ use crate::connectivity::Connectivity;
 use crate::error::KernelError;
 use crate::ids::{HalfedgeId, VertexId};
 
+/// No set: the vertex may move.
+pub const UNTIED: u32 = u32::MAX;
+
 pub struct Welded {
     pub connectivity: Connectivity,
     /// For each halfedge the vertex it starts from.
     pub corner_vertex: Vec<VertexId>,
     /// Triangle of the input that each triangle was; those with two corners in one set are left out.
     pub triangle_source: Vec<u32>,
-    pub is_tied: Vec<bool>,
+    /// The set of each vertex that is tied; none of others.
+    pub tie: Vec<u32>,
 }
 
 /// A halfedge at an edge between two sets: the higher set and the file's own vertices, then which halfedge it is, and
@@ -58,12 +62,14 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
         let before = Connectivity::prev(HalfedgeId::from_index(h)).index();
         set_is_tied[set] |= fan_of_set[set] != v || torn[h] || torn[before];
     }
-    let mut is_tied = vec![false; vertex_count];
+    let mut tie = vec![UNTIED; vertex_count];
     for (h, &v) in corner_vertex.iter().enumerate() {
-        is_tied[v.index()] = set_is_tied[set(h)];
+        if set_is_tied[set(h)] {
+            tie[v.index()] = set(h) as u32;
+        }
     }
     let connectivity = Connectivity::from_twins(vertex_count, &corner_vertex, &twins);
-    Ok(Welded { connectivity, corner_vertex, triangle_source, is_tied })
+    Ok(Welded { connectivity, corner_vertex, triangle_source, tie })
 }
 
 /// The halfedge across from each, and which lie where more than two meet. `origin` gives set and vertex.
