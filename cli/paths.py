@@ -12,13 +12,13 @@ from pathlib import Path
 from stages.errors import InputError, UsageError
 
 # What stages.mesh_files.write_mesh can write.
-MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
+MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 
 
 def require_scan(folder: Path) -> Path:
     """Return the folder of a scan, or the file that is one, or say that there is none."""
     if not folder.exists():
-        raise InputError("there is no such folder; give the folder of a scan.", folder)
+        raise InputError("there is no such folder or file; give that of a scan.", folder)
     return folder
 
 

@@ -11,7 +11,8 @@ first used, so importing this package is cheap.
 
 from stages.certify import Certificate, CertifyParams, certify
 from stages.clean import Cleaned, CleanParams, clean
-from stages.collapse_record import CollapseRecord, ReplayParams, load_record
+from stages.collapse_record import CollapseRecord, load_record
+from stages.collapse_steps import ReplayParams
 from stages.compare import CompareParams, Comparison, compare
 from stages.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
 from stages.depth import DepthMap, DepthParams, depth, depth_scan

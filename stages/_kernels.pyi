@@ -68,6 +68,99 @@ class Running:
     @property
     def partial(self) -> bool: ...
 
+@final
+class SeamKnobs:
+    """Penalties and weights of `simplify_seams`."""
+
+    def __new__(
+        cls,
+        *,
+        across_materials: float,
+        across_parts: float,
+        valence: float,
+        wedges: float,
+        shape: float,
+        seam_drift: float,
+    ) -> SeamKnobs: ...
+
+@final
+class SeamLog:
+    """All collapses of `simplify_seams`; the properties are those of `stages.seam_record.SeamRecord`."""
+
+    @property
+    def removed(self) -> NDArray[np.int32]: ...
+    @property
+    def survivor(self) -> NDArray[np.int32]: ...
+    @property
+    def places(self) -> NDArray[np.float64]: ...
+    @property
+    def wedge_removed(self) -> NDArray[np.int32]: ...
+    @property
+    def wedge_survivor(self) -> NDArray[np.int32]: ...
+    @property
+    def wedge_when(self) -> NDArray[np.int32]: ...
+    @property
+    def changed(self) -> NDArray[np.int32]: ...
+    @property
+    def changed_to(self) -> NDArray[np.float64]: ...
+    @property
+    def changed_source(self) -> NDArray[np.int32]: ...
+    @property
+    def changed_when(self) -> NDArray[np.int32]: ...
+    @property
+    def corner_wedge(self) -> NDArray[np.int32]: ...
+    @property
+    def corner_vertex(self) -> NDArray[np.int32]: ...
+
+@final
+class BySeams:
+    """A mesh simplified along its seams.
+
+    `corners` (3 q, k) are the attributes of its corners, `corner_source` (3 q,) the corner of the input that
+    has the same to the bit, −1 for none. `standing` counts the edges each rule holds at the end. `seam_drift`
+    is the largest distance in the image of a seam from what it was, as a length.
+    """
+
+    @property
+    def vertices(self) -> NDArray[np.float64]: ...
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    @property
+    def corners(self) -> NDArray[np.float64]: ...
+    @property
+    def corner_source(self) -> NDArray[np.int32]: ...
+    @property
+    def vertex_source(self) -> NDArray[np.int32]: ...
+    @property
+    def triangle_source(self) -> NDArray[np.int32]: ...
+    @property
+    def stopped_by(self) -> str: ...
+    @property
+    def standing(self) -> dict[str, int]: ...
+    @property
+    def collapses(self) -> int: ...
+    @property
+    def attempts(self) -> int: ...
+    @property
+    def seam_drift(self) -> float: ...
+    @property
+    def log(self) -> SeamLog | None: ...
+
+def simplify_seams(
+    vertices: NDArray[np.float64],
+    sets: NDArray[np.int32],
+    triangles: NDArray[np.int32],
+    corners: NDArray[np.float64],
+    textured: NDArray[np.bool_],
+    materials: NDArray[np.int32],
+    parts: NDArray[np.int32],
+    fixed: NDArray[np.bool_],
+    *,
+    knobs: SeamKnobs,
+    running: Running,
+    progress: Callable[[int, int], object],
+) -> BySeams: ...
+
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]

@@ -114,6 +114,8 @@ def as_result(
         colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
     normals = None if mesh.normals is None else mesh.normals[vertex_source]
     notes = mesh.notes
-    if mesh.texture is not None:
-        notes += (f"{who} left the texture out: it carries vertex colours only.",)
+    lost = {"texture": mesh.texture, "parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
+    names = [name for name, value in lost.items() if value is not None]
+    if names:
+        notes += (f"{who} left out: {', '.join(names)}; method seams carries them.",)
     return Mesh(vertices, triangles, colors=colors, normals=normals, notes=notes)

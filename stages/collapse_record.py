@@ -7,7 +7,6 @@ to the one it is part of by then, for all collapses at once.
 
 from __future__ import annotations
 
-import math
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -19,59 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.centred import Light, as_result, attributes_of, centred, fitted
-from stages.errors import InputError, UsageError
+from stages.collapse_steps import Replayed, ReplayParams, Steps, roots
+from stages.errors import InputError
 from stages.mesh import Mesh, validated
-from stages.params import check, param, resolve
+from stages.params import resolve
 from stages.progress import silent
 from stages.replacing import replacing
-from stages.topology import repeats_vertex
+from stages.seam_record import SeamRecord, seam_record_of
 
 _FORMAT = 1
 # What reading an archive can raise; RuntimeError is for an encryption or compression nobody asked for.
 _DAMAGE = (ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 _NEEDED = ("vertices", "triangles", "removed", "survivor", "path", "lock")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReplayParams:
-    """How far a record is replayed; one of the three numbers, or to its end."""
-
-    triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
-    ratio: float | None = param(
-        None,
-        "Replay until at most this share of the input's triangles is left.",
-        low=0,
-        high=1,
-        low_open=True,
-    )
-    collapses: int | None = param(None, "Replay this many collapses.", low=0)
-    fit: bool = param(
-        False, "Move vertices and colours to fit the input by least squares at the end, as simplify does."
-    )
-
-    def __post_init__(self) -> None:
-        check(self)
-        given = [name for name in ("triangles", "ratio", "collapses") if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise UsageError(f"{' and '.join(given)} are given; give one of them.")
-
-
-@dataclass(frozen=True, eq=False)
-class Replayed:
-    """A mesh on the way, and where its parts came from.
-
-    Attributes
-    ----------
-    mesh : Mesh
-    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
-    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    collapses : how many were replayed.
-    """
-
-    mesh: Mesh
-    vertex_source: NDArray[np.int32]
-    triangle_source: NDArray[np.int32]
-    collapses: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,30 +55,12 @@ class CollapseRecord:
     triangle_source: NDArray[np.int32] | None = None
 
     @cached_property
-    def _ends(self) -> NDArray[np.int64]:
-        """For each triangle the number of the collapse that it vanishes in; `len(removed)` if it stays.
-
-        Triangles that repeat a vertex in the input count as gone before the first, −1.
-        """
-        last = len(self.removed)
-        parent = np.arange(len(self.mesh.vertices))
-        parent[self.removed] = self.survivor
-        when = np.full(len(self.mesh.vertices), last)
-        when[self.removed] = np.arange(last)
-        ends = np.full(len(self.mesh.triangles), last)
-        for side in range(3):
-            a, b = self.mesh.triangles[:, side], self.mesh.triangles[:, (side + 1) % 3]
-            np.minimum(ends, _meeting(a, b, parent, when, last), out=ends)
-        ends[repeats_vertex(self.mesh.triangles)] = -1
-        return ends
-
-    @cached_property
-    def _sorted_ends(self) -> NDArray[np.int64]:
-        return np.sort(self._ends)
+    def _steps(self) -> Steps:
+        return Steps(self.mesh.triangles, len(self.mesh.vertices), self.removed, self.survivor)
 
     def triangles_after(self, collapses: int) -> int:
         """Return how many triangles are left after so many collapses."""
-        return len(self._ends) - int(np.searchsorted(self._sorted_ends, collapses))
+        return self._steps.triangles_after(collapses)
 
     def replay(self, params: ReplayParams | None = None, **changes: Any) -> Replayed:
         """Return the mesh as it was when so many triangles were left, or after so many collapses.
@@ -138,15 +78,12 @@ class CollapseRecord:
             For fewer triangles or more collapses than the record leads to.
         """
         params = resolve(ReplayParams, params, changes)
-        collapses = self._collapses(params)
+        collapses = self._steps.wanted(params)
         place = np.concatenate([self.mesh.vertices, attributes_of(self.mesh)], axis=1)
         # Of several values for one vertex, the last one stays.
         place[self.survivor[:collapses]] = self.path[:collapses]
-        root = np.arange(len(place))
-        root[self.removed[:collapses]] = self.survivor[:collapses]
-        while (root[root] != root).any():
-            root = root[root]
-        left = np.flatnonzero(self._ends >= collapses)
+        root = roots(len(place), self.removed[:collapses], self.survivor[:collapses])
+        left = np.flatnonzero(self._steps.ends >= collapses)
         corners = root[self.mesh.triangles[left]]
         used = np.zeros(len(place), bool)
         used[corners] = True
@@ -163,25 +100,6 @@ class CollapseRecord:
         if self.vertex_source is not None and self.triangle_source is not None:
             vertex_source, triangle_source = self.vertex_source[vertex_source], self.triangle_source[left]
         return Replayed(mesh, vertex_source, triangle_source, collapses)
-
-    def _collapses(self, params: ReplayParams) -> int:
-        most = len(self.removed)
-        if params.collapses is not None:
-            if params.collapses > most:
-                raise UsageError(f"collapses is {params.collapses}, but the record holds only {most}.")
-            return params.collapses
-        wanted = params.triangles
-        if params.ratio is not None:
-            wanted = math.floor(params.ratio * len(self.mesh.triangles))
-        if wanted is None:
-            return most
-        least = self.triangles_after(most)
-        if wanted < least:
-            name = "triangles" if params.ratio is None else "ratio"
-            raise UsageError(f"{name} asks for {wanted} triangles, but the record ends at {least}.")
-        # As many triangles as have to go are gone after the collapse that the last of them vanishes in.
-        going = len(self._ends) - wanted
-        return 0 if going <= 0 else max(int(self._sorted_ends[going - 1]) + 1, 0)
 
     def save(self, path: Path | str) -> None:
         """Write the record to a file that `load_record` reads, `.npz` by custom.
@@ -209,34 +127,8 @@ class CollapseRecord:
             np.savez(file, **{name: array for name, array in arrays.items() if array is not None})
 
 
-def _meeting(
-    a: NDArray[np.int32],
-    b: NDArray[np.int32],
-    parent: NDArray[np.int64],
-    when: NDArray[np.int64],
-    never: int,
-) -> NDArray[np.int64]:
-    """Return for each pair of vertices the number of the collapse that makes them one; `never` for none.
-
-    Whichever of the two is removed first goes on to its survivor, until both are the same.
-    """
-    met = np.full(len(a), never)
-    pairs = np.flatnonzero(a != b)
-    first, second = a[pairs].astype(np.int64), b[pairs].astype(np.int64)
-    while len(pairs):
-        in_order = when[first] < when[second]
-        first, second = np.where(in_order, first, second), np.where(in_order, second, first)
-        step = when[first]
-        first = parent[first]
-        same = first == second
-        met[pairs[same]] = step[same]
-        open_still = ~same & (step < never)
-        pairs, first, second = pairs[open_still], first[open_still], second[open_still]
-    return met
-
-
-def load_record(path: Path | str) -> CollapseRecord:
-    """Read a record that `CollapseRecord.save` wrote.
+def load_record(path: Path | str) -> CollapseRecord | SeamRecord:
+    """Read a record that `CollapseRecord.save` or `SeamRecord.save` wrote.
 
     Raises
     ------
@@ -252,6 +144,8 @@ def load_record(path: Path | str) -> CollapseRecord:
         raise InputError(f"cannot be read: {error.strerror or error}.", path) from error
     except _DAMAGE as error:
         raise InputError("is damaged, or no record of collapses.", path) from error
+    if "scanloom_seam_record" in arrays:
+        return seam_record_of(arrays, path)
     version = arrays.get("scanloom_collapse_record")
     if version is None:
         raise InputError("is no record of collapses.", path)

@@ -255,7 +255,8 @@ def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
 
 
 def _left_out(mesh: Mesh) -> tuple[str, ...]:
-    lost = {"texture": mesh.texture, "normals": mesh.normals}
+    has_normals = mesh.normals is not None or mesh.corner_normals is not None
+    lost = {"texture": mesh.texture, "normals": has_normals or None, "parts": mesh.part_ids}
     names = " and ".join(name for name, value in lost.items() if value is not None)
     return (f"remesh left out: {names}; it carries vertex colours and confidence.",) * bool(names)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stages.collapse_record import CollapseRecord
 from stages.edges import edges_of
 from stages.mesh import Mesh
+from stages.seam_record import SeamRecord
 
 # What only one of the methods has to tell.
 _FIGURES = {
@@ -28,6 +29,7 @@ _FIGURES = {
         "max_shape_m",
         "max_texture_levels",
     ),
+    "seams": ("similar_distance_m", "joined_vertices", "texture_scale_m", "seam_drift"),
     "jia01": (
         "largest_shape_change_m",
         "largest_texture_change_levels",
@@ -53,15 +55,17 @@ class Simplified:
     mesh : Mesh
     vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    method : "quadric", "certified" or "jia01".
+    method : "quadric", "certified", "seams" or "jia01".
     stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
         "request" when the caller was content with less, "unproven" when the bounds cannot be proven: they do
         not even hold between the input and itself, as where sheets of different colours touch.
     refused : edges of the result by the rule that refused them last: "length", "shape", "texture" and "color"
         are bounds; "topology" stands for a changed topology, "bridge" for an edge across the interior
         between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
-        for a proof, "pinned" for an edge between two vertices that must stay. Edges whose turn had not come
-        are not counted.
+        for a proof, "seam" for an edge that would cut or join texture seams, "chart" for one that would turn
+        a triangle over in the image or take a texture coordinate out of its chart, "drift" for the bound
+        max_seam_drift, "pinned" for an edge between two vertices that must stay. Edges whose turn had not
+        come are not counted.
     attribute_scale_m_per_level : what was used.
     splits, collapses, attempts : edges split and collapsed; edges whose turn came, some repeatedly.
     triangles_before : triangles of the input.
@@ -83,6 +87,11 @@ class Simplified:
     largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
     resolution_m : jia01: what was used.
     max_shape_m, max_texture_levels : jia01 and certified: what was used; None for no bound.
+    similar_distance_m : seams: vertices closer than this were taken for one.
+    joined_vertices : seams: how many vertices of the input were copies of others.
+    texture_scale_m : seams: metres that a shift by the image's side counted as.
+    seam_drift : seams: proven: no point of a seam is farther, in the image, from where it was; as a share of
+        the image's side.
     bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
     """
 
@@ -98,7 +107,7 @@ class Simplified:
     attempts: int
     triangles_before: int
     fitted: bool = False
-    record: CollapseRecord | None = None
+    record: CollapseRecord | SeamRecord | None = None
     shape_bound: NDArray[np.float64] | None = None
     color_bound: NDArray[np.float64] | None = None
     shape_bound_m: float | None = None
@@ -116,6 +125,10 @@ class Simplified:
     max_shape_m: float | None = None
     max_texture_levels: float | None = None
     bounded: dict[str, bool] = field(default_factory=dict)
+    similar_distance_m: float | None = None
+    joined_vertices: int | None = None
+    texture_scale_m: float | None = None
+    seam_drift: float | None = None
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
@@ -125,7 +138,7 @@ class Simplified:
     def warnings(self) -> tuple[str, ...]:
         """What a person should know of the result, in plain sentences."""
         kept = self.refused.get("topology", 0) + self.refused.get("bridge", 0)
-        by_bounds = self.method != "quadric" and self.stopped_by != "triangles"
+        by_bounds = self.method not in ("quadric", "seams") and self.stopped_by != "triangles"
         # There are at least half as many edges as sides of triangles.
         if by_bounds or kept <= _CROWDED * 1.5 * len(self.mesh.triangles):
             return ()

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from stages import _kernels, jia01, quadric
+from stages import _kernels, jia01, quadric, seams
 from stages.certified import simplify_certified
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
@@ -48,6 +48,12 @@ def simplify(
     `triangles` or `ratio` too, it ends at this number or at the bounds, whichever comes first, and
     `stopped_by` says which.
 
+    Method `seams`, for `triangles` or `ratio` of textured meshes: vertices that a file doubles along texture
+    seams, between materials or parts are one, and move together. Each keeps texture coordinates, colour and
+    normal for every chart it lies in, which are part of the error. Welded by position, the result has no
+    hole, no edge of more than two triangles and no triangle upon another that the input has not. In the image
+    no triangle turns over, no texture coordinate leaves its chart, and seams stay within `max_seam_drift`.
+
     Method `jia01`, for bounds on sums: long edges are split; then edges collapse in the order of what was
     summed up around them. A new vertex is the mean of the projections of the edge's midpoint on the planes of
     the triangles around, in the space of position and colour.
@@ -57,10 +63,10 @@ def simplify(
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold.
         Vertices without triangles and triangles that name a vertex twice are left out.
     params : SimplifyParams; single fields can be given by name instead.
-    lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included. Others may collapse
-        into them.
+    lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included (with `seams` their
+        positions; copies of a locked vertex stay too). Others may collapse into them.
     importance : (n,) float above 0, factor of the squared error around each vertex; for `certified` at least
-        1, and bounds there are divided by it. Not for `jia01`.
+        1, and bounds there are divided by it. Not for `jia01` and `seams`.
     regions : Sphere and Box of `stages.regions`, which lock the vertices they hold, or give them importance.
     record : keep all collapses, so that every mesh on the way can be had again. What `certified` proves, it
         proves of the last one.
@@ -72,14 +78,16 @@ def simplify(
     Returns
     -------
     Simplified
-        The mesh has colours if the input has. Normals are those of `vertex_source`; texture is not carried,
-        and a note of the mesh says so; likewise when bounds are not proven.
+        The mesh has colours if the input has. `seams` carries texture, materials, parts and normals of
+        corners; else normals are those of `vertex_source` and texture is left out, and a note of the mesh
+        says so; likewise when bounds are not proven.
 
     Raises
     ------
     MeshError
         For an edge with more than two triangles or inconsistent orientation, or a vertex where two fans
-        touch; the message names them. `clean` repairs all three.
+        touch; the message names them. `clean` repairs all three. Not with `seams`,
+        where what touches so stays as it is.
     UsageError
         For a parameter out of range or of another method, a bound on the colours of a mesh without, or a
         resolution so fine that splitting passes 20 million triangles.
@@ -120,15 +128,22 @@ def simplify(
     Hoppe, "New quadric metric for simplifying meshes with appearance attributes", 1999; for the fit Hoppe,
     DeRose, Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993; and see `stages.certified`.
 
+    seams: Feng, Ni and Luo, "Improved surface simplification with multi-attributes", Computer Technology and
+    Development 22(4), 2012, with Hoppe's quadrics (1999) and wedges in place of the paper's.
+
     jia01: Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and
     Graphics 6(7), 2001: shape change (1)-(2), texture change (3), placement (4)-(6), order (7).
     """
     params = resolve(SimplifyParams, params, changes)
-    method = params.chosen()
     mesh = as_mesh(mesh)
+    textured = mesh.texture is not None and bool(mesh.texture.has_uvs().any())
+    method = params.chosen(textured=textured)
     locked, factors = resolve_control(mesh, lock, importance, regions)
-    if len(factors) and method == "jia01":
-        raise UsageError("importance has no meaning for method jia01; give triangles or ratio, and no bound.")
+    if len(factors) and method in ("jia01", "seams"):
+        raise UsageError(
+            f"importance has no meaning for method {method}; give triangles or ratio, no bound, and method "
+            "quadric."
+        )
     if partial:
         progress = _contented(progress)
     if method == "certified":
@@ -158,6 +173,8 @@ def simplify(
     try:
         if method == "quadric":
             return quadric.by_quadrics(mesh, params, locked, factors, running, progress)
+        if method == "seams":
+            return seams.by_seams(mesh, params, locked, running, progress)
         return jia01.by_sums(mesh, params, locked, running, progress)
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error

@@ -12,6 +12,7 @@ from stages.params import check, param
 _HOW_FAR = "How far: a number, bounds or both"
 _HOW = "How"
 _ONE_METHOD = "For one method only"
+_SEAMS = "For textured meshes"
 
 # Parameters that only some of the methods know.
 _ONLY_FOR = {
@@ -20,6 +21,15 @@ _ONLY_FOR = {
     "close_bounds": ("certified",),
     "resolution": ("jia01",),
     "paper_rule": ("jia01",),
+    "similar_distance": ("seams",),
+    "texture_weight": ("seams",),
+    "normal_weight": ("seams",),
+    "shape_weight": ("seams",),
+    "across_textures": ("seams",),
+    "across_parts": ("seams",),
+    "valence_penalty": ("seams",),
+    "set_penalty": ("seams",),
+    "max_seam_drift": ("seams",),
 }
 
 
@@ -67,11 +77,13 @@ class SimplifyParams:
         "auto",
         "quadric: to a number of triangles, with the least squared error of shape and colour. certified: as "
         "far as bounds on the distance and on the difference of colour are proven for every point, or to a "
-        "number of triangles within them. jia01: within bounds on the summed change of shape and texture. "
-        "auto: jia01 with resolution or paper_rule, else certified with max_shape or max_texture, else "
-        "quadric with triangles or ratio, else jia01.",
+        "number of triangles within them. seams: to a number of triangles, with the texture coordinates, "
+        "colours and normals of every corner, and no crack along texture seams. jia01: within bounds on the "
+        "summed change of shape and texture. auto: jia01 with resolution or paper_rule, else certified with "
+        "max_shape or max_texture, else with triangles or ratio seams if the mesh is textured and quadric if "
+        "not, else jia01.",
         group=_HOW,
-        choices=("auto", "quadric", "certified", "jia01"),
+        choices=("auto", "quadric", "certified", "jia01", "seams"),
     )
     attribute_scale: float | None = param(
         None,
@@ -117,6 +129,68 @@ class SimplifyParams:
         group=_ONE_METHOD,
     )
 
+    similar_distance: float | None = param(
+        None,
+        "seams: vertices closer than this are one. A larger one joins parts that only touch. Default: a "
+        "millionth of the bounding box's diagonal.",
+        group=_SEAMS,
+        unit="m",
+        low=0,
+    )
+    texture_weight: float | None = param(
+        None,
+        "seams: weight of a shift of the texture along the surface against a shift of the surface; "
+        "default: 1.",
+        group=_SEAMS,
+        low=0,
+    )
+    normal_weight: float | None = param(
+        None,
+        "seams: weight of normals, if the mesh has any, against 1 where an edge that is left turns as much "
+        "by them as by its shape; default: 1.",
+        group=_SEAMS,
+        low=0,
+    )
+    shape_weight: float | None = param(
+        None,
+        "seams: weight of the quadric of shape alone against that of shape and attributes, where a seam is "
+        "near; default: 1.",
+        group=_SEAMS,
+        low=0,
+    )
+    across_textures: float | None = param(
+        None,
+        "seams: penalty for a collapse where several materials meet, as a share of its cost; default: 0.5.",
+        group=_SEAMS,
+        low=0,
+    )
+    across_parts: float | None = param(
+        None,
+        "seams: the same where several parts meet; default: 0.5.",
+        group=_SEAMS,
+        low=0,
+    )
+    valence_penalty: float | None = param(
+        None,
+        "seams: penalty for each edge beyond eight that a vertex would have, as a share of its cost; "
+        "default: 0.1.",
+        group=_SEAMS,
+        low=0,
+    )
+    set_penalty: float | None = param(
+        None,
+        "seams: the same for each copy of the ends of an edge beyond two; default: 0.1.",
+        group=_SEAMS,
+        low=0,
+    )
+    max_seam_drift: float | None = param(
+        None,
+        "seams: largest distance in the image between a seam and what it was, as a share of the image's "
+        "side; no bound if not given.",
+        group=_SEAMS,
+        low=0,
+    )
+
     def __post_init__(self) -> None:
         check(self)
         for name in ("resolution", "max_shape", "max_texture", "attribute_scale"):
@@ -134,8 +208,12 @@ class SimplifyParams:
         """Return how many of so many triangles are wanted; 0 if there is no such wish."""
         return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles or 0
 
-    def chosen(self) -> str:
+    def chosen(self, *, textured: bool = False) -> str:
         """Return the method that `auto` stands for here, or the one that is given.
+
+        Parameters
+        ----------
+        textured : whether the mesh has texture coordinates.
 
         Raises
         ------
@@ -147,16 +225,21 @@ class SimplifyParams:
         if method == "auto":
             if self.resolution is not None or self.paper_rule:
                 method = "jia01"
+            elif not has_bound and self.has_count and (textured or self._names_seams()):
+                method = "seams"
             elif has_bound:
                 method = "certified"
             else:
                 method = "quadric" if self.has_count else "jia01"
         self._require_suited(method)
-        if method == "quadric" and not self.has_count:
-            raise UsageError("method quadric needs a number of triangles; give triangles or ratio.")
+        if method in ("quadric", "seams") and not self.has_count:
+            raise UsageError(f"method {method} needs a number of triangles; give triangles or ratio.")
         if method == "certified" and not has_bound:
             raise UsageError("method certified needs a bound; give max_shape, max_texture or both.")
         return method
+
+    def _names_seams(self) -> bool:
+        return any(m == ("seams",) and getattr(self, name) is not None for name, m in _ONLY_FOR.items())
 
     def _require_suited(self, method: str) -> None:
         for name, methods in _ONLY_FOR.items():

@@ -61,6 +61,31 @@ impl Connectivity {
         Ok(connectivity)
     }
 
+    /// Connect triangles whose sides are paired already. `origins` names the vertex each halfedge starts from: one for
+    /// every fan of triangles, so that no vertex has two.
+    pub(crate) fn from_twins(vertex_count: usize, origins: &[VertexId], twins: &[HalfedgeId]) -> Self {
+        let mut halfedges: Vec<Halfedge> = Vec::with_capacity(origins.len());
+        let mut edges = Vec::with_capacity(origins.len() / 2 + 1);
+        for (h, (&origin, &twin)) in origins.iter().zip(twins).enumerate() {
+            let edge = if twin.index() < h {
+                halfedges[twin.index()].edge
+            } else {
+                edges.push(HalfedgeId::from_index(h));
+                EdgeId::from_index(edges.len() - 1)
+            };
+            halfedges.push(Halfedge { origin, twin, edge });
+        }
+        let triangle_count = halfedges.len() / 3;
+        let mut outgoing = vec![HalfedgeId::NONE; vertex_count];
+        for (h, halfedge) in halfedges.iter().enumerate() {
+            let slot = &mut outgoing[halfedge.origin.index()];
+            if slot.is_none() || halfedge.twin.is_none() {
+                *slot = HalfedgeId::from_index(h);
+            }
+        }
+        Self { halfedges, outgoing, edges, triangle_count }
+    }
+
     fn find_back_to_back(&self) -> Result<(), KernelError> {
         let across = |h| self.origin(Self::prev(h));
         let same = |&edge: &EdgeId| {

@@ -36,6 +36,8 @@ pub struct Proposal<const D: usize, C> {
 /// Which priorities a collapse changes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Reach {
+    /// Those of the edges at the centre of the new star.
+    Spokes,
     /// Those of the edges of the new star.
     Star,
     /// Those of all edges that touch the new star. Those at its centre are asked again at once; of the others,
@@ -322,6 +324,11 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         self.ring.clear();
         self.ring.extend(connectivity.spokes(centre).map(|(_, v)| v));
         match M::REACH {
+            Reach::Spokes => {
+                for (edge, _) in connectivity.spokes(centre).filter(|(edge, _)| !on_rim(&self.mesh, *edge)) {
+                    offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
+                }
+            }
             Reach::Star => {
                 let live = |edge: &&EdgeId| connectivity.is_edge(**edge) && !on_rim(&self.mesh, **edge);
                 for &edge in self.star.others.iter().filter(live) {

@@ -14,6 +14,7 @@
 //! | [`spatial`] | an order in which neighbours in space are neighbours in memory |
 //! | [`quadric`], [`qem`] | attribute quadrics, and the measure that uses them |
 //! | [`balance`], [`trial`] | how much a colour counts: what follows from the data, and what it costs in shape |
+//! | [`seams`] | surfaces whose vertices are doubled along texture seams |
 //! | [`fit`] | fitting a result to its input by least squares |
 //! | [`certified`], [`tracked`], [`original`], [`fan`] | simplification within proven bounds; samples of the input that steer it |
 //! | [`normal`] | normal meshes: base, levels, and the search that places their vertices |
@@ -47,6 +48,7 @@ pub mod qem;
 pub mod quadric;
 pub mod queue;
 pub mod rounds;
+pub mod seams;
 pub mod shape;
 pub mod snm;
 pub mod spatial;

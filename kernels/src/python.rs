@@ -12,6 +12,7 @@ mod jia01;
 mod normal_mesh;
 mod order;
 mod quadric;
+mod seams;
 mod simplified;
 
 use pyo3::create_exception;
@@ -50,6 +51,10 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<simplified::Simplified>()?;
     module.add_class::<quadric::ByQuadrics>()?;
     module.add_function(wrap_pyfunction!(quadric::simplify_by_quadrics, module)?)?;
+    module.add_class::<seams::BySeams>()?;
+    module.add_class::<seams::SeamKnobs>()?;
+    module.add_class::<seams::SeamLog>()?;
+    module.add_function(wrap_pyfunction!(seams::simplify_seams, module)?)?;
     module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;

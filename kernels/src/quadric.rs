@@ -211,6 +211,25 @@ impl<const K: usize> Quadric<K> {
         (dot(p, &times(&shape, p)) + 2.0 * dot(p, &linear) + constant).max(0.0)
     }
 
+    /// The error at `p` with attributes `s`, which are lengths already.
+    #[inline]
+    pub fn error_with(&self, p: &Vec3, s: &[f64; K]) -> f64 {
+        let mut error = dot(p, &times(&self.shape, p)) + 2.0 * dot(p, &self.linear) + self.constant;
+        for (s, [x, y, z, d]) in s.iter().zip(&self.attributes) {
+            error += s * (s * self.area - 2.0 * (dot(p, &[*x, *y, *z]) + d));
+        }
+        error.max(0.0)
+    }
+
+    /// The attributes of least error at `p`; `fallback` where there is no area to tell.
+    #[inline]
+    pub fn attributes_at(&self, p: &Vec3, fallback: &[f64; K]) -> [f64; K] {
+        if self.area <= 0.0 {
+            return *fallback;
+        }
+        self.attributes.map(|[x, y, z, d]| (dot(p, &[x, y, z]) + d) / self.area)
+    }
+
     /// `p` with the best attributes for it; `fallback` where there is no area to tell.
     #[inline]
     pub fn with_attributes<const D: usize>(&self, p: &Vec3, weight: f64, fallback: &[f64; D]) -> [f64; D] {

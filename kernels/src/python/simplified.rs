@@ -67,6 +67,15 @@ pub struct Simplified {
     path: Py<PyArray2<f64>>,
 }
 
+/// Why a run ended, in the words Python knows.
+pub fn stopped_by(stop: Stop) -> &'static str {
+    match stop {
+        Stop::Exhausted => "bounds",
+        Stop::Target => "triangles",
+        Stop::Enough => "request",
+    }
+}
+
 impl Simplified {
     pub fn new<const D: usize, const RULES: usize>(
         py: Python<'_>,
@@ -83,11 +92,7 @@ impl Simplified {
             triangles: triangle_array(py, &mesh.triangles)?,
             vertex_source: id_array(py, mesh.vertex_source.iter().copied()),
             triangle_source: id_array(py, mesh.triangle_source.iter().copied()),
-            stopped_by: match stop {
-                Stop::Exhausted => "bounds",
-                Stop::Target => "triangles",
-                Stop::Enough => "request",
-            },
+            stopped_by: stopped_by(stop),
             standing: standing.into(),
             collapses,
             attempts,

@@ -1,0 +1,212 @@
+//! `stages._kernels.simplify_seams`.
+
+use std::collections::BTreeMap;
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{columns, id_array, triangle_array, triangles_from};
+use super::detached::detached;
+use super::simplified::{Running, stopped_by};
+use crate::seams::measure::Knobs;
+use crate::seams::{Outcome, Surface, simplify};
+
+/// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::measure::Knobs`.
+#[pyclass(frozen)]
+pub struct SeamKnobs(Knobs);
+
+#[pymethods]
+impl SeamKnobs {
+    #[new]
+    #[pyo3(signature = (*, across_materials, across_parts, valence, wedges, shape, seam_drift))]
+    fn new(
+        across_materials: f64,
+        across_parts: f64,
+        valence: f64,
+        wedges: f64,
+        shape: f64,
+        seam_drift: f64,
+    ) -> PyResult<Self> {
+        let knobs = [across_materials, across_parts, valence, wedges, shape, seam_drift];
+        if !knobs.iter().all(|&x| x >= 0.0) {
+            return Err(PyValueError::new_err("no penalty or weight may be negative"));
+        }
+        Ok(Self(Knobs { across_materials, across_parts, valence, wedges, shape, seam_drift }))
+    }
+}
+
+/// A mesh simplified along its seams.
+#[pyclass(frozen, get_all)]
+pub struct BySeams {
+    vertices: Py<PyArray2<f64>>,
+    triangles: Py<PyArray2<i32>>,
+    /// (3 q, k) attributes of the corners.
+    corners: Py<PyArray2<f64>>,
+    /// (3 q,) the corner of the input with the same attributes, −1 for none.
+    corner_source: Py<PyArray1<i32>>,
+    vertex_source: Py<PyArray1<i32>>,
+    triangle_source: Py<PyArray1<i32>>,
+    stopped_by: &'static str,
+    standing: BTreeMap<&'static str, usize>,
+    collapses: u64,
+    attempts: u64,
+    seam_drift: f64,
+    log: Option<Py<SeamLog>>,
+}
+
+/// All collapses; see `scanloom_kernels::seams::record::Log`.
+#[pyclass(frozen, get_all)]
+pub struct SeamLog {
+    removed: Py<PyArray1<i32>>,
+    survivor: Py<PyArray1<i32>>,
+    places: Py<PyArray2<f64>>,
+    wedge_removed: Py<PyArray1<i32>>,
+    wedge_survivor: Py<PyArray1<i32>>,
+    wedge_when: Py<PyArray1<i32>>,
+    changed: Py<PyArray1<i32>>,
+    changed_to: Py<PyArray2<f64>>,
+    changed_source: Py<PyArray1<i32>>,
+    changed_when: Py<PyArray1<i32>>,
+    corner_wedge: Py<PyArray1<i32>>,
+    corner_vertex: Py<PyArray1<i32>>,
+}
+
+/// Simplify a mesh whose vertices are doubled along seams. `sets` (n,) says which vertices are one; `corners` (3 m, k)
+/// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
+/// then three or six more.
+#[pyfunction]
+#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, fixed, *, knobs, running, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn simplify_seams(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    sets: PyReadonlyArray1<'_, i32>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    corners: PyReadonlyArray2<'_, f64>,
+    textured: PyReadonlyArray1<'_, bool>,
+    materials: PyReadonlyArray1<'_, i32>,
+    parts: PyReadonlyArray1<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    knobs: PyRef<'_, SeamKnobs>,
+    running: PyRef<'_, Running>,
+    progress: Py<PyAny>,
+) -> PyResult<BySeams> {
+    let points = rows::<3>(&vertices)?;
+    let triangles = triangles_from(&triangles, points.len())?;
+    let sets = sets.as_array();
+    let lengths = [
+        (sets.len(), points.len()),
+        (fixed.as_array().len(), points.len()),
+        (textured.as_array().len(), triangles.len()),
+        (materials.as_array().len(), triangles.len()),
+        (parts.as_array().len(), triangles.len()),
+        (corners.as_array().nrows(), 3 * triangles.len()),
+    ];
+    if lengths.iter().any(|(found, wanted)| found != wanted)
+        || sets.iter().any(|&s| s < 0 || s as usize >= points.len())
+    {
+        return Err(PyValueError::new_err(
+            "sets, fixed, corners, textured, materials and parts must fit the mesh",
+        ));
+    }
+    let light = Light {
+        points,
+        sets: sets.iter().map(|&s| s as u32).collect(),
+        triangles,
+        textured: textured.as_array().to_vec(),
+        materials: materials.as_array().to_vec(),
+        parts: parts.as_array().to_vec(),
+        fixed: fixed.as_array().to_vec(),
+    };
+    let (knobs, running) = (knobs.0, &*running);
+    match corners.as_array().ncols() {
+        2 => light.simplify::<5, 2>(py, &corners, knobs, running, &progress),
+        5 => light.simplify::<8, 5>(py, &corners, knobs, running, &progress),
+        8 => light.simplify::<11, 8>(py, &corners, knobs, running, &progress),
+        k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
+    }
+}
+
+/// A surface without its attributes.
+struct Light {
+    points: Vec<[f64; 3]>,
+    sets: Vec<u32>,
+    triangles: Vec<[u32; 3]>,
+    textured: Vec<bool>,
+    materials: Vec<i32>,
+    parts: Vec<i32>,
+    fixed: Vec<bool>,
+}
+
+impl Light {
+    fn simplify<const D: usize, const K: usize>(
+        self,
+        py: Python<'_>,
+        corners: &PyReadonlyArray2<'_, f64>,
+        knobs: Knobs,
+        running: &Running,
+        progress: &Py<PyAny>,
+    ) -> PyResult<BySeams> {
+        let surface = Surface {
+            points: self.points,
+            sets: self.sets,
+            triangles: self.triangles,
+            corners: rows::<K>(corners)?,
+            textured: self.textured,
+            materials: self.materials,
+            parts: self.parts,
+            fixed: self.fixed,
+        };
+        let (target, record) = (running.goal().triangles, running.goal().record);
+        let outcome = detached(py, Some(progress), running.partial, |progress| {
+            simplify::<D, K>(surface, knobs, target, record, progress)
+        })?;
+        returned(py, outcome)
+    }
+}
+
+fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<BySeams> {
+    let log = outcome.log.map(|log| {
+        let ids = |ids: Vec<u32>| id_array(py, ids.into_iter());
+        Py::new(
+            py,
+            SeamLog {
+                removed: ids(log.removed),
+                survivor: ids(log.survivor),
+                places: columns(py, &log.places, 0..3)?,
+                wedge_removed: ids(log.wedge_removed),
+                wedge_survivor: ids(log.wedge_survivor),
+                wedge_when: ids(log.wedge_when),
+                changed: ids(log.changed),
+                changed_to: columns(py, &log.changed_to, 0..K)?,
+                changed_source: ids(log.changed_source),
+                changed_when: ids(log.changed_when),
+                corner_wedge: ids(log.corner_wedge),
+                corner_vertex: ids(log.corner_vertex),
+            },
+        )
+    });
+    Ok(BySeams {
+        vertices: columns(py, &outcome.points, 0..3)?,
+        triangles: triangle_array(py, &outcome.triangles)?,
+        corners: columns(py, &outcome.corners, 0..K)?,
+        corner_source: id_array(py, outcome.corner_source.into_iter()),
+        vertex_source: id_array(py, outcome.vertex_source.into_iter()),
+        triangle_source: id_array(py, outcome.triangle_source.into_iter()),
+        stopped_by: stopped_by(outcome.stop),
+        standing: outcome.standing.into_iter().collect(),
+        collapses: outcome.collapses as u64,
+        attempts: outcome.attempts,
+        seam_drift: outcome.seam_drift,
+        log: log.transpose()?,
+    })
+}
+
+fn rows<const K: usize>(table: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; K]>> {
+    let table = table.as_array();
+    if table.ncols() != K {
+        return Err(PyValueError::new_err(format!("{} columns where {K} are expected", table.ncols())));
+    }
+    Ok(table.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
+}

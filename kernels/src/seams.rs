@@ -1,0 +1,168 @@
+//! Simplification of surfaces whose vertices are doubled: along texture seams, between materials and parts.
+//!
+//! Feng, Ni and Luo, "Improved surface simplification with multi-attributes", 2012. A file doubles a vertex that has
+//! two texture coordinates; collapses that know nothing of its copies tear the surface open. Here the copies are
+//! one vertex of the connectivity ([`weld`]) with several *wedges* (Hoppe 1999): runs of corners around it with equal
+//! attributes ([`wedges`]). So all copies move together, and an edge that runs along a seam collapses on both
+//! sides in one step, because it is one edge. Of the two quadrics of the paper, that of the shape belongs to
+//! the vertex and takes in the triangles of all its copies; that of shape and attributes belongs to the wedge
+//! ([`measure`]).
+//!
+//! The texture is held to more than the paper asks ([`texture`]): no triangle turns over in the image, a seam keeps its
+//! image within a bound, and a texture coordinate never leaves the chart it came from.
+
+pub mod measure;
+pub mod record;
+pub mod texture;
+pub mod wedges;
+pub mod weld;
+
+use crate::engine::{Engine, Refusal, Stop, Until};
+use crate::error::KernelError;
+use crate::geometry::Vec3;
+use crate::ids::TriangleId;
+use crate::legality::Illegal;
+use crate::mesh::{Mesh, Pin, check_points};
+use crate::progress::Progress;
+use measure::{Knobs, Seams, Standing};
+use record::Log;
+
+/// A surface as a file gives it.
+#[derive(Clone, Debug)]
+pub struct Surface<const K: usize> {
+    pub points: Vec<Vec3>,
+    /// The set of geometrically similar vertices each vertex belongs to; members of a set have equal points.
+    pub sets: Vec<u32>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Attributes of the three corners of each triangle, as lengths. Where triangles are `textured`, the first two
+    /// are the texture coordinate.
+    pub corners: Vec<[f64; K]>,
+    pub textured: Vec<bool>,
+    pub materials: Vec<i32>,
+    pub parts: Vec<i32>,
+    /// Vertices that stay where they are.
+    pub fixed: Vec<bool>,
+}
+
+/// What is left of a surface.
+#[derive(Clone, Debug)]
+pub struct Outcome<const K: usize> {
+    pub points: Vec<Vec3>,
+    pub triangles: Vec<[u32; 3]>,
+    pub corners: Vec<[f64; K]>,
+    /// The corner of the input (3 × triangle + corner) that has this corner's attributes to the bit, if one has.
+    pub corner_source: Vec<u32>,
+    pub vertex_source: Vec<u32>,
+    pub triangle_source: Vec<u32>,
+    pub stop: Stop,
+    pub standing: Vec<(&'static str, usize)>,
+    pub collapses: usize,
+    pub attempts: u64,
+    /// Largest distance in the image between a seam and what it was, as a length.
+    pub seam_drift: f64,
+    pub log: Option<Log<K>>,
+}
+
+/// Collapse until at most `target` triangles are left.
+///
+/// # Errors
+/// [`KernelError`] for an index out of range, a value that is not finite, or when interrupted.
+pub fn simplify<const D: usize, const K: usize>(
+    surface: Surface<K>,
+    knobs: Knobs,
+    target: usize,
+    record: bool,
+    progress: &mut Progress,
+) -> Result<Outcome<K>, KernelError> {
+    check_points(&surface.points)?;
+    check_points(&surface.corners)?;
+    let welded = weld::weld(&surface.sets, &surface.triangles)?;
+    progress.check()?;
+    let triangles = welded.connectivity.triangle_count();
+    let slots = welded.connectivity.vertex_slots();
+    let mut points = vec![[0.0; 3]; slots];
+    let mut vertex_source = vec![0; slots];
+    let mut pins = vec![Pin::Free; slots];
+    for (h, &v) in welded.corner_vertex.iter().enumerate().rev() {
+        let input = surface.triangles[welded.triangle_source[h / 3] as usize][h % 3];
+        points[v.index()] = surface.points[input as usize];
+        vertex_source[v.index()] = input;
+        if welded.tie[v.index()] != weld::UNTIED || surface.fixed[input as usize] {
+            pins[v.index()] = Pin::Fixed;
+        }
+    }
+    let mesh = Mesh {
+        connectivity: welded.connectivity,
+        points,
+        vertex_source,
+        triangle_source: welded.triangle_source,
+        pins,
+    };
+    let measure = Seams::<D, K>::new(&mesh, &surface, welded.tie, knobs, record);
+    let mut engine = Engine::new(mesh, measure);
+    let mut stop = Stop::Exhausted;
+    // Told in a hundred steps, so that the loop itself stays as it is.
+    let step = (triangles.saturating_sub(target) / 100).max(1);
+    let mut left = triangles;
+    while left > target {
+        let until = Until { triangles: left.saturating_sub(step).max(target), ..Until::EXHAUSTED };
+        stop = engine.run(until, progress)?;
+        left = engine.mesh().connectivity.triangle_count();
+        progress.tell((triangles - left) as u64, triangles.saturating_sub(target) as u64)?;
+        if stop != Stop::Target {
+            break;
+        }
+    }
+    if left <= target {
+        stop = Stop::Target;
+    }
+    Ok(gathered(engine, stop))
+}
+
+fn gathered<const D: usize, const K: usize>(engine: Engine<3, Seams<D, K>>, stop: Stop) -> Outcome<K> {
+    let attempts = engine.attempts();
+    let (mesh, measure, refusals, merges, _) = engine.into_parts();
+    let compact = mesh.compact();
+    let mut corners = Vec::with_capacity(3 * compact.triangles.len());
+    let mut corner_source = Vec::with_capacity(3 * compact.triangles.len());
+    for t in mesh.connectivity.triangles() {
+        for corner in 0..3 {
+            let (attributes, source) = measure.corner(TriangleId(t.0), corner);
+            corners.push(attributes);
+            corner_source.push(source);
+        }
+    }
+    let mut standing: Vec<(&'static str, usize)> =
+        ["topology", "bridge", "pinned", "fold", "seam", "chart", "drift"].map(|name| (name, 0)).into();
+    for edge in mesh.connectivity.edges() {
+        let rule = match refusals[edge.index()] {
+            Some(Refusal::Illegal(Illegal::Topology)) => 0,
+            Some(Refusal::Illegal(Illegal::Bridge)) => 1,
+            Some(Refusal::Illegal(Illegal::Pinned)) => 2,
+            Some(Refusal::Illegal(Illegal::Fold)) => 3,
+            Some(Refusal::Barred(bound) | Refusal::Bound(bound)) => match bound {
+                Standing::Pinned => 2,
+                Standing::Fold => 3,
+                Standing::Seam => 4,
+                Standing::Chart => 5,
+                Standing::Drift => 6,
+            },
+            _ => continue,
+        };
+        standing[rule].1 += 1;
+    }
+    Outcome {
+        points: compact.points,
+        triangles: compact.triangles,
+        corners,
+        corner_source,
+        vertex_source: compact.vertex_source,
+        triangle_source: compact.triangle_source,
+        stop,
+        standing,
+        collapses: merges.len(),
+        attempts,
+        seam_drift: measure.largest_drift(),
+        log: measure.into_log(),
+    }
+}

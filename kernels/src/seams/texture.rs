@@ -1,0 +1,145 @@
+//! The image of the surface in its texture: where a texture coordinate may go.
+
+use super::wedges::Wedges;
+use crate::connectivity::Connectivity;
+use crate::ids::{EdgeId, HalfedgeId};
+use crate::mesh::Mesh;
+
+pub type Uv = [f64; 2];
+
+/// Twice the signed area of a triangle of the image.
+#[inline]
+pub fn signed_area(a: Uv, b: Uv, c: Uv) -> f64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+/// A triangle of the image is degenerate when twice its area is below this share of its longest side squared.
+const LEAST_FLATNESS: f64 = 1e-4;
+
+/// Whether a triangle of the image keeps its side up, and its area if it had one.
+pub fn keeps_side(before: [Uv; 3], after: [Uv; 3]) -> bool {
+    let side2 = |a: Uv, b: Uv| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2);
+    let longest2 = |[a, b, c]: [Uv; 3]| side2(a, b).max(side2(b, c)).max(side2(c, a));
+    let [was, is] = [before, after].map(|[a, b, c]| signed_area(a, b, c));
+    if was == 0.0 {
+        return true;
+    }
+    // A sliver may stay one as long as it gets no thinner.
+    let flatness = |area: f64, longest2: f64| area.abs() / longest2.max(f64::MIN_POSITIVE);
+    let is_flatter = || {
+        let now = flatness(is, longest2(after));
+        now < LEAST_FLATNESS && now < flatness(was, longest2(before))
+    };
+    was * is > 0.0 && !is_flatter()
+}
+
+/// The charts of the input: its triangles' image, connected where no seam lies between.
+pub struct Charts {
+    uvs: Vec<Uv>,
+    across: Vec<u32>,
+}
+
+/// The longest way in search of a triangle; longer ones go round in circles in an image that is folded.
+const MOST_STEPS: usize = 4096;
+
+const NONE: u32 = u32::MAX;
+
+impl Charts {
+    pub fn new<const K: usize>(mesh: &Mesh<3>, wedges: &Wedges<K>, is_seam: &[bool]) -> Self {
+        let connectivity = &mesh.connectivity;
+        let count = 3 * connectivity.triangle_slots() as u32;
+        let across = |h: HalfedgeId| {
+            if is_seam[connectivity.edge(h).index()] { NONE } else { connectivity.twin(h).0 }
+        };
+        Self {
+            uvs: (0..count).map(|h| wedges.uv(wedges.of(HalfedgeId(h)))).collect(),
+            across: (0..count).map(|h| across(HalfedgeId(h))).collect(),
+        }
+    }
+
+    /// The triangle that holds `uv`, found by walking there from `start` within its chart; none if the way leaves the
+    /// chart, crosses a fold or is too long.
+    pub fn locate(&self, start: u32, uv: Uv) -> Option<u32> {
+        let corners = |t: u32| [0, 1, 2].map(|i| self.uvs[3 * t as usize + i]);
+        let area = |t: u32| {
+            let [a, b, c] = corners(t);
+            signed_area(a, b, c)
+        };
+        let mut t = start;
+        let side = area(t).signum();
+        let mut came_from = NONE;
+        for step in 0..MOST_STEPS {
+            let points = corners(t);
+            if area(t) * side <= 0.0 {
+                return None;
+            }
+            // Which side to look at first turns from step to step, so that no walk runs in a circle.
+            let outside = (0..3).map(|i| (i + step) % 3).find(|&i| {
+                let h = 3 * t + i as u32;
+                h != came_from && signed_area(points[i], points[(i + 1) % 3], uv) * side < 0.0
+            });
+            let Some(i) = outside else {
+                return Some(t);
+            };
+            came_from = self.across[(3 * t) as usize + i];
+            if came_from == NONE {
+                return None;
+            }
+            t = came_from / 3;
+        }
+        None
+    }
+}
+
+/// The next seam edge beyond the target of `h`, in the same chart: the halfedge on it that starts there.
+pub fn seam_after(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeId {
+    let connectivity = &mesh.connectivity;
+    let mut at = Connectivity::next(h);
+    while !is_seam[connectivity.edge(at).index()] {
+        at = Connectivity::next(connectivity.twin(at));
+    }
+    at
+}
+
+/// The seam edge before the origin of `h`, in the same chart: the halfedge on it that ends there.
+pub fn seam_before(mesh: &Mesh<3>, is_seam: &[bool], h: HalfedgeId) -> HalfedgeId {
+    let connectivity = &mesh.connectivity;
+    let mut at = Connectivity::prev(h);
+    while !is_seam[connectivity.edge(at).index()] {
+        at = Connectivity::prev(connectivity.twin(at));
+    }
+    at
+}
+
+/// Distance of `p` from the segment `a`–`b`. When the seam's vertex at `p` goes and what is left of it is that segment, no
+/// point of the old run is farther from the new one than this, nor one of the new from the old: matched end with end
+/// and `p` with the point nearest to it, both are straight between.
+pub fn from_segment(p: Uv, a: Uv, b: Uv) -> f64 {
+    let (along, to_p) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let length2 = along[0] * along[0] + along[1] * along[1];
+    let dot = along[0] * to_p[0] + along[1] * to_p[1];
+    let t = if length2 > 0.0 { (dot / length2).clamp(0.0, 1.0) } else { 0.0 };
+    (to_p[0] - t * along[0]).hypot(to_p[1] - t * along[1])
+}
+
+/// What is recorded of seams: how far each edge's image is from what it was in the input, at the most.
+pub struct Drifts {
+    of_edge: Vec<f64>,
+    pub largest: f64,
+}
+
+impl Drifts {
+    pub fn new(edges: usize) -> Self {
+        Self { of_edge: vec![0.0; edges], largest: 0.0 }
+    }
+
+    pub fn of(&self, edge: EdgeId) -> f64 {
+        self.of_edge[edge.index()]
+    }
+
+    pub fn raise(&mut self, edge: EdgeId, drift: f64) {
+        let own = &mut self.of_edge[edge.index()];
+        *own = own.max(drift);
+        self.largest = self.largest.max(drift);
+    }
+}

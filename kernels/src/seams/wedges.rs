@@ -1,0 +1,157 @@
+//! Charts, the seams between them, and wedges: runs of corners around a vertex with equal attributes in one chart (Hoppe,
+//! "New quadric metric for simplifying meshes with appearance attributes", 1999). A vertex inside a chart has one, one
+//! on a seam two or more.
+
+use super::Surface;
+use crate::connectivity::Connectivity;
+use crate::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::mesh::Mesh;
+
+/// No corner of the input, no triangle.
+pub const NONE: u32 = u32::MAX;
+
+/// The corner of the input that a halfedge starts from.
+pub fn input_corner(mesh: &Mesh<3>, h: HalfedgeId) -> usize {
+    3 * mesh.triangle_source[h.index() / 3] as usize + (h.0 % 3) as usize
+}
+
+/// Which edges the surface's image is torn at: where texture coordinates or materials differ, and where it ends.
+pub fn seams<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>) -> Vec<bool> {
+    let connectivity = &mesh.connectivity;
+    let look = |h: HalfedgeId| {
+        let corner = input_corner(mesh, h);
+        let t = corner / 3;
+        let uv = if surface.textured[t] { uv_of(&surface.corners[corner]) } else { [0.0; 2] };
+        (surface.materials[t], surface.textured[t], uv)
+    };
+    let is_seam = |edge: EdgeId| {
+        let h = connectivity.halfedge(edge);
+        let twin = connectivity.twin(h);
+        twin.is_none()
+            || look(h) != look(Connectivity::next(twin))
+            || look(Connectivity::next(h)) != look(twin)
+    };
+    (0..connectivity.edge_slots()).map(|e| is_seam(EdgeId::from_index(e))).collect()
+}
+
+/// The chart of each triangle: triangles with no seam between are of one.
+pub fn charts(connectivity: &Connectivity, is_seam: &[bool]) -> Vec<u32> {
+    let mut chart = vec![NONE; connectivity.triangle_slots()];
+    let mut count = 0;
+    let mut open = vec![];
+    for start in 0..chart.len() {
+        if chart[start] != NONE {
+            continue;
+        }
+        chart[start] = count;
+        open.push(start);
+        while let Some(t) = open.pop() {
+            for h in (3 * t..3 * t + 3).map(HalfedgeId::from_index) {
+                let beyond = connectivity.twin(h).index() / 3;
+                if !is_seam[connectivity.edge(h).index()] && chart[beyond] == NONE {
+                    chart[beyond] = count;
+                    open.push(beyond);
+                }
+            }
+        }
+        count += 1;
+    }
+    chart
+}
+
+/// The first two attributes, where there are two.
+#[inline]
+pub fn uv_of<const K: usize>(attributes: &[f64; K]) -> [f64; 2] {
+    if K < 2 { [0.0; 2] } else { [attributes[0], attributes[1]] }
+}
+
+pub struct Wedges<const K: usize> {
+    /// Wedge of each corner, by its halfedge.
+    pub of_corner: Vec<u32>,
+    pub attributes: Vec<[f64; K]>,
+    /// The corner of the input that has these attributes to the bit; none once they have changed.
+    pub source: Vec<u32>,
+    /// A triangle of the input whose image holds the texture coordinate.
+    pub home: Vec<u32>,
+    pub chart: Vec<u32>,
+    pub is_textured: Vec<bool>,
+}
+
+impl<const K: usize> Wedges<K> {
+    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>, is_seam: &[bool]) -> Self {
+        let connectivity = &mesh.connectivity;
+        let chart = charts(connectivity, is_seam);
+        let attributes = |h: HalfedgeId| &surface.corners[input_corner(mesh, h)];
+        // Whether a corner goes on with the wedge of the one before it, clockwise.
+        let goes_on = |h: HalfedgeId, before: HalfedgeId| {
+            !is_seam[connectivity.edge(h).index()] && attributes(h) == attributes(before)
+        };
+        let mut wedges = Self {
+            of_corner: vec![NONE; 3 * connectivity.triangle_slots()],
+            attributes: Vec::with_capacity(mesh.points.len()),
+            source: Vec::with_capacity(mesh.points.len()),
+            home: Vec::with_capacity(mesh.points.len()),
+            chart: Vec::with_capacity(mesh.points.len()),
+            is_textured: Vec::with_capacity(mesh.points.len()),
+        };
+        let mut fan = vec![];
+        for v in connectivity.vertices() {
+            fan.clear();
+            fan.extend(connectivity.fan(v));
+            // A closed fan begins where a wedge does.
+            if !connectivity.is_boundary_vertex(v) {
+                let last = fan.len() - 1;
+                let begin = (0..=last).find(|&i| !goes_on(fan[i], fan[if i == 0 { last } else { i - 1 }]));
+                fan.rotate_left(begin.unwrap_or(0));
+            }
+            for (i, &h) in fan.iter().enumerate() {
+                if i == 0 || !goes_on(h, fan[i - 1]) {
+                    wedges.attributes.push(*attributes(h));
+                    wedges.source.push(input_corner(mesh, h) as u32);
+                    wedges.home.push(h.0 / 3);
+                    wedges.chart.push(chart[h.index() / 3]);
+                    wedges.is_textured.push(surface.textured[input_corner(mesh, h) / 3]);
+                }
+                wedges.of_corner[h.index()] = wedges.attributes.len() as u32 - 1;
+            }
+        }
+        wedges
+    }
+
+    #[inline]
+    pub fn of(&self, h: HalfedgeId) -> u32 {
+        self.of_corner[h.index()]
+    }
+
+    /// Texture coordinate of a wedge.
+    #[inline]
+    pub fn uv(&self, wedge: u32) -> [f64; 2] {
+        uv_of(&self.attributes[wedge as usize])
+    }
+
+    /// Whether two wedges are at one place of one chart.
+    #[inline]
+    pub fn is_same_place(&self, a: u32, b: u32) -> bool {
+        if a == b {
+            return true;
+        }
+        let (i, j) = (a as usize, b as usize);
+        self.chart[i] == self.chart[j] && (!self.is_textured[i] || self.uv(a) == self.uv(b))
+    }
+
+    /// Whether the surface's image is torn at an edge, or its material changes, or it ends.
+    pub fn is_seam(&self, connectivity: &Connectivity, edge: EdgeId) -> bool {
+        let h = connectivity.halfedge(edge);
+        let twin = connectivity.twin(h);
+        twin.is_none()
+            || !self.is_same_place(self.of(h), self.of(Connectivity::next(twin)))
+            || !self.is_same_place(self.of(Connectivity::next(h)), self.of(twin))
+    }
+
+    /// The wedge of all corners of a vertex, if there is only one.
+    pub fn only(&self, connectivity: &Connectivity, v: VertexId) -> Option<u32> {
+        let mut fan = connectivity.fan(v).map(|h| self.of(h));
+        let first = fan.next()?;
+        fan.all(|wedge| wedge == first).then_some(first)
+    }
+}

@@ -1,0 +1,149 @@
+//! One vertex for the copies that files make of it.
+//!
+//! Triangles are joined where exactly two of them, of like orientation, meet at an edge between two sets. Where more
+//! meet, those that share the edge's own vertices in the file are joined, if they are two; the others stay
+//! open there. What still touches without being joined, at an edge or only at a vertex, is *tied*: it must stay
+//! where it is, or the surface would come apart.
+
+use crate::connect::check_indices;
+use crate::connectivity::Connectivity;
+use crate::error::KernelError;
+use crate::ids::{HalfedgeId, VertexId};
+
+/// No set: the vertex may move.
+pub const UNTIED: u32 = u32::MAX;
+
+pub struct Welded {
+    pub connectivity: Connectivity,
+    /// For each halfedge the vertex it starts from.
+    pub corner_vertex: Vec<VertexId>,
+    /// Triangle of the input that each triangle was; those with two corners in one set are left out.
+    pub triangle_source: Vec<u32>,
+    /// The set of each vertex that is tied; none of others.
+    pub tie: Vec<u32>,
+}
+
+/// A halfedge at an edge between two sets: the higher set and the file's own vertices, then which halfedge it is, and
+/// whether it runs from the lower set to the higher.
+type Side = ((u32, u32, u32), u32, bool);
+
+/// # Errors
+/// An index out of range, or more triangles than have numbers.
+pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError> {
+    check_indices(sets.len(), triangles)?;
+    let has_area = |&t: &u32| {
+        let [a, b, c] = triangles[t as usize].map(|v| sets[v as usize]);
+        a != b && b != c && c != a
+    };
+    let triangle_source: Vec<u32> = (0..triangles.len() as u32).filter(has_area).collect();
+    let kept: Vec<[u32; 3]> = triangle_source.iter().map(|&t| triangles[t as usize]).collect();
+    let set_count = sets.iter().max().map_or(0, |&s| s as usize + 1);
+    let corner = |h: u32| kept[h as usize / 3][h as usize % 3];
+    let set = |h: usize| sets[corner(h as u32) as usize] as usize;
+    let (mut twins, mut torn) = twins(3 * kept.len(), set_count, |h| (set(h as usize) as u32, corner(h)));
+    // Two triangles back to back are no surface.
+    let across = |h: HalfedgeId| set(Connectivity::prev(h).index());
+    for h in (0..twins.len()).map(HalfedgeId::from_index) {
+        let twin = twins[h.index()];
+        if twin.is_some() && across(h) == across(twin) {
+            [twins[h.index()], twins[twin.index()]] = [HalfedgeId::NONE; 2];
+            [torn[h.index()], torn[twin.index()]] = [true; 2];
+        }
+    }
+
+    let (corner_vertex, vertex_count) = fans(&twins);
+    let mut fan_of_set = vec![VertexId::NONE; set_count];
+    let mut set_is_tied = vec![false; set_count];
+    for (h, &v) in corner_vertex.iter().enumerate() {
+        let set = set(h);
+        if fan_of_set[set].is_none() {
+            fan_of_set[set] = v;
+        }
+        let before = Connectivity::prev(HalfedgeId::from_index(h)).index();
+        set_is_tied[set] |= fan_of_set[set] != v || torn[h] || torn[before];
+    }
+    let mut tie = vec![UNTIED; vertex_count];
+    for (h, &v) in corner_vertex.iter().enumerate() {
+        if set_is_tied[set(h)] {
+            tie[v.index()] = set(h) as u32;
+        }
+    }
+    let connectivity = Connectivity::from_twins(vertex_count, &corner_vertex, &twins);
+    Ok(Welded { connectivity, corner_vertex, triangle_source, tie })
+}
+
+/// The halfedge across from each, and which lie where more than two meet. `origin` gives set and vertex.
+fn twins(count: usize, sets: usize, origin: impl Fn(u32) -> (u32, u32)) -> (Vec<HalfedgeId>, Vec<bool>) {
+    let ends = |h: u32| {
+        let (a, b) = (origin(h), origin(Connectivity::next(HalfedgeId(h)).0));
+        if a.0 < b.0 { (a, b, true) } else { (b, a, false) }
+    };
+    // Grouped by the lower set in linear time; a group is as small as a vertex's degree.
+    let mut group = vec![0u32; sets + 1];
+    for h in 0..count as u32 {
+        group[ends(h).0.0 as usize + 1] += 1;
+    }
+    for set in 0..sets {
+        group[set + 1] += group[set];
+    }
+    let mut fill = group.clone();
+    let mut sorted: Vec<Side> = vec![((0, 0, 0), 0, false); count];
+    for h in 0..count as u32 {
+        let (low, high, upwards) = ends(h);
+        let place = &mut fill[low.0 as usize];
+        sorted[*place as usize] = ((high.0, low.1, high.1), h, upwards);
+        *place += 1;
+    }
+    let mut twins = vec![HalfedgeId::NONE; count];
+    let mut torn = vec![false; count];
+    for low in 0..sets {
+        let around = &mut sorted[group[low] as usize..group[low + 1] as usize];
+        around.sort_unstable();
+        for same in around.chunk_by(|g, h| g.0.0 == h.0.0) {
+            if same.len() > 1 && !join(same, &mut twins) {
+                for own in same.chunk_by(|g, h| g.0 == h.0) {
+                    join(own, &mut twins);
+                }
+                same.iter().for_each(|&(_, h, _)| torn[h as usize] = true);
+            }
+        }
+    }
+    (twins, torn)
+}
+
+fn join(sides: &[Side], twins: &mut [HalfedgeId]) -> bool {
+    match *sides {
+        [(_, g, up), (_, h, also_up)] if up != also_up => {
+            twins[g as usize] = HalfedgeId(h);
+            twins[h as usize] = HalfedgeId(g);
+            true
+        }
+        _ => false,
+    }
+}
+
+/// The vertex of every corner: corners are of one vertex where joined triangles lead from one to the other.
+fn fans(twins: &[HalfedgeId]) -> (Vec<VertexId>, usize) {
+    let mut vertex = vec![VertexId::NONE; twins.len()];
+    let mut count = 0;
+    for start in 0..twins.len() {
+        if vertex[start].is_some() {
+            continue;
+        }
+        let v = VertexId::from_index(count);
+        count += 1;
+        // Counter-clockwise, and back the other way if that ends at an open edge.
+        let mut h = HalfedgeId::from_index(start);
+        while h.is_some() && vertex[h.index()].is_none() {
+            vertex[h.index()] = v;
+            h = twins[Connectivity::prev(h).index()];
+        }
+        let mut across = twins[start];
+        while across.is_some() && vertex[Connectivity::next(across).index()].is_none() {
+            let h = Connectivity::next(across);
+            vertex[h.index()] = v;
+            across = twins[h.index()];
+        }
+    }
+    (vertex, count)
+}

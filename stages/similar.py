@@ -1,0 +1,126 @@
+"""Geometrically similar vertices: copies that files make of one, and parts that touch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import UsageError
+from stages.mesh import Triangles, Vertices
+
+# Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
+_MOST_PAIRS = 64
+
+# Share of the bounding box's diagonal that counts as equal: what single precision leaves of a coordinate.
+_EQUAL = 1e-6
+
+
+def default_similar_distance(vertices: Vertices) -> float:
+    """Return the distance within which vertices of a mesh are the same, in its own unit.
+
+    A millionth of the bounding box's diagonal, about what is lost where a file holds single precision.
+    """
+    return _EQUAL * float(np.linalg.norm(np.ptp(vertices, axis=0))) if len(vertices) else 0.0
+
+
+def similar_sets(
+    vertices: Vertices, triangles: Triangles, distance: float
+) -> tuple[NDArray[np.int32], Vertices]:
+    """Find the sets of similar vertices (Feng, Ni and Luo 2012, section 2.1).
+
+    Two vertices are similar if they are closer than `distance`, or a chain of such steps leads from one to
+    the other. The ends of an edge are not similar for being close.
+
+    Parameters
+    ----------
+    distance : metres, at least 0; 0 for equal positions.
+
+    Returns
+    -------
+    sets : (n,) int32, the set of each vertex, numbered from 0 in the order of their first vertices.
+    positions : (n, 3) float64, the mean position of each vertex's set; where all are equal, that to the bit.
+
+    Raises
+    ------
+    UsageError
+        If `distance` is so large that most of the mesh would be one.
+    """
+    sets, first = _equal(vertices)
+    if distance == 0 or len(first) < 2:
+        return sets, vertices[first][sets]
+    joined = _joined(vertices[first], sets, triangles, distance)
+    if joined is None:
+        return sets, vertices[first][sets]
+    sets = _ranked(joined[sets])
+    return sets, _means(vertices, sets)
+
+
+def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:
+    """Return the set of equal vertices each one is in, and the first vertex of each set."""
+    # Adding 0 makes −0 equal to 0 to the bit.
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+        key = (mixed ^ (mixed >> np.uint64(29))).sum(axis=1)
+    sets = _ranked(key)
+    first = _firsts(sets)
+    if not np.array_equal(vertices[first][sets], vertices):
+        # Two positions with the same key.
+        sets = _ranked(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
+        first = _firsts(sets)
+    return sets, first
+
+
+def _ranked(labels: NDArray[Any]) -> NDArray[np.int32]:
+    """Return labels numbered from 0 in the order they first occur."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int32)
+    rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
+    return rank[inverse.reshape(-1)]
+
+
+def _firsts(sets: NDArray[np.int32]) -> NDArray[Any]:
+    """Return the first member of each set."""
+    first = np.empty(int(sets.max(initial=-1)) + 1, np.int64)
+    first[sets[::-1]] = np.arange(len(sets))[::-1]
+    return first
+
+
+def _joined(
+    positions: Vertices, sets: NDArray[np.int32], triangles: Triangles, distance: float
+) -> NDArray[Any] | None:
+    """Return a label for each of `positions`, one for those that are close; None if none are."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    tree, count = cKDTree(positions), len(positions)
+    pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
+    if pairs_in_all > _MOST_PAIRS * count:
+        raise UsageError(
+            f"similar_distance {distance:g} m is far more than the distance between vertices: "
+            f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
+        )
+    if pairs_in_all == 0:
+        return None
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    close = np.zeros(count, bool)
+    close[pairs] = True
+    edges = sets[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    edges = np.sort(edges[close[edges].all(axis=1)], axis=1)
+    pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
+    links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1])
+
+
+def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
+    size = np.bincount(sets)
+    total = np.stack([np.bincount(sets, vertices[:, axis]) for axis in range(3)], axis=1)
+    mean = (total / np.maximum(size, 1)[:, None])[sets]
+    one = vertices[_firsts(sets)]
+    # A set of equal vertices keeps their position to the bit, which a mean need not.
+    uneven = np.zeros(len(size), bool)
+    np.logical_or.at(uneven, sets, (vertices != one[sets]).any(axis=1))
+    return np.where(uneven[sets][:, None], mean, one[sets])
