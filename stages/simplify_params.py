@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from stages import planar_params
 from stages.errors import UsageError
 from stages.params import check, param
 
@@ -15,11 +16,14 @@ _ONE_METHOD = "For one method only"
 
 # Parameters that only some of the methods know.
 _ONLY_FOR = {
-    "max_shape": ("certified", "jia01"),
-    "max_texture": ("certified", "jia01"),
+    "max_shape": ("certified", "jia01", "planar"),
+    "max_texture": ("certified", "jia01", "planar"),
     "close_bounds": ("certified",),
     "resolution": ("jia01",),
     "paper_rule": ("jia01",),
+    "patch_angle": ("planar",),
+    "crease_angle": ("planar",),
+    "noise_angle": ("planar",),
 }
 
 
@@ -47,7 +51,7 @@ class SimplifyParams:
         None,
         "certified: largest distance of any point of either surface from the other; default: 0.5 % of the "
         "bounding box's diagonal. jia01: largest shape change, summed over the collapses around an edge; "
-        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal.",
+        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal. planar: as certified.",
         group=_HOW_FAR,
         unit="m",
         low=0,
@@ -58,7 +62,8 @@ class SimplifyParams:
         "certified: largest difference, Euclidean over the channels, between the colour at any point of "
         "either surface and that at any nearest point of the other; no bound if not given. jia01: the "
         "strongest contrast in the neighbourhood of a collapse, summed over the collapses around an edge, "
-        "which far exceeds the colour error that results; default: 400.",
+        "which far exceeds the colour error that results; default: 400. planar: largest difference "
+        "between the colours of a point and of its counterpart on the other surface; no bound if not given.",
         group=_HOW_FAR,
         unit="8-bit levels",
         low=0,
@@ -68,10 +73,12 @@ class SimplifyParams:
         "quadric: to a number of triangles, with the least squared error of shape and colour. certified: as "
         "far as bounds on the distance and on the difference of colour are proven for every point, or to a "
         "number of triangles within them. jia01: within bounds on the summed change of shape and texture. "
+        "planar: near-planar patches with as few triangles as their borders need, within bounds; fast, for "
+        "walls, floors and machined parts. "
         "auto: jia01 with resolution or paper_rule, else certified with max_shape or max_texture, else "
         "quadric with triangles or ratio, else jia01.",
         group=_HOW,
-        choices=("auto", "quadric", "certified", "jia01"),
+        choices=("auto", "quadric", "certified", "jia01", "planar"),
     )
     attribute_scale: float | None = param(
         None,
@@ -117,6 +124,10 @@ class SimplifyParams:
         group=_ONE_METHOD,
     )
 
+    patch_angle: float | None = planar_params.patch_angle(None, _ONE_METHOD)
+    crease_angle: float | None = planar_params.crease_angle(None, _ONE_METHOD)
+    noise_angle: float | None = planar_params.noise_angle(None, _ONE_METHOD)
+
     def __post_init__(self) -> None:
         check(self)
         for name in ("resolution", "max_shape", "max_texture", "attribute_scale"):
@@ -154,15 +165,28 @@ class SimplifyParams:
         self._require_suited(method)
         if method == "quadric" and not self.has_count:
             raise UsageError("method quadric needs a number of triangles; give triangles or ratio.")
+        if method == "planar" and self.has_count:
+            raise UsageError("method planar goes as far as its bounds; leave out triangles and ratio.")
         if method == "certified" and not has_bound:
             raise UsageError("method certified needs a bound; give max_shape, max_texture or both.")
         return method
 
+    def for_patches(self) -> planar_params.PatchParams:
+        """Return what limits the patches of method planar."""
+        names = ("max_shape", "max_texture", "patch_angle", "crease_angle", "noise_angle", "threads")
+        given = {name: getattr(self, name) for name in names}
+        return planar_params.PatchParams(
+            **{name: value for name, value in given.items() if value is not None}
+        )
+
     def _require_suited(self, method: str) -> None:
         for name, methods in _ONLY_FOR.items():
             # By default, none of these is set.
-            if method in methods or getattr(self, name) in (None, False):
+            # A number that is 0 was given.
+            if method in methods or getattr(self, name) is None or getattr(self, name) is False:
                 continue
             if self.method == "auto":
+                if methods == ("planar",):
+                    raise UsageError(f"{name} is for method planar; give method too.")
                 raise UsageError(f"{name} is for method {methods[0]}, which needs max_shape or max_texture.")
             raise UsageError(f"{name} has no meaning for method {method}; leave one of them out.")

@@ -13,6 +13,7 @@
 //! | --- | --- |
 //! | [`fit`] | the plane of a patch and the linear function of its colours |
 //! | [`propagate`] | growing patches |
+//! | [`overlap`] | patches that lie over themselves |
 //! | [`border`] | their borders as loops of halfedges; which vertices are corners |
 //! | [`straighten`] | the vertices a border can do without |
 //! | [`polygon`] | what is left of a patch's loops, seen along its normal |
@@ -23,11 +24,14 @@
 pub mod assemble;
 pub mod border;
 pub mod fit;
+pub mod overlap;
 pub mod polygon;
 pub mod propagate;
 pub mod reasons;
 pub mod retriangulate;
 pub mod straighten;
+
+use assemble::Assembled;
 
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
@@ -122,8 +126,17 @@ pub fn simplify<const D: usize, const K: usize>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Planar, KernelError> {
-    let patches = propagate::propagate::<D, K>(mesh, options, progress)?;
-    assemble::assemble(mesh, patches, options, progress)
+    let mut patches = propagate::propagate::<D, K>(mesh, options, progress)?;
+    let mut is_last = false;
+    loop {
+        match assemble::assemble(mesh, patches, options, is_last, progress)? {
+            Assembled::Whole(planar) => return Ok(*planar),
+            Assembled::Folded(found, is_folded) => {
+                patches = propagate::separate::<D, K>(mesh, &found, &is_folded, options, progress)?;
+                is_last = true;
+            }
+        }
+    }
 }
 
 /// Unit normal and area of each triangle; a triangle without area has the normal 0.

@@ -6,7 +6,7 @@
 use super::border::{Borders, trace};
 use super::polygon::Polygon;
 use super::retriangulate::{Triangles, Unsound, is_left, triangulate};
-use super::straighten::straighten;
+use super::straighten::{straighten, tolerance};
 use super::{Options, Patch, Patches, Planar, reasons};
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
@@ -24,28 +24,49 @@ const BATCH: usize = 64;
 
 enum Outcome {
     New(Vec<([u32; 3], u32)>),
+    /// Vertices without which there is no triangulation.
     PutBack(Vec<VertexId>),
+    /// Vertices that are too far from what has become of their chord since others were put back.
+    Tighten(Vec<VertexId>),
+    /// Nothing to gain.
     Keep,
+    /// Nothing has helped.
+    GiveUp,
 }
 
+/// What comes of an assembly.
+pub enum Assembled {
+    Whole(Box<Planar>),
+    /// The patches, and which of them lie over themselves, seen along their normals.
+    Folded(Patches, Vec<bool>),
+}
+
+/// With `is_last`, patches that lie over themselves keep their triangles.
+///
 /// # Errors
 /// [`KernelError::Interrupted`].
 pub fn assemble<const D: usize>(
     mesh: &Mesh<D>,
     patches: Patches,
     options: &Options,
+    is_last: bool,
     progress: &mut Progress,
-) -> Result<Planar, KernelError> {
+) -> Result<Assembled, KernelError> {
+    let t=std::time::Instant::now(); let tt=|w:&str| if std::env::var("PT").is_ok() {eprintln!("{w} {:?}", t.elapsed());};
     let borders = trace(&mesh.connectivity, &patches, progress)?;
+    tt("trace");
     let stays = straighten(mesh, &patches, &borders, options, progress)?;
+    tt("straighten");
     let count = patches.patches.len();
     let mut assembly = Assembly {
         mesh,
+        options,
         members: by_patch(&patches),
         patches: &patches,
         borders: &borders,
         stays,
         kept: vec![false; count],
+        is_folded: vec![false; count],
         tries: vec![0; count],
         forbidden: vec![],
         triangles: vec![vec![]; count],
@@ -53,16 +74,21 @@ pub fn assemble<const D: usize>(
     };
     let mut open: Vec<u32> = (0..count as u32).collect();
     while !open.is_empty() {
-        open = assembly.settle(open, options.threads, progress)?;
+        let n=open.len(); open = assembly.settle(open, progress)?; tt(&format!("settle {n} -> {}",open.len()));
+        if open.is_empty() && !is_last && assembly.is_folded.contains(&true) {
+            let is_folded = assembly.is_folded;
+            return Ok(Assembled::Folded(patches, is_folded));
+        }
         if open.is_empty() {
-            open = assembly.conflicts(options.threads);
+            open = assembly.conflicts(); tt("conflicts");
         }
     }
-    let bounds = assembly.bounds(options.threads);
+    let bounds = assembly.bounds();
     let refused = reasons::count(mesh, &patches, options);
     let (vertex_source, triangles, triangle_source, triangle_patch) = assembly.output();
+    tt("rest");
     let (kept, rounds) = (assembly.kept, assembly.rounds);
-    Ok(Planar {
+    Ok(Assembled::Whole(Box::new(Planar {
         triangles,
         vertex_source,
         triangle_source,
@@ -72,7 +98,7 @@ pub fn assemble<const D: usize>(
         kept,
         refused,
         rounds,
-    })
+    })))
 }
 
 /// The triangles of the input sorted by patch, and where each patch begins.
@@ -91,6 +117,7 @@ fn by_patch(patches: &Patches) -> (Vec<u32>, Vec<u32>) {
 
 struct Assembly<'a, const D: usize> {
     mesh: &'a Mesh<D>,
+    options: &'a Options,
     patches: &'a Patches,
     borders: &'a Borders,
     members: (Vec<u32>, Vec<u32>),
@@ -98,6 +125,8 @@ struct Assembly<'a, const D: usize> {
     stays: Vec<bool>,
     /// Patches that keep their triangles, inner vertices included.
     kept: Vec<bool>,
+    /// Those of them that have no triangulation though all vertices of their borders are there.
+    is_folded: Vec<bool>,
     tries: Vec<u8>,
     /// Edges that a patch must not have inside, as they are elsewhere; sorted.
     forbidden: Vec<(u32, [VertexId; 2])>,
@@ -116,12 +145,11 @@ impl<const D: usize> Assembly<'_, D> {
     fn settle(
         &mut self,
         open: Vec<u32>,
-        threads: usize,
         progress: &Progress,
     ) -> Result<Vec<u32>, KernelError> {
         self.rounds += 1;
         let batches = open.len().div_ceil(BATCH);
-        let outcomes = parallel::map(batches, threads, || (), |_, batch| {
+        let outcomes = parallel::map(batches, self.options.threads, || (), |_, batch| {
             let end = open.len().min((batch + 1) * BATCH);
             progress.check()?;
             Ok(open[batch * BATCH..end].iter().map(|&p| self.retriangulate(p)).collect::<Vec<_>>())
@@ -136,7 +164,15 @@ impl<const D: usize> Assembly<'_, D> {
                     again.push(patch);
                     vertices.into_iter().for_each(|v| self.put_back(v, &mut again));
                 }
+                Outcome::Tighten(vertices) => {
+                    again.push(patch);
+                    vertices.into_iter().for_each(|v| self.put_back(v, &mut again));
+                }
                 Outcome::Keep => self.keep(patch, &mut again),
+                Outcome::GiveUp => {
+                    self.is_folded[patch as usize] = self.patches.patches[patch as usize].faces > 1;
+                    self.keep(patch, &mut again);
+                }
             }
         }
         Ok(self.once_each(again))
@@ -172,11 +208,20 @@ impl<const D: usize> Assembly<'_, D> {
             return Outcome::Keep;
         }
         if !self.borders.is_planar(number as usize, patch.faces) || dot(&patch.normal, &patch.normal) == 0.0 {
-            return Outcome::Keep;
+            return Outcome::GiveUp;
         }
         let polygon = self.polygon(number);
         if inner == 0 && polygon.is_whole() {
             return Outcome::Keep;
+        }
+        if self.rounds > 1 {
+            let most = tolerance(patch, self.options);
+            let too_far = |c| polygon.farthest(self.mesh, c).filter(|(_, away)| *away > most);
+            let far: Vec<VertexId> =
+                (0..polygon.corners.len()).filter_map(too_far).map(|(v, _)| v).collect();
+            if !far.is_empty() {
+                return Outcome::Tighten(far);
+            }
         }
         let found = triangulate(&polygon).and_then(|found| self.without_forbidden(number, &polygon, found));
         match found {
@@ -194,7 +239,7 @@ impl<const D: usize> Assembly<'_, D> {
     fn relieved(&self, number: u32, polygon: &Polygon<'_>, chords: &[usize]) -> Outcome {
         let tries = self.tries[number as usize];
         if tries > MOST_TRIES || polygon.is_whole() {
-            return Outcome::Keep;
+            return Outcome::GiveUp;
         }
         if tries == MOST_TRIES {
             let all = self.borders.loops(number as usize).flatten();
@@ -281,9 +326,9 @@ type Edge = ([VertexId; 2], Kind, u32, u32);
 
 impl<const D: usize> Assembly<'_, D> {
     /// Resolve what makes the result no manifold; returns the patches that have to be done again.
-    fn conflicts(&mut self, threads: usize) -> Vec<u32> {
+    fn conflicts(&mut self) -> Vec<u32> {
         let batches = self.patches.patches.len().div_ceil(BATCH);
-        let mut edges: Vec<Edge> = parallel::map(batches, threads, || (), |_, batch| {
+        let mut edges: Vec<Edge> = parallel::map(batches, self.options.threads, || (), |_, batch| {
             let end = self.patches.patches.len().min((batch + 1) * BATCH);
             (batch * BATCH..end).flat_map(|p| self.edges(p as u32)).collect::<Vec<_>>()
         })
@@ -405,9 +450,9 @@ impl<const D: usize> Assembly<'_, D> {
     }
 
     /// How far the surfaces are apart in each patch at most, in shape and in colour.
-    fn bounds(&self, threads: usize) -> Vec<[f64; 2]> {
+    fn bounds(&self) -> Vec<[f64; 2]> {
         let mut bounds = vec![[0.0; 2]; self.patches.patches.len()];
-        parallel::fill(&mut bounds, threads, |p| {
+        parallel::fill(&mut bounds, self.options.threads, |p| {
             let patch: &Patch = &self.patches.patches[p];
             if self.kept[p] {
                 return [0.0; 2];

@@ -4,16 +4,20 @@
 //! its triangles are set free, and it grows again from its seed against these, which no longer change. What is left
 //! over in patches too small to matter may join a neighbour that holds it within its bounds.
 
-use super::fit::{Fit, Moments};
+use super::fit::{Fit, Moments, frame};
+use super::overlap::{Flat, Sheet};
 use super::{Options, Patch, Patches, facets};
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
-use crate::geometry::{Vec3, dot, position};
+use crate::geometry::{Vec3, dot, norm2, position, sub};
 use crate::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::{Mesh, Pin};
 use crate::progress::Progress;
 
-pub const NONE: u32 = u32::MAX;
+const NONE: u32 = u32::MAX;
+
+/// In a patch that is not to be changed.
+const TAKEN: u32 = u32::MAX - 1;
 
 /// Part of the distance that the two planes of a patch may take; 0.6 of it is left for the border, at least.
 pub const FOR_THICKNESS: f64 = 0.8;
@@ -50,6 +54,37 @@ pub fn propagate<const D: usize, const K: usize>(
     Ok(growth.largest_first())
 }
 
+/// Grow those patches again that lie over themselves, seen along their normals, as several that do not.
+///
+/// # Errors
+/// [`KernelError::Interrupted`].
+pub fn separate<const D: usize, const K: usize>(
+    mesh: &Mesh<D>,
+    patches: &Patches,
+    is_folded: &[bool],
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<Patches, KernelError> {
+    let mut growth = Growth::<D, K>::new(mesh, options);
+    let free = |t: &u32| is_folded[patches.of[*t as usize] as usize];
+    growth.of.fill(TAKEN);
+    let mut seeds = growth.flattest_first();
+    seeds.retain(free);
+    seeds.iter().for_each(|&t| growth.of[t as usize] = NONE);
+    growth.were = &patches.of;
+    growth.grow_all(&seeds, progress)?;
+    let again = growth.largest_first();
+    // The patches that stand, and these.
+    let kept: Vec<u32> = (0..is_folded.len() as u32).filter(|&p| !is_folded[p as usize]).collect();
+    let mut number = vec![NONE; is_folded.len()];
+    kept.iter().zip(0..).for_each(|(&p, new)| number[p as usize] = new);
+    let all = kept.iter().map(|&p| patches.patches[p as usize]).chain(again.patches).collect();
+    let of = patches.of.iter().zip(&again.of).map(|(&was, &now)| {
+        if now == TAKEN { number[was as usize] } else { now + kept.len() as u32 }
+    });
+    Ok(by_area(all, of.collect(), patches.looks + again.looks))
+}
+
 struct Growth<'a, const D: usize, const K: usize> {
     mesh: &'a Mesh<D>,
     options: &'a Options,
@@ -57,6 +92,11 @@ struct Growth<'a, const D: usize, const K: usize> {
     of: Vec<u32>,
     grown: Vec<Grown<K>>,
     releases: Vec<u8>,
+    /// The patches that are being separated: triangles that were in the same one are alike, but must not lie over
+    /// each other. Empty for none.
+    were: &'a [u32],
+    /// How many triangles joined the patch while its normal moved, and how far from the seed.
+    extent: (usize, f64),
     /// Triangles of the patch that grows, in the order they joined.
     members: Vec<u32>,
     thickness: f64,
@@ -83,6 +123,8 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
             of: vec![NONE; count],
             grown: vec![],
             releases: vec![0; count],
+            were: &[],
+            extent: (0, 0.0),
             members: vec![],
             thickness: FOR_THICKNESS * options.max_distance,
             residual2: (FOR_RESIDUAL * options.max_color).powi(2),
@@ -151,13 +193,19 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         if alone || !self.suits(&own) {
             return self.finish(seed, own);
         }
+        self.extent = (1, self.facets[seed as usize].1.sqrt());
         if self.releases[seed as usize] >= MOST_RELEASES {
             self.spread_fixed(id, &own);
             return self.finish(seed, own);
         }
         let fit = self.spread_moving(id, &mut moments);
-        if self.suits(&fit) {
+        if self.were.is_empty() && self.suits(&fit) {
             return self.finish(seed, fit);
+        }
+        if !self.were.is_empty() {
+            let at = |t: u32| position(self.corners(t)[0]);
+            let away = self.members.iter().map(|&t| norm2(&sub(&at(t), &at(seed)))).fold(0.0, f64::max);
+            self.extent = (self.members.len(), away.sqrt());
         }
         for i in 0..self.members.len() {
             let t = self.members[i] as usize;
@@ -224,6 +272,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
     /// Growth against a fit that stays, so that whatever joins suits it in the end.
     fn spread_fixed(&mut self, id: u32, fit: &Fit<K>) {
         let mut heights = around(self.corners(self.members[0]).map(|p| fit.height(p)));
+        let mut sheet = self.sheet(&fit.normal);
         let mut at = 0;
         while at < self.members.len() {
             let from = self.members[at];
@@ -235,20 +284,51 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                 }
                 let to = Connectivity::triangle(twin).0;
                 self.looks += 1;
-                if self.of[to as usize] != NONE || !self.is_alike(from, to, &fit.normal) {
+                let is_alike = if sheet.is_some() {
+                    self.was_alike(from, to, &fit.normal)
+                } else {
+                    self.is_alike(from, to, &fit.normal)
+                };
+                if self.of[to as usize] != NONE || !is_alike {
                     continue;
                 }
                 let p = self.mesh.point(self.mesh.connectivity.origin(Connectivity::prev(twin)));
                 let height = fit.height(p);
                 let wider = [heights[0].min(height), heights[1].max(height)];
                 let is_flat = wider[1] - wider[0] <= self.thickness;
-                if is_flat && (K == 0 || fit.residual2(p) <= self.residual2) && !self.is_pinned(to) {
+                let fits = is_flat && (K == 0 || fit.residual2(p) <= self.residual2) && !self.is_pinned(to);
+                let is_over = |sheet: &mut Sheet| !sheet.add(self.flat(to, &frame(&fit.normal)));
+                if fits && !sheet.as_mut().is_some_and(is_over) {
                     heights = wider;
                     self.of[to as usize] = id;
                     self.members.push(to);
                 }
             }
         }
+    }
+
+    /// What keeps patches that are being separated from lying over themselves, with the first triangle.
+    fn sheet(&self, normal: &Vec3) -> Option<Sheet> {
+        if self.were.is_empty() {
+            return None;
+        }
+        let across = frame(normal);
+        let seed = self.flat(self.members[0], &across);
+        let count = self.extent.0.max(1);
+        let reach = self.extent.1;
+        let [low, high] = [-reach, reach].map(|r| seed[0].map(|x| x + r));
+        let mut sheet = Sheet::new(low, high, count);
+        sheet.add(seed);
+        Some(sheet)
+    }
+
+    fn flat(&self, t: u32, [e, f]: &[Vec3; 2]) -> Flat {
+        self.corners(t).map(|p| [dot(e, &position(p)), dot(f, &position(p))])
+    }
+
+    fn was_alike(&self, from: u32, to: u32, mean: &Vec3) -> bool {
+        let (normal, area) = &self.facets[to as usize];
+        self.were[from as usize] == self.were[to as usize] && (*area == 0.0 || dot(normal, mean) > LEAST_COSINE)
     }
 
     /// The paper's two criteria. A triangle without area has no normal, and goes with any.
@@ -374,23 +454,26 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
     }
 
     fn largest_first(self) -> Patches {
-        let Self { grown, mut of, looks, .. } = self;
-        let mut order: Vec<u32> = (0..grown.len() as u32).collect();
-        order.sort_by(|&a, &b| {
-            let area = |id: u32| grown[id as usize].patch.area;
-            area(b).total_cmp(&area(a)).then(a.cmp(&b))
-        });
-        let mut number = vec![0; grown.len()];
-        for (new, &old) in order.iter().enumerate() {
-            number[old as usize] = new as u32;
-        }
-        of.iter_mut().for_each(|id| *id = number[*id as usize]);
-        let settled = |id: &u32| {
-            let grown = &grown[*id as usize];
-            Patch { heights: grown.heights, residual: grown.residual2.sqrt(), ..grown.patch }
+        let settled = |grown: &Grown<K>| Patch {
+            heights: grown.heights,
+            residual: grown.residual2.sqrt(),
+            ..grown.patch
         };
-        Patches { patches: order.iter().map(settled).collect(), of, looks }
+        by_area(self.grown.iter().map(settled).collect(), self.of, self.looks)
     }
+}
+
+/// Patches numbered by area, largest first.
+fn by_area(patches: Vec<Patch>, mut of: Vec<u32>, looks: u64) -> Patches {
+    let mut order: Vec<u32> = (0..patches.len() as u32).collect();
+    order.sort_by(|&a, &b| {
+        let area = |id: u32| patches[id as usize].area;
+        area(b).total_cmp(&area(a)).then(a.cmp(&b))
+    });
+    let mut number = vec![0; patches.len()];
+    order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
+    of.iter_mut().filter(|id| **id != TAKEN).for_each(|id| *id = number[*id as usize]);
+    Patches { patches: order.iter().map(|&id| patches[id as usize]).collect(), of, looks }
 }
 
 fn around(heights: [f64; 3]) -> [f64; 2] {

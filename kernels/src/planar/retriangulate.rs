@@ -74,7 +74,7 @@ fn delaunay(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     if !conflicts.is_empty() {
         return Err(Unsound(crossed(&cdt, &edges, &conflicts)));
     }
-    let inside = inside(&cdt, &edges)?;
+    let inside = inside(&cdt, &edges).map_err(Unsound)?;
     // V − E + F = 2 − loops, all vertices on the border.
     let wanted = polygon.corners.len() + 2 * polygon.loops.len() - 4;
     if inside.len() != wanted {
@@ -128,43 +128,39 @@ fn crossed(cdt: &Cdt, edges: &[[usize; 2]], conflicts: &[[usize; 2]]) -> Vec<usi
     crossed
 }
 
-/// The triangles to the left of the chords, and those reached from there without crossing one.
-fn inside(cdt: &Cdt, edges: &[[usize; 2]]) -> Result<Vec<[usize; 3]>, Unsound> {
-    const UNKNOWN: u8 = 0;
-    const INSIDE: u8 = 1;
-    const OUTSIDE: u8 = 2;
-    let mut side = vec![UNKNOWN; cdt.num_all_faces()];
+/// The triangles to the left of the chords, and those reached from there without crossing one; or a chord where
+/// inside and outside meet.
+fn inside(cdt: &Cdt, edges: &[[usize; 2]]) -> Result<Vec<[usize; 3]>, Vec<usize>> {
+    // The chord to the left of each face, if there is one, and likewise to the right; those inside by being reached.
+    const NONE: u32 = u32::MAX;
+    let mut left_of = vec![NONE; cdt.num_all_faces()];
+    let mut right_of = vec![NONE; cdt.num_all_faces()];
     let mut reached = vec![];
-    let unsound = || Unsound(vec![]);
-    for &[a, b] in edges {
+    for (chord, &[a, b]) in edges.iter().enumerate() {
         let [a, b] = [a, b].map(FixedVertexHandle::from_index);
         // A chord that runs through another corner is there in two parts.
-        let edge = cdt.get_edge_from_neighbors(a, b).filter(|e| e.is_constraint_edge());
-        let edge = edge.ok_or_else(unsound)?;
-        let left = edge.face().as_inner().ok_or_else(unsound)?;
+        let edge = cdt.get_edge_from_neighbors(a, b).filter(|e| e.is_constraint_edge()).ok_or(vec![chord])?;
+        let left = edge.face().as_inner().ok_or(vec![chord])?.fix();
         let right = edge.rev().face().fix().index();
-        if side[left.fix().index()] == OUTSIDE || side[right] == INSIDE {
-            return Err(unsound());
+        if left_of[left.index()] == NONE {
+            reached.push(left);
         }
-        if side[left.fix().index()] == UNKNOWN {
-            reached.push(left.fix());
-        }
-        side[left.fix().index()] = INSIDE;
-        side[right] = OUTSIDE;
+        left_of[left.index()] = chord as u32;
+        right_of[right] = chord as u32;
     }
     let mut triangles = vec![];
     while let Some(face) = reached.pop() {
+        let here = left_of[face.index()];
+        if right_of[face.index()] != NONE {
+            return Err(vec![here as usize, right_of[face.index()] as usize]);
+        }
         let face = cdt.face(face);
         triangles.push(face.vertices().map(|v| v.index()));
         for edge in face.adjacent_edges().into_iter().filter(|e| !e.is_constraint_edge()) {
-            let next = edge.rev().face().as_inner().ok_or_else(unsound)?;
-            match side[next.fix().index()] {
-                UNKNOWN => {
-                    side[next.fix().index()] = INSIDE;
-                    reached.push(next.fix());
-                }
-                INSIDE => {}
-                _ => return Err(unsound()),
+            let next = edge.rev().face().as_inner().ok_or(vec![here as usize])?.fix();
+            if left_of[next.index()] == NONE {
+                left_of[next.index()] = here;
+                reached.push(next);
             }
         }
     }
