@@ -37,9 +37,9 @@ def planar_patches(
 
     A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
     `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
-    of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8 of
-    `max_shape` apart, and its colours within 0.4 of `max_texture` of a linear function; and triangles left
-    over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
+    of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8
+    of `max_shape` apart, and its colours within 0.4 of `max_texture` of a linear function; and triangles
+    left over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
 
     Parameters
     ----------

@@ -52,7 +52,11 @@ fn check(points: &[Vec3], triangles: &Triangles, options: &Options) -> Planar {
         result.triangles.iter().zip(result.triangle_source.iter().zip(&result.triangle_patch))
     {
         assert_eq!(result.patches.of[source as usize], patch);
-        assert!(triangles[source as usize].iter().any(|&v| triangle.iter().any(|&w| result.vertex_source[w as usize] == v)));
+        assert!(
+            triangles[source as usize]
+                .iter()
+                .any(|&v| triangle.iter().any(|&w| result.vertex_source[w as usize] == v))
+        );
     }
     result
 }
@@ -106,8 +110,8 @@ fn flat_faces_of_a_solid_are_what_is_left_of_it() {
 #[test]
 fn closed_surfaces_stay_closed_at_any_tolerance() {
     for (points, triangles) in [ball(4), torus(40, 24), subdivided(tetrahedron(), 3)] {
-        for distance in [1e-6, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0] {
-            for angle in [5.0f64, 20.0, 35.0, 60.0, 79.0] {
+        for distance in [1e-6, 0.003, 0.03, 0.3, 1.0, 100.0] {
+            for angle in [5.0f64, 35.0, 79.0] {
                 let cosine = angle.to_radians().cos();
                 let options = Options { fidelity: cosine, detail: cosine, ..options(distance) };
                 check(&points, &triangles, &options);
@@ -120,7 +124,7 @@ fn closed_surfaces_stay_closed_at_any_tolerance() {
 #[test]
 fn noise_at_any_tolerance_gives_a_manifold_within_bounds() {
     let mut noise = Noise(7);
-    for round in 0..40 {
+    for round in 0..16 {
         let (mut points, triangles) = match round % 4 {
             0 => sheet(24, 17),
             1 => sheet_with_hole(6),
@@ -136,4 +140,65 @@ fn noise_at_any_tolerance_gives_a_manifold_within_bounds() {
             check(&points, &triangles, &Options { noise: 2.0, ..options(distance) });
         }
     }
+}
+
+/// A ramp that winds up around an axis, several turns over each other.
+fn ramp(turns: u32, steps: u32, rise: f64) -> (Vec<Vec3>, Triangles) {
+    let (across, along) = (6, turns * steps);
+    let (mut points, triangles) = sheet(along, across);
+    for p in &mut points {
+        let angle = p[0] / f64::from(steps) * std::f64::consts::TAU;
+        let radius = 1.0 + p[1] / f64::from(across);
+        *p = [radius * angle.sin(), radius * angle.cos(), rise * angle];
+    }
+    (points, triangles)
+}
+
+#[test]
+fn what_lies_over_itself_is_several_patches() {
+    let (points, triangles) = ramp(4, 80, 1e-4);
+    let result = check(&points, &triangles, &options(0.2));
+    assert!(result.patches.patches.len() > 1);
+    assert!(result.triangles.len() < triangles.len() / 10, "{}", result.triangles.len());
+}
+
+#[test]
+fn pinned_vertices_keep_their_triangles() {
+    let (points, triangles) = sheet(20, 20);
+    let mut mesh = Mesh::<3>::new(points, &triangles).expect("a manifold");
+    let pinned = [5 * 21 + 5, 13 * 21 + 8];
+    pinned.iter().for_each(|&v| mesh.pins[v] = Pin::Fixed);
+    let result = planar::<3, 0>(&mesh, &options(0.01));
+    for triangle in triangles.iter().filter(|t| t.iter().any(|&v| pinned.contains(&(v as usize)))) {
+        let is_same =
+            |t: &[u32; 3]| triangle.iter().all(|&v| t.iter().any(|&w| result.vertex_source[w as usize] == v));
+        assert!(result.triangles.iter().any(is_same));
+    }
+}
+
+#[test]
+fn colours_stay_near_linear_within_a_patch() {
+    let (points, triangles) = sheet(40, 10);
+    // A ramp of one colour up to the middle, and another way down from there.
+    let coloured: Vec<[f64; 4]> =
+        points.iter().map(|p| [p[0], p[1], p[2], 100.0 - 5.0 * (p[0] - 20.0).abs()]).collect();
+    let mesh = Mesh::<4>::new(coloured, &triangles).expect("a manifold");
+    let free = planar::<4, 1>(&mesh, &options(0.01));
+    let held = planar::<4, 1>(&mesh, &Options { max_color: 5.0, ..options(0.01) });
+    assert_eq!((free.triangles.len(), free.patches.patches.len()), (2, 1));
+    assert!(held.patches.patches.len() > 1 && held.triangles.len() < 80, "{}", held.triangles.len());
+    assert!(held.bounds.iter().all(|b| b[1] <= 5.0 + 1e-9));
+}
+
+#[test]
+fn the_work_is_linear() {
+    let looks = |n: u32| {
+        let (mut points, triangles) = sheet(n, n);
+        let mut noise = Noise(3);
+        points.iter_mut().for_each(|p| p[2] += 0.3 * noise.next());
+        let mesh = Mesh::<3>::new(points, &triangles).expect("a manifold");
+        planar::<3, 0>(&mesh, &options(0.25)).patches.looks as f64 / triangles.len() as f64
+    };
+    let [small, large] = [looks(20), looks(160)];
+    assert!(large < 1.5 * small + 1.0 && large < 20.0, "{small} {large}");
 }

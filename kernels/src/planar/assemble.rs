@@ -52,11 +52,8 @@ pub fn assemble<const D: usize>(
     is_last: bool,
     progress: &mut Progress,
 ) -> Result<Assembled, KernelError> {
-    let t=std::time::Instant::now(); let tt=|w:&str| if std::env::var("PT").is_ok() {eprintln!("{w} {:?}", t.elapsed());};
     let borders = trace(&mesh.connectivity, &patches, progress)?;
-    tt("trace");
     let stays = straighten(mesh, &patches, &borders, options, progress)?;
-    tt("straighten");
     let count = patches.patches.len();
     let mut assembly = Assembly {
         mesh,
@@ -74,19 +71,18 @@ pub fn assemble<const D: usize>(
     };
     let mut open: Vec<u32> = (0..count as u32).collect();
     while !open.is_empty() {
-        let n=open.len(); open = assembly.settle(open, progress)?; tt(&format!("settle {n} -> {}",open.len()));
+        open = assembly.settle(open, progress)?;
         if open.is_empty() && !is_last && assembly.is_folded.contains(&true) {
             let is_folded = assembly.is_folded;
             return Ok(Assembled::Folded(patches, is_folded));
         }
         if open.is_empty() {
-            open = assembly.conflicts(); tt("conflicts");
+            open = assembly.conflicts();
         }
     }
     let bounds = assembly.bounds();
     let refused = reasons::count(mesh, &patches, options);
     let (vertex_source, triangles, triangle_source, triangle_patch) = assembly.output();
-    tt("rest");
     let (kept, rounds) = (assembly.kept, assembly.rounds);
     Ok(Assembled::Whole(Box::new(Planar {
         triangles,
@@ -142,18 +138,19 @@ impl<const D: usize> Assembly<'_, D> {
     }
 
     /// Triangulate some patches; returns those that have to be done again.
-    fn settle(
-        &mut self,
-        open: Vec<u32>,
-        progress: &Progress,
-    ) -> Result<Vec<u32>, KernelError> {
+    fn settle(&mut self, open: Vec<u32>, progress: &Progress) -> Result<Vec<u32>, KernelError> {
         self.rounds += 1;
         let batches = open.len().div_ceil(BATCH);
-        let outcomes = parallel::map(batches, self.options.threads, || (), |_, batch| {
-            let end = open.len().min((batch + 1) * BATCH);
-            progress.check()?;
-            Ok(open[batch * BATCH..end].iter().map(|&p| self.retriangulate(p)).collect::<Vec<_>>())
-        });
+        let outcomes = parallel::map(
+            batches,
+            self.options.threads,
+            || (),
+            |_, batch| {
+                let end = open.len().min((batch + 1) * BATCH);
+                progress.check()?;
+                Ok(open[batch * BATCH..end].iter().map(|&p| self.retriangulate(p)).collect::<Vec<_>>())
+            },
+        );
         let mut again = vec![];
         let outcomes = outcomes.into_iter().collect::<Result<Vec<_>, KernelError>>()?;
         for (&patch, outcome) in open.iter().zip(outcomes.into_iter().flatten()) {
@@ -217,8 +214,7 @@ impl<const D: usize> Assembly<'_, D> {
         if self.rounds > 1 {
             let most = tolerance(patch, self.options);
             let too_far = |c| polygon.farthest(self.mesh, c).filter(|(_, away)| *away > most);
-            let far: Vec<VertexId> =
-                (0..polygon.corners.len()).filter_map(too_far).map(|(v, _)| v).collect();
+            let far: Vec<VertexId> = (0..polygon.corners.len()).filter_map(too_far).map(|(v, _)| v).collect();
             if !far.is_empty() {
                 return Outcome::Tighten(far);
             }
@@ -262,9 +258,8 @@ impl<const D: usize> Assembly<'_, D> {
 
     fn with_sources(&self, polygon: &Polygon<'_>, triangles: &Triangles) -> Vec<([u32; 3], u32)> {
         let corner = |c: u32| &polygon.corners[c as usize];
-        let sourced = |t: &[u32; 3]| {
-            (t.map(|c| corner(c).vertex.0), Connectivity::triangle(corner(t[0]).halfedge).0)
-        };
+        let sourced =
+            |t: &[u32; 3]| (t.map(|c| corner(c).vertex.0), Connectivity::triangle(corner(t[0]).halfedge).0);
         triangles.iter().map(sourced).collect()
     }
 
@@ -288,12 +283,11 @@ impl<const D: usize> Assembly<'_, D> {
                 return Ok(triangles);
             };
             let [a, b, c] = [0, 1, 2].map(|i| triangles[t][(side + i) % 3]);
-            let across = (0..triangles.len()).flat_map(|t| (0..3).map(move |side| (t, side))).find(
-                |&(u, side)| {
+            let across =
+                (0..triangles.len()).flat_map(|t| (0..3).map(move |side| (t, side))).find(|&(u, side)| {
                     let ends = (triangles[u][side], triangles[u][(side + 1) % 3]);
                     vertex(ends.0) == vertex(b) && vertex(ends.1) == vertex(a)
-                },
-            );
+                });
             let Some((u, other)) = across else { return Err(Unsound(vec![])) };
             let d = triangles[u][(other + 2) % 3];
             let flipped = [[a, d, c], [d, b, c]];
@@ -328,10 +322,15 @@ impl<const D: usize> Assembly<'_, D> {
     /// Resolve what makes the result no manifold; returns the patches that have to be done again.
     fn conflicts(&mut self) -> Vec<u32> {
         let batches = self.patches.patches.len().div_ceil(BATCH);
-        let mut edges: Vec<Edge> = parallel::map(batches, self.options.threads, || (), |_, batch| {
-            let end = self.patches.patches.len().min((batch + 1) * BATCH);
-            (batch * BATCH..end).flat_map(|p| self.edges(p as u32)).collect::<Vec<_>>()
-        })
+        let mut edges: Vec<Edge> = parallel::map(
+            batches,
+            self.options.threads,
+            || (),
+            |_, batch| {
+                let end = self.patches.patches.len().min((batch + 1) * BATCH);
+                (batch * BATCH..end).flat_map(|p| self.edges(p as u32)).collect::<Vec<_>>()
+            },
+        )
         .into_iter()
         .flatten()
         .collect();
@@ -407,8 +406,8 @@ impl<const D: usize> Assembly<'_, D> {
             Kind::Chord => {
                 let polygon = self.polygon(patch);
                 let edge = |h| self.mesh.connectivity.edge(h).0;
-                let chord = (0..polygon.corners.len())
-                    .find(|&c| polygon.chord(c).map(edge).min() == Some(least));
+                let chord =
+                    (0..polygon.corners.len()).find(|&c| polygon.chord(c).map(edge).min() == Some(least));
                 let vertex = chord.and_then(|c| polygon.farthest(self.mesh, c));
                 if let Some((v, _)) = vertex {
                     self.put_back(v, again);

@@ -34,7 +34,8 @@ impl Sheet {
     }
 
     fn cells(&self, triangle: &Flat) -> impl Iterator<Item = usize> + use<> {
-        let place = |x: f64, i: usize| (((x - self.low[i]) / self.cell).max(0.0) as usize).min(self.size[i] - 1);
+        let place =
+            |x: f64, i: usize| (((x - self.low[i]) / self.cell).max(0.0) as usize).min(self.size[i] - 1);
         let range = |i: usize| {
             let (low, high) =
                 triangle.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[i]), h.max(p[i])));

@@ -41,12 +41,8 @@ impl<'a> Polygon<'a> {
     ) -> Self {
         let connectivity = &mesh.connectivity;
         let [e, f] = frame(&patch.normal);
-        let mut polygon = Self {
-            connectivity,
-            corners: vec![],
-            loops: vec![],
-            halfedges: borders.loops(number).collect(),
-        };
+        let mut polygon =
+            Self { connectivity, corners: vec![], loops: vec![], halfedges: borders.loops(number).collect() };
         for (in_loop, halfedges) in borders.loops(number).enumerate() {
             let first = polygon.corners.len();
             for (place, &halfedge) in halfedges.iter().enumerate() {

@@ -79,9 +79,11 @@ pub fn separate<const D: usize, const K: usize>(
     let mut number = vec![NONE; is_folded.len()];
     kept.iter().zip(0..).for_each(|(&p, new)| number[p as usize] = new);
     let all = kept.iter().map(|&p| patches.patches[p as usize]).chain(again.patches).collect();
-    let of = patches.of.iter().zip(&again.of).map(|(&was, &now)| {
-        if now == TAKEN { number[was as usize] } else { now + kept.len() as u32 }
-    });
+    let of = patches
+        .of
+        .iter()
+        .zip(&again.of)
+        .map(|(&was, &now)| if now == TAKEN { number[was as usize] } else { now + kept.len() as u32 });
     Ok(by_area(all, of.collect(), patches.looks + again.looks))
 }
 
@@ -110,6 +112,8 @@ struct Grown<const K: usize> {
     fit: Fit<K>,
     heights: [f64; 2],
     residual2: f64,
+    /// Whether others may join: not one that has to stay a single triangle.
+    is_open: bool,
 }
 
 impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
@@ -159,9 +163,10 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
     #[inline]
     fn beside(&self, t: u32) -> impl Iterator<Item = (u32, VertexId)> + '_ {
         let connectivity = &self.mesh.connectivity;
-        (3 * t..3 * t + 3).map(move |h| connectivity.twin(HalfedgeId(h))).filter(|twin| twin.is_some()).map(
-            move |twin| (Connectivity::triangle(twin).0, connectivity.origin(Connectivity::prev(twin))),
-        )
+        (3 * t..3 * t + 3)
+            .map(move |h| connectivity.twin(HalfedgeId(h)))
+            .filter(|twin| twin.is_some())
+            .map(move |twin| (Connectivity::triangle(twin).0, connectivity.origin(Connectivity::prev(twin))))
     }
 
     fn corners(&self, t: u32) -> [&[f64; D]; 3] {
@@ -178,7 +183,8 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
             progress.tick(|| (done as u64 / 2, total))?;
             if self.of[seed as usize] == NONE {
                 // Asked to be content, what is left stays as it is.
-                let alone = self.is_pinned(seed) || self.facets[seed as usize].1 == 0.0 || progress.is_enough();
+                let alone =
+                    self.is_pinned(seed) || self.facets[seed as usize].1 == 0.0 || progress.is_enough();
                 self.grow(seed, alone);
             }
         }
@@ -189,18 +195,21 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let id = self.grown.len() as u32;
         let mut moments = self.start(seed, id);
         let own = moments.fit();
+        let alone_fits = self.measured(&own);
         // A triangle whose own colours are too far from linear over it, as the fit sees it, stays as it is.
-        if alone || !self.suits(&own) {
-            return self.finish(seed, own);
+        if alone || alone_fits.is_none() {
+            return self.finish(seed, own, None);
         }
         self.extent = (1, self.facets[seed as usize].1.sqrt());
         if self.releases[seed as usize] >= MOST_RELEASES {
             self.spread_fixed(id, &own);
-            return self.finish(seed, own);
+            let measured = self.measured(&own);
+            return self.finish(seed, own, measured);
         }
         let fit = self.spread_moving(id, &mut moments);
-        if self.were.is_empty() && self.suits(&fit) {
-            return self.finish(seed, fit);
+        let measured = self.measured(&fit);
+        if self.were.is_empty() && measured.is_some() {
+            return self.finish(seed, fit, measured);
         }
         if !self.were.is_empty() {
             let at = |t: u32| position(self.corners(t)[0]);
@@ -214,9 +223,10 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         }
         self.start(seed, id);
         // The seed need not be typical of what grew from it.
-        let fit = if self.suits(&fit) { fit } else { own };
+        let fit = if self.measured(&fit).is_some() { fit } else { own };
         self.spread_fixed(id, &fit);
-        self.finish(seed, fit);
+        let measured = self.measured(&fit);
+        self.finish(seed, fit, measured);
     }
 
     fn start(&mut self, seed: u32, id: u32) -> Moments<D, K> {
@@ -328,7 +338,8 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
 
     fn was_alike(&self, from: u32, to: u32, mean: &Vec3) -> bool {
         let (normal, area) = &self.facets[to as usize];
-        self.were[from as usize] == self.were[to as usize] && (*area == 0.0 || dot(normal, mean) > LEAST_COSINE)
+        self.were[from as usize] == self.were[to as usize]
+            && (*area == 0.0 || dot(normal, mean) > LEAST_COSINE)
     }
 
     /// The paper's two criteria. A triangle without area has no normal, and goes with any.
@@ -342,42 +353,42 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                     || dot(normal, &self.facets[from as usize].0) > self.options.detail))
     }
 
-    /// Whether all members are within the bounds of a fit.
-    fn suits(&self, fit: &Fit<K>) -> bool {
-        let (mut low, mut high) = (f64::MAX, f64::MIN);
-        self.members.iter().all(|&t| {
-            let (normal, area) = &self.facets[t as usize];
-            let stands = *area == 0.0 || dot(normal, &fit.normal) > LEAST_COSINE;
-            stands
-                && self.corners(t).iter().all(|p| {
-                    let height = fit.height(p);
-                    (low, high) = (low.min(height), high.max(height));
-                    high - low <= self.thickness && (K == 0 || fit.residual2(p) <= self.residual2)
-                })
-        })
-    }
-
-    fn finish(&mut self, seed: u32, fit: Fit<K>) {
-        let (mut heights, mut residual2, mut area) = ([f64::MAX, f64::MIN], 0.0f64, 0.0);
+    /// Least and greatest height, and squared residual, of all members over a fit; none if they are not within its
+    /// bounds.
+    fn measured(&self, fit: &Fit<K>) -> Option<([f64; 2], f64)> {
+        let (mut heights, mut residual2) = ([f64::MAX, f64::MIN], 0.0f64);
         for &t in &self.members {
-            area += self.facets[t as usize].1;
+            let (normal, area) = &self.facets[t as usize];
+            if *area > 0.0 && dot(normal, &fit.normal) <= LEAST_COSINE {
+                return None;
+            }
             for p in self.corners(t) {
                 let height = fit.height(p);
                 heights = [heights[0].min(height), heights[1].max(height)];
                 residual2 = residual2.max(fit.residual2(p));
             }
+            if heights[1] - heights[0] > self.thickness || (K > 0 && residual2 > self.residual2) {
+                return None;
+            }
         }
+        Some((heights, residual2))
+    }
+
+    /// What has no measure is a single triangle, and needs none.
+    fn finish(&mut self, seed: u32, fit: Fit<K>, measured: Option<([f64; 2], f64)>) {
+        let is_open = measured.is_some();
+        let (heights, residual2) = measured.unwrap_or_default();
         let patch = Patch {
             seed,
             faces: self.members.len() as u32,
-            area,
+            area: self.members.iter().map(|&t| self.facets[t as usize].1).sum(),
             normal: fit.normal,
             origin: fit.origin,
             heights: [0.0; 2],
             residual: 0.0,
             gradient: fit.gradient(),
         };
-        self.grown.push(Grown { patch, fit, heights, residual2 });
+        self.grown.push(Grown { patch, fit, heights, residual2, is_open });
     }
 
     /// Set the triangles of small patches free, and let the others take in, layer by layer, what their bounds hold.
@@ -416,7 +427,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let (normal, area) = self.facets[to as usize];
         let grown = &self.grown[id as usize];
         let stands = area == 0.0 || dot(&normal, &grown.fit.normal) > self.options.noise.max(LEAST_COSINE);
-        if self.of[to as usize] != NONE || !stands || self.is_pinned(to) {
+        if !grown.is_open || self.of[to as usize] != NONE || !stands || self.is_pinned(to) {
             return false;
         }
         let (mut heights, mut residual2) = (grown.heights, grown.residual2);

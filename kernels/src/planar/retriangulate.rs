@@ -57,12 +57,14 @@ fn quadrangle(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     }
 }
 
+/// Part of a chord that one of two corners at the same place moves along it.
+const APART: f64 = 1e-6;
+
 type Cdt = ConstrainedDelaunayTriangulation<Point2<f64>>;
 
 fn delaunay(polygon: &Polygon<'_>) -> Result<Triangles, Unsound> {
     let (own, first) = distinct(polygon);
-    let points: Vec<Point2<f64>> =
-        first.iter().map(|&c| polygon.corners[c as usize].at).map(|[x, y]| Point2::new(x, y)).collect();
+    let points = places(polygon, &first);
     let edges: Vec<[usize; 2]> =
         polygon.corners.iter().zip(&own).map(|(c, &from)| [from as usize, own[c.next] as usize]).collect();
     let mut conflicts = vec![];
@@ -103,6 +105,31 @@ fn distinct(polygon: &Polygon<'_>) -> (Vec<u32>, Vec<u32>) {
         }
     }
     (own, first)
+}
+
+/// Where the corners are. Of several at the same place (scans have sides without length) the others move a little
+/// along their chords: the triangulator wants them apart, and the triangles between them have no area anyway.
+fn places(polygon: &Polygon<'_>, corners: &[u32]) -> Vec<Point2<f64>> {
+    let at = |c: u32| polygon.corners[c as usize].at;
+    let order = |a: [f64; 2], b: [f64; 2]| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]));
+    let mut places: Vec<[f64; 2]> = corners.iter().map(|&c| at(c)).collect();
+    let mut sorted: Vec<usize> = (0..corners.len()).collect();
+    sorted.sort_unstable_by(|&i, &j| order(places[i], places[j]).then(i.cmp(&j)));
+    let doubled: Vec<usize> =
+        sorted.windows(2).filter(|pair| places[pair[0]] == places[pair[1]]).map(|pair| pair[1]).collect();
+    for i in doubled {
+        let here = places[i];
+        let mut corner = corners[i] as usize;
+        for _ in 0..polygon.corners.len() {
+            corner = polygon.corners[corner].next;
+            let to = polygon.corners[corner].at;
+            if to != here {
+                places[i] = [0, 1].map(|k| here[k] + APART * (to[k] - here[k]));
+                break;
+            }
+        }
+    }
+    places.into_iter().map(|[x, y]| Point2::new(x, y)).collect()
 }
 
 /// The chords that could not be laid, and those they cross.

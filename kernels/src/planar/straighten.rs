@@ -37,8 +37,7 @@ pub fn straighten<const D: usize>(
     progress: &mut Progress,
 ) -> Result<Vec<bool>, KernelError> {
     let connectivity = &mesh.connectivity;
-    let is_corner =
-        |v: VertexId| borders.degree[v.index()] != 2 || mesh.pin(v) != Pin::Free;
+    let is_corner = |v: VertexId| borders.degree[v.index()] != 2 || mesh.pin(v) != Pin::Free;
     let mut stays: Vec<bool> = (0..mesh.points.len()).map(VertexId::from_index).map(is_corner).collect();
     let mut is_done = vec![false; mesh.points.len()];
     let mut chain = Chain { mesh, vertices: vec![], stack: vec![], is_closed: false };
@@ -61,7 +60,8 @@ pub fn straighten<const D: usize>(
                 let beside = connectivity.twin(h);
                 let mut within = tolerances[patch];
                 if beside.is_some() {
-                    within = within.min(tolerances[patches.of[Connectivity::triangle(beside).index()] as usize]);
+                    within =
+                        within.min(tolerances[patches.of[Connectivity::triangle(beside).index()] as usize]);
                 }
                 chain.vertices.iter().for_each(|v| is_done[v.index()] = true);
                 chain.straighten(within, &mut stays);

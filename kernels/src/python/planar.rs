@@ -132,9 +132,7 @@ fn simplify_points<const D: usize, const K: usize>(
     let (points, triangles) = inputs.copied::<D>()?;
     let (mesh, result, is_partial): (Mesh<D>, Planar, bool) =
         detached(py, Some(progress), partial, |progress| {
-            let t=std::time::Instant::now();
             let mesh = mesh_of(points, &triangles, fixed)?;
-    if std::env::var("PT").is_ok() {eprintln!("mesh {:?}", t.elapsed());}
             let result = simplify::<D, K>(&mesh, options, progress)?;
             Ok((mesh, result, progress.is_enough()))
         })?;
