@@ -21,6 +21,8 @@ from stages import compare, planar_patches, simplify
 from stages.mesh import Mesh
 
 RUNS = 3
+# Below the 9° between two sectors of the cone, none takes in what is thin enough of the next near the apex.
+ANGLES = {"cone": 6, "cup": 40, "bottle": 40}
 SIZES = (50_000, 200_000, 500_000, 1_000_000, 2_500_000)
 
 
@@ -94,7 +96,8 @@ def reductions() -> None:
         diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
         for percent in wanted:
             for shape in np.geomspace(1e-5, 0.02, 34):
-                result = simplify(mesh, method="planar", max_shape=shape * diagonal)
+                angle = ANGLES[name]
+                result = simplify(mesh, method="planar", max_shape=shape * diagonal, patch_angle=angle)
                 left = 100 * (1 - len(result.mesh.vertices) / len(mesh.vertices))
                 if left >= percent:
                     break

@@ -117,7 +117,7 @@ def by_patches(
     light = as_result(mesh, mesh.vertices[source], colors, result.triangles, source, "simplify")
     # The bounds hold in exact arithmetic; coordinates are rounded a few times on the way.
     slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
-    bounds = result.bounds[result.triangle_patch]
+    bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
     shape_bound = np.where(bounds[:, 0] > 0, bounds[:, 0] + slack, 0)
     with_color = mesh.colors is not None
     return Simplified(

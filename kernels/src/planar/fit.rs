@@ -49,6 +49,11 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         }
     }
 
+    /// Vertices that were added, those of the first triangle included.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
     /// The plane through the middle of the vertices with the mean normal, and the colours over it.
     pub fn fit(&self) -> Fit<K> {
         let normal = unit(&self.normal);
@@ -72,9 +77,6 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         });
         let form = |a: &Vec3, b: &Vec3| dot(a, &[0, 1, 2].map(|i| dot(&covariance[i], b)));
         let (ee, ef, ff) = (form(&e, &e), form(&e, &f), form(&f, &f));
-        // A few vertices tell little of a gradient: it starts near 0, and three points are not fitted exactly.
-        let ridge = (ee + ff) * 2.0 / (self.count * self.count) + f64::MIN_POSITIVE;
-        let (ee, ff) = (ee + ridge, ff + ridge);
         let determinant = ee * ff - ef * ef;
         if !(determinant > 1e-12 * (ee + ff) * (ee + ff)) {
             return;
@@ -119,6 +121,12 @@ impl<const K: usize> Fit<K> {
                 off * off
             })
             .sum()
+    }
+
+    /// The same for the function that is everywhere what this one is in the middle.
+    #[inline]
+    pub fn residual2_of_mean<const D: usize>(&self, p: &[f64; D]) -> f64 {
+        (0..K).map(|k| (p[3 + k] - self.mean[k]).powi(2)).sum()
     }
 
     /// Frobenius norm of the gradients: no direction changes colours faster.

@@ -31,6 +31,9 @@ const MOST_RELEASES: u8 = 3;
 /// Seen along the normal of its patch, no triangle may be turned over or near to it: cosine of 80°.
 const LEAST_COSINE: f64 = 0.173_648;
 
+/// Until it has so many vertices, noise may tilt the colours of a patch, and their mean will do as well.
+const YOUNG: f64 = 16.0;
+
 /// Patches of less area than so many squares of the largest distance count as noise.
 const NOISE_AREA: f64 = 4.0;
 
@@ -246,6 +249,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let (mut layer, half) = (0, 0.5 * self.thickness);
         while layer < self.members.len() {
             let end = self.members.len();
+            let is_young = moments.count() < YOUNG;
             for at in layer..end {
                 let from = self.members[at];
                 for h in 3 * from..3 * from + 3 {
@@ -262,7 +266,10 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                         continue;
                     }
                     let p = self.mesh.point(self.mesh.connectivity.origin(Connectivity::prev(twin)));
-                    let fits = fit.height(p).abs() <= half && (K == 0 || fit.residual2(p) <= self.residual2);
+                    let suits = K == 0
+                        || fit.residual2(p) <= self.residual2
+                        || (is_young && fit.residual2_of_mean(p) <= self.residual2);
+                    let fits = fit.height(p).abs() <= half && suits;
                     if fits && !self.is_pinned(to) {
                         self.of[to as usize] = id;
                         self.members.push(to);
