@@ -28,12 +28,16 @@ from stages.simplified import Simplified
 VERSION = 1
 
 _SHAPE_PER_DIAGONAL = 0.005
+_FARTHEST_COLORS = 255 * math.sqrt(3)
 
 
 def planar_patches(
     mesh: MeshLike, params: PatchParams | None = None, *, progress: Progress = silent, **changes: Any
 ) -> Patches:
     """Find the near-planar patches of a mesh: each triangle is in one, and each is in one piece.
+
+    `simplify` triangulates these anew, but that it divides a patch that lies over itself, seen along its
+    normal.
 
     A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
     `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
@@ -119,6 +123,8 @@ def by_patches(
     slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
     bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
     shape_bound = np.where(bounds[:, 0] > 0, bounds[:, 0] + slack, 0)
+    # No two colours are farther apart.
+    color_bound = np.minimum(bounds[:, 1], _FARTHEST_COLORS)
     with_color = mesh.colors is not None
     return Simplified(
         mesh=light,
@@ -133,9 +139,9 @@ def by_patches(
         attempts=0,
         triangles_before=len(mesh.triangles),
         shape_bound=shape_bound,
-        color_bound=bounds[:, 1] if with_color else None,
+        color_bound=color_bound if with_color else None,
         shape_bound_m=float(shape_bound.max(initial=0)),
-        color_bound_levels=float(bounds[:, 1].max(initial=0)) if with_color else None,
+        color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
         iterations=result.rounds,
         max_shape_m=shape,
         max_texture_levels=params.max_texture,

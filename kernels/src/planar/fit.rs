@@ -78,7 +78,7 @@ impl<const D: usize, const K: usize> Moments<D, K> {
         let form = |a: &Vec3, b: &Vec3| dot(a, &[0, 1, 2].map(|i| dot(&covariance[i], b)));
         let (ee, ef, ff) = (form(&e, &e), form(&e, &f), form(&f, &f));
         let determinant = ee * ff - ef * ef;
-        if !(determinant > 1e-12 * (ee + ff) * (ee + ff)) {
+        if determinant <= 1e-12 * (ee + ff) * (ee + ff) {
             return;
         }
         for k in 0..K {
@@ -103,18 +103,18 @@ pub struct Fit<const K: usize> {
 impl<const K: usize> Fit<K> {
     #[inline]
     pub fn height<const D: usize>(&self, p: &[f64; D]) -> f64 {
-        dot(&self.normal, &self.from_origin(p))
+        dot(&self.normal, &self.seen_from_origin(p))
     }
 
     #[inline]
-    fn from_origin<const D: usize>(&self, p: &[f64; D]) -> Vec3 {
+    fn seen_from_origin<const D: usize>(&self, p: &[f64; D]) -> Vec3 {
         [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]]
     }
 
     /// Squared distance of a vertex' colour from the function.
     #[inline]
     pub fn residual2<const D: usize>(&self, p: &[f64; D]) -> f64 {
-        let at = self.from_origin(p);
+        let at = self.seen_from_origin(p);
         (0..K)
             .map(|k| {
                 let off = p[3 + k] - self.mean[k] - dot(&self.gradients[k], &at);

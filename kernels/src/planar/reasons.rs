@@ -1,9 +1,9 @@
 //! What keeps two patches apart.
 
 use super::propagate::FOR_THICKNESS;
-use super::{Options, Patches, facets, is_border};
+use super::{Options, Patches, is_border};
 use crate::connectivity::Connectivity;
-use crate::geometry::{dot, position, sub};
+use crate::geometry::{cross, dot, position, sub, unit};
 use crate::ids::{HalfedgeId, TriangleId};
 use crate::mesh::Mesh;
 
@@ -14,9 +14,13 @@ pub const REASONS: [&str; 4] = ["fidelity", "detail", "shape", "other"];
 /// Edges of the mesh between two patches, by the first of the reasons that holds for the patches on both sides.
 pub fn count<const D: usize>(mesh: &Mesh<D>, patches: &Patches, options: &Options) -> [u64; 4] {
     let connectivity = &mesh.connectivity;
-    let facets = facets(mesh, options.threads);
+    // Few triangles are at a border; their normals are had again at once.
+    let normal = |t: u32| {
+        let [a, b, c] = mesh.triangle_points(TriangleId(t)).map(|p| position(&p));
+        unit(&cross(&sub(&b, &a), &sub(&c, &a)))
+    };
     let patch = |t: u32| &patches.patches[patches.of[t as usize] as usize];
-    let suits = |t: u32, beside: u32| dot(&facets[t as usize].0, &patch(beside).normal) > options.fidelity;
+    let suits = |t: u32, beside: u32| dot(&normal(t), &patch(beside).normal) > options.fidelity;
     let holds = |t: u32, beside: u32| {
         let patch = patch(beside);
         let heights = mesh
@@ -35,7 +39,7 @@ pub fn count<const D: usize>(mesh: &Mesh<D>, patches: &Patches, options: &Option
         let [s, t] = [h, twin].map(|h| Connectivity::triangle(h).0);
         let reason = if !suits(s, t) && !suits(t, s) {
             0
-        } else if dot(&facets[s as usize].0, &facets[t as usize].0) <= options.detail {
+        } else if dot(&normal(s), &normal(t)) <= options.detail {
             1
         } else if !holds(s, t) && !holds(t, s) {
             2
