@@ -1,4 +1,4 @@
-"""Commands on mesh files: clean, simplify, replay, compare, certify, render."""
+"""Commands on mesh files: clean, simplify, replay, patches, compare, certify, render."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import stages
 from cli.errors import STAGE_FAILED
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
 from cli.options import with_options
 from cli.output import Output, at_least, at_most, lines_of, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
@@ -22,12 +22,14 @@ from stages import (
     CleanParams,
     CompareParams,
     Mesh,
+    PatchParams,
     ReplayParams,
     SimplifyParams,
     UsageError,
 )
 from stages.formats.ply import write_ply
 from stages.params import check, param
+from stages.patches import colored_by_patch
 from stages.regions import parse_region
 from stages.render import write_png
 
@@ -63,6 +65,7 @@ def add_to(app: typer.Typer) -> None:
     app.command("clean", rich_help_panel="One stage at a time")(with_options(clean))
     app.command("simplify", rich_help_panel="One stage at a time")(with_options(simplify))
     app.command("replay", rich_help_panel="One stage at a time")(with_options(replay))
+    app.command("patches", rich_help_panel="Look and measure")(with_options(patches))
     app.command("compare", rich_help_panel="Look and measure")(with_options(compare))
     app.command("certify", rich_help_panel="Look and measure")(with_options(certify))
     app.command("render", rich_help_panel="Look and measure")(with_options(render))
@@ -164,7 +167,9 @@ def simplify(
     figures = {"output": str(target), **simplified.figures()}
     for warning in simplified.warnings:
         out.remark(f"warning: {warning}")
-    text = lines_of({name: value for name, value in figures.items() if name != "warnings"})
+    text = lines_of(
+        {name: value for name, value in figures.items() if name not in ("warnings", "largest_patches")}
+    )
     out.result(figures, f"{text}\n\n{_proof_text(figures)}" if simplified.method == "certified" else text)
 
 
@@ -188,6 +193,31 @@ def replay(
     write_file(target, replayed.mesh, out)
     figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
     out.result({"output": str(target), **figures, "collapses": replayed.collapses})
+
+
+def patches(source: MeshFile, target: NewMesh, params: PatchParams, out: Output) -> None:
+    """Find the near-planar patches of a mesh, its walls and floors, and write it coloured by them.
+
+    These are what `scanloom simplify --method planar` triangulates anew, but that it divides a patch that
+    lies over itself, seen along its normal. In a PLY, each face also has the number of its patch; patches are
+    numbered by area, largest first.
+
+    Example: scanloom patches clean.ply patches.ply --max-shape 0.02
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    mesh = read_file(source, out)
+    with about_file(source), out.progress("patches", "triangles") as progress:
+        found = stages.planar_patches(mesh, params, progress=progress)
+    colored = colored_by_patch(mesh, found.triangle_patch)
+    if target.suffix.lower() == ".ply":
+        kept = found.triangle_patch[found.triangle_patch >= 0]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_ply(target, colored, {"patch": kept.astype(np.float64)})
+        tell_written(target, colored, out)
+    else:
+        write_file(target, colored, out)
+    figures = {"output": str(target), **found.figures()}
+    out.result(figures, None if out.as_json else _patches_text(figures))
 
 
 def compare(
@@ -269,6 +299,19 @@ def render(
     write_png(target, stages.render(mesh, view, shading=params.shading))  # type: ignore[arg-type]
     figures = {"output": str(target), "view": view.name}
     out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})
+
+
+def _patches_text(figures: Mapping[str, Any]) -> str:
+    rows = [["largest patches", "area m²", "triangles", "thickness m", "normal"]]
+    for number, patch in enumerate(figures["largest_patches"]):
+        normal = " ".join(f"{x:.2f}" for x in patch["normal"])
+        area, thickness = f"{patch['area_m2']:.4g}", f"{patch['thickness_m']:.3g}"
+        rows.append([str(number), area, f"{patch['triangles']:,}", thickness, normal])
+    few = figures["patches_of_half_the_area"]
+    return (
+        f"{figures['patches']:,} patches, {figures['area_m2']:.4g} m²; half of that in the {few:,} largest."
+        f"\n\n{table_of(rows)}"
+    )
 
 
 def _write_bounds(

@@ -28,6 +28,8 @@ _HEADLINES = {
     "{attribute_scale_m_per_level:.3g} m",
     "simplify certified": "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
     "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off",
+    "simplify planar": "{triangles:,} triangles from {patches:,} patches, no more than "
+    "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off",
     "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",
     "report": "{pictures} pictures",

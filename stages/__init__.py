@@ -23,6 +23,9 @@ from stages.layouts import ScanParams, read_scan
 from stages.mesh import Mesh
 from stages.mesh_files import read_mesh, write_mesh
 from stages.normal_mesh import NormalMesh, Offsets, decode
+from stages.patches import Patches
+from stages.planar import planar_patches
+from stages.planar_params import PatchParams
 from stages.regions import Box, Sphere
 from stages.register import RegisterParams, Registration, register
 from stages.remesh import RemeshParams, remesh
@@ -58,6 +61,8 @@ __all__ = [
     "MeshLike",
     "NormalMesh",
     "Offsets",
+    "PatchParams",
+    "Patches",
     "RegisterParams",
     "Registration",
     "RemeshParams",
@@ -84,6 +89,7 @@ __all__ = [
     "fuse",
     "inspect",
     "load_record",
+    "planar_patches",
     "read_mesh",
     "read_scan",
     "register",

@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 from typing_extensions import disjoint_base
 
 __all__ = [
+    "ByPatches",
     "ByQuadrics",
     "BySums",
     "Certified",
     "InvalidMeshError",
     "LimitError",
     "NormalMesh",
+    "PlanarPatches",
     "Proven",
     "Running",
     "Simplified",
@@ -22,11 +24,13 @@ __all__ = [
     "color_weight",
     "decode_normal_mesh",
     "fit",
+    "planar_patches",
     "remesh",
     "side_lengths",
     "simplify",
     "simplify_by_quadrics",
     "simplify_certified",
+    "simplify_planar",
     "spatial_order",
 ]
 
@@ -401,6 +405,86 @@ def simplify_certified(
     whose bounds for single triangles are close only if `close` says so.
     Raises InvalidMeshError for a mesh it cannot work on.
     """
+
+@disjoint_base
+class PlanarPatches:
+    """The near-planar patches of a mesh, largest area first.
+
+    `input_patch` holds the patch of each triangle, -1 for one that names a vertex twice; `looks` counts how
+    often a neighbour was looked at while they grew.
+    """
+
+    @property
+    def input_patch(self) -> NDArray[np.int32]: ...
+    @property
+    def normals(self) -> NDArray[np.float64]: ...
+    @property
+    def origins(self) -> NDArray[np.float64]: ...
+    @property
+    def areas(self) -> NDArray[np.float64]: ...
+    @property
+    def thickness(self) -> NDArray[np.float64]: ...
+    @property
+    def faces(self) -> NDArray[np.int32]: ...
+    @property
+    def looks(self) -> int: ...
+
+@final
+class ByPatches(PlanarPatches):
+    """A mesh simplified by near-planar patches; its vertices are those of `vertex_source`.
+
+    `kept` says of each patch whether it has its own triangles still, `bounds` how far the surfaces are apart
+    there at most, in shape and in colour; `refused` counts the edges of the input between patches.
+    """
+
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    @property
+    def vertex_source(self) -> NDArray[np.int32]: ...
+    @property
+    def triangle_source(self) -> NDArray[np.int32]: ...
+    @property
+    def triangle_patch(self) -> NDArray[np.int32]: ...
+    @property
+    def kept(self) -> NDArray[np.bool_]: ...
+    @property
+    def bounds(self) -> NDArray[np.float64]: ...
+    @property
+    def refused(self) -> dict[str, int]: ...
+    @property
+    def rounds(self) -> int: ...
+    @property
+    def is_partial(self) -> bool: ...
+
+def simplify_planar(
+    vertices: NDArray[np.float64],
+    attributes: _Attributes,
+    triangles: NDArray[np.int32],
+    fixed: NDArray[np.bool_],
+    *,
+    cosines: tuple[float, float, float],
+    bounds: tuple[float, float],
+    threads: int,
+    partial: bool,
+    progress: Callable[[int, int], object],
+) -> ByPatches:
+    """Simplify by near-planar patches.
+
+    `cosines` are the least ones of fidelity, detail and noise (above 1 for none); `bounds` are (shape,
+    colour), the latter infinite for none. Raises InvalidMeshError for a mesh it cannot work on.
+    """
+
+def planar_patches(
+    vertices: NDArray[np.float64],
+    attributes: _Attributes,
+    triangles: NDArray[np.int32],
+    *,
+    cosines: tuple[float, float, float],
+    bounds: tuple[float, float],
+    threads: int,
+    progress: Callable[[int, int], object],
+) -> PlanarPatches:
+    """Return the patches alone. Raises InvalidMeshError for a mesh it cannot work on."""
 
 def spatial_order(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]

@@ -43,8 +43,8 @@ class SeamAttributes:
     ----------
     origin : (3,) float64, metres; places count from there.
     positions : (n, 3) float64, metres, of the vertices, equal for those that are one.
-    columns : (3 m, k) float64, metres: texture coordinates (2, zeros if there are none), colours (3) and normals
-        (3) of each corner, if they are there.
+    columns : (3 m, k) float64, metres: texture coordinates (2, zeros if there are none), colours (3) and
+        normals (3) of each corner, if they are there.
     uv_scale, color_scale, normal_scale : metres for the image's side, a level, and a length of 1.
     has_uvs, has_colors, has_normals : which of them are there.
     """

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stages.collapse_record import CollapseRecord
 from stages.edges import edges_of
 from stages.mesh import Mesh
+from stages.patches import Patches
 from stages.seam_record import SeamRecord
 
 # What only one of the methods has to tell.
@@ -39,6 +40,14 @@ _FIGURES = {
         "bounded",
         "splits",
     ),
+    "planar": (
+        "shape_bound_m",
+        "color_bound_levels",
+        "max_shape_m",
+        "max_texture_levels",
+        "kept_patches",
+        "iterations",
+    ),
 }
 
 # Where a larger share of the edges stands for the topology, little is left to choose. A street of 1.1 million
@@ -55,7 +64,7 @@ class Simplified:
     mesh : Mesh
     vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
-    method : "quadric", "certified", "seams" or "jia01".
+    method : "quadric", "certified", "seams", "jia01" or "planar".
     stopped_by : "bounds" when no edge may collapse any more, "triangles" when the wanted number was reached,
         "request" when the caller was content with less, "unproven" when the bounds cannot be proven: they do
         not even hold between the input and itself, as where sheets of different colours touch.
@@ -66,7 +75,11 @@ class Simplified:
         a triangle over in the image or take a texture coordinate out of its chart, "drift" for the bound
         max_seam_drift, "pinned" for an edge between two vertices that must stay. Edges whose turn had not
         come are not counted.
-    attribute_scale_m_per_level : what was used.
+        For planar these are edges of the input between two patches, by the first of the rules that keeps the
+        patches on both sides apart: "fidelity" and "detail" are the angles with the patch and with the
+        neighbour, "shape" the distance, "other" colours, a locked vertex, or that another patch was there
+        first.
+    attribute_scale_m_per_level : what was used; 0 for planar, which has no use for it.
     splits, collapses, attempts : edges split and collapsed; edges whose turn came, some repeatedly.
     triangles_before : triangles of the input.
     fitted : whether vertices and colours were moved to fit the input at the end.
@@ -75,7 +88,10 @@ class Simplified:
         ways: for its points, and for points of the input whose nearest point is on it. `color_bound` is None
         for a mesh without colours. They may be as large as `max_shape` and `max_texture` though less is true,
         unless `close_bounds` is set.
-    shape_bound_m, color_bound_levels : certified: the greatest of all, input and result.
+        planar: how far each triangle's patch is off at most, both ways: every point of the patch, in the
+        input and in the result, has a counterpart in the other within `shape_bound`, and the colours of the
+        two differ by `color_bound` at most. That need not be the nearest point; 0 where nothing changed.
+    shape_bound_m, color_bound_levels : certified, planar: the greatest of all, input and result.
     shape_attained_m, color_attained_levels : certified: the greatest found at a point; the true maximum is
         between that and the bound.
     slack_m, color_slack_levels : certified: contained in the bounds, for searches in single precision. Twice
@@ -83,16 +99,20 @@ class Simplified:
     proven : certified: whether max_shape and max_texture are proven. The bounds above hold anyway.
     unproven_triangles : certified: triangles of the result and of the input that are not proven to stay
         within max_shape and max_texture.
-    iterations : certified: how often it went on simplifying and then looked at the bounds.
+    iterations : certified: how often it went on simplifying and then looked at the bounds. planar: how often
+        patches were triangulated, as vertices were put back.
     largest_shape_change_m, largest_texture_change_levels : jia01: largest sums on any edge at any time.
     resolution_m : jia01: what was used.
-    max_shape_m, max_texture_levels : jia01 and certified: what was used; None for no bound.
+    max_shape_m, max_texture_levels : jia01, certified and planar: what was used; None for no bound.
     similar_distance_m : seams: vertices closer than this were taken for one.
     joined_vertices : seams: how many vertices of the input were copies of others.
     texture_scale_m : seams: metres that a shift by the image's side counted as.
     seam_drift : seams: proven: no point of a seam is farther, in the image, from where it was; as a share of
         the image's side.
     bounded : jia01: whether resolution, max_shape and max_texture were bounds, or only ordered the collapses.
+    patches : planar: those of the input.
+    triangle_patch : planar: (q,) int32, the patch of each triangle of the result.
+    kept_patches : planar: patches that have all their triangles still.
     """
 
     mesh: Mesh
@@ -129,6 +149,9 @@ class Simplified:
     joined_vertices: int | None = None
     texture_scale_m: float | None = None
     seam_drift: float | None = None
+    patches: Patches | None = None
+    triangle_patch: NDArray[np.int32] | None = None
+    kept_patches: int | None = None
 
     def follow(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return an array (n, …) over the input's vertices for the result's: (p, …)."""
@@ -167,7 +190,8 @@ class Simplified:
             "attempts": self.attempts,
             "warnings": list(self.warnings),
         }
-        return figures | {name: _plain(getattr(self, name)) for name in _FIGURES[self.method]}
+        figures |= {name: _plain(getattr(self, name)) for name in _FIGURES[self.method]}
+        return figures if self.patches is None else figures | self.patches.figures()
 
 
 def _plain(value: Any) -> Any:

@@ -12,6 +12,7 @@ from stages.certified import simplify_certified
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
 from stages.params import resolve
+from stages.planar import by_patches
 from stages.progress import Progress, silent
 from stages.regions import Region, resolve_control
 from stages.simplified import Simplified
@@ -19,7 +20,7 @@ from stages.simplify_params import SimplifyParams
 
 __all__ = ["VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-VERSION = 7
+VERSION = 8
 
 
 def simplify(
@@ -58,6 +59,10 @@ def simplify(
     summed up around them. A new vertex is the mean of the projections of the edge's midpoint on the planes of
     the triangles around, in the space of position and colour.
 
+    Method `planar`, within bounds: near-planar patches grow over the surface (see `stages.planar_patches`),
+    the borders between them are straightened, and each is triangulated anew within its border. The bounds
+    hold for every point. Vertices stay where they are or vanish; triangles around locked ones stay.
+
     Parameters
     ----------
     mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold.
@@ -66,7 +71,7 @@ def simplify(
     lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included (with `seams` their
         positions; copies of a locked vertex stay too). Others may collapse into them.
     importance : (n,) float above 0, factor of the squared error around each vertex; for `certified` at least
-        1, and bounds there are divided by it. Not for `jia01` and `seams`.
+        1, and bounds there are divided by it. Not for `jia01`, `seams` and `planar`.
     regions : Sphere and Box of `stages.regions`, which lock the vertices they hold, or give them importance.
     record : keep all collapses, so that every mesh on the way can be had again. What `certified` proves, it
         proves of the last one.
@@ -133,6 +138,9 @@ def simplify(
 
     jia01: Jia, Liu, Pei, Zhu and Li, "Mesh simplification with texture preservation", Journal of Image and
     Graphics 6(7), 2001: shape change (1)-(2), texture change (3), placement (4)-(6), order (7).
+
+    planar: Chen and Qin, "3-D surface reduction new algorithm"; `kernels/src/planar.rs` says why the bounds
+    hold.
     """
     params = resolve(SimplifyParams, params, changes)
     mesh = as_mesh(mesh)
@@ -144,6 +152,8 @@ def simplify(
             f"importance has no meaning for method {method}; give triangles or ratio, no bound, and method "
             "quadric."
         )
+    if method == "planar" and (len(factors) or record):
+        raise UsageError("method planar collapses no edges: it takes no importance, and there is no record.")
     if partial:
         progress = _contented(progress)
     if method == "certified":
@@ -171,6 +181,8 @@ def simplify(
         partial=partial,
     )
     try:
+        if method == "planar":
+            return by_patches(mesh, params.for_patches(), locked, partial=partial, progress=progress)
         if method == "quadric":
             return quadric.by_quadrics(mesh, params, locked, factors, running, progress)
         if method == "seams":

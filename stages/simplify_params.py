@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from stages import planar_params
 from stages.errors import UsageError
 from stages.params import check, param
 
@@ -16,8 +17,8 @@ _SEAMS = "For textured meshes"
 
 # Parameters that only some of the methods know.
 _ONLY_FOR = {
-    "max_shape": ("certified", "jia01"),
-    "max_texture": ("certified", "jia01"),
+    "max_shape": ("certified", "jia01", "planar"),
+    "max_texture": ("certified", "jia01", "planar"),
     "close_bounds": ("certified",),
     "resolution": ("jia01",),
     "paper_rule": ("jia01",),
@@ -30,6 +31,9 @@ _ONLY_FOR = {
     "valence_penalty": ("seams",),
     "set_penalty": ("seams",),
     "max_seam_drift": ("seams",),
+    "patch_angle": ("planar",),
+    "crease_angle": ("planar",),
+    "noise_angle": ("planar",),
 }
 
 
@@ -57,7 +61,7 @@ class SimplifyParams:
         None,
         "certified: largest distance of any point of either surface from the other; default: 0.5 % of the "
         "bounding box's diagonal. jia01: largest shape change, summed over the collapses around an edge; "
-        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal.",
+        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal. planar: as certified.",
         group=_HOW_FAR,
         unit="m",
         low=0,
@@ -68,7 +72,8 @@ class SimplifyParams:
         "certified: largest difference, Euclidean over the channels, between the colour at any point of "
         "either surface and that at any nearest point of the other; no bound if not given. jia01: the "
         "strongest contrast in the neighbourhood of a collapse, summed over the collapses around an edge, "
-        "which far exceeds the colour error that results; default: 400.",
+        "which far exceeds the colour error that results; default: 400. planar: largest difference "
+        "between the colours of a point and of its counterpart on the other surface; no bound if not given.",
         group=_HOW_FAR,
         unit="8-bit levels",
         low=0,
@@ -79,11 +84,12 @@ class SimplifyParams:
         "far as bounds on the distance and on the difference of colour are proven for every point, or to a "
         "number of triangles within them. seams: to a number of triangles, with the texture coordinates, "
         "colours and normals of every corner, and no crack along texture seams. jia01: within bounds on the "
-        "summed change of shape and texture. auto: jia01 with resolution or paper_rule, else certified with "
-        "max_shape or max_texture, else with triangles or ratio seams if the mesh is textured and quadric if "
-        "not, else jia01.",
+        "summed change of shape and texture. planar: near-planar patches with as few triangles as their "
+        "borders need, within bounds; fast, for walls, floors and machined parts. auto: jia01 with resolution "
+        "or paper_rule, else certified with max_shape or max_texture, else with triangles or ratio seams if "
+        "the mesh is textured and quadric if not, else jia01.",
         group=_HOW,
-        choices=("auto", "quadric", "certified", "jia01", "seams"),
+        choices=("auto", "quadric", "certified", "jia01", "planar", "seams"),
     )
     attribute_scale: float | None = param(
         None,
@@ -129,6 +135,9 @@ class SimplifyParams:
         group=_ONE_METHOD,
     )
 
+    patch_angle: float | None = planar_params.patch_angle(None, _ONE_METHOD)
+    crease_angle: float | None = planar_params.crease_angle(None, _ONE_METHOD)
+    noise_angle: float | None = planar_params.noise_angle(None, _ONE_METHOD)
     similar_distance: float | None = param(
         None,
         "seams: vertices closer than this are one. A larger one joins parts that only touch. Default: a "
@@ -234,6 +243,8 @@ class SimplifyParams:
         self._require_suited(method)
         if method in ("quadric", "seams") and not self.has_count:
             raise UsageError(f"method {method} needs a number of triangles; give triangles or ratio.")
+        if method == "planar" and self.has_count:
+            raise UsageError("method planar goes as far as its bounds; leave out triangles and ratio.")
         if method == "certified" and not has_bound:
             raise UsageError("method certified needs a bound; give max_shape, max_texture or both.")
         return method
@@ -241,11 +252,22 @@ class SimplifyParams:
     def _names_seams(self) -> bool:
         return any(m == ("seams",) and getattr(self, name) is not None for name, m in _ONLY_FOR.items())
 
+    def for_patches(self) -> planar_params.PatchParams:
+        """Return what limits the patches of method planar."""
+        names = ("max_shape", "max_texture", "patch_angle", "crease_angle", "noise_angle", "threads")
+        given = {name: getattr(self, name) for name in names}
+        return planar_params.PatchParams(
+            **{name: value for name, value in given.items() if value is not None}
+        )
+
     def _require_suited(self, method: str) -> None:
         for name, methods in _ONLY_FOR.items():
             # By default, none of these is set.
-            if method in methods or getattr(self, name) in (None, False):
+            # A number that is 0 was given.
+            if method in methods or getattr(self, name) is None or getattr(self, name) is False:
                 continue
             if self.method == "auto":
+                if methods == ("planar",):
+                    raise UsageError(f"{name} is for method planar; give method too.")
                 raise UsageError(f"{name} is for method {methods[0]}, which needs max_shape or max_texture.")
             raise UsageError(f"{name} has no meaning for method {method}; leave one of them out.")

@@ -43,6 +43,7 @@ pub mod original;
 pub mod parallel;
 pub mod partition;
 pub mod patch;
+pub mod planar;
 pub mod progress;
 pub mod qem;
 pub mod quadric;

@@ -11,6 +11,7 @@ mod fit;
 mod jia01;
 mod normal_mesh;
 mod order;
+mod planar;
 mod quadric;
 mod seams;
 mod simplified;
@@ -67,6 +68,10 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("SnmError", module.py().get_type::<normal_mesh::SnmError>())?;
     module.add_function(wrap_pyfunction!(normal_mesh::remesh, module)?)?;
     module.add_function(wrap_pyfunction!(normal_mesh::decode_normal_mesh, module)?)?;
+    module.add_class::<planar::PlanarPatches>()?;
+    module.add_class::<planar::ByPatches>()?;
+    module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
+    module.add_function(wrap_pyfunction!(planar::planar_patches, module)?)?;
     module.add_class::<certify::Certified>()?;
     module.add_function(wrap_pyfunction!(certify::certify, module)?)
 }

@@ -112,6 +112,27 @@ def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path
     np.testing.assert_array_equal(read_mesh(again).triangles, read_mesh(light).triangles)
 
 
+def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+    clean, light, colored = (tmp_path / name for name in ("clean.ply", "light.ply", "patches.ply"))
+    scanloom("clean", ball, clean)
+    bounds = ("--max-shape", 0.05)
+    figures = scanloom("simplify", clean, light, "--method", "planar", *bounds, "--json").json
+    assert figures["method"] == "planar"
+    assert figures["shape_bound_m"] <= 0.05
+    assert len(read_mesh(light).triangles) == figures["triangles"] < 1280
+    ran = scanloom("patches", clean, colored, *bounds)
+    assert ran.exit_code == 0, ran.stderr
+    assert f"{figures['patches']:,} patches, " in ran.stdout
+    assert "largest patches" in ran.stdout
+    told = scanloom("patches", clean, colored, *bounds, "--json").json
+    for name in ("patches", "area_m2", "largest_patches"):
+        assert told[name] == figures[name]
+    written = read_mesh(colored)
+    assert written.colors is not None
+    assert len(written.triangles) == 1280
+    assert len(np.unique(written.colors, axis=0)) <= told["patches"]
+
+
 def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_path: Path) -> None:
     # Where a black and a white sheet touch, nobody can say which colour is the nearest.
     source = tmp_path / "sheets.ply"

@@ -1,0 +1,66 @@
+"""Surfaces of revolution with as many points as those of Chen and Qin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.mesh import Mesh
+
+
+def revolved(profile: NDArray[np.float64], around: int, *, ends: tuple[bool, bool] = (True, True)) -> Mesh:
+    """Turn a profile (k, 2) of radius and height about the z axis, in so many steps.
+
+    Where `ends` says so, the first and the last point lie on the axis and are one vertex each. The
+    outside is on the right of the profile.
+    """
+    first, last = ends
+    ring = profile[int(first) : len(profile) - int(last)]
+    angle = np.arange(around) / around * 2 * np.pi
+    turned = np.stack([np.cos(angle), np.sin(angle)], -1)
+    rings = np.concatenate(
+        [ring[:, None, :1] * turned, np.broadcast_to(ring[:, None, 1:], (len(ring), around, 1))], axis=2
+    ).reshape(-1, 3)
+    poles = [[0.0, 0.0, profile[i, 1]] for i, there in ((0, first), (-1, last)) if there]
+    vertices = np.concatenate([rings, np.reshape(poles, (-1, 3))])
+    here = np.arange(around)
+    beside = (here + 1) % around
+    triangles = []
+    for row in range(len(ring) - 1):
+        a, b = row * around + here, row * around + beside
+        c, d = a + around, b + around
+        triangles += [np.stack([a, b, d], 1), np.stack([a, d, c], 1)]
+    if first:
+        triangles.append(np.stack([np.full(around, len(rings)), beside, here], 1))
+    if last:
+        pole, top = len(rings) + int(first), (len(ring) - 1) * around
+        triangles.append(np.stack([np.full(around, pole), top + here, top + beside], 1))
+    return Mesh(vertices, np.concatenate(triangles).astype(np.int32))
+
+
+def cone() -> Mesh:
+    """1,441 points: an apex over 36 rings of 40; open below."""
+    along = np.linspace(0, 1, 37)
+    return revolved(np.stack([1 - along, 2 * along], 1), 40, ends=(False, True))
+
+
+def cup() -> Mesh:
+    """1,800 points: 45 rings of 40, up the outside, over the rim, and down the inside; open below."""
+    outside = [(0.6 + 0.4 * np.sin(1.4 * h), 2 * h) for h in np.linspace(0, 1, 23)]
+    inside = [(0.9 * (0.6 + 0.4 * np.sin(1.4 * h)), 2 * h) for h in np.linspace(1, 0.1, 22)]
+    return revolved(np.array(outside + inside), 40, ends=(False, False))
+
+
+def bottle() -> Mesh:
+    """2,772 points: 63 rings of 44; body, shoulder and neck, open above and below."""
+    height = np.linspace(0, 3, 63)
+    radius = 0.25 + 0.55 / (1 + np.exp((height - 1.9) * 9)) - 0.1 * np.exp(-((height - 0.05) ** 2) / 0.01)
+    return revolved(np.stack([radius, height], 1), 44, ends=(False, False))
+
+
+# Of each the points, and the paper's reductions of these in per cent.
+REDUCTIONS = {
+    "cone": (cone, 1441, 91.0, 95.0),
+    "cup": (cup, 1800, 62.5, 70.0),
+    "bottle": (bottle, 2772, 55.0, 61.0),
+}

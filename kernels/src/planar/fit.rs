@@ -1,0 +1,147 @@
+//! The plane of a patch and the linear function of its colours, from sums that grow with it.
+
+use crate::geometry::{Vec3, cross, dot, norm2, sub, unit};
+
+/// Sums over the vertices and triangles that joined a patch; places are counted from `origin`.
+#[derive(Clone, Debug)]
+pub struct Moments<const D: usize, const K: usize> {
+    origin: Vec3,
+    count: f64,
+    places: Vec3,
+    squares: [Vec3; 3],
+    colors: [f64; K],
+    products: [Vec3; K],
+    /// Normals times area.
+    normal: Vec3,
+}
+
+impl<const D: usize, const K: usize> Moments<D, K> {
+    pub fn new(origin: Vec3) -> Self {
+        Self {
+            origin,
+            count: 0.0,
+            places: [0.0; 3],
+            squares: [[0.0; 3]; 3],
+            colors: [0.0; K],
+            products: [[0.0; 3]; K],
+            normal: [0.0; 3],
+        }
+    }
+
+    #[inline]
+    pub fn add_normal(&mut self, (normal, area): &(Vec3, f64)) {
+        (0..3).for_each(|i| self.normal[i] += normal[i] * area);
+    }
+
+    #[inline]
+    pub fn add_vertex(&mut self, p: &[f64; D]) {
+        let at: Vec3 = [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]];
+        self.count += 1.0;
+        for i in 0..3 {
+            self.places[i] += at[i];
+            if K > 0 {
+                (0..3).for_each(|j| self.squares[i][j] += at[i] * at[j]);
+            }
+        }
+        for k in 0..K {
+            self.colors[k] += p[3 + k];
+            (0..3).for_each(|i| self.products[k][i] += at[i] * p[3 + k]);
+        }
+    }
+
+    /// Vertices that were added, those of the first triangle included.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// The plane through the middle of the vertices with the mean normal, and the colours over it.
+    pub fn fit(&self) -> Fit<K> {
+        let normal = unit(&self.normal);
+        let middle = self.places.map(|x| x / self.count);
+        let mut fit = Fit {
+            normal,
+            origin: std::array::from_fn(|i| self.origin[i] + middle[i]),
+            mean: self.colors.map(|c| c / self.count),
+            gradients: [[0.0; 3]; K],
+        };
+        if K > 0 {
+            self.fit_gradients(&middle, &mut fit);
+        }
+        fit
+    }
+
+    fn fit_gradients(&self, middle: &Vec3, fit: &mut Fit<K>) {
+        let [e, f] = frame(&fit.normal);
+        let covariance: [Vec3; 3] = std::array::from_fn(|i| {
+            std::array::from_fn(|j| self.squares[i][j] / self.count - middle[i] * middle[j])
+        });
+        let form = |a: &Vec3, b: &Vec3| dot(a, &[0, 1, 2].map(|i| dot(&covariance[i], b)));
+        let (ee, ef, ff) = (form(&e, &e), form(&e, &f), form(&f, &f));
+        let determinant = ee * ff - ef * ef;
+        if determinant <= 1e-12 * (ee + ff) * (ee + ff) {
+            return;
+        }
+        for k in 0..K {
+            let along: Vec3 =
+                std::array::from_fn(|i| self.products[k][i] / self.count - fit.mean[k] * middle[i]);
+            let (u, v) = (dot(&along, &e), dot(&along, &f));
+            let (a, b) = ((u * ff - v * ef) / determinant, (v * ee - u * ef) / determinant);
+            fit.gradients[k] = std::array::from_fn(|i| a * e[i] + b * f[i]);
+        }
+    }
+}
+
+/// A plane with a linear function of colour over it.
+#[derive(Clone, Debug)]
+pub struct Fit<const K: usize> {
+    pub normal: Vec3,
+    pub origin: Vec3,
+    mean: [f64; K],
+    gradients: [Vec3; K],
+}
+
+impl<const K: usize> Fit<K> {
+    #[inline]
+    pub fn height<const D: usize>(&self, p: &[f64; D]) -> f64 {
+        dot(&self.normal, &self.seen_from_origin(p))
+    }
+
+    #[inline]
+    fn seen_from_origin<const D: usize>(&self, p: &[f64; D]) -> Vec3 {
+        [p[0] - self.origin[0], p[1] - self.origin[1], p[2] - self.origin[2]]
+    }
+
+    /// Squared distance of a vertex' colour from the function.
+    #[inline]
+    pub fn residual2<const D: usize>(&self, p: &[f64; D]) -> f64 {
+        let at = self.seen_from_origin(p);
+        (0..K)
+            .map(|k| {
+                let off = p[3 + k] - self.mean[k] - dot(&self.gradients[k], &at);
+                off * off
+            })
+            .sum()
+    }
+
+    /// The same for the function that is everywhere what this one is in the middle.
+    #[inline]
+    pub fn residual2_of_mean<const D: usize>(&self, p: &[f64; D]) -> f64 {
+        (0..K).map(|k| (p[3 + k] - self.mean[k]).powi(2)).sum()
+    }
+
+    /// Frobenius norm of the gradients: no direction changes colours faster.
+    pub fn gradient(&self) -> f64 {
+        self.gradients.iter().map(norm2).sum::<f64>().sqrt()
+    }
+}
+
+/// Two unit vectors across a unit normal, so that the three are right-handed.
+pub fn frame(normal: &Vec3) -> [Vec3; 2] {
+    // The axis farthest from the normal gives the longest product.
+    let axis = (0..3).fold(0, |least, i| if normal[i].abs() < normal[least].abs() { i } else { least });
+    let mut across = [0.0; 3];
+    across[axis] = 1.0;
+    let along = dot(normal, &across);
+    let e = unit(&sub(&across, &normal.map(|x| x * along)));
+    [e, cross(normal, &e)]
+}

@@ -1,0 +1,123 @@
+//! What is left of the loops around a patch, seen along its normal.
+
+use std::ops::Range;
+
+use super::Patch;
+use super::border::Borders;
+use super::fit::frame;
+use crate::connectivity::Connectivity;
+use crate::geometry::{Vec3, dot, position, segment_distance2, sub};
+use crate::ids::{HalfedgeId, VertexId};
+use crate::mesh::Mesh;
+
+/// A vertex that stays, with the border halfedge that leaves it.
+#[derive(Clone, Copy, Debug)]
+pub struct Corner {
+    pub vertex: VertexId,
+    pub halfedge: HalfedgeId,
+    /// In the plane of the patch; lengths are relative to the extent of the loops.
+    pub at: [f64; 2],
+    pub next: usize,
+    /// Place among the halfedges of its loop.
+    place: usize,
+    in_loop: usize,
+}
+
+/// The corners of a patch, loop after loop, the patch on the left.
+pub struct Polygon<'a> {
+    connectivity: &'a Connectivity,
+    pub corners: Vec<Corner>,
+    pub loops: Vec<Range<usize>>,
+    halfedges: Vec<&'a [HalfedgeId]>,
+}
+
+impl<'a> Polygon<'a> {
+    pub fn new<const D: usize>(
+        mesh: &'a Mesh<D>,
+        borders: &'a Borders,
+        number: usize,
+        patch: &Patch,
+        stays: &[bool],
+    ) -> Self {
+        let connectivity = &mesh.connectivity;
+        let [e, f] = frame(&patch.normal);
+        let mut polygon =
+            Self { connectivity, corners: vec![], loops: vec![], halfedges: borders.loops(number).collect() };
+        for (in_loop, halfedges) in borders.loops(number).enumerate() {
+            let first = polygon.corners.len();
+            for (place, &halfedge) in halfedges.iter().enumerate() {
+                let vertex = connectivity.origin(halfedge);
+                if stays[vertex.index()] {
+                    let from = sub(&position(mesh.point(vertex)), &patch.origin);
+                    let at = [dot(&e, &from), dot(&f, &from)];
+                    let next = polygon.corners.len() + 1;
+                    polygon.corners.push(Corner { vertex, halfedge, at, next, place, in_loop });
+                }
+            }
+            let end = polygon.corners.len();
+            if end > first {
+                polygon.corners[end - 1].next = first;
+            }
+            polygon.loops.push(first..end);
+        }
+        polygon.scale();
+        polygon
+    }
+
+    /// The triangulator takes no coordinates near the limits of double precision.
+    fn scale(&mut self) {
+        let extent = self.corners.iter().flat_map(|c| c.at).fold(0.0f64, |most, x| most.max(x.abs()));
+        let settled = |x: f64| if x.abs() < 1e-30 { 0.0 } else { x };
+        if extent > 0.0 {
+            self.corners.iter_mut().for_each(|c| c.at = c.at.map(|x| settled(x / extent)));
+        }
+    }
+
+    /// Edges of the input that the chord from a corner to the next stands for.
+    pub fn chord(&self, corner: usize) -> impl Iterator<Item = HalfedgeId> + '_ {
+        let Corner { place, in_loop, next, .. } = self.corners[corner];
+        let halfedges = self.halfedges[in_loop];
+        let to = self.corners[next].place;
+        let length = if to > place { to - place } else { halfedges.len() + to - place };
+        (place..place + length).map(move |i| halfedges[i % halfedges.len()])
+    }
+
+    /// The vertex that the chord from a corner left out and that is farthest from it, and how far.
+    pub fn farthest<const D: usize>(&self, mesh: &Mesh<D>, corner: usize) -> Option<(VertexId, f64)> {
+        let point = |v: VertexId| -> Vec3 { position(mesh.point(v)) };
+        let a = point(self.corners[corner].vertex);
+        let b = point(self.corners[self.corners[corner].next].vertex);
+        let mut best: Option<(VertexId, f64)> = None;
+        for h in self.chord(corner).skip(1) {
+            let v = self.connectivity.origin(h);
+            let away = segment_distance2(&point(v), &a, &b);
+            // The same from both sides of the border, where two are equally far.
+            if best.is_none_or(|(w, most)| away > most || (away == most && v < w)) {
+                best = Some((v, away));
+            }
+        }
+        best.map(|(v, away)| (v, away.sqrt()))
+    }
+
+    /// The same for a loop that has no corner at all: its first vertices.
+    pub fn all_of_bare_loops(&self) -> Vec<VertexId> {
+        let bare = self.loops.iter().zip(&self.halfedges).filter(|(range, _)| range.is_empty());
+        bare.flat_map(|(_, halfedges)| halfedges.iter().map(|&h| self.connectivity.origin(h))).collect()
+    }
+
+    /// Whether all vertices of the loops stay.
+    pub fn is_whole(&self) -> bool {
+        self.corners.len() == self.halfedges.iter().map(|l| l.len()).sum::<usize>()
+    }
+
+    /// Twice the signed area of a loop.
+    pub fn area(&self, in_loop: usize) -> f64 {
+        self.loops[in_loop]
+            .clone()
+            .map(|i| {
+                let (a, b) = (self.corners[i].at, self.corners[self.corners[i].next].at);
+                a[0] * b[1] - a[1] * b[0]
+            })
+            .sum()
+    }
+}

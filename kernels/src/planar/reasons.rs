@@ -1,0 +1,52 @@
+//! What keeps two patches apart.
+
+use super::propagate::FOR_THICKNESS;
+use super::{Options, Patches, is_border};
+use crate::connectivity::Connectivity;
+use crate::geometry::{cross, dot, position, sub, unit};
+use crate::ids::{HalfedgeId, TriangleId};
+use crate::mesh::Mesh;
+
+/// The paper's two criteria; the bound on distance; else colours, a pinned vertex, or that another patch was there
+/// first.
+pub const REASONS: [&str; 4] = ["fidelity", "detail", "shape", "other"];
+
+/// Edges of the mesh between two patches, by the first of the reasons that holds for the patches on both sides.
+pub fn count<const D: usize>(mesh: &Mesh<D>, patches: &Patches, options: &Options) -> [u64; 4] {
+    let connectivity = &mesh.connectivity;
+    // Few triangles are at a border; their normals are had again at once.
+    let normal = |t: u32| {
+        let [a, b, c] = mesh.triangle_points(TriangleId(t)).map(|p| position(&p));
+        unit(&cross(&sub(&b, &a), &sub(&c, &a)))
+    };
+    let patch = |t: u32| &patches.patches[patches.of[t as usize] as usize];
+    let suits = |t: u32, beside: u32| dot(&normal(t), &patch(beside).normal) > options.fidelity;
+    let holds = |t: u32, beside: u32| {
+        let patch = patch(beside);
+        let heights = mesh
+            .triangle_points(TriangleId(t))
+            .map(|p| dot(&patch.normal, &sub(&position(&p), &patch.origin)));
+        let low = heights.into_iter().fold(patch.heights[0], f64::min);
+        let high = heights.into_iter().fold(patch.heights[1], f64::max);
+        high - low <= FOR_THICKNESS * options.max_distance
+    };
+    let mut refused = [0; 4];
+    for h in (0..3 * connectivity.triangle_slots() as u32).map(HalfedgeId) {
+        let twin = connectivity.twin(h);
+        if twin.is_none() || h > twin || !is_border(connectivity, &patches.of, h) {
+            continue;
+        }
+        let [s, t] = [h, twin].map(|h| Connectivity::triangle(h).0);
+        let reason = if !suits(s, t) && !suits(t, s) {
+            0
+        } else if dot(&normal(s), &normal(t)) <= options.detail {
+            1
+        } else if !holds(s, t) && !holds(t, s) {
+            2
+        } else {
+            3
+        };
+        refused[reason] += 1;
+    }
+    refused
+}

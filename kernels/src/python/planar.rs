@@ -1,0 +1,192 @@
+//! `stages._kernels.simplify_planar` and `stages._kernels.planar_patches`.
+
+use std::collections::BTreeMap;
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
+use super::detached::detached;
+use crate::mesh::{Mesh, Pin};
+use crate::parallel::threads;
+use crate::planar::{Options, Patches, Planar, propagate, reasons, simplify};
+
+/// The near-planar patches of a mesh, largest area first.
+#[pyclass(frozen, get_all, subclass)]
+pub struct PlanarPatches {
+    /// For each triangle of the input its patch; −1 for one that names a vertex twice.
+    input_patch: Py<PyArray1<i32>>,
+    normals: Py<PyArray2<f64>>,
+    origins: Py<PyArray2<f64>>,
+    areas: Py<PyArray1<f64>>,
+    thickness: Py<PyArray1<f64>>,
+    faces: Py<PyArray1<i32>>,
+    /// Looks at a neighbour while the patches grew.
+    looks: u64,
+}
+
+impl PlanarPatches {
+    fn new<const D: usize>(
+        py: Python<'_>,
+        input_triangles: usize,
+        mesh: &Mesh<D>,
+        patches: &Patches,
+    ) -> PyResult<Self> {
+        let mut input_patch = vec![-1; input_triangles];
+        for (&t, &patch) in mesh.triangle_source.iter().zip(&patches.of) {
+            input_patch[t as usize] = patch as i32;
+        }
+        let all = &patches.patches;
+        let normals: Vec<[f64; 3]> = all.iter().map(|p| p.normal).collect();
+        let origins: Vec<[f64; 3]> = all.iter().map(|p| p.origin).collect();
+        Ok(Self {
+            input_patch: PyArray1::from_vec(py, input_patch).unbind(),
+            normals: columns(py, &normals, 0..3)?,
+            origins: columns(py, &origins, 0..3)?,
+            areas: PyArray1::from_vec(py, all.iter().map(|p| p.area).collect()).unbind(),
+            thickness: PyArray1::from_vec(py, all.iter().map(|p| p.thickness()).collect()).unbind(),
+            faces: id_array(py, all.iter().map(|p| p.faces)),
+            looks: patches.looks,
+        })
+    }
+}
+
+/// A mesh simplified by near-planar patches.
+#[pyclass(frozen, get_all, extends = PlanarPatches)]
+pub struct ByPatches {
+    triangles: Py<PyArray2<i32>>,
+    vertex_source: Py<PyArray1<i32>>,
+    triangle_source: Py<PyArray1<i32>>,
+    triangle_patch: Py<PyArray1<i32>>,
+    /// Whether each patch kept all its triangles.
+    kept: Py<PyArray1<bool>>,
+    /// (k, 2): how far the surfaces are apart at most in each patch, in shape and in colour.
+    bounds: Py<PyArray2<f64>>,
+    refused: BTreeMap<&'static str, u64>,
+    rounds: usize,
+    /// Whether the caller was content with less.
+    is_partial: bool,
+}
+
+fn options(cosines: (f64, f64, f64), bounds: (f64, f64), wanted_threads: usize) -> PyResult<Options> {
+    let (fidelity, detail, noise) = cosines;
+    let (max_distance, max_color) = bounds;
+    if ![fidelity, detail, noise].iter().all(|c| *c >= 0.0) {
+        return Err(PyValueError::new_err("cosines must not be negative"));
+    }
+    if !(max_distance > 0.0 && max_distance.is_finite() && max_color >= 0.0) {
+        return Err(PyValueError::new_err("the distance must be above 0 and finite, the colour not below 0"));
+    }
+    Ok(Options { fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
+}
+
+/// The mesh with its pinned vertices.
+fn mesh_of<const D: usize>(
+    points: Vec<[f64; D]>,
+    triangles: &[[u32; 3]],
+    fixed: &[bool],
+) -> Result<Mesh<D>, crate::error::KernelError> {
+    let mut mesh = Mesh::<D>::new(points, triangles)?;
+    for (pin, _) in mesh.pins.iter_mut().zip(fixed).filter(|(_, fixed)| **fixed) {
+        *pin = Pin::Fixed;
+    }
+    Ok(mesh)
+}
+
+/// Simplify a mesh by near-planar patches. `cosines` are (fidelity, detail, noise), `bounds` (shape, colour).
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, fixed, *, cosines, bounds, threads, partial, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn simplify_planar(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    fixed: PyReadonlyArray1<'_, bool>,
+    cosines: (f64, f64, f64),
+    bounds: (f64, f64),
+    threads: usize,
+    partial: bool,
+    progress: Py<PyAny>,
+) -> PyResult<Py<ByPatches>> {
+    let inputs = Inputs { vertices, attributes, triangles };
+    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let options = options(cosines, bounds, threads)?;
+    match inputs.attribute_count() {
+        0 => simplify_points::<3, 0>(py, &inputs, &fixed, &options, partial, &progress),
+        1 => simplify_points::<4, 1>(py, &inputs, &fixed, &options, partial, &progress),
+        3 => simplify_points::<6, 3>(py, &inputs, &fixed, &options, partial, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn simplify_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    fixed: &[bool],
+    options: &Options,
+    partial: bool,
+    progress: &Py<PyAny>,
+) -> PyResult<Py<ByPatches>> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    let (mesh, result, is_partial): (Mesh<D>, Planar, bool) =
+        detached(py, Some(progress), partial, |progress| {
+            let mesh = mesh_of(points, &triangles, fixed)?;
+            let result = simplify::<D, K>(&mesh, options, progress)?;
+            Ok((mesh, result, progress.is_enough()))
+        })?;
+    let patches = PlanarPatches::new(py, triangles.len(), &mesh, &result.patches)?;
+    let by_patches = ByPatches {
+        triangles: triangle_array(py, &result.triangles)?,
+        vertex_source: id_array(py, result.vertex_source.iter().copied()),
+        triangle_source: id_array(py, result.triangle_source.iter().copied()),
+        triangle_patch: id_array(py, result.triangle_patch.iter().copied()),
+        kept: PyArray1::from_vec(py, result.kept).unbind(),
+        bounds: PyArray2::from_vec2(py, &result.bounds.iter().map(|b| b.to_vec()).collect::<Vec<_>>())?
+            .unbind(),
+        refused: reasons::REASONS.into_iter().zip(result.refused).collect(),
+        rounds: result.rounds,
+        is_partial,
+    };
+    Py::new(py, PyClassInitializer::from(patches).add_subclass(by_patches))
+}
+
+/// The near-planar patches that `simplify_planar` would make.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, *, cosines, bounds, threads, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn planar_patches(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    cosines: (f64, f64, f64),
+    bounds: (f64, f64),
+    threads: usize,
+    progress: Py<PyAny>,
+) -> PyResult<PlanarPatches> {
+    let inputs = Inputs { vertices, attributes, triangles };
+    let options = options(cosines, bounds, threads)?;
+    match inputs.attribute_count() {
+        0 => patches_of_points::<3, 0>(py, &inputs, &options, &progress),
+        1 => patches_of_points::<4, 1>(py, &inputs, &options, &progress),
+        3 => patches_of_points::<6, 3>(py, &inputs, &options, &progress),
+        k => Err(unknown_attributes(k)),
+    }
+}
+
+fn patches_of_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    options: &Options,
+    progress: &Py<PyAny>,
+) -> PyResult<PlanarPatches> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    let (mesh, patches) = detached(py, Some(progress), false, |progress| {
+        let mesh = mesh_of(points, &triangles, &[])?;
+        let patches = propagate::propagate::<D, K>(&mesh, options, progress)?;
+        Ok((mesh, patches))
+    })?;
+    PlanarPatches::new(py, triangles.len(), &mesh, &patches)
+}

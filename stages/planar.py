@@ -1,0 +1,184 @@
+"""Simplification by near-planar patches: for walls, floors and machined parts.
+
+Chen and Qin, "3-D surface reduction new algorithm": patches grow over the surface while normals stay alike,
+their borders are traced and straightened, and they are triangulated anew. Every vertex of the result is a
+vertex of the input, so that all it carries stays with it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.centred import as_result, centred
+from stages.convert import MeshLike, as_mesh
+from stages.errors import MeshError, UsageError
+from stages.mesh import Mesh
+from stages.params import resolve
+from stages.patches import Patches
+from stages.planar_params import PatchParams
+from stages.progress import Progress, silent
+from stages.raycasting import bounding_box
+from stages.simplified import Simplified
+
+VERSION = 1
+
+_SHAPE_PER_DIAGONAL = 0.005
+_FARTHEST_COLORS = 255 * math.sqrt(3)
+
+
+def planar_patches(
+    mesh: MeshLike, params: PatchParams | None = None, *, progress: Progress = silent, **changes: Any
+) -> Patches:
+    """Find the near-planar patches of a mesh: each triangle is in one, and each is in one piece.
+
+    `simplify` triangulates these anew, but that it divides a patch that lies over itself, seen along its
+    normal.
+
+    A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
+    `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
+    of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8
+    of `max_shape` apart, and its colours within 0.4 of `max_texture` of a linear function; and triangles
+    left over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
+
+    Parameters
+    ----------
+    mesh : an oriented manifold, as for `simplify`, in metres.
+    params : PatchParams; single fields can be given by name instead.
+    progress : called about ten times a second; raising from it stops the work.
+
+    Returns
+    -------
+    Patches
+        Numbered by area, largest first.
+
+    Raises
+    ------
+    MeshError
+        For a mesh that is not an oriented manifold; the message names the elements.
+    UsageError
+        For a parameter out of range, or a bound on colours for a mesh without.
+    """
+    params = resolve(PatchParams, params, changes)
+    mesh = as_mesh(mesh)
+    given = centred(mesh)
+    try:
+        found = _kernels.planar_patches(
+            given.vertices,
+            given.attributes,
+            mesh.triangles,
+            cosines=_cosines(params),
+            bounds=_bounds(mesh, params),
+            threads=params.threads or 0,
+            progress=progress,
+        )
+    except _kernels.InvalidMeshError as error:
+        raise MeshError(f"{error}; run clean first.", "mesh") from error
+    return _patches(found, given.origin)
+
+
+def by_patches(
+    mesh: Mesh,
+    params: PatchParams,
+    lock: NDArray[np.bool_],
+    *,
+    partial: bool = False,
+    progress: Progress = silent,
+) -> Simplified:
+    """Simplify with method `planar`; see `simplify`.
+
+    Parameters
+    ----------
+    lock : (n,) bool, vertices that stay, and with them the triangles around.
+    partial : on Ctrl-C leave the rest as it is, instead of raising.
+
+    Raises
+    ------
+    UsageError
+        For a bound on colours for a mesh without.
+    _kernels.InvalidMeshError
+        For a mesh that is not an oriented manifold.
+    """
+    given = centred(mesh)
+    shape, color = _bounds(mesh, params)
+    result = _kernels.simplify_planar(
+        given.vertices,
+        given.attributes,
+        mesh.triangles,
+        lock,
+        cosines=_cosines(params),
+        bounds=(shape, color),
+        threads=params.threads or 0,
+        partial=partial,
+        progress=progress,
+    )
+    source = result.vertex_source
+    colors = given.attributes[source].astype(np.float64)
+    light = as_result(mesh, mesh.vertices[source], colors, result.triangles, source, "simplify")
+    # The bounds hold in exact arithmetic; coordinates are rounded a few times on the way.
+    slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
+    bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
+    shape_bound = np.where(bounds[:, 0] > 0, bounds[:, 0] + slack, 0)
+    # No two colours are farther apart.
+    color_bound = np.minimum(bounds[:, 1], _FARTHEST_COLORS)
+    with_color = mesh.colors is not None
+    return Simplified(
+        mesh=light,
+        vertex_source=source,
+        triangle_source=result.triangle_source,
+        method="planar",
+        stopped_by="request" if result.is_partial else "bounds",
+        refused=result.refused,
+        attribute_scale_m_per_level=0.0,
+        splits=0,
+        collapses=0,
+        attempts=0,
+        triangles_before=len(mesh.triangles),
+        shape_bound=shape_bound,
+        color_bound=color_bound if with_color else None,
+        shape_bound_m=float(shape_bound.max(initial=0)),
+        color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
+        iterations=result.rounds,
+        max_shape_m=shape,
+        max_texture_levels=params.max_texture,
+        patches=_patches(result, given.origin),
+        triangle_patch=result.triangle_patch,
+        kept_patches=int(result.kept.sum()),
+    )
+
+
+def _cosines(params: PatchParams) -> tuple[float, float, float]:
+    """Return the least cosines; above 1 for noise that is not to be taken in."""
+    fidelity, detail, noise = (
+        math.cos(math.radians(angle))
+        for angle in (params.patch_angle, params.crease_angle, params.noise_angle)
+    )
+    # The cosine of 90° is not quite 0.
+    return max(fidelity, 0.0), max(detail, 0.0), noise if params.noise_angle > 0 else 2.0
+
+
+def _bounds(mesh: Mesh, params: PatchParams) -> tuple[float, float]:
+    if params.max_texture is not None and mesh.colors is None:
+        raise UsageError("max_texture is given, but the mesh has no vertex colours; leave it out.")
+    shape = params.max_shape
+    if shape is None:
+        low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+        # A mesh without extent has nothing to bound.
+        shape = _SHAPE_PER_DIAGONAL * float(np.linalg.norm(high - low)) or 1.0
+    return shape, math.inf if params.max_texture is None else params.max_texture
+
+
+def _patches(found: _kernels.PlanarPatches, origin: NDArray[np.float64]) -> Patches:
+    return Patches(
+        triangle_patch=found.input_patch,
+        normals=found.normals,
+        origins=found.origins + origin,
+        areas=found.areas,
+        triangles=found.faces,
+        thickness=found.thickness,
+        looks=found.looks,
+    )
