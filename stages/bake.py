@@ -15,16 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.atlas import Atlas, unwrap
+from stages.baking.atlas import Atlas, unwrap
+from stages.baking.facing import FacingColors
+from stages.baking.filling import filled_up
+from stages.baking.rasterize import covered, strips
 from stages.compare import ColorError, CompareParams, compare_surfaces
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
-from stages.rasterize import covered, strips
 from stages.raycasting import Floats, Surface, bounding_box
-from stages.surface_color import color_at, has_color
+from stages.surface_color import has_color, pixels_of
 from stages.texture import Image, Material, Texture
 from stages.topology import areas, require_area
 
@@ -33,19 +35,13 @@ VERSION = 1
 _MIN_SIZE = 64
 # Of the image, that charts fill; used to choose its size.
 _FILLED = 0.5
-_LEAST_PADDING = 4
+_LEAST_PADDING = 2
 # So many texels of an image's side have one texel of padding by default.
-_SIDE_PER_PADDING = 256
+_SIDE_PER_PADDING = 512
 _MOST_SAMPLES = 4
 # What is averaged in a texel by default even if it is no larger than the detail: bilinear samples of samples
 # blur, and four of them blur less.
 _LEAST_SAMPLES = 2
-# Surfaces that are passed on the way to one that faces the right way, to each side.
-_PASSED = 4
-# A ray goes on behind what it met this share of its reach later.
-_STEP = 1e-4
-# Triangles whose middles tell how far the light mesh is from the original.
-_PROBES = 100_000
 _COMPARED = 200_000
 
 
@@ -66,12 +62,12 @@ class BakeParams:
     )
     padding: int | None = param(
         None,
-        "Texels between two charts, at least, filled from the nearest. Halves of the image down to a "
-        "padding-th of half its size are free of other charts' colours. Default: 1/256 of the side, at "
-        "least 4.",
+        "Texels around each chart that show its colours; between two charts there are twice as many. With 8 "
+        "the image can be halved 3 times and no colour gets from one chart into another. Default: 1/512 of "
+        "the side, at least 2.",
         unit="texels",
-        low=2,
-        high=256,
+        low=1,
+        high=128,
     )
     samples: int | None = param(
         None,
@@ -98,7 +94,7 @@ class Baked:
     texel_size : metres, of a texel on the surface, in the mean.
     coverage : share of the image that shows the surface.
     charts : pieces the surface is cut into.
-    padding : texels between charts, at least.
+    padding : texels around each chart that show its colours, at least.
     samples : along each side of a texel.
     turned : share of the samples whose nearest point faced away, and that took another one.
     color : difference from the original's colours, sampled on the original.
@@ -119,7 +115,7 @@ class Baked:
     @property
     def mip_levels(self) -> int:
         """Return how many times the image can be halved with no colour of one chart getting into another."""
-        return int(math.log2(self.padding / 2)) if self.padding >= 2 else 0
+        return int(math.log2(self.padding))
 
     def figures(self) -> dict[str, Any]:
         """Return all figures for JSON, units in the names."""
@@ -180,7 +176,8 @@ def bake(
     samples = params.samples or min(max(math.ceil(texel_size / detail), _LEAST_SAMPLES), _MOST_SAMPLES)
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
-    image, found = _image(given, atlas, samples, _ColorFinder(surface, given), progress)
+    colors_of = FacingColors(surface, given)
+    image, coverage = _image(atlas, samples, colors_of, progress)
     mesh = _textured(given, atlas, image)
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
     assert error is not None
@@ -188,11 +185,11 @@ def bake(
         mesh=mesh,
         size=size,
         texel_size=texel_size,
-        coverage=found.coverage,
+        coverage=coverage,
         charts=int(atlas.charts.max()) + 1,
         padding=padding,
         samples=samples,
-        turned=found.turned,
+        turned=colors_of.turned / max(colors_of.asked, 1),
         color=error,
         vertex_color=before if given.colors is not None else None,
     )
@@ -211,10 +208,12 @@ def _detail(original: Mesh) -> float:
     area = areas(original.vertices, original.triangles)
     texture = original.texture
     if texture is not None:
-        sizes = np.array([m.image.pixels.shape[:2] if m.image else (0, 0) for m in texture.materials] + [(0, 0)])
+        images = [pixels_of(material) for material in texture.materials]
+        # The last one stands for triangles without a material.
+        texels_of = np.array([*(0 if image is None else image[..., 0].size for image in images), 0])
         sides = texture.uvs[:, 1:] - texture.uvs[:, :1]
         shares = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2
-        texels = shares * sizes[texture.material_ids].prod(axis=1)
+        texels = shares * texels_of[texture.material_ids]
         on_image = texels > 0
         # Where most of the surface has a texture, that is what there is to keep.
         if area[on_image].sum() > area.sum() / 2:
@@ -241,90 +240,10 @@ def _color_error(original: Surface, mesh: Mesh, box: Floats) -> ColorError | Non
     return compare_surfaces(original, Surface(mesh, box), CompareParams(samples=_COMPARED)).color_a_to_b
 
 
-class _ColorFinder:
-    """The colours of an original at places on a light mesh.
-
-    Attributes
-    ----------
-    asked, turned : how many places there were, and at how many the nearest point faced away and another did
-        not.
-    """
-
-    def __init__(self, original: Surface, light: Mesh) -> None:
-        self._original = original
-        self._normals = _unit_normals(original.mesh)
-        self._light = light
-        self._light_normals = _unit_normals(light)
-        self._reach = self._farthest()
-        self.asked = self.turned = 0
-
-    def __call__(self, triangles: NDArray[np.int64], weights: Floats) -> NDArray[np.float32]:
-        """Return the colours (k, 3) at points of the light mesh."""
-        corners = self._light.vertices[self._light.triangles[triangles]]
-        points = np.einsum("kc,kcx->kx", weights, corners)
-        nearest = self._original.closest(points)
-        found, shares = nearest.triangles, nearest.weights
-        normals = self._light_normals[triangles]
-        (away,) = np.nonzero(_dot(normals, self._normals[found]) < 0)
-        if len(away):
-            chosen, others, other_shares = self._facing(points[away], normals[away])
-            found[away[chosen]], shares[away[chosen]] = others, other_shares
-            self.turned += len(chosen)
-        self.asked += len(points)
-        return color_at(self._original.mesh, found, shares)
-
-    def _farthest(self) -> float:
-        """Return how far, in metres, the original is looked for along a normal.
-
-        That is the largest distance found between the light mesh and what faces its way: where a thin sheet
-        has come out on the wrong side of itself, its right side is not farther than that.
-        """
-        step = math.ceil(len(self._light.triangles) / _PROBES)
-        rows = np.arange(0, len(self._light.triangles), step)
-        middles = self._light.vertices[self._light.triangles[rows]].mean(axis=1)
-        nearest = self._original.closest(middles)
-        agrees = _dot(self._light_normals[rows], self._normals[nearest.triangles]) > 0
-        return float(nearest.distances[agrees].max(initial=0.0))
-
-    def _facing(
-        self, points: Floats, normals: Floats
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-        """Return, for which points there is a surface within reach along the normal that faces its way.
-
-        Returns
-        -------
-        The points' numbers, and the triangles and weights of the nearest such surface, to either side.
-        """
-        best = np.full(len(points), self._reach)
-        triangles = np.full(len(points), -1, np.int64)
-        weights = np.zeros((len(points), 3))
-        for side in (1, -1):
-            rays, starts = np.arange(len(points)), np.zeros(len(points), np.float32)
-            for _ in range(_PASSED):
-                hits = self._original.cast(points[rays], side * normals[rays], starts)
-                rows = rays[hits.rays]
-                near = hits.distances < best[rows]
-                facing = near & (_dot(normals[rows], self._normals[hits.triangles]) > 0)
-                best[rows[facing]] = hits.distances[facing]
-                triangles[rows[facing]], weights[rows[facing]] = hits.triangles[facing], hits.weights[facing]
-                on = near & ~facing
-                rays, starts = rows[on], hits.distances[on] + np.float32(_STEP * self._reach)
-                if not len(rays):
-                    break
-        (found,) = np.nonzero(triangles >= 0)
-        return found, triangles[found], weights[found]
-
-
-@dataclass(frozen=True)
-class _Found:
-    coverage: float
-    turned: float
-
-
 def _image(
-    mesh: Mesh, atlas: Atlas, samples: int, colors_of: _ColorFinder, progress: Progress
-) -> tuple[NDArray[np.uint8], _Found]:
-    """Return the image of an atlas, full to its edges."""
+    atlas: Atlas, samples: int, colors_of: FacingColors, progress: Progress
+) -> tuple[NDArray[np.uint8], float]:
+    """Return the image of an atlas, full to its edges, and the share that charts have of it."""
     size = atlas.size
     image = np.zeros((size, size, 3), np.float32)
     filled = np.zeros((size, size), bool)
@@ -332,13 +251,11 @@ def _image(
         image[start:end], filled[start:end] = _strip(atlas, (start, end), samples, colors_of)
         progress(end, size)
     _mark_small(atlas, image, filled, colors_of)
-    coverage = float(filled.mean())
-    turned = colors_of.turned / max(colors_of.asked, 1)
-    return _full(image, filled, atlas.padding), _Found(coverage, turned)
+    return filled_up(image, filled, atlas.padding), float(filled.mean())
 
 
 def _strip(
-    atlas: Atlas, rows: tuple[int, int], samples: int, colors_of: _ColorFinder
+    atlas: Atlas, rows: tuple[int, int], samples: int, colors_of: FacingColors
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return rows of the image, and which texels have at least one sample on the surface."""
     fine = (rows[0] * samples, rows[1] * samples)
@@ -353,7 +270,7 @@ def _strip(
 
 
 def _mark_small(
-    atlas: Atlas, image: NDArray[np.float32], filled: NDArray[np.bool_], colors_of: _ColorFinder
+    atlas: Atlas, image: NDArray[np.float32], filled: NDArray[np.bool_], colors_of: FacingColors
 ) -> None:
     """Give triangles too small to hold a sample the texel at their middle, where nothing else has it."""
     column, row = np.floor(atlas.corners.mean(axis=1)).astype(np.int64).clip(0, atlas.size - 1).T
@@ -361,42 +278,3 @@ def _mark_small(
     row, column = row[missed], column[missed]
     image[row, column] = colors_of(missed, np.full((len(missed), 3), 1 / 3))
     filled[row, column] = True
-
-
-def _full(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: int) -> NDArray[np.uint8]:
-    """Fill the gaps: near charts with the colour of the nearest texel, beyond with means that grow softer."""
-    import cv2
-
-    # Labels number the filled texels; each texel gets that of the nearest.
-    distance, labels = cv2.distanceTransformWithLabels(
-        (~filled).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    source = np.zeros(labels.max() + 1, np.int64)
-    source[labels[filled]] = np.flatnonzero(filled)
-    near = distance <= padding
-    dilated = image.reshape(-1, 3)[source[labels[near]]]
-    image[near] = dilated
-    pulled = _pull_push(image, near)
-    return np.asarray(np.rint(pulled).clip(0, 255), np.uint8)
-
-
-def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Fill what is not known from coarser and coarser means (Gortler et al. 1996, "The Lumigraph", 4.3)."""
-    if known.all() or len(image) == 1:
-        return image
-    halves = (len(image) // 2, 2, len(image) // 2, 2)
-    weight = known.reshape(halves).sum(axis=(1, 3))
-    sums = np.where(known[:, :, None], image, 0).reshape(*halves, 3).sum(axis=(1, 3))
-    coarse = _pull_push((sums / np.maximum(weight, 1)[:, :, None]).astype(np.float32), weight > 0)
-    return np.where(known[:, :, None], image, coarse.repeat(2, axis=0).repeat(2, axis=1))
-
-
-def _unit_normals(mesh: Mesh) -> Floats:
-    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("kx,kx->k", a, b))

@@ -232,13 +232,13 @@ def _at_vertices(mesh: Mesh, other: Surface) -> Iterator[_Sums]:
         yield _measured(mesh.vertices[used[rows]], colors, other)
 
 
-def _measured(points: Floats, colors: NDArray[np.float32] | None, other: Surface) -> _Sums:
+def _measured(points: Floats, colors: NDArray[np.floating] | None, other: Surface) -> _Sums:
     nearest = other.closest(points)
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
     if colors is not None:
         seen = color_at(other.mesh, nearest.triangles, nearest.weights)
-        difference = np.abs(colors - seen, dtype=np.float64)
+        difference = np.abs(colors - seen)
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
     return _Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)
 

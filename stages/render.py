@@ -49,7 +49,7 @@ def render(mesh: MeshLike, view: View, *, shading: Shading = "color") -> ColorIm
     ----------
     mesh : in metres.
     view : see View and `viewpoints`.
-    shading : "color" for the texture, or the vertex colours, under a soft light (clay where there is neither),
+    shading : "color" for the texture or vertex colours under a soft light (clay where there is neither),
         "plain" for clay alone, which shows the shape, "edges" for flat clay with the triangles' edges drawn.
         Triangles seen from behind are bluish in "plain" and "edges".
 

@@ -10,7 +10,7 @@ from stages.formats.colors import linear_from_srgb, srgb_from_linear
 from stages.mesh import Mesh
 from stages.texture import Material, Pixels
 
-_Floats = NDArray[np.float32]
+_Floats = NDArray[np.floating]
 
 # Grey, for the parts of a surface that nothing colours.
 _UNCOLORED = 128.0
@@ -30,22 +30,22 @@ def is_textured(mesh: Mesh) -> bool:
     return bool(np.array([*tells, False])[mesh.texture.material_ids].any())
 
 
-def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: NDArray[np.floating]) -> _Floats:
-    """Return the colour at points of the surface, (k, 3) float32 RGB in 8-bit levels.
+def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _Floats:
+    """Return the colour at points of the surface, (k, 3) RGB in 8-bit levels, as exact as the weights.
 
     Parameters
     ----------
     mesh : an image counts first, times the base colour of its material; then vertex colours, then a base
         colour alone; what has none of them is grey. An image that cannot be decoded counts as none.
     triangles : (k,) the triangle each point lies on.
-    weights : (k, 3) barycentric weights of its corners.
+    weights : (k, 3) barycentric weights of its corners, float32 or float64.
 
     Returns
     -------
     Vertex colours are interpolated linearly, images sampled bilinearly.
     """
     if mesh.colors is None:
-        colors = np.full((len(triangles), 3), _UNCOLORED, np.float32)
+        colors = np.full((len(triangles), 3), _UNCOLORED, weights.dtype)
     else:
         colors = _interpolated(mesh.colors, mesh.triangles.take(triangles, axis=0), weights)
     if mesh.texture is None or not mesh.texture.materials:
@@ -53,7 +53,7 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: NDArray[np.flo
     material_of = mesh.texture.material_ids.take(triangles)
     has_uvs = mesh.texture.has_uvs().take(triangles)
     for number, material in enumerate(_materials(mesh)):
-        pixels = _pixels(material)
+        pixels = pixels_of(material)
         is_its = material_of == number
         if pixels is not None:
             (chosen,) = np.nonzero(is_its & has_uvs)
@@ -67,9 +67,7 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: NDArray[np.flo
     return colors
 
 
-def sampled(
-    image: Pixels, uvs: NDArray[np.float64], wrap: tuple[str, str] = ("repeat", "repeat")
-) -> _Floats:
+def sampled(image: Pixels, uvs: NDArray[np.float64], wrap: tuple[str, str] = ("repeat", "repeat")) -> _Floats:
     """Sample an image (h, w, 3 or 4) bilinearly at texture coordinates (k, 2), (0, 0) its lower left corner.
 
     Returns
@@ -84,6 +82,16 @@ def sampled(
         first, second = (image[row, column, :3].astype(np.float32) for column in columns)
         lines.append(first + (second - first) * right_share)
     return np.asarray(lines[0] + (lines[1] - lines[0]) * lower_share)
+
+
+def pixels_of(material: Material) -> Pixels | None:
+    """Return the pixels of a material's image, or None if it has none that can be decoded."""
+    if material.image is None:
+        return None
+    try:
+        return material.image.pixels
+    except MeshError:
+        return None
 
 
 def _around(
@@ -108,27 +116,16 @@ def _materials(mesh: Mesh) -> tuple[Material, ...]:
     return () if mesh.texture is None else mesh.texture.materials
 
 
-def _pixels(material: Material) -> Pixels | None:
-    if material.image is None:
-        return None
-    try:
-        return material.image.pixels
-    except MeshError:
-        return None
-
-
 def _tinted(colors: _Floats, material: Material) -> _Floats:
     if material.base_color is None or min(material.base_color[:3]) >= 1:
         return colors
     tint = linear_from_srgb(np.array(material.base_color[:3]))
-    return np.asarray(255 * srgb_from_linear(linear_from_srgb(colors / np.float32(255)) * tint), np.float32)
+    return np.asarray(255 * srgb_from_linear(linear_from_srgb(colors / 255) * tint))
 
 
-def _interpolated(
-    values: NDArray[np.uint8], corners: NDArray[np.int32], weights: NDArray[np.floating]
-) -> _Floats:
-    shares = np.asarray(weights, np.float32)
-    colors = values.take(corners[:, 0], axis=0) * shares[:, :1]
+def _interpolated(values: NDArray[np.uint8], corners: NDArray[np.int32], weights: _Floats) -> _Floats:
+    # A corner at a time: three times as fast as all at once.
+    colors: _Floats = values.take(corners[:, 0], axis=0) * weights[:, :1]
     for i in (1, 2):
-        colors += values.take(corners[:, i], axis=0) * shares[:, i : i + 1]
+        colors += values.take(corners[:, i], axis=0) * weights[:, i : i + 1]
     return colors

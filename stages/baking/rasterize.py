@@ -47,7 +47,7 @@ def covered(corners: Floats, rows: tuple[int, int], width: int) -> Covered:
     (triangles,) = np.nonzero(high > low)
     spans = np.repeat(triangles, (high - low)[triangles])
     row = _counted(low[triangles], (high - low)[triangles])
-    left, right = _crossed(_from_top(corners), spans, row + 0.5)
+    left, right = _crossed(_from_top(corners), spans, np.asarray(row + 0.5, np.float64))
     first, last = _between(left, right, 0, width)
     lengths = np.maximum(last - first, 0)
     triangle = np.repeat(spans, lengths)
@@ -103,7 +103,7 @@ def _counted(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np
 
 
 def _from_top(corners: Floats) -> Floats:
-    """Return each triangle's corners by y, then x, so that a shared edge has the same ends in the same order."""
+    """Return each triangle's corners by y, then x: both triangles of an edge see it in the same direction."""
     order = np.lexsort((corners[:, :, 0], corners[:, :, 1]), axis=1)
     return np.take_along_axis(corners, order[:, :, None], axis=1)
 

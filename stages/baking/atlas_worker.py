@@ -1,7 +1,7 @@
-"""Runs xatlas, as a process of its own: `python -m stages.atlas_worker GIVEN.npz FOUND.npz`.
+"""Runs xatlas, as a process of its own: `python -m stages.baking.atlas_worker GIVEN.npz FOUND.npz`.
 
 xatlas is native code that ends its process on some meshes (a finely triangulated sphere is one); see
-stages.atlas, which starts this.
+stages.baking.atlas, which starts this.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.baking.rasterize import overlaps
 from stages.edges import components
-from stages.rasterize import overlaps
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _AIM = 0.985
 
 
 def main(given: str, found: str) -> None:
-    """Read what `stages.atlas` gives, and write what it wants."""
+    """Read what `stages.baking.atlas` gives, and write what it wants."""
     with np.load(given) as arrays:
         corners, charts = charted(arrays["vertices"], arrays["triangles"], arrays["groups"])
         placed, size = arrays["vertices"].astype(np.float64)[arrays["triangles"]], int(arrays["size"])

@@ -42,7 +42,7 @@ class Atlas:
     corners : (m, 3, 2) float64, x and y in texels from the upper left corner of the image.
     charts : (m,) int64, the chart of each triangle; -1 for triangles without area, which have none.
     size : texels, of a side of the image.
-    padding : texels that are free between two charts, at least.
+    padding : texels around each chart that are its own, at least.
     """
 
     corners: Floats
@@ -63,7 +63,7 @@ def unwrap(mesh: Mesh, size: int, padding: int, progress: Progress = silent) -> 
     ----------
     mesh : with some area. It need not be a manifold.
     size : texels, of a side of the image.
-    padding : texels between charts, at least.
+    padding : texels around each chart that are its own, at least.
     progress : called with 0 of 1 while this goes on; raising from it stops it.
 
     Raises
@@ -118,7 +118,7 @@ def _run(
         if "do not fit" in said:
             raise StageError(
                 f"the charts of {len(area):,} triangles do not fit in {size} × {size} texels with {padding} "
-                "between them; give a larger max_size or a smaller padding."
+                "around each; give a larger max_size or a smaller padding."
             )
         if "No module named 'xatlas'" in said:
             raise StageError("the Python package xatlas is not installed: pip install xatlas")
@@ -134,7 +134,7 @@ def _in_own_process(arguments: list[str], folder: str, patience: float, progress
     """Run the worker and return what it says on stderr, which is something only if it fails."""
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     errors = Path(folder, "errors.txt")
-    command = [sys.executable, "-m", "stages.atlas_worker", *arguments]
+    command = [sys.executable, "-m", "stages.baking.atlas_worker", *arguments]
     with errors.open("wb") as stderr:
         worker = subprocess.Popen(
             command,
