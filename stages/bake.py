@@ -54,7 +54,7 @@ class BakeParams:
     texel_size: float | None = param(
         None,
         "Size of a texel on the surface, at most; the image is the smallest that has room for it, up to "
-        "max_size, and is filled. Default: 0.4 of the original's mean edge, or the size of the texels it has.",
+        "max_size, and is filled. Default: 0.4 of the original's mean edge, or the size of its own texels.",
         unit="m",
         low=0,
         low_open=True,

@@ -1,12 +1,11 @@
 """Read and write meshes in the formats people have: PLY, OBJ, OFF, STL, glTF.
 
-PLY and OBJ are parsed here; the other formats by trimesh, under guard: what its readers raise becomes one
+PLY, OBJ and glTF are parsed here; OFF and STL by trimesh, under guard: what its readers raise becomes one
 sentence, and files that promise more than they hold are refused before memory is reserved for it.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import warnings
 from collections.abc import Iterator
@@ -17,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from stages.cleaning.merge import merge_vertices
-from stages.convert import as_mesh, to_trimesh, with_vertex_colors
+from stages.convert import as_mesh, to_trimesh
 from stages.errors import InputError, UsageError
+from stages.formats.gltf import read_gltf
+from stages.formats.gltf_writer import write_gltf
 from stages.formats.obj import read_obj, write_obj
 from stages.formats.ply import read_ply, write_ply
 from stages.mesh import Mesh
 from stages.replacing import replacing
-from stages.texture import Material, Texture
 
 EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
-_WRITABLE = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
 def read_mesh(path: Path | str) -> Mesh:
@@ -51,6 +50,8 @@ def read_mesh(path: Path | str) -> Mesh:
         mesh = read_ply(path)
     elif extension == ".obj":
         mesh = read_obj(path)
+    elif extension in (".glb", ".gltf"):
+        mesh = read_gltf(path)
     else:
         mesh = _read_with_trimesh(path, extension)
     if len(mesh.vertices) == 0:
@@ -63,27 +64,29 @@ def read_mesh(path: Path | str) -> Mesh:
 def write_mesh(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh; the extension tells the format. The file appears whole or not at all.
 
-    PLY and OBJ hold everything a Mesh has, to the bit. GLB holds colours or one texture image, in single
-    precision; several images become vertex colours. OFF and STL hold the shape alone.
+    PLY and OBJ hold everything a Mesh has, to the bit; glTF in single precision, triangles in the order of
+    their parts and materials. What a material says beside image and base colour is only kept within OBJ and
+    within glTF. OFF and STL hold the shape alone.
 
     Raises
     ------
     UsageError
-        If the extension is none of .ply, .obj, .off, .stl, .glb.
+        If the extension is none of EXTENSIONS.
     StageError
         If the system refuses to write.
     """
     path = Path(path)
     extension = path.suffix.lower()
-    if extension not in _WRITABLE:
-        raise UsageError(f"{path}: meshes are written as {', '.join(_WRITABLE)}, not as {path.suffix!r}.")
+    if extension not in EXTENSIONS:
+        raise UsageError(f"{path}: meshes are written as {', '.join(EXTENSIONS)}, not as {path.suffix!r}.")
     if extension == ".ply":
         write_ply(path, mesh)
     elif extension == ".obj":
         write_obj(path, mesh)
+    elif extension in (".glb", ".gltf"):
+        write_gltf(path, mesh)
     else:
-        holds_texture = mesh.texture is not None and len(mesh.texture.images) == 1
-        data = to_trimesh(mesh if holds_texture else with_vertex_colors(mesh))
+        data = to_trimesh(mesh.with_(texture=None))
         with _quiet():
             written = data.export(file_type=extension[1:])
         with replacing(path) as part:
@@ -105,8 +108,6 @@ def _quiet() -> Iterator[None]:
 
 
 def _read_with_trimesh(path: Path, extension: str) -> Mesh:
-    if extension in (".glb", ".gltf"):
-        _require_honest_gltf(path, extension)
     if extension == ".stl":
         _require_whole_stl(path)
     import trimesh
@@ -115,8 +116,6 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         with _quiet():
             scene = trimesh.load_scene(path, process=False)
             parts = [_placed(scene, node) for node in scene.graph.nodes_geometry]
-    except FileNotFoundError as error:
-        raise InputError(f"refers to the file {error}, which is missing.", path) from error
     except MemoryError:
         raise InputError("promises more data than fits in memory; it is damaged.", path) from None
     except Exception as error:  # trimesh's readers raise whatever the first bad value leads to
@@ -128,8 +127,6 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
     meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
     if extension == ".stl":
         return merge_vertices(_joined(meshes))
-    if extension in (".glb", ".gltf"):
-        meshes = [merge_vertices(mesh) for mesh in meshes]
     return _joined(meshes)
 
 
@@ -141,70 +138,18 @@ def _placed(scene: Any, node: str) -> Any:
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
-    """Put meshes into one; an attribute some of them lack is kept where that loses nothing else."""
+    """Put the meshes of an STL or OFF file, which have a shape and perhaps colours, into one."""
     if len(meshes) == 1:
         return meshes[0]
     if not meshes:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
-    notes = [note for mesh in meshes for note in mesh.notes]
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
-    colors = None
-    if all(mesh.colors is not None for mesh in meshes):
-        colors = np.concatenate([mesh.colors for mesh in meshes if mesh.colors is not None])
-    elif any(mesh.colors is not None for mesh in meshes):
-        notes.append("vertex colours are left out: some parts have none")
-    normals = None
-    if all(mesh.normals is not None for mesh in meshes):
-        normals = np.concatenate([mesh.normals for mesh in meshes if mesh.normals is not None])
     return Mesh(
         vertices=np.concatenate([mesh.vertices for mesh in meshes]),
         triangles=np.concatenate(triangles).astype(np.int32),
-        colors=colors,
-        normals=normals,
-        texture=_joined_textures(meshes),
-        notes=tuple(notes),
+        notes=tuple(note for mesh in meshes for note in mesh.notes),
     )
-
-
-def _joined_textures(meshes: list[Mesh]) -> Texture | None:
-    if all(mesh.texture is None for mesh in meshes):
-        return None
-    uvs, material_ids = [], []
-    materials: list[Material] = []
-    for mesh in meshes:
-        if mesh.texture is None:
-            uvs.append(np.zeros((len(mesh.triangles), 3, 2)))
-            material_ids.append(np.full(len(mesh.triangles), -1, np.int32))
-            continue
-        ids = mesh.texture.material_ids
-        uvs.append(mesh.texture.uvs)
-        material_ids.append(np.where(ids >= 0, ids + len(materials), -1).astype(np.int32))
-        materials += mesh.texture.materials
-    return Texture(np.concatenate(uvs), np.concatenate(material_ids), tuple(materials))
-
-
-def _require_honest_gltf(path: Path, extension: str) -> None:
-    """Refuse a glTF file with an accessor of more elements than its buffers have bytes.
-
-    An accessor without a buffer view stands for that many zeros: a short file can ask for any amount.
-    """
-    try:
-        data = path.read_bytes()
-        if extension == ".glb":
-            length = int.from_bytes(data[12:16], "little")
-            data = data[20 : 20 + length]
-        tree = json.loads(data)
-        held = sum(int(buffer["byteLength"]) for buffer in tree.get("buffers", []))
-        counts = [int(accessor["count"]) for accessor in tree.get("accessors", [])]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError("is not a sound glTF file: its description does not parse.", path) from error
-    if extension == ".glb":
-        held = min(held, path.stat().st_size)
-    if counts and (min(counts) < 0 or max(counts) > held):
-        raise InputError(
-            f"has an accessor of {max(counts):,} elements for {held:,} bytes of data; it is damaged.", path
-        )
 
 
 def _require_whole_stl(path: Path) -> None:

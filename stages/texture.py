@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -30,8 +30,8 @@ class Image:
     """
 
     name: str = ""
-    encoded: bytes | None = None
-    given: Pixels | None = None
+    encoded: bytes | None = field(default=None, repr=False)
+    given: Pixels | None = field(default=None, repr=False)
 
     @cached_property
     def pixels(self) -> Pixels:

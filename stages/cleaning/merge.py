@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 from stages.mesh import Mesh
 
 
-def merge_vertices(mesh: Mesh) -> Mesh:
+def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
     """Make one vertex of those with exactly the same position and colour; vertices keep their order.
 
     Formats that store a corner's texture coordinate or normal with the vertex, and STL, which stores
     corners alone, tear a surface apart that is one. A merged vertex takes the mean of the normals.
+    Vertices that differ in `apart` (n,) stay apart.
     """
     keys = list(mesh.vertices.T)
     if mesh.colors is not None:
         keys.append(mesh.colors.astype(np.int64) @ (1 << 16, 1 << 8, 1))
+    if apart is not None:
+        keys.append(apart)
     index = same_rows(keys)
     source = np.unique(index)
     if len(source) == len(index):

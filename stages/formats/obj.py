@@ -1,8 +1,8 @@
 """Wavefront OBJ files with texture coordinates per corner.
 
 trimesh reads the format too, but either splits the surface along texture seams or loses the coordinates
-there, and refuses negative indices when told to keep the order of vertices. Curves, lines, points, groups
-and smoothing are left out; all objects of a file become one mesh.
+there, and refuses negative indices when told to keep the order of vertices. Curves, lines, points and
+smoothing are left out; all objects and groups of a file become parts of one mesh.
 """
 
 from __future__ import annotations
@@ -14,14 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.cleaning.merge import same_rows
 from stages.errors import InputError
 from stages.formats.colors import to_uint8
+from stages.formats.mtl import read_libraries, text_of, write_library
 from stages.formats.polygons import split_polygons
 from stages.formats.text_numbers import parse_numbers
-from stages.formats.textures import beside, read_texture, write_images
 from stages.mesh import Mesh, validated
 from stages.replacing import replacing
-from stages.texture import Material, Texture
+from stages.texture import Texture
+
+# What programs write for a material, or a group, that is none.
+_NO_MATERIAL = ("None", "(null)")
+_NO_PART = "default"
 
 
 @dataclass
@@ -34,15 +39,16 @@ class _Statements:
     faces: list[bytes] = field(default_factory=list)
     seen: list[tuple[int, int, int]] = field(default_factory=list)
     materials: list[tuple[int, str]] = field(default_factory=list)  # first face, name
+    parts: list[tuple[int, str]] = field(default_factory=list)  # likewise
     libraries: list[str] = field(default_factory=list)
 
 
 def read_obj(path: Path | str) -> Mesh:
-    """Read an OBJ file; polygons are split into fans.
+    """Read an OBJ file; polygons are split into triangles.
 
-    Colours after the positions (0..1, or 0..255) are kept if every vertex has them, normals if they agree
-    at every vertex, and images named by the material library become the Texture. `Mesh.notes` says what
-    was changed or left out.
+    Colours after the positions (0..1, or 0..255) are kept if every vertex has them. Normals are those of
+    vertices if they agree at every vertex, else of corners. Materials come from the libraries that are there,
+    images as they are. `Mesh.notes` says what was changed, left out or missing.
 
     Raises
     ------
@@ -65,14 +71,19 @@ def read_obj(path: Path | str) -> Mesh:
         normals = _rows(statements.normals, 3)
     except ValueError as error:
         raise InputError(f"cannot be parsed: {error}", path) from None
-    corners, source = split_polygons(lengths, notes)
+    corners, source = split_polygons(lengths, references[:, 0], vertices, notes)
     corner_references = references[corners]
     triangles: Any = corner_references[..., 0]  # 64 bits until the range is checked
     mesh = validated(Mesh(vertices, triangles, colors), str(path))
     texture = _texture(corner_references[..., 1], uvs, source, statements, path.parent, notes)
+    of_vertices, of_corners = _normals(mesh, corner_references[..., 2], normals, notes)
+    part_names = tuple(dict.fromkeys(name for _, name in statements.parts if name != _NO_PART))
     return mesh.with_(
-        normals=_vertex_normals(mesh, corner_references[..., 2], normals, notes),
+        normals=of_vertices,
+        corner_normals=of_corners,
         texture=texture,
+        part_ids=_ids(statements.parts, part_names, source) if part_names else None,
+        part_names=part_names,
         notes=tuple(notes),
     )
 
@@ -80,11 +91,15 @@ def read_obj(path: Path | str) -> Mesh:
 def _sorted_statements(data: bytes) -> _Statements:
     statements = _Statements()
     by_key = {b"v": statements.positions, b"vt": statements.uvs, b"vn": statements.normals}
+    names = {b"o": "", b"g": ""}
     for raw in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
         line = raw.partition(b"#")[0] if b"#" in raw else raw
         words = line.split(None, 1)
         if len(words) < 2:
-            continue
+            if words and words[0] in names:
+                words.append(b"")
+            else:
+                continue
         key, rest = words
         if key in by_key:
             by_key[key].append(rest)
@@ -95,11 +110,17 @@ def _sorted_statements(data: bytes) -> _Statements:
             statements.materials.append((len(statements.faces), _name(rest)))
         elif key == b"mtllib":
             statements.libraries.append(_name(rest))
+        elif key in names:
+            if key == b"o":
+                names[b"g"] = ""
+            names[key] = _name(rest)
+            part = "/".join(dict.fromkeys(name for name in names.values() if name))
+            statements.parts.append((len(statements.faces), part or _NO_PART))
     return statements
 
 
 def _name(rest: bytes) -> str:
-    return rest.decode("utf-8", "replace").strip()
+    return text_of(rest).strip()
 
 
 def _positions(lines: list[bytes], notes: list[str]) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
@@ -166,25 +187,32 @@ def _references(
     return lengths, references
 
 
-def _vertex_normals(
+def _normals(
     mesh: Mesh, references: NDArray[np.int64], normals: NDArray[np.float64], notes: list[str]
-) -> NDArray[np.float64] | None:
-    if len(normals) == 0 or references.size == 0 or (references < 0).all():
-        return None
-    result = np.full((len(mesh.vertices), 3), np.nan)
-    if (references < 0).any() or (references >= len(normals)).any():
-        notes.append("normals are left out: some corners have none")
-        return None
-    corners = mesh.triangles.reshape(-1)
-    wanted = normals[references.reshape(-1), :3]
-    result[corners] = wanted
-    if not np.array_equal(result[corners], wanted):
-        notes.append("normals are left out: they differ from corner to corner")
-        return None
-    if not np.isfinite(result).all():
-        notes.append("normals are left out: some vertices have none")
-        return None
-    return result
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+    """Return normals of the vertices, or of the corners where a vertex has several; 0 where one has none."""
+    given = (references >= 0) & (references < len(normals))
+    if not given.any():
+        return None, None
+    of_corners = normals[np.where(given, references, 0), :3]
+    of_corners[~given] = 0
+    finite = np.isfinite(of_corners).all(axis=2)
+    if not finite.all():
+        notes.append("normals that are not finite are left out")
+        of_corners[~finite] = 0
+    of_vertices = np.full((len(mesh.vertices), 3), np.nan)
+    of_vertices[mesh.triangles] = of_corners
+    if np.array_equal(of_vertices[mesh.triangles], of_corners) and np.isfinite(of_vertices).all():
+        return of_vertices, None
+    return None, of_corners
+
+
+def _ids(changes: list[tuple[int, str]], names: tuple[str, ...], source: NDArray[np.int64]) -> Any:
+    """Return (m,) int32 which of the names holds for each triangle; -1 for others and before the first."""
+    number_of = {name: number for number, name in enumerate(names)}
+    starts = np.array([first for first, _ in changes], np.int64)
+    numbers = np.array([number_of.get(name, -1) for _, name in changes] + [-1], np.int32)
+    return numbers[np.searchsorted(starts, source, side="right") - 1]
 
 
 def _texture(
@@ -195,65 +223,33 @@ def _texture(
     folder: Path,
     notes: list[str],
 ) -> Texture | None:
-    images, number_of = _images(statements, folder, notes)
-    if not images or len(uvs) == 0:
+    names = tuple(dict.fromkeys(name for _, name in statements.materials))
+    materials = read_libraries(folder, statements.libraries, names, notes)
+    # A name of no library that stands for no material.
+    materials = tuple(m for m in materials if m.kept is not None or m.name not in _NO_MATERIAL)
+    names = tuple(material.name for material in materials)
+    given = np.all((references >= 0) & (references < len(uvs)), axis=1)
+    if not names and not given.any():
         return None
-    starts = np.array([first for first, _ in statements.materials], np.int64)
-    numbers = np.array([number_of.get(name, -1) for _, name in statements.materials] + [-1], np.int32)
-    material_ids = numbers[np.searchsorted(starts, source, side="right") - 1]
-    in_range = np.all((references >= 0) & (references < len(uvs)), axis=1)
-    corner_uvs = uvs[np.where(in_range[:, None], references, 0), :2]
-    usable = in_range & np.all(np.isfinite(corner_uvs), axis=(1, 2))
-    if (~usable & (material_ids >= 0)).any():
-        notes.append("some triangles lose their texture: their texture coordinates are missing or not finite")
-    corner_uvs[~usable] = 0
-    return Texture(corner_uvs, np.where(usable, material_ids, -1).astype(np.int32), images)
-
-
-def _images(
-    statements: _Statements, folder: Path, notes: list[str]
-) -> tuple[tuple[Material, ...], dict[str, int]]:
-    """Return the images of the materials in use, and the number of each material's image."""
-    used = {name for _, name in statements.materials}
-    images: list[Material] = []
-    numbers: dict[str, int] = {}
-    by_file: dict[str, int | None] = {}
-    for library in statements.libraries:
-        for material, file in _maps(beside(folder, library)).items():
-            if material not in used:
-                continue
-            if file not in by_file:
-                image = read_texture(folder, file, notes)
-                by_file[file] = None if image is None else len(images)
-                if image is not None:
-                    images.append(Material(image=image))
-            number = by_file[file]
-            if number is not None:
-                numbers[material] = number
-    return tuple(images), numbers
-
-
-def _maps(library: Path) -> dict[str, str]:
-    """Return the diffuse image of each material; nothing if the library is missing, which is common."""
-    try:
-        lines = library.read_text("utf-8", "replace").splitlines()
-    except (OSError, ValueError):  # ValueError: a name with a zero byte.
-        return {}
-    maps: dict[str, str] = {}
-    material = ""
-    for line in lines:
-        words = line.split(None, 1)
-        if len(words) == 2 and words[0] == "newmtl":
-            material = words[1].strip()
-        elif len(words) == 2 and words[0] == "map_Kd":
-            maps[material] = words[1].strip()
-    return maps
+    material_ids = _ids(statements.materials, names, source)
+    corner_uvs = np.zeros((len(references), 3, 2))
+    corner_uvs[given] = uvs[references[given], :2]
+    finite = np.isfinite(corner_uvs).all(axis=(1, 2))
+    corner_uvs[~finite] = 0
+    has_image = np.array([material.image is not None for material in materials] + [False])
+    lost = np.count_nonzero(has_image[material_ids] & ~(given & finite)) or np.count_nonzero(~finite)
+    if lost:
+        notes.append(
+            f"{lost:,} triangles lose their texture: their texture coordinates are missing or not finite"
+        )
+    return Texture(corner_uvs, material_ids, materials)
 
 
 def write_obj(path: Path | str, mesh: Mesh) -> None:
-    """Write an OBJ file; a texture goes beside it as NAME.mtl and NAME_0.png, NAME_1.png, ….
+    """Write an OBJ file; materials go beside it as NAME.mtl, images under their own names, untouched.
 
-    Numbers are written so that they read back equal. Each file appears whole or not at all.
+    Numbers are written so that they read back equal, and triangles keep their order. Each file appears whole
+    or not at all.
 
     Raises
     ------
@@ -261,53 +257,94 @@ def write_obj(path: Path | str, mesh: Mesh) -> None:
         If the system refuses to write.
     """
     path = Path(path)
-    lines: list[str] = []
+    texture = mesh.texture
     columns: list[NDArray[Any]] = [mesh.vertices]
     if mesh.colors is not None:
         columns.append(mesh.colors / 255)
-    lines += _number_lines("v", np.hstack(columns))
-    if mesh.normals is not None:
+    lines = _number_lines("v", np.hstack(columns))
+    corners = mesh.triangles.astype(np.int64) + 1
+    vt = vn = None
+    if texture is not None and (has_uvs := texture.has_uvs()).any():
+        coordinates, vt = _numbered(texture.uvs.reshape(-1, 2))
+        vt[~has_uvs] = 0
+        lines += _number_lines("vt", coordinates)
+    if mesh.corner_normals is not None:
+        directions, vn = _numbered(mesh.corner_normals.reshape(-1, 3))
+        vn[(mesh.corner_normals == 0).all(axis=2)] = 0
+        lines += _number_lines("vn", directions)
+    elif mesh.normals is not None:
         lines += _number_lines("vn", mesh.normals)
-    corners = mesh.triangles + 1
-    vn = corners if mesh.normals is not None else None
-    if mesh.texture is None or not mesh.texture.images:
-        lines += _face_lines(corners, None, vn)
-    else:
-        texture = mesh.texture
-        _write_materials(path, texture)
+        vn = corners
+    names: list[str] = []
+    if texture is not None and texture.materials:
+        names = _distinct([material.name for material in texture.materials])
         lines.insert(0, f"mtllib {path.stem}.mtl")
-        unique, index = np.unique(texture.uvs.reshape(-1, 2), axis=0, return_inverse=True)
-        lines += _number_lines("vt", unique)
-        vt = index.reshape(-1, 3) + 1
-        order = np.argsort(texture.material_ids, kind="stable")
-        for number in np.unique(texture.material_ids):
-            chosen = order[texture.material_ids[order] == number]
-            lines.append(f"usemtl material_{number}")
-            lines += _face_lines(corners[chosen], vt[chosen], None if vn is None else vn[chosen])
+        write_library(path, texture.materials, names)
+    faces = _face_lines(corners, vt, vn)
+    lines += _with_statements(faces, mesh, names)
     with replacing(path) as part:
-        part.write_text("\n".join([*lines, ""]))
+        part.write_text("\n".join([*lines, ""]), "utf-8")
+
+
+def _numbered(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the distinct rows in the order in which they come, and (m, 3) which each corner has, from 1."""
+    first = same_rows(list(rows.T))
+    is_first = first == np.arange(len(rows))
+    return rows[is_first], np.cumsum(is_first)[first].reshape(-1, 3)
+
+
+def _distinct(names: list[str]) -> list[str]:
+    """Return names that differ, and hold no line break."""
+    found: dict[str, None] = {}
+    for name in names:
+        base = " ".join(name.split()) or "unnamed"
+        distinct, number = base, 1
+        while distinct in found:
+            number += 1
+            distinct = f"{base}_{number}"
+        found[distinct] = None
+    return list(found)
+
+
+def _with_statements(faces: list[str], mesh: Mesh, materials: list[str]) -> list[str]:
+    """Put the names of parts and materials before the faces that they hold for."""
+    words: list[tuple[NDArray[np.int32], list[str]]] = []
+    # The last statement of each list is for an index of -1.
+    if materials and mesh.texture is not None:
+        none = next(name for name in (*_NO_MATERIAL, "") if name not in materials)
+        words.append((mesh.texture.material_ids, [f"usemtl {name}" for name in (*materials, none)]))
+    if mesh.part_ids is not None:
+        # As object and as group, since programs look for one or the other.
+        parts = [f"o {name}\ng {name}" for name in _distinct(list(mesh.part_names))]
+        words.append((mesh.part_ids, [*parts, f"g {_NO_PART}"]))
+    for ids, statements in words:
+        starts = np.flatnonzero(np.diff(ids, prepend=-1))
+        for start in starts.tolist():
+            faces[start] = f"{statements[ids[start]]}\n{faces[start]}"
+    return faces
 
 
 def _number_lines(key: str, rows: NDArray[np.float64]) -> list[str]:
     return [f"{key} {' '.join(map(repr, row))}" for row in rows.tolist()]
 
 
-def _face_lines(v: NDArray[Any], vt: NDArray[Any] | None, vn: NDArray[Any] | None) -> list[str]:
+def _face_lines(v: NDArray[Any], vt: NDArray[np.int64] | None, vn: NDArray[np.int64] | None) -> list[str]:
+    """Return lines of corners; an index of 0 stands for none."""
     if vt is None and vn is None:
         return [f"f {a} {b} {c}" for a, b, c in v.tolist()]
-    if vt is None:
-        return [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in v.tolist()]
-    if vn is None:
+    if vt is not None and vn is None and vt.all():
         pairs = zip(v.tolist(), vt.tolist(), strict=True)
         return [f"f {a}/{s} {b}/{t} {c}/{u}" for (a, b, c), (s, t, u) in pairs]
-    pairs = zip(v.tolist(), vt.tolist(), strict=True)
-    return [f"f {a}/{s}/{a} {b}/{t}/{b} {c}/{u}/{c}" for (a, b, c), (s, t, u) in pairs]
+    none = np.zeros_like(v)
+    rows = np.hstack((v, none if vt is None else vt, none if vn is None else vn)).tolist()
+    if vt is not None and vn is not None and vt.all() and vn.all():
+        return [f"f {a}/{s}/{i} {b}/{t}/{j} {c}/{u}/{k}" for a, b, c, s, t, u, i, j, k in rows]
+    return [
+        f"f {_corner(a, s, i)} {_corner(b, t, j)} {_corner(c, u, k)}" for a, b, c, s, t, u, i, j, k in rows
+    ]
 
 
-def _write_materials(path: Path, texture: Texture) -> None:
-    lines = ["newmtl material_-1", "Kd 0.5 0.5 0.5"]
-    names = write_images(path, texture.images)
-    for number, material in enumerate(texture.materials):
-        lines += [f"newmtl material_{number}", "Kd 1 1 1", f"map_Kd {names[id(material.image)]}"]
-    with replacing(path.with_name(f"{path.stem}.mtl")) as part:
-        part.write_text("\n".join([*lines, ""]))
+def _corner(v: int, vt: int, vn: int) -> str:
+    if not vn:
+        return f"{v}/{vt}" if vt else f"{v}"
+    return f"{v}/{vt or ''}/{vn}"

@@ -15,24 +15,27 @@ from numpy.typing import ArrayLike, NDArray
 from stages.errors import InputError
 from stages.formats.colors import to_uint8
 from stages.formats.ply_format import Lists, Table, read_tables
+from stages.formats.ply_texture import (
+    part_comments,
+    read_corner_normals,
+    read_parts,
+    read_texture_of_ply,
+    texture_comments,
+)
 from stages.formats.polygons import split_polygons
-from stages.formats.textures import read_texture, write_images
 from stages.mesh import Mesh, validated
 from stages.replacing import replacing
-from stages.texture import Material, Texture
 
 _COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-_VERTEX_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
-_TEXTURE_COMMENT = "TextureFile"
 
 
 def read_ply(path: Path | str) -> Mesh:
     """Read a PLY file, text or binary, of either byte order.
 
-    Polygons are split into fans of triangles and triangle strips are unrolled; colours may be bytes or
+    Polygons are split into triangles and triangle strips are unrolled; colours may be bytes or
     floats. Texture coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture, with the
-    images the file names. A cloud is a mesh without triangles. Colours of faces, alpha and properties of
-    other names are left out; `Mesh.notes` says what was changed or lost of the things above.
+    images the file names, as they are. A cloud is a mesh without triangles. Colours of faces, alpha and
+    properties of other names are left out; `Mesh.notes` says what was changed or lost of the things above.
 
     Raises
     ------
@@ -49,12 +52,13 @@ def read_ply(path: Path | str) -> Mesh:
         raise InputError("has no element `vertex` with x, y and z.", path)
     notes: list[str] = []
     face = tables.get("face", {})
-    corners, source, used = _polygons(face, notes)
+    vertices = vertices.astype(np.float64)
+    corners, source, used = _polygons(face, vertices, notes)
     triangles = used[corners] if len(used) else np.zeros((0, 3), np.int32)
     if "tristrips" in tables and len(triangles) == 0:
         triangles = _unrolled_strips(tables["tristrips"])
     mesh = Mesh(
-        vertices=vertices.astype(np.float64),
+        vertices=vertices,
         triangles=triangles,
         colors=_vertex_colors(vertex, notes),
         normals=_normals(vertex, notes),
@@ -62,13 +66,15 @@ def read_ply(path: Path | str) -> Mesh:
     if any(name in face for name in ("red", "diffuse_red", "r")):
         notes.append("colours of faces are left out; only colours of vertices are used")
     mesh = validated(mesh, str(path))
-    images = [
-        c.split(maxsplit=1)[1]
-        for c in header.comments
-        if c.startswith(_TEXTURE_COMMENT) and len(c.split()) > 1
-    ]
-    texture = _texture(mesh, vertex, face, corners, source, images, path.parent, notes)
-    return mesh.with_(texture=texture, notes=tuple(notes))
+    texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path.parent, notes)
+    part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
+    return mesh.with_(
+        texture=texture,
+        corner_normals=read_corner_normals(face, corners),
+        part_ids=part_ids,
+        part_names=part_names,
+        notes=tuple(notes),
+    )
 
 
 def _columns(table: Table, names: tuple[str, ...]) -> NDArray[Any] | None:
@@ -96,14 +102,16 @@ def _normals(vertex: Table, notes: list[str]) -> NDArray[np.float64] | None:
     return normals
 
 
-def _polygons(face: Table, notes: list[str]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+def _polygons(
+    face: Table, vertices: NDArray[np.float64], notes: list[str]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
     """Return what split_polygons does, and the vertex indices of all polygons, end to end."""
     lists = face.get("vertex_indices", face.get("vertex_index"))
     if not isinstance(lists, Lists):
         nothing = np.zeros(0, np.int64)
         return nothing.reshape(0, 3), nothing, nothing
-    corners, source = split_polygons(lists.lengths, notes)
-    return corners, source, lists.values
+    indices = lists.values.astype(np.int64)
+    return (*split_polygons(lists.lengths, indices, vertices, notes), indices)
 
 
 def _unrolled_strips(strips: Table) -> NDArray[np.int64]:
@@ -124,48 +132,6 @@ def _unrolled_strips(strips: Table) -> NDArray[np.int64]:
     # A repeated index joins two strips and is no triangle.
     real = (triangles != -1).all(axis=1) & (a != b) & (b != c) & (c != a)
     return np.asarray(triangles[real])
-
-
-def _texture(
-    mesh: Mesh,
-    vertex: Table,
-    face: Table,
-    corners: NDArray[np.int64],
-    source: NDArray[np.int64],
-    names: list[str],
-    folder: Path,
-    notes: list[str],
-) -> Texture | None:
-    uvs = _corner_uvs(mesh, vertex, face, corners)
-    if uvs is None:
-        return None
-    if not np.isfinite(uvs).all():
-        notes.append("the texture is left out: some of its coordinates are not finite")
-        return None
-    images = tuple(Material(image=read_texture(folder, name, notes)) for name in names)
-    numbers = face.get("texnumber")
-    if isinstance(numbers, np.ndarray):
-        material_ids = numbers[source].astype(np.int32)
-    else:
-        material_ids = np.zeros(len(mesh.triangles), np.int32)
-    material_ids[(material_ids < 0) | (material_ids >= len(images))] = -1
-    return Texture(uvs, material_ids, images)
-
-
-def _corner_uvs(
-    mesh: Mesh, vertex: Table, face: Table, corners: NDArray[np.int64]
-) -> NDArray[np.float64] | None:
-    per_corner = face.get("texcoord")
-    polygons = face.get("vertex_indices", face.get("vertex_index"))
-    if isinstance(per_corner, Lists) and isinstance(polygons, Lists):
-        if len(corners) == 0 or not (per_corner.lengths == 2 * polygons.lengths).all():
-            return None
-        return per_corner.values.reshape(-1, 2).astype(np.float64)[corners]
-    for names in _VERTEX_UVS:
-        uvs = _columns(vertex, names)
-        if uvs is not None and len(mesh.triangles):
-            return uvs.astype(np.float64)[mesh.triangles]
-    return None
 
 
 def read_vertex_values(path: Path | str, name: str) -> NDArray[np.float64] | None:
@@ -193,7 +159,7 @@ def write_ply(
     properties of the vertices; `read_ply` passes them over.
     All numbers are stored as 32-bit floats where that loses nothing (meshes from fusion), else as doubles,
     which MeshLab, Blender, CloudCompare, Open3D and trimesh read as well. A texture's images are written
-    beside as NAME_0.png, NAME_1.png, …. The file appears whole or not at all.
+    beside under their own names, untouched. The file appears whole or not at all.
 
     Raises
     ------
@@ -204,10 +170,16 @@ def write_ply(
     comments: list[str] = []
     face: list[tuple[str, NDArray[Any]]] = [("vertex_indices", mesh.triangles.astype("<i4"))]
     if mesh.texture is not None:
+        comments, texnumber, has_materials = texture_comments(path, mesh.texture)
         face.append(("texcoord", _narrowed(mesh.texture.uvs.reshape(-1, 6))))
-        face.append(("texnumber", mesh.texture.material_ids.astype("<i4")))
-        names = write_images(path, mesh.texture.images)
-        comments += [f"{_TEXTURE_COMMENT} {name}" for name in names.values()]
+        face.append(("texnumber", texnumber.astype("<i4")))
+        if has_materials:
+            face.append(("material_index", mesh.texture.material_ids.astype("<i4")))
+    if mesh.corner_normals is not None:
+        face.append(("corner_normals", _narrowed(mesh.corner_normals.reshape(-1, 9))))
+    if mesh.part_ids is not None:
+        comments += part_comments(mesh.part_names)
+        face.append(("part_index", mesh.part_ids.astype("<i4")))
     face += [(name, _narrowed(values)) for name, values in (face_values or {}).items()]
     vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
     vertex += [(name, _narrowed(values)) for name, values in (vertex_values or {}).items()]

@@ -1,24 +1,41 @@
-"""Polygons to triangles."""
+"""Polygons to triangles.
+
+Most polygons are convex, or at least star-shaped about their first corner: those become fans, in bulk. The
+others are cut by mapbox's earcut in the plane of their mean normal (Newell's method: Sutherland, Sproull
+and Schumacker, 1974). Every corner stays a corner of a triangle, so that neighbours still meet.
+"""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+# Below this share of the polygon's area a triangle counts as flat, and areas count as equal.
+_NO_AREA = 1e-10
+_SAME_AREA = 1e-6
+
+Indices = NDArray[np.int64]
+Points = NDArray[np.float64]
+
 
 def split_polygons(
-    lengths: NDArray[np.int64], notes: list[str]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Split polygons into fans from their first corner, which is right for convex ones.
+    lengths: Indices, indices: Indices, vertices: Points, notes: list[str]
+) -> tuple[Indices, Indices]:
+    """Split polygons into triangles that turn as the polygons do.
 
     Parameters
     ----------
     lengths : (p,) the number of corners of each polygon.
-    notes : gets a sentence if polygons were split, or left out for want of corners.
+    indices : (c,) the vertex of each corner, all polygons end to end; may be out of range.
+    vertices : (n, 3) float64.
+    notes : gets a sentence if polygons were split, cross themselves or have no area, or are left out for
+        want of corners.
 
     Returns
     -------
-    corners : (m, 3) positions in the list of all polygons' corners, end to end.
+    corners : (m, 3) positions in `indices`.
     source : (m,) the polygon each triangle comes from.
     """
     if (lengths == 3).all():
@@ -27,8 +44,109 @@ def split_polygons(
     source = np.repeat(np.arange(len(fan)), fan)
     within = np.arange(len(source)) - np.repeat(np.cumsum(fan) - fan, fan)
     first = (np.cumsum(lengths) - lengths)[source]
+    corners = np.stack((first, first + within + 1, first + within + 2), axis=1)
     if (fan > 1).any():
         notes.append(f"{np.count_nonzero(fan > 1):,} polygons were split into triangles")
+        _cut_concave(corners, source, fan, indices, vertices, notes)
     if (fan == 0).any():
         notes.append(f"{np.count_nonzero(fan == 0):,} faces of fewer than three corners are left out")
-    return np.stack((first, first + within + 1, first + within + 2), axis=1), source
+    return corners, source
+
+
+def _cut_concave(
+    corners: Indices, source: Indices, fan: Indices, indices: Indices, vertices: Points, notes: list[str]
+) -> None:
+    """Replace, in place, the fans that turn back on themselves."""
+    split = np.flatnonzero((fan > 1)[source])
+    used = indices[corners[split]]
+    if used.size == 0 or used.min() < 0 or used.max() >= len(vertices):
+        return  # the caller refuses such a mesh, and says why
+    # Relative to the first corner, which keeps the digits of small polygons far away.
+    origin = vertices[used[:, 0]]
+    with np.errstate(all="ignore"):
+        doubled = np.cross(vertices[used[:, 1]] - origin, vertices[used[:, 2]] - origin)
+        polygon, row = np.unique(source[split], return_inverse=True)
+        normal = np.stack([np.bincount(row, doubled[:, k]) for k in range(3)], axis=1)
+        square = (normal * normal).sum(axis=1)
+        share = (doubled * normal[row]).sum(axis=1) / square[row]
+    bent = np.bincount(row, ~(share > _NO_AREA)) > 0
+    begins = np.searchsorted(source, polygon)
+    left = 0
+    for number in np.flatnonzero(bent).tolist():
+        count = int(fan[polygon[number]])
+        rows = slice(int(begins[number]), int(begins[number]) + count)
+        start = int(corners[rows][0, 0])
+        ring = vertices[indices[start : start + count + 2]]
+        triangles = _cut(ring, normal[number])
+        if triangles is None:
+            left += 1
+        else:
+            corners[rows] = start + triangles
+    if left:
+        notes.append(f"{left:,} of them cross themselves or have no area, and were split as if convex")
+
+
+def _cut(ring: Points, normal: Points) -> Indices | None:
+    """Return (n - 2, 3) triangles of a ring of n points; None if it crosses itself or has no area."""
+    from mapbox_earcut import triangulate_float64
+
+    length = np.linalg.norm(normal)
+    if not np.isfinite(length) or length == 0 or not np.isfinite(ring).all():
+        return None
+    flat = _in_plane(ring - ring[0], normal / length)
+    flat /= abs(flat).max()
+    found = triangulate_float64(np.ascontiguousarray(flat), np.array([len(flat)], np.uint32))
+    triangles = found.astype(np.int64).reshape(-1, 3)
+    doubled = _doubled_areas(flat, triangles)
+    # Its triangles all turn one way, which need not be the ring's.
+    if len(triangles) and doubled.sum() < 0:
+        triangles = triangles[:, ::-1]
+    after = np.roll(flat, -1, axis=0)
+    whole = (flat[:, 0] * after[:, 1] - flat[:, 1] * after[:, 0]).sum()
+    if not abs(abs(doubled).sum() - whole) <= _SAME_AREA * whole:
+        return None
+    return _with_all_corners(triangles, len(flat))
+
+
+def _in_plane(points: Points, normal: Points) -> Points:
+    """Return 2-D coordinates in which what turns about the normal turns counter-clockwise."""
+    axis = np.eye(3)[abs(normal).argmin()]
+    across = np.cross(normal, axis)
+    across /= np.linalg.norm(across)
+    return np.stack((points @ across, points @ np.cross(normal, across)), axis=1)
+
+
+def _doubled_areas(flat: Points, triangles: Indices) -> Points:
+    a, b, c = flat[triangles].transpose(1, 0, 2)
+    ab, ac = b - a, c - a
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+
+
+def _with_all_corners(triangles: Indices, count: int) -> Indices | None:
+    """Put the corners back that earcut leaves out because they lie on a side or on another corner.
+
+    Such a chain of corners d, e between corners a and b of a triangle a b c makes it a d c, d e c, e b c.
+    """
+    if len(triangles) == count - 2:
+        return triangles
+    kept = np.unique(triangles)
+    if len(kept) < 3:
+        return None
+    across = {}
+    for a, b, c in triangles.tolist():
+        across.update({(a, b): c, (b, c): a, (c, a): b})
+    for a, b in zip(kept.tolist(), np.roll(kept, -1).tolist(), strict=True):
+        chain = [a, *((a + k) % count for k in range(1, (b - a) % count)), b]
+        if len(chain) == 2:
+            continue
+        apex = across.pop((a, b), None)
+        if apex is None:
+            return None
+        for d, e in pairwise(chain):
+            across.update({(d, e): apex, (e, apex): d, (apex, d): e})
+    result = sorted({_from_least(a, b, c) for (a, b), c in across.items()})
+    return np.array(result, np.int64) if len(result) == count - 2 else None
+
+
+def _from_least(a: int, b: int, c: int) -> tuple[int, int, int]:
+    return min((a, b, c), (b, c, a), (c, a, b))

@@ -58,14 +58,16 @@ def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
     only files named so are written over.
     """
     names: dict[int, str] = {}
+    written: dict[str, bytes] = {}
     for number, image in enumerate(images):
         data, extension = image.file_bytes, image.extension
         name = _safe_name(image.name, extension)
-        if not name or name in names.values() or _holds_other(path.with_name(name), data):
+        if not name or written.get(name, data) != data or _holds_other(path.with_name(name), data):
             name = f"{path.stem}_{name}" if name else f"{path.stem}_{number}{extension}"
-        if name in names.values():
+        if written.get(name, data) != data:
             name = f"{path.stem}_{number}{extension}"
         names[id(image)] = name
+        written[name] = data
         with replacing(path.with_name(name)) as part:
             part.write_bytes(data)
     return names
