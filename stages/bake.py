@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.baking.atlas import Atlas, unwrap
+from stages.baking.atlas import Atlas, signed_areas, unwrap
 from stages.baking.facing import FacingColors
 from stages.baking.filling import filled_up
 from stages.baking.rasterize import covered, strips
@@ -37,14 +37,14 @@ _MIN_SIZE = 64
 _FILLED = 0.5
 _LEAST_PADDING = 2
 # So many texels of an image's side have one texel of padding by default.
-_SIDE_PER_PADDING = 512
+_SIDE_PER_PADDING = 256
 _MOST_SAMPLES = 4
 # Of the mean edge: what is interpolated between vertices has kinks along edges, many of them shorter.
 _DETAIL_OF_EDGE = 0.4
 # Samples in a length of one detail of the original, at least. On a scanned banana and a fused room more of
 # them change the error by less than 0.1 dB.
 _SAMPLES_PER_DETAIL = 1.5
-_COMPARED = 200_000
+_COMPARED = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +65,7 @@ class BakeParams:
     padding: int | None = param(
         None,
         "Texels around each chart that show its colours; between two charts there are twice as many. With 8 "
-        "the image can be halved 3 times and no colour gets from one chart into another. Default: 1/512 of "
+        "the image can be halved twice and no colour gets from one chart into another. Default: 1/256 of "
         "the side, at least 2.",
         unit="texels",
         low=1,
@@ -117,7 +117,8 @@ class Baked:
     @property
     def halvings(self) -> int:
         """Return how often the image can be halved (mip levels) with no colour crossing to another chart."""
-        return int(math.log2(self.padding))
+        # A bilinear sample of a halved image reaches twice as far as a texel of it is wide.
+        return max(int(math.log2(self.padding)) - 1, 0)
 
     def figures(self) -> dict[str, Any]:
         """Return all figures for JSON, units in the names."""
@@ -213,9 +214,7 @@ def _detail(original: Mesh) -> float:
         images = [pixels_of(material) for material in texture.materials]
         # The last one stands for triangles without a material.
         texels_of = np.array([*(0 if image is None else image[..., 0].size for image in images), 0])
-        sides = texture.uvs[:, 1:] - texture.uvs[:, :1]
-        shares = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]) / 2
-        texels = shares * texels_of[texture.material_ids]
+        texels = np.abs(signed_areas(texture.uvs)) * texels_of[texture.material_ids]
         on_image = texels > 0
         # Where most of the surface has a texture, that is what there is to keep.
         if area[on_image].sum() > area.sum() / 2:
@@ -233,8 +232,7 @@ def _image_size(mesh: Mesh, texel_size: float, max_size: int) -> int:
 
 
 def _texel_size(mesh: Mesh, atlas: Atlas) -> float:
-    sides = atlas.corners[:, 1:] - atlas.corners[:, :1]
-    texels = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]).sum() / 2
+    texels = np.abs(signed_areas(atlas.corners)).sum()
     return math.sqrt(float(areas(mesh.vertices, mesh.triangles).sum()) / float(texels))
 
 

@@ -58,15 +58,12 @@ class FacingColors:
     def _farthest(self) -> float:
         """Return how far, in metres, the original is looked for along a normal.
 
-        That is the largest distance found between the light mesh and what faces its way: where a thin sheet
-        has come out on the wrong side of itself, its right side is not farther than that.
+        Twice the largest distance found between the two: where a thin sheet has come out on the wrong side of
+        itself, its right side is not much farther than that.
         """
         step = math.ceil(len(self._light.triangles) / _PROBES)
-        rows = np.arange(0, len(self._light.triangles), step)
-        middles = self._light.vertices[self._light.triangles[rows]].mean(axis=1)
-        nearest = self._original.closest(middles)
-        agrees = _dot(self._light_normals[rows], self._normals[nearest.triangles]) > 0
-        return float(nearest.distances[agrees].max(initial=0.0))
+        corners = self._light.vertices[self._light.triangles[::step]]
+        return 2 * float(self._original.closest(corners.mean(axis=1)).distances.max())
 
     def _facing(self, points: Floats, normals: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
         """Return, for which points there is a surface within reach along the normal that faces its way.
