@@ -179,7 +179,7 @@ def bake(
     samples = params.samples or min(math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail), _MOST_SAMPLES)
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
-    colors_of = FacingColors(surface, given)
+    colors_of = FacingColors(surface, given, texel_size)
     image, coverage = _image(atlas, samples, colors_of, progress)
     mesh = _textured(given, atlas, image)
     error, before = (_color_error(surface, one, box) for one in (mesh, given))

@@ -19,6 +19,8 @@ from stages.surface_color import color_at
 _PASSED = 4
 # A ray goes on behind what it met this share of its reach later.
 _STEP = 1e-4
+# Of a texel, that places are moved away from the edges of their triangles.
+_INWARDS = 0.02
 # Triangles whose middles tell how far the light mesh is from the original.
 _PROBES = 100_000
 
@@ -32,7 +34,8 @@ class FacingColors:
         not.
     """
 
-    def __init__(self, original: Surface, light: Mesh) -> None:
+    def __init__(self, original: Surface, light: Mesh, texel_size: float) -> None:
+        self._inwards = _INWARDS * texel_size
         self._original = original
         self._normals = _unit_normals(original.mesh)
         self._light = light
@@ -43,7 +46,7 @@ class FacingColors:
     def __call__(self, triangles: NDArray[np.int64], weights: Floats) -> NDArray[np.floating]:
         """Return the colours (k, 3) at points of the light mesh."""
         corners = self._light.vertices[self._light.triangles[triangles]]
-        points = np.einsum("kc,kcx->kx", weights, corners)
+        points = self._moved_inwards(np.einsum("kc,kcx->kx", weights, corners), corners.mean(axis=1))
         nearest = self._original.closest(points)
         found, shares = nearest.triangles, nearest.weights
         normals = self._light_normals[triangles]
@@ -54,6 +57,17 @@ class FacingColors:
             self.turned += len(chosen)
         self.asked += len(points)
         return color_at(self._original.mesh, found, shares)
+
+    def _moved_inwards(self, points: Floats, middles: Floats) -> Floats:
+        """Move points a little towards the middles of their triangles.
+
+        Charts often end at texel centres: on a sharp edge rounding alone would choose the side it is taken
+        from, line by line, and what fills the gaps continues that.
+        """
+        towards = middles - points
+        lengths = np.sqrt(_dot(towards, towards))
+        share = self._inwards / np.maximum(lengths, max(self._inwards, np.finfo(np.float64).tiny))
+        return np.asarray(points + share[:, None] * towards)
 
     def _farthest(self) -> float:
         """Return how far, in metres, the original is looked for along a normal.
