@@ -64,8 +64,8 @@ def read_mesh(path: Path | str) -> Mesh:
 def write_mesh(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh; the extension tells the format. The file appears whole or not at all.
 
-    PLY and OBJ hold everything a Mesh has, to the bit; glTF in single precision, triangles in the order of
-    their parts and materials. What a material says beside image and base colour is only kept within OBJ and
+    PLY and OBJ hold everything a Mesh has, to the bit; glTF in single precision, triangles of one part
+    and material together. What a material says beside image and base colour is only kept within OBJ and
     within glTF. OFF and STL hold the shape alone.
 
     Raises

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.formats import documents, trajectories
 from stages.formats.calibration import checked
+from stages.formats.fov_lens import fisheye_of_fov
 from stages.scan import MAX_PIXELS, Camera, Pose
 
 
@@ -27,27 +28,29 @@ from stages.scan import MAX_PIXELS, Camera, Pose
 class _Model:
     """A camera model: its name, how many parameters it has, and which of them become OpenCV's.
 
-    `matrix` are the positions of fx, fy, cx, cy; `distortion` those of k1, k2, p1, p2 …, None for 0.
+    `matrix` are the positions of fx, fy, cx, cy; `distortion` those of k1, k2, p1, p2 …, None for 0; a
+    fisheye's are k1 to k4 of OpenCV's fisheye model.
     """
 
     name: str
     count: int
     matrix: tuple[int, int, int, int] | None = None
     distortion: tuple[int | None, ...] = ()
+    fisheye: bool = False
 
 
-# In the order of COLMAP's numbers. Those without a matrix are no pinhole cameras.
+# In the order of COLMAP's numbers. Those without a matrix are neither pinhole cameras nor OpenCV's fisheye.
 _MODELS = (
     _Model("SIMPLE_PINHOLE", 3, (0, 0, 1, 2)),
     _Model("PINHOLE", 4, (0, 1, 2, 3)),
     _Model("SIMPLE_RADIAL", 4, (0, 0, 1, 2), (3, None, None, None)),
     _Model("RADIAL", 5, (0, 0, 1, 2), (3, 4, None, None)),
     _Model("OPENCV", 8, (0, 1, 2, 3), (4, 5, 6, 7)),
-    _Model("OPENCV_FISHEYE", 8),
+    _Model("OPENCV_FISHEYE", 8, (0, 1, 2, 3), (4, 5, 6, 7), fisheye=True),
     _Model("FULL_OPENCV", 12, (0, 1, 2, 3), (4, 5, 6, 7, 8, 9, 10, 11)),
-    _Model("FOV", 5),
-    _Model("SIMPLE_RADIAL_FISHEYE", 4),
-    _Model("RADIAL_FISHEYE", 5),
+    _Model("FOV", 5, (0, 1, 2, 3)),
+    _Model("SIMPLE_RADIAL_FISHEYE", 4, (0, 0, 1, 2), (3, None, None, None), fisheye=True),
+    _Model("RADIAL_FISHEYE", 5, (0, 0, 1, 2), (3, 4, None, None), fisheye=True),
     _Model("THIN_PRISM_FISHEYE", 12),
     _Model("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 )
@@ -93,8 +96,8 @@ def read_model(folder: Path) -> list[View]:
     Raises
     ------
     InputError
-        If a file cannot be read, is cut short or damaged, or a camera is not a pinhole camera with OpenCV's
-        distortion.
+        If a file cannot be read, is cut short or damaged, or a camera is neither a pinhole camera with
+        OpenCV's distortion nor its fisheye.
     """
     end = next((end for end in _ENDS if all((folder / f"{stem}{end}").is_file() for stem in _STEMS)), None)
     if end is None:
@@ -103,6 +106,15 @@ def read_model(folder: Path) -> list[View]:
     if end == ".bin":
         return list(_binary_views(images_path, dict(_binary_cameras(cameras_path))))
     return list(_text_views(images_path, dict(_text_cameras(cameras_path))))
+
+
+def count_images(folder: Path) -> int:
+    """Return how many images a model holds. Raises InputError as `read_model` does."""
+    path = folder / "images.bin"
+    if not (path.is_file() and (folder / "cameras.bin").is_file()):
+        return len(read_model(folder))
+    (count,), _ = _unpacked("<Q", _mapped(path), 0, path)
+    return int(count)
 
 
 def read_points(folder: Path) -> dict[int, NDArray[np.float64]]:
@@ -195,7 +207,7 @@ def _camera(
 ) -> Camera:
     if model.matrix is None:
         raise InputError(
-            f"camera {identity} is of the model {model.name}, which is no pinhole camera; undistort the "
+            f"camera {identity} is of the model {model.name}, which is not known here; undistort the "
             "images with COLMAP's image_undistorter and give the folder it writes.",
             path,
         )
@@ -203,7 +215,9 @@ def _camera(
         raise InputError(f"camera {identity} claims to have {width}×{height} pixels.", path)
     fx, fy, cx, cy = (values[at] for at in model.matrix)
     bent = tuple(0.0 if at is None else values[at] for at in model.distortion)
-    return checked(Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, bent if any(bent) else ()), path)
+    bent = bent if model.fisheye or any(bent) else ()
+    camera = checked(Camera(width, height, fx, fy, cx - 0.5, cy - 0.5, bent, model.fisheye), path)
+    return fisheye_of_fov(camera, values[4], path) if model.name == "FOV" else camera
 
 
 def _view(

@@ -35,4 +35,5 @@ def linear_from_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def srgb_from_linear(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the inverse of `linear_from_srgb`."""
     low = np.clip(values, 0, 1)
-    return np.where(low <= 0.0031308, low * 12.92, 1.055 * low ** (1 / 2.4) - 0.055)
+    # Written so that 1 stays 1.
+    return np.where(low <= 0.0031308, low * 12.92, 1 - 1.055 * (1 - low ** (1 / 2.4)))

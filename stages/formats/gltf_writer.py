@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.merge import same_rows
-from stages.errors import StageError
+from stages.errors import MeshError, StageError
 from stages.formats.colors import linear_from_srgb
 from stages.formats.gltf_container import Tree
 from stages.formats.gltf_materials import MaterialWriter, multiplies_colors
@@ -31,6 +31,7 @@ _FLOAT, _SHORT, _INT, _BYTE = 5126, 5123, 5125, 5121
 _VERTICES, _INDICES = 34962, 34963  # what a buffer view is for
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _LARGEST = 1 << 32
+_LARGEST_FLOAT = float(np.finfo(np.float32).max)
 # A mesh this many times its size away from the origin loses digits that a move saves.
 _FAR = 4.0
 # Normals this close to unit length are written as they are.
@@ -74,12 +75,14 @@ class _Buffer:
 def write_gltf(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
 
-    Triangles are put in the order of parts and materials. Parts that share no vertices become nodes.
+    Triangles of one part and material are put together. Parts that share no vertices become nodes.
 
     Raises
     ------
     StageError
         If the system refuses to write, or the mesh is larger than a GLB file can be (4 GiB).
+    MeshError
+        If a vertex lies beyond what single precision holds.
     """
     path = Path(path)
     tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
@@ -95,6 +98,8 @@ def write_gltf(path: Path | str, mesh: Mesh) -> None:
 def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mesh) -> None:
     if len(mesh.triangles) == 0:
         return
+    if abs(mesh.vertices).max() > _LARGEST_FLOAT:
+        raise MeshError("vertices lie farther out than single precision can tell; write PLY.", "mesh")
     move = _move(mesh.vertices)
     mesh = mesh.with_(vertices=mesh.vertices - move)
     parts = np.full(len(mesh.triangles), -1, np.int32) if mesh.part_ids is None else mesh.part_ids
@@ -156,7 +161,8 @@ def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Ro
     order = np.lexsort(keys[::-1])
     ordered = keys[:, order]
     begins = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).any(axis=0)) + 1
-    for chosen in np.split(order, begins):
+    # By their first triangles, so that a mesh whose groups lie together keeps its order.
+    for chosen in sorted(np.split(order, begins), key=lambda rows: int(rows[0])):
         yield int(keys[0, chosen[0]]), int(keys[1, chosen[0]]), chosen
 
 
@@ -179,7 +185,10 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     if columns:
         first = same_rows([*columns, corners])
         wedges = np.flatnonzero(first == np.arange(len(first)))
-        index = np.searchsorted(wedges, first)
+        # In the order of their vertices, which so come back in theirs.
+        order = np.argsort(corners[wedges], kind="stable")
+        index = np.argsort(order)[np.searchsorted(wedges, first)]
+        wedges = wedges[order]
         source = corners[wedges]
     elif chosen is None:
         wedges, index, source = np.zeros(0, np.int64), corners, np.arange(len(mesh.vertices))
@@ -194,7 +203,7 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     if normals is not None and (unit := _unit(normals)) is not None:
         attributes["NORMAL"] = buffer.accessor(unit, "VEC3", _FLOAT, _VERTICES)
     if uvs is not None:
-        turned = uvs[wedges] * (1, -1) + (0, 1)
+        turned = (uvs[wedges] * (1, -1) + (0, 1)).clip(-_LARGEST_FLOAT, _LARGEST_FLOAT)
         attributes["TEXCOORD_0"] = buffer.accessor(turned.astype(np.float32), "VEC2", _FLOAT, _VERTICES)
     if mesh.colors is not None:
         shown = material is None or material.image is None or multiplies_colors(material)
@@ -213,7 +222,8 @@ def _positions(buffer: _Buffer, vertices: Floats) -> int:
 
 def _unit(normals: Floats) -> NDArray[np.float32] | None:
     """Return normals of unit length, as the format wants them; None if some have no length."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not (length > 0).all() or not np.isfinite(length).all():
         return None
     return np.where(abs(length - 1) > _UNIT, normals / length, normals).astype(np.float32)

@@ -77,7 +77,7 @@ def read_obj(path: Path | str) -> Mesh:
     mesh = validated(Mesh(vertices, triangles, colors), str(path))
     texture = _texture(corner_references[..., 1], uvs, source, statements, path.parent, notes)
     of_vertices, of_corners = _normals(mesh, corner_references[..., 2], normals, notes)
-    part_names = tuple(dict.fromkeys(name for _, name in statements.parts if name != _NO_PART))
+    part_names = tuple(name for name in _used(statements.parts, len(lengths)) if name != _NO_PART)
     return mesh.with_(
         normals=of_vertices,
         corner_normals=of_corners,
@@ -207,6 +207,14 @@ def _normals(
     return None, of_corners
 
 
+def _used(changes: list[tuple[int, str]], face_count: int) -> tuple[str, ...]:
+    """Return the names that hold for some face, in the order of their first ones."""
+    ends = [first for first, _ in changes[1:]] + [face_count]
+    return tuple(
+        dict.fromkeys(name for (first, name), end in zip(changes, ends, strict=False) if first < end)
+    )
+
+
 def _ids(changes: list[tuple[int, str]], names: tuple[str, ...], source: NDArray[np.int64]) -> Any:
     """Return (m,) int32 which of the names holds for each triangle; -1 for others and before the first."""
     number_of = {name: number for number, name in enumerate(names)}
@@ -223,7 +231,7 @@ def _texture(
     folder: Path,
     notes: list[str],
 ) -> Texture | None:
-    names = tuple(dict.fromkeys(name for _, name in statements.materials))
+    names = _used(statements.materials, len(statements.faces))
     materials = read_libraries(folder, statements.libraries, names, notes)
     # A name of no library that stands for no material.
     materials = tuple(m for m in materials if m.kept is not None or m.name not in _NO_MATERIAL)

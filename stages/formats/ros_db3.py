@@ -7,7 +7,6 @@ for ever), and what a row claims to hold is checked before it is read.
 from __future__ import annotations
 
 import sqlite3
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.formats import zstd_blocks
 
-_SQLITE, _ZSTD = b"SQLite format 3\0", b"\x28\xb5\x2f\xfd"
+_SQLITE = b"SQLite format 3\0"
 _HEADER_BYTES = 100
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"id", "topic_id", "timestamp", "data"}}
 # No camera makes a larger image.
@@ -103,7 +103,13 @@ def read_row(recording: Db3, row: int) -> bytes:
     ((data,),) = _query(path, "SELECT data FROM messages WHERE id = ?", row)
     if not isinstance(data, bytes):
         raise InputError(f"message {row} is damaged.", path)
-    return _unpacked(data, path, row) if data.startswith(_ZSTD) else data
+    if not data.startswith(zstd_blocks.MAGIC):
+        return data
+    # ROS 2 and some of RealSense's recorders pack message by message.
+    try:
+        return zstd_blocks.unpacked(data, _LARGEST_MESSAGE)
+    except ValueError as error:
+        raise InputError(f"message {row} does not decompress; it is damaged.", path) from error
 
 
 def _query(path: Path, words: str, *values: object) -> list[tuple[Any, ...]]:
@@ -115,16 +121,3 @@ def _query(path: Path, words: str, *values: object) -> list[tuple[Any, ...]]:
             connection.close()
     except (sqlite3.Error, ValueError, OverflowError) as error:
         raise InputError(f"the database is damaged or cut short ({error}).", path) from error
-
-
-def _unpacked(data: bytes, path: Path, row: int) -> bytes:
-    """Return a message that some of RealSense's recorders pack with zstd."""
-    if sys.version_info >= (3, 14):
-        from compression import zstd
-    else:
-        from backports import zstd
-
-    try:
-        return bytes(zstd.ZstdDecompressor().decompress(data, _LARGEST_MESSAGE))
-    except zstd.ZstdError as error:
-        raise InputError(f"message {row} does not decompress; it is damaged.", path) from error

@@ -55,6 +55,7 @@ class CameraMessage:
     model : of the distortion.
     distortion : its coefficients.
     matrix : (3, 3) float64, for the image as it was taken.
+    rectification : (3, 3) float64, turns the camera to where rectified images are seen from.
     projection : (3, 4) float64, for the rectified image.
     """
 
@@ -63,6 +64,7 @@ class CameraMessage:
     model: str
     distortion: tuple[float, ...]
     matrix: NDArray[np.float64]
+    rectification: NDArray[np.float64]
     projection: NDArray[np.float64]
 
 
@@ -94,11 +96,10 @@ class _Fields:
     def rest(self) -> bytes:
         return bytes(self._data[self._at :])
 
-    def stamp(self) -> int:
-        """Return the time in a message's header, nanoseconds, and pass over the header."""
+    def header(self) -> tuple[int, str]:
+        """Return time, nanoseconds, and frame of a message's header."""
         _, seconds, nanoseconds = self.numbers("III")
-        self.block()
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return int(seconds) * 1_000_000_000 + int(nanoseconds), self.text()
 
 
 class _CdrFields(_Fields):
@@ -118,20 +119,23 @@ class _CdrFields(_Fields):
     def text(self) -> str:
         return super().text().removesuffix("\0")
 
-    def stamp(self) -> int:
+    def header(self) -> tuple[int, str]:
         seconds, nanoseconds = self.numbers("iI")
-        self.block()
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return int(seconds) * 1_000_000_000 + int(nanoseconds), self.text()
 
 
-# What the time in the header of an image takes: it is read alone where only the time is wanted.
+def _fields(data: bytes, is_cdr: bool) -> _Fields:
+    return _CdrFields(data) if is_cdr else _Fields(data)
+
+
+# What the time in the header of an image takes, ROS 1's or 2's: it is read alone where only it is wanted.
 STAMP_BYTES = 12
 
 
-def read_stamp(data: bytes, source: Path | str) -> int:
+def read_stamp(data: bytes, source: Path | str, *, is_cdr: bool = False) -> int:
     """Return when an image was taken, nanoseconds, from the first bytes of its message."""
     try:
-        _, seconds, nanoseconds = struct.unpack_from("<III", data)
+        _, seconds, nanoseconds = struct.unpack_from("<IiI" if is_cdr else "<III", data)
     except struct.error as error:
         raise InputError("the message is cut short.", source) from error
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
@@ -146,8 +150,8 @@ def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> Imag
         If the message is cut short.
     """
     try:
-        fields = _CdrFields(data) if is_cdr else _Fields(data)
-        stamp = fields.stamp()
+        fields = _fields(data, is_cdr)
+        stamp, _ = fields.header()
         height, width = fields.numbers("II")
         encoding = fields.text()
         (is_big_endian,), (step,) = fields.numbers("B"), fields.numbers("I")
@@ -158,17 +162,17 @@ def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> Imag
         raise InputError("the image is cut short or damaged.", source) from error
 
 
-def read_camera_info(data: bytes, source: Path | str) -> CameraMessage:
+def read_camera_info(data: bytes, source: Path | str, *, is_cdr: bool = False) -> CameraMessage:
     """Return a camera; its numbers are not checked. Raises InputError if the message is cut short."""
-    fields = _Fields(data)
     try:
-        fields.stamp()
+        fields = _fields(data, is_cdr)
+        fields.header()
         height, width = fields.numbers("II")
         model = fields.text()
         (count,) = fields.numbers("I")
         distortion = fields.numbers(f"{min(count, len(data))}d")
-        matrix, _, projection = (np.reshape(fields.numbers(f"{n}d"), (3, -1)) for n in (9, 9, 12))
-        return CameraMessage(width, height, model, distortion, matrix, projection)
+        matrix, turn, projection = (np.reshape(fields.numbers(f"{n}d"), (3, -1)) for n in (9, 9, 12))
+        return CameraMessage(width, height, model, distortion, matrix, turn, projection)
     except (struct.error, ValueError) as error:
         raise InputError("the camera_info is cut short or damaged.", source) from error
 
@@ -176,8 +180,8 @@ def read_camera_info(data: bytes, source: Path | str) -> CameraMessage:
 def read_compressed(data: bytes, source: Path | str, *, is_cdr: bool = False) -> tuple[str, bytes]:
     """Return format and encoded image of `sensor_msgs/CompressedImage`; InputError if it is cut short."""
     try:
-        fields = _CdrFields(data) if is_cdr else _Fields(data)
-        fields.stamp()
+        fields = _fields(data, is_cdr)
+        fields.header()
         return fields.text(), bytes(fields.block())
     except (struct.error, ValueError) as error:
         raise InputError("the image is cut short or damaged.", source) from error
@@ -191,12 +195,10 @@ def read_text(data: bytes, source: Path | str) -> str:
         raise InputError("a text is cut short or damaged.", source) from error
 
 
-def read_frame(data: bytes, source: Path | str) -> str:
+def read_frame(data: bytes, source: Path | str, *, is_cdr: bool = False) -> str:
     """Return the name of the frame in a message's header; InputError if it is cut short."""
-    fields = _Fields(data)
     try:
-        fields.numbers("III")
-        return fields.text()
+        return _fields(data, is_cdr).header()[1]
     except (struct.error, ValueError) as error:
         raise InputError("the message is cut short.", source) from error
 
@@ -215,7 +217,7 @@ def read_transform(data: bytes, source: Path) -> Pose:
         raise InputError("a transform is cut short.", source) from error
 
 
-def read_transforms(data: bytes, source: Path) -> list[tuple[str, str, Pose]]:
+def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[tuple[str, str, Pose]]:
     """Return `tf2_msgs/TFMessage`: parent, child, and the (4, 4) matrix that takes points of child to parent.
 
     Raises
@@ -223,13 +225,13 @@ def read_transforms(data: bytes, source: Path) -> list[tuple[str, str, Pose]]:
     InputError
         As `read_transform`.
     """
-    fields = _Fields(data)
     transforms = []
     try:
+        fields = _fields(data, is_cdr)
         (count,) = fields.numbers("I")
         for _ in range(count):
-            fields.numbers("III")
-            parent, child = fields.text(), fields.text()
+            _, parent = fields.header()
+            child = fields.text()
             transforms.append((parent, child, _pose(fields, source)))
     except (struct.error, ValueError) as error:
         raise InputError("a transform is cut short.", source) from error

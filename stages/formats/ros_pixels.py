@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +16,7 @@ from stages.scan import MAX_PIXELS, ColorImage
 
 # In ROS 1 `sensor_msgs/CompressedImage`, in ROS 2 `sensor_msgs/msg/CompressedImage`.
 _COMPRESSED = "CompressedImage"
+_QUANTIZATION = struct.Struct("<iff")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _DEPTHS = {"mono16": "u2", "16uc1": "u2", "z16": "u2", "32fc1": "f4"}
 # Bytes a pixel, and which of OpenCV's conversions makes RGB of it; None for what is RGB.
@@ -104,15 +106,25 @@ def _depth(image: ImageMessage, source: Path | str) -> NDArray[Any]:
 
 
 def _compressed_depth(form: str, data: bytes, source: Path | str) -> NDArray[Any]:
-    # Before the PNG stand numbers that only float depth is packed with.
+    # Before the PNG stand a code and two numbers that only float depth is packed with.
     start = data.find(_PNG, 0, 64)
-    if start < 0 or "32fc1" in form.lower():
+    if start < 0:
         raise InputError(
-            f"depth is compressed as {form[:40]!r}; `16UC1; compressedDepth png` is known. Record it "
-            "uncompressed.",
+            f"depth is compressed as {form[:40]!r}; `compressedDepth png` is known. Record it uncompressed.",
             source,
         )
-    return decode_depth(data[start:], source)
+    stored = decode_depth(data[start:], source)
+    if "32fc1" not in form.lower():
+        return stored
+    if start != _QUANTIZATION.size or stored.dtype != np.uint16:
+        raise InputError("the depth's quantization is missing before its image.", source)
+    _, factor, offset = _QUANTIZATION.unpack_from(data)
+    # What is stored is factor / depth + offset, 0 where depth is missing.
+    with np.errstate(all="ignore"):
+        inverse = stored.astype(np.float32) - np.float32(offset)
+        depth: NDArray[np.float32] = np.float32(factor) / np.where(inverse > 0, inverse, np.float32(1))
+    depth[(stored == 0) | ~(inverse > 0)] = 0
+    return depth
 
 
 def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint8]:

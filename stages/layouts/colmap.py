@@ -1,7 +1,7 @@
 """COLMAP: a sparse model (cameras and images, text or binary), with the depth maps of its dense workspace.
 
 images/                                    the images, undistorted in a dense workspace
-sparse/cameras.bin, images.bin             or .txt; also in sparse/0/ or beside images/
+sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, beside images/, in colmap/sparse/0/ …
 sparse/points3D.bin                        or .txt: how far away is what each image shows
 stereo/depth_maps/<name>.geometric.bin     or .photometric.bin; without any, the images are single views
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -28,7 +29,8 @@ from stages.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
-_MODELS = ("sparse", "sparse/0", ".")
+# nerfstudio keeps the model below colmap/. Models that did not grow together are in folders with numbers.
+_MODELS = ("sparse", ".", "colmap/sparse", "colmap")
 # Where COLMAP's own scripts put the dense workspace, beside the folder itself.
 _WORKSPACES = (".", "dense", "dense/0")
 _KINDS = ("geometric", "photometric")
@@ -37,24 +39,47 @@ _LARGEST_STRETCH = 0.02
 
 
 def _matches(folder: Path) -> str | None:
-    model = _model(folder)
-    return None if model is None else f"cameras and images in {model.relative_to(folder).as_posix()}/"
+    models = next(filter(None, map(_models, _workspaces(folder))), None)
+    return None if models is None else f"cameras and images in {models[0].relative_to(folder).as_posix()}/"
 
 
-def _model(folder: Path) -> Path | None:
-    return next((folder / name for name in _MODELS if colmap.has_model(folder / name)), None)
+def _workspaces(folder: Path) -> list[Path]:
+    return [folder / name for name in _WORKSPACES]
+
+
+def _models(folder: Path) -> list[Path]:
+    """Return the models of the first place that has any; of several, each is of a part of the images."""
+    for place in (folder / name for name in _MODELS):
+        if colmap.has_model(place):
+            return [place]
+        inner = [one for one in place.iterdir() if one.name.isdecimal()] if place.is_dir() else []
+        found = sorted((one for one in inner if colmap.has_model(one)), key=lambda one: int(one.name))
+        if found:
+            return found
+    return []
+
+
+def _largest(models: Sequence[Path]) -> tuple[Path, list[str]]:
+    """Return the model with the most images, and what is said of the others."""
+    if len(models) == 1:
+        return models[0], []
+    counts = [colmap.count_images(model) for model in models]
+    largest = counts.index(max(counts))
+    others = ", ".join(f"{one.name}/ ({n})" for one, n in zip(models, counts, strict=True))
+    return models[largest], [
+        f"of {len(models)} models, {models[largest].name}/ is read: it has the most images ({others}). They "
+        "have no common world"
+    ]
 
 
 def _read(folder: Path, options: ScanParams) -> Scan:
-    places = [folder / name for name in _WORKSPACES]
-    workspace = next(
-        (one for one in places if (one / "stereo" / "depth_maps").is_dir() and _model(one)), folder
-    )
-    model = _model(workspace)
-    if model is None:
+    places = [one for one in _workspaces(folder) if _models(one)]
+    if not places:
         raise InputError(
             "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.", folder
         )
+    workspace = next((one for one in places if (one / "stereo" / "depth_maps").is_dir()), places[0])
+    model, warnings = _largest(_models(workspace))
     views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
     depths = {view.name: _depth_map(workspace, view) for view in views}
     alone = not any(depths.values())
@@ -66,7 +91,7 @@ def _read(folder: Path, options: ScanParams) -> Scan:
     for view, pose in zip(views, poses, strict=True):
         depth = depths[view.name]
         name = PurePosixPath(view.name).with_suffix("").as_posix()
-        camera = options.camera(view.camera.width, view.camera.height) or view.camera
+        camera = _stated(view.camera, options)
         try:
             if alone:
                 found = _own_points(points, view, options)
@@ -77,13 +102,21 @@ def _read(folder: Path, options: ScanParams) -> Scan:
             frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, str(error)))
-    warnings = _warnings(options, frames)
+    warnings += _warnings(options, frames)
     if alone and not points:
         warnings.append(
             "there are no points (points3D.bin or .txt): how far away things are follows from the images "
             "alone; depth.min_depth and depth.max_depth state it"
         )
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _stated(camera: Camera, options: ScanParams) -> Camera:
+    """Return the camera with the numbers that the person states: a lens that is a fisheye's stays one."""
+    stated = options.camera(camera.width, camera.height)
+    if stated is None or not camera.fisheye:
+        return stated or camera
+    return replace(stated, distortion=camera.distortion, fisheye=True)
 
 
 def _own_points(
@@ -155,7 +188,7 @@ def _warnings(options: ScanParams, frames: Sequence[Frame]) -> list[str]:
 
 LAYOUT = Layout(
     name="colmap",
-    text="cameras and images .bin|txt (also in sparse/), images/, perhaps stereo/depth_maps/ (COLMAP)",
+    text="cameras and images .bin|txt (also in sparse/ …), images/, perhaps stereo/depth_maps/ (COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -1,7 +1,7 @@
 """KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line.
 
 The raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
-folder above, and no poses but those of oxts/, which are not read.
+folder above, and poses of the car in oxts/.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from stages.errors import InputError
 from stages.formats import documents, trajectories
 from stages.layouts.files import about_order, common_size, first_existing, has, images, pair
+from stages.layouts.kitti_oxts import unit_poses
 from stages.layouts.layout import Layout
 from stages.layouts.projections import projected_rig, read_projections, require_rectified_size
 from stages.layouts.rigs import uncalibrated
@@ -69,11 +70,16 @@ def _read(folder: Path, options: ScanParams) -> Scan:
         rig, left_from_cam0 = projected_rig(projections[at], projections[at + 1], size, options, calib)
     world_from_cam0: list[Pose | None] = [None] * len(names)
     path = options.file("poses", folder) or _pose_file(folder)
-    if path is None:
+    if path is not None:
+        world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
+    elif left.endswith("/data") and calib is not None:
+        found, lacking = unit_poses(folder, names, calib)
+        world_from_cam0 = world_from_cam0 if found is None else found
+        if found is None:
+            missing = (f"poses: {lacking}; name a trajectory of camera 0 with scan.poses=FILE",)
+    else:
         lacking = f"poses.txt (or ../../poses/{folder.resolve().name}.txt) is missing"
         missing = (*missing, f"poses: {lacking}; name one with scan.poses=FILE")
-    else:
-        world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
     times = _times(folder, left, names)
     cam0_from_left = np.linalg.inv(left_from_cam0)
     frames = [

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,6 +40,9 @@ _CAMERA_KEYS = (
     *("k4", "camera_model", "is_fisheye"),
 )
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+# Names of OpenCV's fisheye model, whose k1 … k4 are of powers of the angle.
+_FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_BENT_FISHEYE = ("k1", "k2", "k3", "k4")
 # nerfstudio's name of a frame's depth map, and instant-ngp's.
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 
@@ -210,24 +214,40 @@ def _cameras(
             break
         sizes.append((_pixels(width, "w", path), _pixels(height, "h", path)))
     stated = {size: stated_camera(options, folder, *size) for size in set(sizes)}
-    for table in tables:
-        _require_pinhole(table, path)
-    return [stated[size] or _camera(table, *size, path) for table, size in zip(tables, sizes, strict=True)]
+    return [_stated(stated[size], table, size, path) for table, size in zip(tables, sizes, strict=True)]
 
 
-def _require_pinhole(table: dict[str, Any], path: Path) -> None:
+def _stated(stated: Camera | None, table: dict[str, Any], size: tuple[int, int], path: Path) -> Camera:
+    """Return the camera of a frame with the numbers that are stated; a lens that is a fisheye's stays one."""
+    is_fisheye = _is_fisheye(table, path)
+    if stated is None:
+        return _camera(table, *size, path)
+    if stated.fisheye or not is_fisheye:
+        return stated
+    return replace(stated, distortion=_bent(table, _BENT_FISHEYE, path), fisheye=True)
+
+
+def _is_fisheye(table: dict[str, Any], path: Path) -> bool:
+    """Say whether a lens is a fisheye. Raises InputError if it is neither that nor a pinhole camera's."""
     model = table.get("camera_model", "OPENCV")
-    if model not in _MODELS or table.get("is_fisheye"):
-        kind = "a fisheye camera" if table.get("is_fisheye") else f"camera_model {str(model)[:40]!r}"
+    if model in _FISHEYES:
+        return True
+    if model not in _MODELS:
         raise InputError(
-            f"{kind} is no pinhole camera with OpenCV's distortion, which is what can be read. "
-            "Rectify the images and depth maps to PINHOLE first.",
+            f"camera_model {str(model)[:40]!r} is neither a pinhole camera's with OpenCV's distortion nor "
+            "OpenCV's fisheye, which can be read. Rectify the images and depth maps to PINHOLE first.",
             path,
         )
+    return bool(table.get("is_fisheye"))
+
+
+def _bent(table: dict[str, Any], keys: Sequence[str], path: Path) -> tuple[float, ...]:
+    return tuple(_number(table, key, path, 0.0) for key in keys)
 
 
 def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camera:
-    if _number(table, "k4", path, 0.0):
+    is_fisheye = _is_fisheye(table, path)
+    if not is_fisheye and _number(table, "k4", path, 0.0):
         raise InputError(
             "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.", path
         )
@@ -239,8 +259,11 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
     # Counted from the corner of the top left pixel, as COLMAP does, from which most files come.
     cx = _number(table, "cx", path, width / 2) - 0.5
     cy = _number(table, "cy", path, height / 2) - 0.5
-    bent = tuple(_number(table, key, path, 0.0) for key in _BENT)
-    return calibration.checked(Camera(width, height, fx, fy, cx, cy, bent if any(bent) else ()), path)
+    if is_fisheye:
+        bent = _bent(table, _BENT_FISHEYE, path)
+    else:
+        bent = bent if any(bent := _bent(table, _BENT, path)) else ()
+    return calibration.checked(Camera(width, height, fx, fy, cx, cy, bent, is_fisheye), path)
 
 
 def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> float | None:

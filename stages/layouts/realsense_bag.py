@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from functools import partial
 
-from stages.formats.ros_bag import RosBag, read_message
 from stages.formats.ros_messages import (
     CameraMessage,
     read_camera_info,
@@ -17,48 +16,49 @@ from stages.formats.ros_messages import (
     read_image,
     read_transform,
 )
-from stages.layouts.bag_images import bag_images
+from stages.formats.ros_recording import RosRecording
 from stages.layouts.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
+from stages.layouts.ros_images import ros_images
 from stages.scan import Pose
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data")
 
 
-def realsense_bag(bag: RosBag) -> RealSense | None:
+def realsense_bag(bag: RosRecording) -> RealSense | None:
     """Return what a RealSense recording says; None if the bag has no images of one."""
     streams = {}
     for name, topic in bag.topics.items():
         matched = _IMAGES.fullmatch(name)
         if matched is not None:
             stream, sensor, kind = matched.groups()
-            streams[stream] = RealSenseStream(kind.lower(), sensor, bag_images(bag, stream, topic))
+            streams[stream] = RealSenseStream(kind.lower(), sensor, ros_images(stream, topic))
     if not streams:
         return None
     return RealSense(bag.path, streams, partial(_camera, bag), partial(_units, bag), partial(_places, bag))
 
 
-def _camera(bag: RosBag, name: str) -> CameraMessage | None:
+def _camera(bag: RosRecording, name: str) -> CameraMessage | None:
     info = bag.topics.get(f"{name}/info/camera_info")
-    return None if info is None else read_camera_info(read_message(bag, info, 0), f"{bag.path}: {name}")
+    return None if info is None else read_camera_info(info.read(0, None), f"{bag.path}: {name}")
 
 
-def _units(bag: RosBag, stream: RealSenseStream) -> list[float]:
+def _units(bag: RosRecording, stream: RealSenseStream) -> list[float]:
     # Older recorders leave the blank in the option's name.
     names = (f"{stream.sensor}/option/{option}/value" for option in ("Depth_Units", "Depth Units"))
     option = next((bag.topics[name] for name in names if name in bag.topics), None)
     if option is not None:
         return [
-            read_float(read_message(bag, option, number), bag.path)
-            for number in range(min(len(option), MOST_OPTIONS))
+            read_float(option.read(number, None), bag.path)
+            for number in range(min(len(option.times), MOST_OPTIONS))
         ]
-    image = read_image(read_message(bag, bag.topics[f"{stream.images.name}/image/data"], 0), bag.path)
+    image = read_image(bag.topics[f"{stream.images.name}/image/data"].read(0, None), bag.path)
     return [read_float(image.rest, bag.path)] if len(image.rest) == 4 else []
 
 
-def _places(bag: RosBag, name: str) -> dict[str, Pose]:
+def _places(bag: RosRecording, name: str) -> dict[str, Pose]:
     start = f"{name}/tf/"
     return {
-        topic.removeprefix(start): read_transform(read_message(bag, bag.topics[topic], 0), bag.path)
+        topic.removeprefix(start): read_transform(bag.topics[topic].read(0, None), bag.path)
         for topic in bag.topics
         if topic.startswith(start)
     }

@@ -40,6 +40,7 @@ def realsense_db3(recording: Db3) -> RealSense | None:
                 partial(_stamp, recording, stream, topic),
                 partial(_color, recording, stream, topic),
                 partial(_depth, recording, stream, topic),
+                lambda _: recording.path,
             )
             streams[stream] = RealSenseStream(kind.lower(), sensor, images)
     if not streams:
@@ -91,7 +92,7 @@ def _camera(recording: Db3, name: str) -> CameraMessage | None:
     distortion = _numbers(said, "coeffs", 5, path)
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     return CameraMessage(
-        int(width), int(height), said.get("model", ""), tuple(distortion), matrix, np.zeros((3, 4))
+        int(width), int(height), said.get("model", ""), tuple(distortion), matrix, np.eye(3), np.zeros((3, 4))
     )
 
 

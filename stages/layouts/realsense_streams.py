@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from stages.errors import InputError
 from stages.formats import calibration
 from stages.formats.ros_messages import CameraMessage
 from stages.formats.trajectories import inverted
-from stages.layouts.streams import Images, Stream, Streams, stated_depth_camera, unknown_place
+from stages.layouts.rigs import stated_rig
+from stages.layouts.streams import Images, Pair, Stream, Streams, stated_depth_camera, unknown_place
 from stages.scan import Camera, Pose
 
 if TYPE_CHECKING:
@@ -66,18 +67,18 @@ class RealSense:
     places: Callable[[str], Mapping[str, Pose]]
 
 
-def realsense_streams(recording: RealSense, options: ScanParams) -> Streams:
-    """Return depth and colour of a recording.
+def realsense_streams(recording: RealSense, options: ScanParams) -> Streams | Pair:
+    """Return depth and colour of a recording, or its infrared pair if it holds no depth.
 
     Raises
     ------
     InputError
-        If it holds no depth, or what it says of its cameras is missing or wrong.
+        If it holds neither, or what it says of its cameras is missing or wrong.
     """
     streams = [recording.streams[name] for name in sorted(recording.streams)]
     depth = next((one for one in streams if one.kind == "depth"), None)
     if depth is None:
-        raise InputError(_without_depth(streams), recording.path)
+        return _infrared_pair(recording, streams, options)
     name, folder = depth.images.name, recording.path.parent
     stated = stated_depth_camera(depth.images, folder, options)
     seen = Stream(depth.images, stated or _recorded_camera(recording, name))
@@ -96,14 +97,33 @@ def realsense_streams(recording: RealSense, options: ScanParams) -> Streams:
     return Streams(seen, Stream(color.images, color_camera), scale, color_from_depth, tuple(warnings))
 
 
-def _without_depth(streams: Sequence[RealSenseStream]) -> str:
-    names = ", ".join(one.images.name for one in streams)
-    if sum(one.kind == "infrared" for one in streams) > 1:
-        return (
-            f"the recording holds no depth, only {names}, and its infrared pairs cannot be read yet. "
-            "Record the depth stream too, or extract the pairs into left/ and right/ with a calibration."
+def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], options: ScanParams) -> Pair:
+    """Return the images that the maker's depth is computed from; the left camera's come first by name."""
+    grey = [one for one in streams if one.kind == "infrared"]
+    if len(grey) < 2 or grey[0].sensor != grey[1].sensor:
+        names = ", ".join(one.images.name for one in streams)
+        raise InputError(
+            f"the recording holds no depth, only {names}. Record the depth stream too.", recording.path
         )
-    return f"the recording holds no depth, only {names}. Record the depth stream too."
+    left, right = (one.images for one in grey[:2])
+    stated = stated_rig(left, recording.path.parent, options)
+    if stated is not None:
+        return Pair(left, right, stated[0], tuple(stated[1]))
+    cameras = [_recorded_camera(recording, one.name) for one in (left, right)]
+    right_from_left = _between(recording, left.name, right.name)
+    if right_from_left is None and options.baseline is None:
+        raise InputError(
+            f"how {left.name} and {right.name} stand to each other is not in it; set scan.baseline=METRES.",
+            recording.path,
+        )
+    stands = np.eye(4) if right_from_left is None else right_from_left
+    document: dict[str, Any] = {"unit": "m", "R": stands[:3, :3], "T": stands[:3, 3]}
+    for side, camera in zip(("1", "2"), cameras, strict=True):
+        document |= {f"K{side}": camera.matrix, f"D{side}": camera.distortion}
+    rig, warnings = calibration.read_rig(
+        recording.path, cameras[0].width, cameras[0].height, document=document, baseline=options.baseline
+    )
+    return Pair(left, right, rig, tuple(warnings))
 
 
 def _recorded_camera(recording: RealSense, name: str) -> Camera:

@@ -6,10 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _RGBD = "Export it as color/, depth/ and scan.json (our plain RGB-D layout)."
-ROS_2 = (
-    "Make a .bag of it, which can be read: `rosbags-convert --src IT --dst NEW.bag` does (of the Python "
-    "package rosbags)."
-)
+_PACKED = "Unpack its files with `zstd --decompress`; its metadata.yaml may stay as it is."
 _CONTAINER = "Extract it with the maker's tool into left/ and right/, or into color/ and depth/."
 
 
@@ -30,7 +27,8 @@ class Refused:
 
 
 REFUSED: tuple[Refused, ...] = (
-    Refused("a ROS 2 recording (.mcap)", ("*.mcap",), ROS_2),
+    Refused("a compressed ROS 2 recording (.db3.zstd)", ("*.db3.zstd",), _PACKED),
+    Refused("a compressed ROS 2 recording (.mcap.zstd)", ("*.mcap.zstd",), _PACKED),
     Refused("an Azure Kinect recording (.mkv)", ("*.mkv",), _CONTAINER),
     Refused("a ZED recording (.svo)", ("*.svo*",), _CONTAINER),
 )

@@ -16,6 +16,7 @@ from stages.scan import Camera, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
+    from stages.layouts.streams import Images
 
 
 # ROS's calibrator writes a file a camera.
@@ -70,6 +71,21 @@ def rig_of(
         )
         return uncalibrated(size), [], (lacking,)
     return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
+
+
+def stated_rig(left: Images, folder: Path, options: ScanParams) -> tuple[StereoRig, list[str]] | None:
+    """Return the rig of a recorded pair that the person states, and what is odd about it; None if not.
+
+    Raises
+    ------
+    InputError
+        If the calibration file cannot be read, or the first left image, whose size it is for.
+    """
+    if options.calibration is None and (options.intrinsics is None or options.baseline is None):
+        return None
+    height, width = left.color(0).shape[:2]
+    rig, warnings, _ = rig_of(folder, options, (width, height), ())
+    return rig, warnings
 
 
 def uncalibrated(size: tuple[int, int]) -> StereoRig:

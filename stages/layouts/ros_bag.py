@@ -1,4 +1,7 @@
-"""A recording in one file, depth and colour each with its own clock: RealSense's, or a ROS 1 bag."""
+"""A recording whose streams have clocks of their own: RealSense's, or one of ROS 1 or 2.
+
+Depth and colour, or the two sides of a pair, are paired by when each image was taken.
+"""
 
 from __future__ import annotations
 
@@ -11,22 +14,24 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.formats import trajectories
-from stages.formats.ros_bag import RosBag, read_bag
+from stages.formats.mcap import read_mcap
+from stages.formats.ros_bag import read_bag
 from stages.formats.ros_db3 import read_db3
+from stages.formats.ros_recording import RosRecording, joined, of_bag, of_db3, of_mcap
 from stages.layouts.layout import Layout
 from stages.layouts.moments import nearest_in_time
 from stages.layouts.realsense_bag import realsense_bag
 from stages.layouts.realsense_db3 import realsense_db3
-from stages.layouts.realsense_streams import realsense_streams
-from stages.layouts.refused import ROS_2
+from stages.layouts.realsense_streams import RealSense, realsense_streams
+from stages.layouts.ros_files import SUFFIXES, recording_files, recordings
+from stages.layouts.ros_pairs import ros_pair
 from stages.layouts.ros_streams import ros_streams
-from stages.layouts.streams import Images, Streams
+from stages.layouts.streams import Images, Pair, Streams
 from stages.scan import Frame, Packed, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
 
-_SUFFIXES = (".bag", ".db3")
 # Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
 _TOLERANCE = 0.6
 # Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
@@ -34,96 +39,131 @@ _FALLBACK_TOLERANCE = 20_000_000
 
 
 def _matches(folder: Path) -> str | None:
-    return next((file.name for file in _recordings(folder)), None)
+    return next((file.name for file in recordings(folder)), None)
 
 
 def _read(place: Path, options: ScanParams) -> Scan:
-    path = place if place.is_file() else _only_one(place)
-    streams, fault = _of_db3(path, options) if path.suffix.lower() == ".db3" else _of_bag(path, options)
+    streams, fault = _streams(place, options)
     warnings = list(streams.warnings)
     if fault is not None:
         warnings.append(f"the recording was not closed or is damaged ({fault}): what comes before is used")
-    depths, skipped = _stamps(streams.depth.images)
-    color = streams.color
-    if color is None:
-        couples: list[tuple[int, int | None]] = [(number, None) for number in depths]
+    first: Images
+    second: Images | None
+    if isinstance(streams, Pair):
+        first, second, called = streams.left, streams.right, ("left images", "right images")
     else:
-        colors, damaged = _stamps(color.images)
-        skipped += damaged
-        if _have_other_clocks(depths, colors):
-            depths = {number: int(streams.depth.images.recorded[number]) for number in depths}
-            colors = {number: int(color.images.recorded[number]) for number in colors}
-            warnings.append(
-                "the clocks of depth and colour do not agree at all: images are paired by when they were "
-                "recorded"
-            )
-        couples = _couples(depths, colors)
-        if len(couples) < max(len(depths), len(colors)):
-            warnings.append(
-                f"{len(couples)} of {len(depths)} depth maps and of {len(colors)} colour images are of one "
-                "moment: the others are left out"
-            )
+        first, second = streams.depth.images, None if streams.color is None else streams.color.images
+        called = "depth maps", "colour images"
+    couples, skipped, said = _couples(first, second, called)
     if not couples:
-        first = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
-        raise InputError(f"no depth map and colour image in it are of one moment{first}.", path)
-    couples.sort(key=lambda couple: depths[couple[0]])
-    poses, missing = _poses(options, place, [(number, depths[number]) for number, _ in couples])
-    frames: list[Frame] = []
-    for (number, partner), pose in zip(couples, poses, strict=True):
-        frames.append(
-            Frame(
-                name=_name(number),
-                camera=streams.depth.camera,
-                color=None if color is None or partner is None else _color(path, color.images, partner),
-                depth=_depth(path, streams.depth.images, number),
-                depth_scale=streams.depth_scale,
-                world_from_camera=pose,
-                timestamp=depths[number],
-                color_camera=None if color is None else color.camera,
-                color_from_depth=streams.color_from_depth,
-            )
-        )
-    return Scan(LAYOUT.name, frames, None, place, tuple(skipped), tuple(warnings), missing)
+        why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
+        raise InputError(f"no {called[0][:-1]} and {called[1][:-1]} in it are of one moment{why}.", place)
+    poses, missing = _poses(options, place, [(number, time) for number, time, _ in couples])
+    frames = [
+        _pair_frame(streams, *couple, pose)
+        if isinstance(streams, Pair)
+        else _depth_frame(streams, *couple, pose)
+        for couple, pose in zip(couples, poses, strict=True)
+    ]
+    rig = streams.rig if isinstance(streams, Pair) else None
+    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), (*warnings, *said), missing)
 
 
-def _of_bag(path: Path, options: ScanParams) -> tuple[Streams, str | None]:
-    """Return the streams of a bag, and why the rest of it could not be read, if so."""
-    bag = read_bag(path)
-    recording = realsense_bag(bag)
-    streams = ros_streams(bag, options) if recording is None else realsense_streams(recording, options)
+def _streams(place: Path, options: ScanParams) -> tuple[Streams | Pair, str | None]:
+    """Return the streams of a recording, and why a part of it could not be read, if so."""
+    recording, camera = _recording(recording_files(place), place)
+    if camera is not None:
+        return realsense_streams(camera, options), recording.fault
+    streams = ros_streams(recording, options) or ros_pair(recording, options)
     if streams is None:
-        raise InputError(_without_depth(bag), path)
-    return streams, bag.fault
+        raise InputError(_without_images(recording), place)
+    return streams, recording.fault
 
 
-def _of_db3(path: Path, options: ScanParams) -> tuple[Streams, None]:
-    recording = realsense_db3(read_db3(path))
-    if recording is None:
-        raise InputError(f"it is no recording of a RealSense camera, but of ROS 2's own. {ROS_2}", path)
-    return realsense_streams(recording, options), None
+def _recording(files: Sequence[Path], place: Path) -> tuple[RosRecording, RealSense | None]:
+    """Return what a recording holds, and what it says as one of the maker's library of RealSense cameras."""
+    parts: list[RosRecording] = []
+    for file in files:
+        suffix = file.suffix.lower()
+        if suffix == ".db3":
+            db3 = read_db3(file)
+            if len(files) == 1 and (camera := realsense_db3(db3)) is not None:
+                return of_db3(db3), camera
+            parts.append(of_db3(db3))
+        else:
+            parts.append(of_mcap(read_mcap(file)) if suffix == ".mcap" else of_bag(read_bag(file)))
+    recording = parts[0] if len(parts) == 1 else joined(place, parts)
+    return recording, realsense_bag(recording) if files[0].suffix.lower() == ".bag" else None
 
 
-def _recordings(folder: Path) -> list[Path]:
-    return sorted(file for suffix in _SUFFIXES for file in folder.glob(f"*{suffix}"))
-
-
-def _only_one(folder: Path) -> Path:
-    files = _recordings(folder)
-    if len(files) != 1:
-        found = "there is no recording (.bag, .db3)" if not files else f"there are {len(files)} recordings"
-        raise InputError(f"{found} in it; give the one to read.", folder)
-    return files[0]
-
-
-def _without_depth(bag: RosBag) -> str:
-    """Say what a bag without depth holds."""
-    if not bag.topics:
-        why = f" ({bag.fault})" if bag.fault else ""
+def _without_images(recording: RosRecording) -> str:
+    """Say what a recording without depth and without a pair holds."""
+    if not recording.topics:
+        why = f" ({recording.fault})" if recording.fault else ""
         return f"not one message in it can be read{why}; copy it again, or record it anew."
-    shown = ", ".join(sorted(bag.topics)[:8]) + (", …" if len(bag.topics) > 8 else "")
+    shown = ", ".join(sorted(recording.topics)[:8]) + (", …" if len(recording.topics) > 8 else "")
     return (
         "there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in the topic's name), "
-        f"only {shown}. Record the depth topic too."
+        f"and no left/ and right/, only {shown}. Record the depth topic too."
+    )
+
+
+def _couples(
+    first: Images, second: Images | None, called: tuple[str, str]
+) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame], list[str]]:
+    """Return number, time and partner of the images that are of one moment, what is left out, and warnings.
+
+    Parameters
+    ----------
+    called : what messages call the images of both streams.
+    """
+    times, skipped = _stamps(first)
+    if second is None:
+        alone = sorted(times.items(), key=lambda entry: entry[1])
+        return [(number, time, None) for number, time in alone], skipped, []
+    others, damaged = _stamps(second)
+    skipped += damaged
+    warnings = []
+    if _have_other_clocks(times, others):
+        times = {number: int(first.recorded[number]) for number in times}
+        others = {number: int(second.recorded[number]) for number in others}
+        warnings.append(
+            f"the clocks of {called[0]} and {called[1]} do not agree at all: images are paired by when they "
+            "were recorded"
+        )
+    couples = _of_one_moment(times, others)
+    if len(couples) < max(len(times), len(others)):
+        warnings.append(
+            f"{len(couples)} of {len(times)} {called[0]} and of {len(others)} {called[1]} are of one moment: "
+            "the others are left out"
+        )
+    couples.sort(key=lambda couple: times[couple[0]])
+    return [(number, times[number], partner) for number, partner in couples], skipped, warnings
+
+
+def _depth_frame(streams: Streams, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
+    color = streams.color
+    return Frame(
+        name=_name(number),
+        camera=streams.depth.camera,
+        color=None if color is None or partner is None else _color(color.images, partner),
+        depth=_depth(streams.depth.images, number),
+        depth_scale=streams.depth_scale,
+        world_from_camera=pose,
+        timestamp=time,
+        color_camera=None if color is None else color.camera,
+        color_from_depth=streams.color_from_depth,
+    )
+
+
+def _pair_frame(pair: Pair, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
+    return Frame(
+        name=_name(number),
+        camera=pair.rig.left,
+        color=_color(pair.left, number),
+        right=None if partner is None else _color(pair.right, partner),
+        world_from_camera=pose,
+        timestamp=time,
     )
 
 
@@ -147,12 +187,12 @@ def _stamp_or_fault(images: Images, number: int) -> int | InputError:
         return error
 
 
-def _have_other_clocks(depths: Mapping[int, int], colors: Mapping[int, int]) -> bool:
+def _have_other_clocks(first: Mapping[int, int], second: Mapping[int, int]) -> bool:
     """Say whether two streams that were recorded together claim to be of times that do not overlap at all."""
-    if not depths or not colors:
+    if not first or not second:
         return False
-    apart = max(min(depths.values()), min(colors.values())) - min(max(depths.values()), max(colors.values()))
-    return apart > _tolerance(depths, colors)
+    apart = max(min(first.values()), min(second.values())) - min(max(first.values()), max(second.values()))
+    return apart > _tolerance(first, second)
 
 
 def _tolerance(*streams: Mapping[int, int]) -> int:
@@ -160,13 +200,11 @@ def _tolerance(*streams: Mapping[int, int]) -> int:
     return round(_TOLERANCE * min(intervals)) if intervals else _FALLBACK_TOLERANCE
 
 
-def _couples(depths: Mapping[int, int], colors: Mapping[int, int]) -> list[tuple[int, int | None]]:
-    """Return the numbers of the depth maps and colour images that are of one moment."""
-    numbers, others = list(depths), list(colors)
-    color_times, depth_times = (
-        np.fromiter(stream.values(), np.int64, len(stream)) for stream in (colors, depths)
-    )
-    partners = nearest_in_time(color_times, depth_times, _tolerance(depths, colors))
+def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[tuple[int, int]]:
+    """Return the numbers of the images of two streams that are of one moment."""
+    numbers, others = list(first), list(second)
+    times, other_times = (np.fromiter(one.values(), np.int64, len(one)) for one in (first, second))
+    partners = nearest_in_time(other_times, times, _tolerance(first, second))
     return [(numbers[partner], others[at]) for at, partner in enumerate(partners.tolist()) if partner >= 0]
 
 
@@ -194,18 +232,19 @@ def _name(number: int) -> str:
     return f"{number:06d}"
 
 
-def _color(path: Path, images: Images, number: int) -> Packed:
-    return Packed(path, f"{images.name} {_name(number)}", partial(images.color, number))
+def _color(images: Images, number: int) -> Packed:
+    return Packed(images.file(number), f"{images.name} {_name(number)}", partial(images.color, number))
 
 
-def _depth(path: Path, images: Images, number: int) -> Packed:
-    return Packed(path, f"{images.name} {_name(number)}", partial(images.depth, number))
+def _depth(images: Images, number: int) -> Packed:
+    return Packed(images.file(number), f"{images.name} {_name(number)}", partial(images.depth, number))
 
 
 LAYOUT = Layout(
     name="ros-bag",
-    text="one .bag or .db3 file, or a folder with one (RealSense; ROS 1 with depth and camera_info)",
+    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with camera_info and "
+    "depth, or left and right)",
     matches=_matches,
     read=_read,
-    suffixes=_SUFFIXES,
+    suffixes=SUFFIXES,
 )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.layouts.stated import stated_camera
-from stages.scan import Camera, ColorImage, Pose
+from stages.scan import Camera, ColorImage, Pose, StereoRig
 
 if TYPE_CHECKING:
     from stages.layouts.params import ScanParams
@@ -28,6 +28,7 @@ class Images:
     stamp : returns when an image was taken, nanoseconds by its camera's clock.
     color : returns an image as (h, w, 3) uint8 RGB.
     depth : returns an image as a raw depth map, (h, w) uint16 or float32.
+    file : returns which file an image is in.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Images:
     stamp: Callable[[int], int]
     color: Callable[[int], ColorImage]
     depth: Callable[[int], NDArray[Any]]
+    file: Callable[[int], Path]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,21 @@ class Streams:
     color: Stream | None
     depth_scale: float
     color_from_depth: Pose | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The two streams of a recording that make up a scan without depth.
+
+    Attributes
+    ----------
+    warnings : in plain sentences.
+    """
+
+    left: Images
+    right: Images
+    rig: StereoRig
     warnings: tuple[str, ...]
 
 

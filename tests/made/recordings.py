@@ -1,7 +1,8 @@
-"""Write RealSense recordings with another program's bag writer: topics and messages as the maker's."""
+"""Write ROS and RealSense recordings with another program's writers: topics and messages as the makers'."""
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import struct
 import sys
@@ -13,6 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 from rosbags.rosbag1 import Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
@@ -125,6 +128,7 @@ class Stream:
     model: str = "Brown Conrady"
     distortion: Sequence[float] = (0, 0, 0, 0, 0)
     projection: Sequence[float] = (0,) * 12
+    rectification: Sequence[float] = (1, 0, 0, 0, 1, 0, 0, 0, 1)
     topic: str = "/image/data"
     info: str = "/info/camera_info"
 
@@ -141,22 +145,49 @@ class Recording:
     others: dict[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
 
     def write(self, path: Path) -> Path:
+        """Write a ROS 1 bag."""
         path.unlink(missing_ok=True)
         writer = Writer(path)
         writer.chunk_threshold = self.chunk_bytes
         if self.compression != "none":
             writer.set_compression(Writer.CompressionFormat[self.compression.upper()])
         with writer:
-            for topic, (kind, fields) in self.others.items():
-                self._write(writer, topic, kind, [(1, serialised(kind, **fields))])
-            for stream in self.streams:
-                self._describe(writer, stream)
-            value = "/device_0/sensor_0/option/Depth_Units/value"
-            units = [(n + 1, serialised("std_msgs/Float32", data=unit)) for n, unit in enumerate(self.units)]
-            if units:
-                self._write(writer, value, "std_msgs/Float32", units)
-            self._write_images(writer)
+            written: dict[str, Any] = {}
+            for topic, kind, time, data in self._messages():
+                if topic not in written:
+                    written[topic] = writer.add_connection(topic, _as_ros_2(kind), typestore=_TYPES)
+                writer.write(written[topic], time, data)
         return path
+
+    def write_ros2(self, folder: Path, storage: str, packed: str = "none", parts: int = 1) -> Path:
+        """Write a folder of ROS 2, and return the file in it, or the folder if there are more.
+
+        `storage` is sqlite3 or mcap, `packed` is what zstd packs: none, message, file, or storage (chunks).
+        """
+        messages = list(self._messages())
+        # A recorder that is told to split its files starts the next one in the middle of the streams.
+        starts = [len(messages) * part // parts for part in range(parts + 1)]
+        names = []
+        for part in range(parts):
+            inner = folder if parts == 1 else folder.with_name(f"{folder.name}_{part}")
+            writer = Writer2(inner, version=9, storage_plugin=StoragePlugin[storage.upper()])
+            if packed != "none":
+                writer.set_compression(CompressionMode[packed.upper()], CompressionFormat.ZSTD)
+            with writer:
+                written: dict[str, Any] = {}
+                for topic, kind, time, data in messages[starts[part] : starts[part + 1]]:
+                    if topic not in written:
+                        written[topic] = writer.add_connection(topic, _as_ros_2(kind), typestore=_ROS_2)
+                    writer.write(written[topic], time, _ROS_2.ros1_to_cdr(data, _as_ros_2(kind)))
+            names += sorted(file.name for file in inner.iterdir() if file.name != "metadata.yaml")
+        if parts == 1:
+            return folder / names[0]
+        folder.mkdir()
+        for part, name in enumerate(names):
+            (folder.with_name(f"{folder.name}_{part}") / name).rename(folder / name)
+        listed = json.dumps({"rosbag2_bagfile_information": {"version": 9, "relative_file_paths": names}})
+        (folder / "metadata.yaml").write_text(listed)
+        return folder
 
     def write_db3(self, path: Path, form: str = "raw") -> Path:
         """Write as the maker's newer library; `form` of images is raw, png, or zstd, which packs all."""
@@ -203,51 +234,48 @@ class Recording:
                 yield recorded, f"{stream.name}/image/metadata", *text(said)
                 yield recorded, *image.row(f"{stream.name}/image/data", recorded, form)
 
-    def _describe(self, writer: Writer, stream: Stream) -> None:
-        if stream.intrinsics is not None:
-            fx, fy, cx, cy = stream.intrinsics
-            info = serialised(
-                "sensor_msgs/CameraInfo",
-                header=stamped(0),
-                height=stream.size[1],
-                width=stream.size[0],
-                distortion_model=stream.model,
-                D=np.array(stream.distortion, np.float64),
-                K=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
-                R=np.eye(3).ravel(),
-                P=np.array(stream.projection, np.float64),
-                binning_x=0,
-                binning_y=0,
-                roi=made(
-                    "sensor_msgs/RegionOfInterest",
-                    x_offset=0,
-                    y_offset=0,
-                    height=0,
-                    width=0,
-                    do_rectify=False,
-                ),
-            )
-            self._write(writer, stream.name + stream.info, "sensor_msgs/CameraInfo", [(1, info)])
-        if stream.from_reference is not None:
-            placed = serialised("geometry_msgs/Transform", **transform(*stream.from_reference))
-            self._write(writer, f"{stream.name}/tf/1", "geometry_msgs/Transform", [(1, placed)])
-
-    def _write_images(self, writer: Writer) -> None:
-        """Write the images of all streams in the order in which they were recorded."""
+    def _messages(self) -> Iterator[tuple[str, str, int, bytes]]:
+        """Yield topic, ROS 1 type, when it was recorded and the serialised message, as they are written."""
+        for topic, (kind, fields) in self.others.items():
+            yield topic, kind, 1, serialised(kind, **fields)
+        for stream in self.streams:
+            yield from _description(stream)
+        for n, unit in enumerate(self.units):
+            topic = "/device_0/sensor_0/option/Depth_Units/value"
+            yield topic, "std_msgs/Float32", n + 1, serialised("std_msgs/Float32", data=unit)
         images = [
             (one.time if one.recorded is None else one.recorded, s, one)
             for s in self.streams
             for one in s.images
         ]
-        written: dict[str, Any] = {}
         for time, stream, image in sorted(images, key=lambda entry: entry[0]):
-            topic = stream.name + stream.topic
-            if topic not in written:
-                kind = image.kind.replace("/", "/msg/")
-                written[topic] = writer.add_connection(topic, kind, typestore=_TYPES)
-            writer.write(written[topic], time, image.message())
+            yield stream.name + stream.topic, image.kind, time, image.message()
 
-    def _write(self, writer: Writer, topic: str, kind: str, messages: Sequence[tuple[int, bytes]]) -> None:
-        connection = writer.add_connection(topic, kind.replace("/", "/msg/"), typestore=_TYPES)
-        for time, data in messages:
-            writer.write(connection, time, data)
+
+def _as_ros_2(kind: str) -> str:
+    return kind.replace("/", "/msg/")
+
+
+def _description(stream: Stream) -> Iterator[tuple[str, str, int, bytes]]:
+    if stream.intrinsics is not None:
+        fx, fy, cx, cy = stream.intrinsics
+        info = serialised(
+            "sensor_msgs/CameraInfo",
+            header=stamped(0),
+            height=stream.size[1],
+            width=stream.size[0],
+            distortion_model=stream.model,
+            D=np.array(stream.distortion, np.float64),
+            K=np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]),
+            R=np.array(stream.rectification, np.float64),
+            P=np.array(stream.projection, np.float64),
+            binning_x=0,
+            binning_y=0,
+            roi=made(
+                "sensor_msgs/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+            ),
+        )
+        yield stream.name + stream.info, "sensor_msgs/CameraInfo", 1, info
+    if stream.from_reference is not None:
+        placed = serialised("geometry_msgs/Transform", **transform(*stream.from_reference))
+        yield f"{stream.name}/tf/1", "geometry_msgs/Transform", 1, placed

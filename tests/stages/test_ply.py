@@ -379,3 +379,81 @@ def test_values_of_vertices_and_faces_are_written_and_passed_over(tmp_path):
     assert read_vertex_values(path, "bound") is None
     assert read_vertex_values(path, "other") is None
     np.testing.assert_array_equal(read_ply(path).vertices, square.vertices)
+
+
+def test_materials_parts_and_normals_of_corners_come_back(tmp_path):
+    mesh = grid_mesh()
+    rng = np.random.default_rng(0)
+    image = Image("my wall.png", Image(given=rng.integers(0, 256, (4, 6, 3)).astype(np.uint8)).file_bytes)
+    materials = (
+        Material("painted wall", image, (1.0, 0.5, 0.1, 1.0), ("mirror", "clamp")),
+        Material('"glass"\n', None, (0.1, 0.2, 0.3, 0.5)),
+        Material("same wall", image),
+    )
+    mesh = mesh.with_(
+        texture=Texture(rng.random((40, 3, 2)) * 9, rng.integers(-1, 3, 40).astype(np.int32), materials),
+        corner_normals=rng.normal(size=(40, 3, 3)),
+        part_ids=rng.integers(-1, 2, 40).astype(np.int32),
+        part_names=("floor 1", "ä\nb"),
+    )
+    write_ply(tmp_path / "a mesh.ply", mesh)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a mesh.ply", "my wall.png"]
+    assert (tmp_path / "my wall.png").read_bytes() == image.encoded
+    back = read_ply(tmp_path / "a mesh.ply")
+    assert_same(back, mesh)
+    assert back.part_names == mesh.part_names
+    np.testing.assert_array_equal(back.part_ids, mesh.part_ids)
+    np.testing.assert_array_equal(back.corner_normals, mesh.corner_normals)
+    np.testing.assert_array_equal(back.texture.uvs, mesh.texture.uvs)
+    np.testing.assert_array_equal(back.texture.material_ids, mesh.texture.material_ids)
+    for a, b in zip(back.texture.materials, materials, strict=True):
+        assert (a.name, a.base_color, a.wrap) == (b.name, b.base_color, b.wrap)
+    wall, glass, same = back.texture.materials
+    assert wall.image is same.image
+    assert (wall.image.name, glass.image) == ("my wall.png", None)
+
+
+TEXTURED = """ply
+format ascii 1.0
+comment TextureFile my wall.png
+element vertex 4
+property float x
+property float y
+property float z
+{vertex}element face 2
+property list uchar int vertex_indices
+{face}end_header
+"""
+
+
+@pytest.mark.parametrize("names", [("s", "t"), ("u", "v"), ("texture_u", "texture_v")])
+def test_coordinates_of_vertices_and_a_missing_image(tmp_path, names):
+    header = TEXTURED.format(vertex="".join(f"property double {name}\n" for name in names), face="")
+    rows = "0 0 0 0 0\n1 0 0 -3.5 0.1\n1 1 0 1 1\n0 1 0 nan 0\n3 0 1 2\n3 0 2 3\n"
+    (tmp_path / "a.ply").write_text(header + rows)
+    mesh = read_ply(tmp_path / "a.ply")
+    assert mesh.texture.uvs[0].tolist() == [[0, 0], [-3.5, 0.1], [1, 1]]
+    assert mesh.texture.has_uvs().tolist() == [True, False]
+    assert [(m.name, m.image) for m in mesh.texture.materials] == [("my wall.png", None)]
+    assert mesh.notes == (
+        "1 triangles lose their texture: their texture coordinates are not finite",
+        "the texture image my wall.png is missing or cannot be read",
+    )
+
+
+def test_coordinates_that_some_faces_lack(tmp_path):
+    header = TEXTURED.format(vertex="", face="property list uchar float texcoord\n")
+    rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 0\n3 0 2 3 6 0 0 1 0 2 5\n"
+    (tmp_path / "a.ply").write_text(header + rows)
+    uvs = read_ply(tmp_path / "a.ply").texture.uvs
+    assert uvs.tolist() == [[[0, 0]] * 3, [[0, 0], [1, 0], [2, 5]]]
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"image": 7}', '{"base_color": [1, 2]}', '{"wrap": 5}', "7"])
+def test_comments_that_mean_nothing_are_no_material(tmp_path, text):
+    header = TEXTURED.format(vertex="", face="property int material_index\n")
+    header = header.replace("comment", f"comment Material {text}\ncomment", 1)
+    (tmp_path / "a.ply").write_text(header + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 0\n3 0 2 3 5\n")
+    mesh = read_ply(tmp_path / "a.ply")
+    assert mesh.texture.material_ids.tolist() == [0, -1]
+    assert mesh.texture.materials[0].image is None

@@ -11,9 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tiny_recordings import INTERVAL, START
 
 from stages.fusion.posed_depth import read_matching_color
 from stages.images import read_depth, read_pinhole
+from stages.layouts import ScanParams
 
 PIXEL = (26, 17)
 INTRINSICS = (100.0, 100.0, 16.0, 12.0)
@@ -113,3 +115,15 @@ def rows(matrix: np.ndarray) -> str:
 @pytest.fixture(scope="session")
 def matrix_text():
     return rows
+
+
+@pytest.fixture
+def trajectory(tmp_path, tiny):
+    """Names a file with the two poses, at the moments of the recordings."""
+    file = tmp_path / "mine.tum"
+    lines = [
+        (START, 0, 0, 0, 0, 0, 0, 1),
+        (START + INTERVAL, 1, 2, 3, *tiny.second_quaternion),
+    ]
+    file.write_text("".join(f"{t / 1e9:.9f} {' '.join(map(str, row))}\n" for t, *row in lines))
+    return ScanParams(poses=str(file))

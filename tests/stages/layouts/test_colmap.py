@@ -6,7 +6,7 @@ import pytest
 
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
-from stages.images import read_depth
+from stages.images import read_depth, read_pinhole
 from stages.layouts import ScanParams, read_scan
 
 NAMES = ("10.png", "left side/a view 2.png")
@@ -23,6 +23,10 @@ MODELS = {
     3: "RADIAL",
     4: "OPENCV",
     5: "OPENCV_FISHEYE",
+    7: "FOV",
+    8: "SIMPLE_RADIAL_FISHEYE",
+    9: "RADIAL_FISHEYE",
+    10: "THIN_PRISM_FISHEYE",
 }
 
 
@@ -87,7 +91,7 @@ def assert_known_points(folder, tiny, **options):
     return scan
 
 
-@pytest.mark.parametrize("place", ["sparse", "sparse/0", "."])
+@pytest.mark.parametrize("place", ["sparse", "sparse/0", ".", "colmap/sparse/0", "colmap/sparse", "0"])
 @pytest.mark.parametrize("write", [write_text, write_binary])
 def test_known_points_come_out_in_the_world(scan_folder, tiny, place, write):
     write(scan_folder / place)
@@ -158,10 +162,95 @@ def test_camera_models(scan_folder, number, values, distortion, write):
 
 
 @pytest.mark.parametrize("write", [write_text, write_binary])
-def test_fisheye_cameras_are_refused_with_the_reason(scan_folder, write):
-    write(scan_folder / "sparse", 5, (100, 100, 16.5, 12.5, 0, 0, 0, 0))
-    with pytest.raises(InputError, match=r"OPENCV_FISHEYE, which is no pinhole camera.*image_undistorter"):
+def test_cameras_that_nothing_here_projects_like_are_refused_with_the_reason(scan_folder, write):
+    write(scan_folder / "sparse", 10, (100, 100, 16.5, 12.5, *[0.0] * 8))
+    with pytest.raises(InputError, match=r"THIN_PRISM_FISHEYE, which is not known.*image_undistorter"):
         read_scan(scan_folder)
+
+
+@pytest.mark.parametrize(
+    ("number", "values", "distortion"),
+    [
+        (5, (100, 100, 16.5, 12.5, 0.1, 0.2, 0.3, 0.4), (0.1, 0.2, 0.3, 0.4)),
+        (8, (100, 16.5, 12.5, 0.1), (0.1, 0, 0, 0)),
+        (9, (100, 16.5, 12.5, 0.1, 0.2), (0.1, 0.2, 0, 0)),
+        (9, (100, 16.5, 12.5, 0, 0), (0, 0, 0, 0)),
+    ],
+)
+@pytest.mark.parametrize("write", [write_text, write_binary])
+def test_fisheye_models(workspace, number, values, distortion, write):
+    write(workspace / "sparse", number, values)
+    camera = read_scan(workspace).frames[0].camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (100, 100, 16, 12)
+    assert (camera.distortion, camera.fisheye) == (distortion, True)
+    stated = read_scan(workspace, ScanParams(intrinsics="90,91,15,11")).frames[0].camera
+    assert (stated.fx, stated.distortion, stated.fisheye) == (90, distortion, True)
+
+
+@pytest.mark.parametrize("omega", [0.0, 0.6, 0.9, 1.1])
+def test_a_lens_of_the_fov_model(workspace, omega):
+    """The model's own equation says where it sees a point (0.1, 0.05, 1) and one far aside."""
+    write_text(workspace / "sparse", 7, (20, 22, 16.5, 12.5, omega))
+    camera = read_scan(workspace).frames[0].camera
+    for x, y in ((0.1, 0.05), (-0.5, 0.3)):
+        far = np.hypot(x, y)
+        bent = np.arctan(2 * far * np.tan(omega / 2)) / omega / far if omega else 1
+        expected = (20 * x * bent + 16, 22 * y * bent + 12)
+        if camera.fisheye:
+            point, still = np.array([[[x, y, 1.0]]]), np.zeros(3)
+            seen = cv2.fisheye.projectPoints(point, still, still, camera.matrix, np.array(camera.distortion))[
+                0
+            ].ravel()
+        else:
+            seen = camera.matrix[:2] @ (x, y, 1)
+        np.testing.assert_allclose(seen, expected, atol=0.01)
+    assert camera.fisheye == (omega > 0)
+
+
+@pytest.mark.parametrize("omega", [-1, 3.5, 2.9])
+def test_lenses_of_the_fov_model_that_cannot_be_read(workspace, omega):
+    write_text(workspace / "sparse", 7, (500, 500, 16.5, 12.5, omega))
+    path = workspace / "sparse" / "cameras.txt"
+    path.write_text(path.read_text().replace("32 24", "3200 2400").replace("16.5 12.5", "1600 1200"))
+    with pytest.raises(InputError, match=r"cameras\.txt.*FOV lens"):
+        read_scan(workspace)
+
+
+def test_a_fisheye_view_becomes_the_view_of_a_pinhole(workspace):
+    """A short lens: 45 degrees off the axis lie at a quarter of pi times 10 pixels, and then at 10."""
+    write_text(workspace / "sparse", 5, (10, 10, 16.5, 12.5, 0, 0, 0, 0))
+    u, v = np.meshgrid(np.arange(32.0), np.arange(24.0))
+    image = np.zeros((24, 32, 3), np.uint8)
+    image[:, :, 1] = 255 * np.exp(-((u - 16 - 10 * np.pi / 4) ** 2 + (v - 12) ** 2) / 2)
+    cv2.imwrite(str(workspace / "images" / NAMES[1]), image)
+    frame = next(one for one in read_scan(workspace).frames if one.name == "left side/a view 2")
+    green = read_pinhole(frame)[:, :, 1]
+    assert np.unravel_index(green.argmax(), green.shape) == (12, 16 + 10)
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+def test_of_several_models_the_largest_is_read_and_it_is_told(scan_folder, tiny, write):
+    # The first holds one of the images only, of a world of its own.
+    write(scan_folder / "sparse" / "0")
+    if write is write_text:
+        path = scan_folder / "sparse" / "0" / "images.txt"
+        path.write_text("".join(path.read_text().splitlines(keepends=True)[:3]).replace("3 -2", "9 -9"))
+    else:
+        path = scan_folder / "sparse" / "0" / "images.bin"
+        one = (len(path.read_bytes()) - 8 - len(NAMES[1]) + len(NAMES[0])) // 2
+        path.write_bytes(struct.pack("<Q", 1) + path.read_bytes()[8 : 8 + one])
+    for number in ("1", "10"):
+        write(scan_folder / "sparse" / number)
+    scan = assert_known_points(scan_folder, tiny)
+    said = [text for text in scan.warnings if "of 3 models, 1/ is read" in text]
+    assert ["0/ (1), 1/ (2), 10/ (2)" in text for text in said] == [True]
+
+
+def test_undistorted_images_without_depth_maps(workspace, tiny, tmp_path_factory):
+    project = tmp_path_factory.mktemp("project")
+    write_binary(workspace / "sparse")
+    workspace.rename(project / "dense")
+    tiny.assert_views(read_scan(project))
 
 
 # 30 points before each view by hand, 1 to 3 m away along its axis; the second looks along +x from (1, 2, 3).

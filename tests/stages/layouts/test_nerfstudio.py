@@ -164,10 +164,9 @@ def test_distortion_has_opencvs_order(scan_folder, tiny):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model 'OPENCV_FISHEYE' is no pinhole camera"),
-        ({"camera_model": "EQUIRECTANGULAR"}, "Rectify"),
-        ({"camera_model": ["OPENCV"]}, "is no pinhole camera"),
-        ({"is_fisheye": True}, "a fisheye camera is no pinhole camera"),
+        ({"camera_model": "FISHEYE624"}, "camera_model 'FISHEYE624' is neither a pinhole camera's"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' is neither .* Rectify the images"),
+        ({"camera_model": ["OPENCV"]}, "is neither a pinhole camera's"),
         ({"k4": 0.1}, "k4 is not 0"),
         ({"fl_x": "wide"}, "fl_x is 'wide'"),
         ({"fl_x": -5}, "both must be positive"),
@@ -199,10 +198,36 @@ def test_what_cannot_be_right_is_one_sentence(scan_folder, tiny, change, message
         read_scan(scan_folder)
 
 
-def test_stated_intrinsics_do_not_make_a_pinhole_of_a_fisheye(scan_folder, tiny):
-    write(scan_folder, document(tiny) | {"camera_model": "OPENCV_FISHEYE"})
-    with pytest.raises(InputError, match="Rectify"):
-        read_scan(scan_folder, ScanParams(intrinsics="400,400,65.5,49.5"))
+@pytest.mark.parametrize("said", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_fisheye_cameras(scan_folder, tiny, said):
+    bent = {"k1": 0.1, "k2": 0.2, "k3": 0.3, "k4": 0.4}
+    write(scan_folder, document(tiny) | bent | said)
+    frame = read_scan(scan_folder).frames[0]
+    for camera in (frame.camera, frame.color_camera):
+        assert (camera.fisheye, camera.distortion) == (True, (0.1, 0.2, 0.3, 0.4))
+    # Stated intrinsics do not make a pinhole of it.
+    stated = read_scan(scan_folder, ScanParams(intrinsics="300,300,65.5,49.5")).frames[0].color_camera
+    assert (stated.fx, stated.fisheye, stated.distortion) == (300, True, (0.1, 0.2, 0.3, 0.4))
+
+
+def test_depth_of_a_fisheye_camera_stays_depth_along_the_axis(scan_folder, tiny):
+    """The lens is short: what lies 45 degrees to the right is a quarter of pi times 8 pixels aside."""
+    content = document(tiny)
+    factor = 8 / 100
+    wide = {key: content[key] * factor for key in ("fl_x", "fl_y")}
+    write(scan_folder, content | wide | {"camera_model": "OPENCV_FISHEYE"})
+    depth = np.full((24, 32), 3000, np.uint16)
+    column = round(16 + 8 * np.pi / 4)
+    depth[12, column] = 2000
+    for entry in content["frames"]:
+        assert cv2.imwrite(str(scan_folder / entry["depth_file_path"]), depth)
+    frame = read_scan(scan_folder).frames[0]
+    assert frame.camera.fx == pytest.approx(8)
+    seen = read_depth(frame)
+    # Nearest pixels only, and as they were: no depth between the two.
+    assert set(np.unique(seen)) <= {0.0, 2.0, 3.0}
+    rows, columns = np.nonzero(seen == 2)
+    assert (rows.min(), rows.max(), columns.mean()) == (12, 12, pytest.approx(16 + 8, abs=0.6))
 
 
 def test_intrinsics_are_stated_for_the_size_of_the_colour_image(scan_folder, tiny):

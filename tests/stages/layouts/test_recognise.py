@@ -80,7 +80,7 @@ def test_signatures(tmp_path, names, layout):
     [
         (["take.svo2"], "ZED"),
         (["take.mkv"], "Azure Kinect"),
-        (["take.mcap"], "ROS 2"),
+        (["take_0.mcap.zstd", "metadata.yaml"], "compressed ROS 2"),
     ],
 )
 def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, name):

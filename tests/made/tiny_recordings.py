@@ -1,0 +1,126 @@
+"""A recording of the tiny world of the layouts' tests.
+
+The colour camera is rolled by a quarter turn and moved against the depth camera: color_from_depth takes
+(x, y, z) to (-y - 0.04, x + 0.02, z). So the known point (0.2, 0.1, 2) is at (-0.14, 0.22, 2), which its
+camera, with focal lengths of 200 and 24.5, 32.5 as centre, sees at pixel (10.5, 54.5): between four pixels.
+"""
+
+import dataclasses
+
+import numpy as np
+from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, transform
+
+from stages.errors import InputError
+from stages.images import read_color, read_depth
+from stages.layouts import read_scan
+from stages.scan import Scan
+
+START = 1_700_000_000_000_000_000
+INTERVAL = 33_000_000
+QUARTER = (0, 0, 0.5**0.5, 0.5**0.5)
+
+
+# Both streams say how they stand to a third place: 1 m in front of the depth camera, turned about its y axis.
+DEPTH_TURN = (0, 0.6, 0, 0.8)
+
+
+def depth_map(metres=2.0, units=0.0001):
+    image = np.full((24, 32), round(metres / units), np.uint16)
+    image[0, 0] = 0
+    return image
+
+
+def color_image(grey=90):
+    image = np.full((64, 48, 3), grey, np.uint8)
+    image[54:56, 10:12] = (10, 240, 120)
+    return image
+
+
+def color_turn():
+    """QUARTER after DEPTH_TURN, as a quaternion x y z w."""
+    s = 0.5**0.5
+    return (-s * 0.6, s * 0.6, s * 0.8, s * 0.8)
+
+
+def depth_stream(count=2, **changes):
+    images = [Image(START + n * INTERVAL, depth_map(), "mono16", unit=0.0001) for n in range(count)]
+    stream = Stream(DEPTH, images, (100, 100, 16, 12), (32, 24), ((0, 0, 1), DEPTH_TURN))
+    return dataclasses.replace(stream, **changes)
+
+
+def color_stream(count=2, **changes):
+    images = [Image(START + n * INTERVAL + 4_000_000, color_image(), "rgb8") for n in range(count)]
+    # The quarter turn takes the depth camera's place in the reference, (0, 0, 1), along.
+    stream = Stream(COLOR, images, (200, 200, 24.5, 32.5), (48, 64), ((-0.04, 0.02, 1), color_turn()))
+    return dataclasses.replace(stream, **changes)
+
+
+def recording(**changes):
+    return dataclasses.replace(Recording([depth_stream(), color_stream()]), **changes)
+
+
+def ros_depth(**changes):
+    images = [Image(START, depth_map(units=0.001), "16UC1", unit=None, frame="depth_optical")]
+    stream = Stream("/cam/depth", images, (100, 100, 16, 12), (32, 24), None, "plumb_bob")
+    return dataclasses.replace(stream, **{"topic": "/image_raw", "info": "/camera_info", **changes})
+
+
+def ros_color(**changes):
+    images = [Image(START, color_image(), "bgr8", unit=None, frame="color_optical")]
+    images[0].pixels = np.ascontiguousarray(images[0].pixels[:, :, ::-1])
+    stream = Stream("/cam/color", images, (200, 200, 24.5, 32.5), (48, 64), None, "plumb_bob")
+    return dataclasses.replace(stream, **{"topic": "/image_raw", "info": "/camera_info", **changes})
+
+
+def ros_bag(depth=None, color=None, links=(), **others):
+    """A bag of any camera; `links` of the tree of frames are (parent, child, translation, quaternion)."""
+    transforms = [
+        made(
+            "geometry_msgs/TransformStamped",
+            header=stamped(0, parent),
+            child_frame_id=child,
+            transform=made("geometry_msgs/Transform", **transform(*place)),
+        )
+        for parent, child, *place in links
+    ]
+    if links:
+        others["/tf_static"] = ("tf2_msgs/TFMessage", {"transforms": transforms})
+    return Recording([depth or ros_depth(), color or ros_color()], units=(), others=others)
+
+
+# color_from_depth is a quarter turn about z and then (-0.04, 0.02, 0): so the colour camera stands in the
+# depth camera at -(a quarter turn back of that), (-0.02, -0.04, 0), turned back.
+LINKS = [
+    ("base", "depth_optical", (0, 0, 1), DEPTH_TURN),
+    ("depth_optical", "arm", (-0.02, -0.04, 0), (0, 0, 0, 1)),
+    ("/arm", "color_optical", (0, 0, 0), (0, 0, -(0.5**0.5), 0.5**0.5)),
+]
+
+
+def or_fault(read, *arguments, **options):
+    """What a function returns, or the one sentence of its error, which names the file."""
+    try:
+        return read(*arguments, **options)
+    except InputError as error:
+        return str(error)
+
+
+def doubts(scan: Scan) -> list[str]:
+    """Return what is told of the recording, beside that one frame alone needs no pose."""
+    return [text for text in scan.warnings if not text.startswith("a single frame without a pose")]
+
+
+def outcome(file):
+    """Sums of the scan's readable frames, and the number of its warnings; None where it is refused."""
+    scan = or_fault(read_scan, file, complete=False)
+    if isinstance(scan, str):
+        assert str(file) in scan
+        return None
+    frames = []
+    for one in scan.frames:
+        images = [or_fault(read_depth, one), or_fault(read_color, one)]
+        faults = [image for image in images if isinstance(image, str)]
+        assert all(str(file) in fault for fault in faults)
+        if not faults and images[1] is not None:
+            frames.append((one.name, *(float(image.sum()) for image in images)))
+    return frames, len(doubts(scan))
