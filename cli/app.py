@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from cli import errors, mesh_commands, normal_mesh_commands, run_commands, scan_commands
+from cli import bake_command, errors, mesh_commands, normal_mesh_commands, run_commands, scan_commands
 from cli.output import to_json
 from stages.errors import ScanloomError
 
@@ -25,6 +25,7 @@ app = typer.Typer(
 scan_commands.add_to(app)
 run_commands.add_to(app)
 mesh_commands.add_to(app)
+bake_command.add_to(app)
 normal_mesh_commands.add_to(app)
 
 

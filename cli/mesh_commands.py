@@ -12,12 +12,14 @@ import typer
 from numpy.typing import NDArray
 
 import stages
+from cli.bake_command import TEXTURED_SUFFIXES, baked_text, baked_to
 from cli.errors import STAGE_FAILED
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
 from cli.options import with_options
 from cli.output import Output, at_least, at_most, lines_of, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
 from stages import (
+    BakeParams,
     CertifyParams,
     CleanParams,
     CompareParams,
@@ -110,6 +112,14 @@ def simplify(
         ),
     ] = None,
     save_bounds: SaveBounds = None,
+    bake: Annotated[
+        bool,
+        typer.Option(
+            "--bake",
+            help="Keep the colour in full: a texture with the colours of IN, as `scanloom bake` makes it, in "
+            "place of vertex colours. OUT is then .glb, .obj or .ply.",
+        ),
+    ] = False,
     partial: Annotated[
         bool,
         typer.Option(
@@ -136,8 +146,10 @@ def simplify(
     Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 20
 
     Example: scanloom simplify clean.ply light.ply --triangles 20000 --max-shape 0.005
+
+    Example: scanloom simplify clean.ply light.glb --ratio 0.02 --bake
     """
-    require_new_file(target, MESH_SUFFIXES)
+    require_new_file(target, TEXTURED_SUFFIXES if bake else MESH_SUFFIXES)
     if save_record is not None:
         require_new_file(save_record, (".npz",))
     if save_bounds is not None:
@@ -158,7 +170,9 @@ def simplify(
             partial=partial,
             progress=progress,
         )
-    write_file(target, simplified.mesh, out)
+    baked = baked_to(target, simplified.mesh, mesh, BakeParams(), out) if bake else None
+    if baked is None:
+        write_file(target, simplified.mesh, out)
     if simplified.record is not None and save_record is not None:
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
@@ -170,6 +184,9 @@ def simplify(
     text = lines_of(
         {name: value for name, value in figures.items() if name not in ("warnings", "largest_patches")}
     )
+    if baked is not None:
+        figures["baked"] = baked
+        text += f"\n\n{baked_text(baked)}"
     out.result(figures, f"{text}\n\n{_proof_text(figures)}" if simplified.method == "certified" else text)
 
 

@@ -121,8 +121,9 @@ def run(
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
 
     OUT then holds fused.ply, clean.ply, simplified.ply, report.json and pictures. A second run does only
-    what has changed since. With --set remesh.enabled=true it also holds a normal mesh: remeshed.ply, all its
-    levels, and remeshed.snm.
+    what has changed since. With --set bake.enabled=true it also holds baked.glb: the simplified mesh with a
+    texture that shows all colour. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all
+    its levels, and remeshed.snm.
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pipeline.baking import BakeSection
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
@@ -26,6 +27,7 @@ class Config(Sections):
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
+    bake: BakeSection = field(default_factory=BakeSection)
     remesh: RemeshSection = field(default_factory=RemeshSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))

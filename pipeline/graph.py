@@ -1,9 +1,10 @@
 """The stages of the pipeline, declared: what each reads and writes, what decides its result, what it runs.
 
 pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
-                   └─register─▶ posed ─▲                               └──remesh──▶ remeshed ──▲
+                   └─register─▶ posed ─▲                               ├──remesh──▶ remeshed ──▲
+                                                                       └──bake──▶ baked
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
-register is there where poses are missing, and remesh if it is enabled)
+register is there where poses are missing, bake and remesh if they are enabled; bake reads clean, too)
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline import registering, remeshing, report
+from pipeline import baking, registering, remeshing, report
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
+from stages.bake import VERSION as BAKE_VERSION
 from stages.clean import VERSION as CLEAN_VERSION
 from stages.clean import clean
 from stages.compare import VERSION as COMPARE_VERSION
@@ -92,6 +94,11 @@ def _simplify(job: Job) -> Mapping[str, Any]:
     simplified = simplify(mesh, job.config.simplify, progress=job.progress)
     write_ply(job.folder / "simplified.ply", simplified.mesh)
     return simplified.figures()
+
+
+def _bake(job: Job) -> Mapping[str, Any]:
+    light, original = (read_ply(job.inputs[name] / f"{name}.ply") for name in ("simplified", "clean"))
+    return baking.make(job.folder, light, original, job.config.bake, job.progress)
 
 
 def _remesh(job: Job) -> Mapping[str, Any]:
@@ -212,6 +219,16 @@ STAGES: tuple[Stage, ...] = (
         results=("simplified.ply",),
     ),
     Stage(
+        name="bake",
+        version=BAKE_VERSION,
+        reads=("clean", "simplified"),
+        writes="baked",
+        sections=("bake",),
+        make=_bake,
+        libraries=_OPEN3D | {"xatlas": _version("xatlas")},
+        results=("baked.glb",),
+    ),
+    Stage(
         name="remesh",
         version=REMESH_VERSION,
         reads=("simplified",),
@@ -254,6 +271,8 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
             "register.enabled=true to find others"
         )
         reasons["register"] = f"is not a stage of this scan: {why}"
+    if not config.bake.enabled:
+        reasons["bake"] = "is not enabled; set bake.enabled=true"
     if not config.remesh.enabled:
         reasons["remesh"] = "is not enabled; set remesh.enabled=true"
     return reasons

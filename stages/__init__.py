@@ -9,6 +9,7 @@ Each name below that is a verb is a function; its module of the same name holds 
 first used, so importing this package is cheap.
 """
 
+from stages.bake import Baked, BakeParams, bake
 from stages.certify import Certificate, CertifyParams, certify
 from stages.clean import Cleaned, CleanParams, clean
 from stages.collapse_record import CollapseRecord, load_record
@@ -38,6 +39,8 @@ from stages.viewpoints import viewpoints
 from stages.views import views_depth
 
 __all__ = [
+    "BakeParams",
+    "Baked",
     "Box",
     "Camera",
     "Certificate",
@@ -80,6 +83,7 @@ __all__ = [
     "UsageError",
     "View",
     "as_mesh",
+    "bake",
     "certify",
     "clean",
     "compare",

@@ -14,14 +14,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.convert import MeshLike, as_mesh
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
-from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
+from stages.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated
+from stages.surface_color import color_at, has_color
 from stages.topology import areas, require_area
 
-VERSION = 3
+VERSION = 4
 
 # A colour error below this (levels) is the rounding of interpolation, not a difference.
 _EQUAL = 1e-4
@@ -95,7 +97,7 @@ class Comparison:
     ----------
     a_to_b, b_to_a : from each surface to the other. Different where one of them is incomplete.
     symmetric : both together; its maximum is the Hausdorff distance, as far as the samples see it.
-    color_a_to_b, color_b_to_a, color : the same for colour; None unless both meshes have vertex colours.
+    color_a_to_b, color_b_to_a, color : the same for colour; None unless both meshes have colours.
     diagonal : metres, of the bounding box of A; what relative figures refer to.
     samples : on each surface.
     """
@@ -135,7 +137,7 @@ def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **cha
     Returns
     -------
     Comparison
-        Vertex colours are interpolated linearly over each triangle on both sides. Textures are not read.
+        Colours are those of the texture where there is one, else of the vertices; see `color_at`.
 
     Raises
     ------
@@ -205,11 +207,11 @@ class _Sums:
 def _one_way(mesh: Mesh, other: Surface, count: int, seed: tuple[int, int]) -> _Sums:
     rng = np.random.default_rng(seed)
     cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
-    colored = mesh.colors is not None and other.mesh.colors is not None
+    colored = has_color(mesh) and has_color(other.mesh)
     sums = _Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
     for rows in chunks(count):
         at = _sampled(cumulative, rows, count, rng)
-        colors = None if mesh.colors is None else interpolated(mesh.colors, mesh, at)
+        colors = color_at(mesh, at.triangles, at.weights) if colored else None
         sums = sums.merged(_measured(interpolated(mesh.vertices, mesh, at), colors, other))
     at_vertices = list(_at_vertices(mesh, other))
     return replace(
@@ -220,18 +222,23 @@ def _one_way(mesh: Mesh, other: Surface, count: int, seed: tuple[int, int]) -> _
 
 
 def _at_vertices(mesh: Mesh, other: Surface) -> Iterator[_Sums]:
-    used = np.flatnonzero(is_used(mesh))
+    # A corner of each vertex in use: along a seam of a texture it has several colours, and one is looked at.
+    used, corners = np.unique(mesh.triangles, return_index=True)
+    colored = has_color(mesh) and has_color(other.mesh)
     for rows in chunks(len(used)):
-        colors = None if mesh.colors is None else mesh.colors[used[rows]].astype(np.float64)
+        colors = None
+        if colored:
+            colors = color_at(mesh, corners[rows] // 3, np.eye(3)[corners[rows] % 3])
         yield _measured(mesh.vertices[used[rows]], colors, other)
 
 
-def _measured(points: Floats, colors: Floats | None, other: Surface) -> _Sums:
+def _measured(points: Floats, colors: NDArray[np.floating] | None, other: Surface) -> _Sums:
     nearest = other.closest(points)
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
-    if colors is not None and other.mesh.colors is not None:
-        difference = np.abs(colors - interpolated(other.mesh.colors, other.mesh, nearest))
+    if colors is not None:
+        seen = color_at(other.mesh, nearest.triangles, nearest.weights)
+        difference = np.abs(colors - seen)
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
     return _Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)
 

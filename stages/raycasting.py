@@ -106,11 +106,11 @@ class Surface:
         directions: NDArray[np.floating],
         starts: NDArray[np.float32] | None = None,
     ) -> Hits:
-        """Return what rays from one point meet first.
+        """Return what rays meet first.
 
         Parameters
         ----------
-        origin : (3,) float64, metres.
+        origin : (3,) float64 metres, of all rays, or (k, 3) of each.
         directions : (k, 3), of any length, the unit of the distances.
         starts : (k,) distances before which nothing counts; 0 if None.
         """

@@ -16,6 +16,7 @@ from stages.mesh import Mesh
 from stages.raycasting import Hits, Surface, chunks
 from stages.replacing import replacing
 from stages.scan import ColorImage
+from stages.surface_color import color_at, has_color
 from stages.viewpoints import View, viewpoints
 
 __all__ = ["Model", "Shading", "View", "render", "viewpoints", "write_png"]
@@ -48,9 +49,9 @@ def render(mesh: MeshLike, view: View, *, shading: Shading = "color") -> ColorIm
     ----------
     mesh : in metres.
     view : see View and `viewpoints`.
-    shading : "color" for the vertex colours under a soft light (clay where there are none), "plain" for
-        clay alone, which shows the shape, "edges" for flat clay with the triangles' edges drawn. Triangles
-        seen from behind are bluish in "plain" and "edges".
+    shading : "color" for the texture or vertex colours under a soft light (clay where there is neither),
+        "plain" for clay alone, which shows the shape, "edges" for flat clay with the triangles' edges drawn.
+        Triangles seen from behind are bluish in "plain" and "edges".
 
     Returns
     -------
@@ -91,13 +92,9 @@ class Model:
     """
 
     def __init__(self, surface: Surface) -> None:
-        mesh = surface.mesh
         self._surface = surface
-        normals = _vertex_normals(mesh)
-        # Side by side, because a ray that hits needs both.
-        self._attributes = (
-            normals if mesh.colors is None else np.hstack([normals, mesh.colors], dtype=np.float32)
-        )
+        self._normals = _vertex_normals(surface.mesh)
+        self._is_colored = has_color(surface.mesh)
 
     def draw(self, view: View, shading: Shading = "color") -> ColorImage:
         """Cast one ray a pixel, and more where the picture is not smooth; see `render`."""
@@ -147,15 +144,17 @@ class Model:
         corners = mesh.triangles[hits.triangles]
         towards = _unit(directions[hits.rays])
         behind = _dot(hits.normals, towards) > 0
-        attributes = _blended(self._attributes, corners, hits.weights)
-        normals = hits.normals if shading == "edges" else _unit(attributes[:, :3])
+        normals = hits.normals
+        if shading != "edges":
+            normals = _unit(_blended(self._normals, corners, hits.weights))
         normals = np.asarray(np.where(behind[:, None], -normals, normals))
         to_light = np.asarray(view.world_from_camera[:3, :3] @ _LIGHT, np.float32)
         light = _dot(normals, to_light).clip(0, 1)
         head = np.abs(_dot(normals, towards))
-        if shading == "color" and mesh.colors is not None:
+        if shading == "color" and self._is_colored:
+            colors = color_at(mesh, hits.triangles, hits.weights)
             # Scanned colours hold the room's light already; more than a hint of our own would count it twice.
-            return np.asarray(attributes[:, 3:] * (0.84 + 0.12 * light + 0.12 * head)[:, None], np.float32)
+            return np.asarray(colors * (0.84 + 0.12 * light + 0.12 * head)[:, None], np.float32)
         tint = np.where(behind[:, None], _CLAY_BEHIND, _CLAY)
         clay = np.asarray(tint * (0.44 + 0.48 * light + 0.26 * head)[:, None], np.float32)
         if shading == "edges":

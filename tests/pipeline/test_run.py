@@ -338,7 +338,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
         (
             {"force": ["all"]},
-            "there is no stage 'all'; known are depth, register, fuse, clean, simplify, remesh, report.",
+            "there is no stage 'all'; known are depth, register, fuse, clean, simplify, bake, remesh, ",
         ),
         ({"until": "depth"}, "depth is not a stage of this scan"),
         ({"force": ["depth"]}, "depth is not a stage of this scan"),

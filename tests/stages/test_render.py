@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from stages.errors import InputError, StageError
-from stages.mesh import Mesh
+from stages.mesh import Image, Material, Mesh, Texture
 from stages.raycasting import Surface
 from stages.render import Model, render, write_png
 from stages.scan import Camera, Frame
@@ -48,6 +48,29 @@ def test_colours_and_sides_are_kept():
     assert left[0] > 180 > 60 > left[2]
     assert right[2] > 180 > 60 > right[0]
     assert abs(image[30, 39, 0] - image[30, 39, 2]) < 12
+
+
+def test_a_texture_is_drawn_pixel_by_pixel():
+    # Red, green; blue, white: finer than the two triangles' corners could show.
+    pixels = np.uint8([[[250, 0, 0], [0, 250, 0]], [[0, 0, 250], [250, 250, 250]]]).repeat(8, 0).repeat(8, 1)
+    mesh = quad(2, [[0, 0, 0]] * 4, half=1)
+    # Camera axes: y goes down, as rows of the image do, and v goes up.
+    at = (mesh.vertices[mesh.triangles][..., :2] + 1) / 2
+    uvs = np.stack([at[..., 0], 1 - at[..., 1]], axis=-1)
+    texture = Texture(uvs, np.zeros(2, np.int32), (Material(image=Image(given=pixels)),))
+    image = render(mesh.with_(texture=texture), AHEAD).astype(int)
+    upper_left, upper_right, lower_left, lower_right = (
+        image[12, 22],
+        image[12, 56],
+        image[46, 22],
+        image[46, 56],
+    )
+    assert upper_left.argmax() == 0
+    assert upper_right.argmax() == 1
+    assert lower_left.argmax() == 2
+    assert lower_right.min() > 180
+    for color in (upper_left, upper_right, lower_left):
+        assert np.sort(color)[1] < 20
 
 
 def test_a_sphere_covers_the_cone_of_its_silhouette():

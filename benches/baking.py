@@ -1,0 +1,60 @@
+"""Colour error of vertex colours against a baked texture, at fewer and fewer triangles.
+
+    python benches/baking.py DATA [--ratios 0.1 0.05 0.02] [--mesh kitchen globe] [--scan FILE ...]
+
+DATA holds `meshes/` and `images/`. Prints a Markdown table. PSNR is sampled on the original surface: its
+colour there against that at the nearest point of the light mesh.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import meshes
+from markdown_tables import print_head, print_row
+
+from stages.bake import bake
+from stages.simplify import simplify
+
+COLUMNS = (
+    "mesh",
+    "ratio",
+    "triangles",
+    "vertex colours, dB",
+    "baked, dB",
+    "image",
+    "charts",
+    "coverage",
+    "CPU s",
+)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--ratios", type=float, nargs="+", default=[0.1, 0.05, 0.02])
+    parser.add_argument(
+        "--mesh", nargs="*", choices=("kitchen", "globe", "painted"), default=["kitchen", "globe"]
+    )
+    parser.add_argument("--scan", type=Path, nargs="+", default=[], help="other coloured meshes")
+    options = parser.parse_args()
+    originals = {name: meshes.MESHES[name](options.data) for name in options.mesh}
+    originals |= {path.stem: meshes.scan(path) for path in options.scan}
+    print_head(COLUMNS)
+    for name, original in originals.items():
+        for ratio in options.ratios:
+            light = simplify(original, ratio=ratio).mesh
+            start = time.process_time()
+            baked = bake(light, original)
+            seconds = time.process_time() - start
+            assert baked.vertex_color is not None
+            cells = [name, f"{ratio:.0%}", f"{len(light.triangles):,}", f"{baked.vertex_color.psnr:.1f}"]
+            cells += [f"{baked.color.psnr:.1f}", f"{baked.size}", f"{baked.charts}", f"{baked.coverage:.2f}"]
+            print_row([*cells, f"{seconds:.1f}"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""What a simplifier must not do to a textured mesh: tear it open along seams, or turn its texture over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from stages.edges import components, edges_of
+from stages.mesh import Mesh
+from stages.raycasting import Surface, bounding_box
+
+# Lengths over the bounding box's diagonal: places that count as one, and how far from a border of the
+# original a border may lie and still be that one, simplified.
+SAME_PLACE = 1e-6
+SAME_BORDER = 0.02
+# A texture triangle with less than this share of the image has no orientation to speak of.
+NO_AREA = 1e-12
+
+
+@dataclass(frozen=True)
+class Soundness:
+    """Damage to a textured mesh.
+
+    Attributes
+    ----------
+    new_border : length of borders that the original does not have, over the diagonal.
+    uv_flips : triangles whose texture runs the other way round than the original's does next to them.
+    uv_triangles : those that were looked at: with area in the texture, here and there.
+    """
+
+    new_border: float
+    uv_flips: int
+    uv_triangles: int
+
+
+def soundness(original: Mesh, light: Mesh) -> Soundness:
+    """Measure the damage; meshes without texture coordinates have no flips."""
+    low, high = bounding_box(original)
+    diagonal = float(np.linalg.norm(high - low))
+    borders = [border(mesh, SAME_PLACE * diagonal) for mesh in (original, light)]
+    flips, looked_at = uv_flips(original, light)
+    return Soundness(new_length(*borders, SAME_BORDER * diagonal) / diagonal, flips, looked_at)
+
+
+def border(mesh: Mesh, tolerance: float) -> np.ndarray:
+    """Return the border's edges (k, 2, 3) after vertices closer than the tolerance became one.
+
+    An edge that is traversed as often in one direction as in the other is closed, however many triangles
+    meet there.
+    """
+    pairs = cKDTree(mesh.vertices).query_pairs(tolerance, output_type="ndarray")
+    count, place = components(len(mesh.vertices), pairs[:, 0], pairs[:, 1])
+    triangles = place[mesh.triangles].astype(np.int32)
+    is_proper = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    edges = edges_of(triangles[is_proper], count)
+    ends = edges.ends[edges.count % 2 == 1]
+    position = np.zeros((count, 3))
+    position[place] = mesh.vertices
+    return position[ends]
+
+
+def new_length(before: np.ndarray, after: np.ndarray, reach: float) -> float:
+    """Return the length of the edges `after` that do not run along the edges `before`, within reach."""
+    lengths = np.linalg.norm(after[:, 1] - after[:, 0], axis=1)
+    if not len(before) or not len(after):
+        return float(lengths.sum())
+    # Points along the edges, no farther apart than the reach.
+    steps = np.ceil(np.linalg.norm(before[:, 1] - before[:, 0], axis=1) / reach).astype(int) + 1
+    along = np.concatenate([np.linspace(a, b, n) for (a, b), n in zip(before, steps, strict=True)])
+    distances, _ = cKDTree(along).query(after.mean(axis=1))
+    return float(lengths[distances > reach].sum())
+
+
+def uv_flips(original: Mesh, light: Mesh) -> tuple[int, int]:
+    """Return how many triangles have their texture turned over, and how many were looked at."""
+    if original.texture is None or light.texture is None:
+        return 0, 0
+    middles = light.vertices[light.triangles].mean(axis=1)
+    nearest = Surface(original, bounding_box(original, light)).closest(middles).triangles
+    there, here = uv_areas(original.texture.uvs)[nearest], uv_areas(light.texture.uvs)
+    looked_at = (np.abs(there) > NO_AREA) & (np.abs(here) > NO_AREA)
+    return int(np.count_nonzero(looked_at & (there * here < 0))), int(np.count_nonzero(looked_at))
+
+
+def uv_areas(uvs: np.ndarray) -> np.ndarray:
+    """Return signed areas in the image."""
+    (u1, v1), (u2, v2) = ((uvs[:, i] - uvs[:, 0]).T for i in (1, 2))
+    return (u1 * v2 - v1 * u2) / 2

@@ -1,0 +1,34 @@
+"""The optional stage `bake`: the simplified mesh with the colours of the clean one as its texture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stages.bake import BakeParams, bake
+from stages.mesh import Mesh
+from stages.mesh_files import write_mesh
+from stages.params import param
+from stages.progress import Progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class BakeSection(BakeParams):
+    """Whether a run bakes a texture for the simplified mesh, and which."""
+
+    enabled: bool = param(
+        False,
+        "Bake the colours of the clean mesh into a texture of the simplified one, which shows them in full.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+
+
+def make(
+    folder: Path, light: Mesh, original: Mesh, params: BakeSection, progress: Progress
+) -> dict[str, Any]:
+    """Write baked.glb and return the figures."""
+    baked = bake(light, original, params, progress=progress)
+    write_mesh(folder / "baked.glb", baked.mesh)
+    return baked.figures()

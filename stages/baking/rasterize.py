@@ -1,0 +1,136 @@
+"""Triangles in a plane to the pixels whose centres they cover.
+
+An edge is crossed at the same place whichever of its two triangles asks, so neighbours leave no pixel out
+between them and claim none twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# Pixels at a time: bounds the memory, at some 200 bytes each.
+_STRIP = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """Pixels that triangles cover; a pixel under several triangles is there once for each.
+
+    Attributes
+    ----------
+    rows, columns : (k,) int64, of the pixels.
+    triangles : (k,) int64, in ascending order.
+    weights : (k, 3) float64 barycentric weights of the pixel's centre, non-negative, of sum 1.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    triangles: NDArray[np.int64]
+    weights: Floats
+
+
+def covered(corners: Floats, rows: tuple[int, int], width: int) -> Covered:
+    """Return the pixels of some rows of an image whose centres lie in triangles.
+
+    Parameters
+    ----------
+    corners : (m, 3, 2) x and y in pixels; the first pixel's centre is at (0.5, 0.5). Either orientation.
+    rows : first row, and the one after the last.
+    width : of the image, pixels; what is beyond is left out.
+    """
+    low, high = _between(corners[:, :, 1].min(axis=1), corners[:, :, 1].max(axis=1), *rows)
+    (triangles,) = np.nonzero(high > low)
+    spans = np.repeat(triangles, (high - low)[triangles])
+    row = _counted(low[triangles], (high - low)[triangles])
+    left, right = _crossed(_from_top(corners), spans, np.asarray(row + 0.5, np.float64))
+    first, last = _between(left, right, 0, width)
+    lengths = np.maximum(last - first, 0)
+    triangle = np.repeat(spans, lengths)
+    column = _counted(first, lengths)
+    pixel_row = np.repeat(row, lengths)
+    centers = np.stack([column + 0.5, pixel_row + 0.5], axis=1)
+    return Covered(pixel_row, column, triangle, _weights(corners, triangle, centers))
+
+
+@dataclass(frozen=True)
+class Overlaps:
+    """What lies on each other.
+
+    Attributes
+    ----------
+    pixels : whose centres lie in several triangles.
+    triangles : all of these but the one that comes first, in ascending order.
+    """
+
+    pixels: int
+    triangles: NDArray[np.int64]
+
+
+def overlaps(corners: Floats, size: int) -> Overlaps:
+    """Find the pixels of a square image that several triangles (m, 3, 2) cover."""
+    pixels, triangles = 0, [np.zeros(0, np.int64)]
+    for rows in strips(size, size):
+        found = covered(corners, rows, size)
+        place = found.rows * size + found.columns
+        order = np.argsort(place, kind="stable")
+        (again,) = np.nonzero(place[order][1:] == place[order][:-1])
+        pixels += len(np.unique(place[order][again]))
+        triangles.append(found.triangles[order][again + 1])
+    return Overlaps(pixels, np.unique(np.concatenate(triangles)))
+
+
+def strips(height: int, width: int) -> list[tuple[int, int]]:
+    """Return ranges of rows that make up an image, a bounded number of pixels at a time."""
+    step = max(_STRIP // width, 1)
+    return [(start, min(start + step, height)) for start in range(0, height, step)]
+
+
+def _between(low: Floats, high: Floats, first: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the whole numbers n with low <= n + 0.5 < high, as the first and the one after the last."""
+    bounds = (np.ceil(bound - 0.5).clip(first, end).astype(np.int64) for bound in (low, high))
+    return next(bounds), next(bounds)
+
+
+def _counted(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return start, start + 1, … for each start, as many as its count, one after another."""
+    before = np.cumsum(counts) - counts
+    return np.asarray(np.arange(counts.sum()) + np.repeat(starts - before, counts), np.int64)
+
+
+def _from_top(corners: Floats) -> Floats:
+    """Return each triangle's corners by y, then x: both triangles of an edge see it in the same direction."""
+    order = np.lexsort((corners[:, :, 0], corners[:, :, 1]), axis=1)
+    return np.take_along_axis(corners, order[:, :, None], axis=1)
+
+
+def _crossed(corners: Floats, triangles: NDArray[np.int64], y: Floats) -> tuple[Floats, Floats]:
+    """Return where horizontal lines enter and leave triangles whose corners go by y."""
+    a, b, c = corners[triangles].swapaxes(0, 1)
+    is_lower = (y >= b[:, 1])[:, None]
+    start, end = np.where(is_lower, b, a), np.where(is_lower, c, b)
+    long, short = _x_at(a, c, y), _x_at(start, end, y)
+    return np.minimum(long, short), np.maximum(long, short)
+
+
+def _x_at(start: Floats, end: Floats, y: Floats) -> Floats:
+    height = end[:, 1] - start[:, 1]
+    share = np.divide(y - start[:, 1], height, out=np.zeros_like(y), where=height > 0)
+    return np.asarray(start[:, 0] + share * (end[:, 0] - start[:, 0]))
+
+
+def _weights(corners: Floats, triangles: NDArray[np.int64], points: Floats) -> Floats:
+    a, b, c = corners.swapaxes(0, 1)
+    ab, ac = b - a, c - a
+    area = (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])[triangles]
+    ap = points - a[triangles]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v = (ap[:, 0] * ac[triangles, 1] - ap[:, 1] * ac[triangles, 0]) / area
+        w = (ab[triangles, 0] * ap[:, 1] - ab[triangles, 1] * ap[:, 0]) / area
+    # A centre within rounding of an edge may come out beyond it.
+    weights = np.nan_to_num(np.stack([1 - v - w, v, w], axis=1), nan=1 / 3).clip(0, 1)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -1,0 +1,55 @@
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stages.mesh import Mesh, Texture
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
+from texture_soundness import border, soundness
+
+
+def strip(upper: float = 0.0, mirrored: bool = False) -> Mesh:
+    """Two unit squares side by side, with a seam between: its vertices are there twice, one `upper` off."""
+    left = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    right = left + np.array([1, 0, 0])
+    right[3, 2] = upper
+    quad = np.array([[0, 1, 2], [0, 2, 3]])
+    uvs = np.concatenate([left[quad][..., :2] / 4, right[quad][..., :2] / 4 + (0.4, 0)])
+    if mirrored:
+        uvs[2:, :, 0] = 1 - uvs[2:, :, 0]
+    triangles = np.concatenate([quad, quad + 4]).astype(np.int32)
+    return Mesh(np.concatenate([left, right]), triangles, texture=Texture(uvs, np.full(4, -1, np.int32)))
+
+
+def test_a_seam_is_no_border():
+    ends = border(strip(), 1e-6)
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum() == pytest.approx(6)
+    found = soundness(strip(), strip())
+    assert found.new_border == 0
+    assert (found.uv_flips, found.uv_triangles) == (0, 4)
+
+
+def test_a_seam_that_opens_is_a_new_border_on_both_sides():
+    found = soundness(strip(), strip(upper=0.05))
+    lengths = 1 + np.sqrt(1 + 0.05**2)
+    assert found.new_border * np.sqrt(5) == pytest.approx(lengths, rel=1e-6)
+
+
+def test_a_removed_triangle_leaves_new_border_inside_and_on_the_seam():
+    whole = strip()
+    torn = whole.with_triangles(whole.triangles[:3], np.arange(3))
+    assert soundness(whole, torn).new_border * np.sqrt(5) == pytest.approx(1 + np.sqrt(2), rel=1e-6)
+
+
+def test_a_texture_turned_over_is_counted():
+    found = soundness(strip(), strip(mirrored=True))
+    assert (found.uv_flips, found.uv_triangles) == (2, 4)
+    # Where the original is mirrored too, that is how it should be.
+    assert soundness(strip(mirrored=True), strip(mirrored=True)).uv_flips == 0
+
+
+def test_meshes_without_texture_have_no_flips():
+    bare = strip().with_(texture=None)
+    assert soundness(bare, bare).uv_triangles == 0

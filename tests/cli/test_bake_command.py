@@ -1,0 +1,79 @@
+"""bake and simplify --bake on files: the image, the figures, and what bad input is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stages.mesh_files import read_mesh
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def clean_ball(scanloom: Run, ball: Path) -> Path:
+    path = ball.with_name("clean.ply")
+    assert scanloom("clean", ball, path).exit_code == 0
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
+def test_simplify_can_bake_into_each_format_that_holds_an_image(
+    scanloom: Run, clean_ball: Path, tmp_path: Path, suffix: str
+) -> None:
+    target = tmp_path / f"light{suffix}"
+    ran = scanloom("simplify", clean_ball, target, "--ratio", 0.1, "--bake", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    light = read_mesh(target)
+    assert len(light.triangles) == ran.json["triangles"] <= 128
+    assert light.texture is not None
+    assert light.colors is None
+    (image,) = light.texture.images
+    size = ran.json["baked"]["image_size_texels"]
+    assert image.pixels.shape[:2] == (size, size)
+    # As measured from the file, what was baked is nearer to the original than colours of vertices.
+    figures = scanloom("compare", clean_ball, target, "--samples", 20_000, "--json").json
+    baked = ran.json["baked"]
+    assert figures["color"]["a_to_b"]["rmse_levels"] == pytest.approx(baked["color"]["rmse_levels"], rel=0.1)
+    assert baked["color"]["rmse_levels"] < baked["vertex_color"]["rmse_levels"]
+
+
+def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+    light, target = tmp_path / "light.ply", tmp_path / "new" / "light.glb"
+    assert scanloom("simplify", clean_ball, light, "--ratio", 0.1).exit_code == 0
+    ran = scanloom("bake", light, clean_ball, target, "--max-size", 64)
+    assert ran.exit_code == 0, ran.stderr
+    assert "dB) with the texture" in ran.stdout
+    assert read_mesh(target).texture.images[0].pixels.shape == (64, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("bake", "{ball}", "{ball}", "out.stl"), 2, "stands for no format"),
+        (
+            ("bake", "{ball}", "{ball}", "out.glb", "--max-size", "100"),
+            2,
+            "--max-size is 100 texels; it must be a",
+        ),
+        (("simplify", "{ball}", "out.off", "--bake"), 2, "stands for no format"),
+        (("bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(
+    scanloom: Run,
+    ball: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    code: int,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = scanloom(*(word.format(ball=ball) for word in words))
+    assert ran.exit_code == code
+    assert said in ran.stderr
+    assert not list(tmp_path.glob("out.*"))

@@ -1,0 +1,36 @@
+"""The optional stage `bake`: what it leaves, and that nothing of it stays when it is left out."""
+
+from pathlib import Path
+
+import pytest
+from coloured_meshes import sheet
+
+from pipeline.baking import BakeSection, make
+from pipeline.config import Config
+from pipeline.graph import left_out, plan_for
+from stages.compare import compare
+from stages.mesh_files import read_mesh
+from stages.progress import silent
+from stages.scan import Scan
+from stages.simplify import simplify
+
+
+def scan() -> Scan:
+    return Scan(frames=(), folder=None, layout="none")
+
+
+def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
+    original = sheet(n=20)
+    light = simplify(original, ratio=0.1).mesh
+    figures = make(tmp_path, light, original, BakeSection(), silent)
+    baked = read_mesh(tmp_path / "baked.glb")
+    found = compare(original, baked, samples=50_000).color_a_to_b
+    assert found.rmse == pytest.approx(figures["color"]["rmse_levels"], rel=0.1)
+    assert found.psnr > figures["vertex_color"]["psnr_db"] + 3
+
+
+def test_it_is_there_if_it_is_enabled():
+    assert "bake.enabled=true" in left_out(scan(), Config())["bake"]
+    stages = {stage.name: stage for stage in plan_for(scan(), Config().set(["bake.enabled=true"]))}
+    assert stages["bake"].reads == ("clean", "simplified")
+    assert "bake" not in {stage.name for stage in plan_for(scan(), Config())}
