@@ -86,8 +86,8 @@ class SimplifyParams:
         "colours and normals of every corner, and no crack along texture seams. jia01: within bounds on the "
         "summed change of shape and texture. planar: near-planar patches with as few triangles as their "
         "borders need, within bounds; fast, for walls, floors and machined parts. auto: jia01 with "
-        "resolution or paper_rule, else certified with max_shape or max_texture, else with triangles or ratio seams if "
-        "the mesh is textured and quadric if not, else jia01.",
+        "resolution or paper_rule, else certified with max_shape or max_texture, else with triangles or "
+        "ratio seams if the mesh is textured and quadric if not, else jia01.",
         group=_HOW,
         choices=("auto", "quadric", "certified", "jia01", "planar", "seams"),
     )
