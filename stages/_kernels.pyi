@@ -148,6 +148,8 @@ class BySeams:
     @property
     def seam_drift(self) -> float: ...
     @property
+    def fitted(self) -> bool: ...
+    @property
     def log(self) -> SeamLog | None: ...
 
 def simplify_seams(
@@ -161,6 +163,7 @@ def simplify_seams(
     fixed: NDArray[np.bool_],
     *,
     knobs: SeamKnobs,
+    fit: bool,
     running: Running,
     progress: Callable[[int, int], object],
 ) -> BySeams: ...

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.collapse_steps import Replayed, ReplayParams, Steps, roots
-from stages.errors import InputError
+from stages.errors import InputError, UsageError
 from stages.mesh import Mesh, validated
 from stages.params import resolve
 from stages.replacing import replacing
@@ -91,14 +91,18 @@ class SeamRecord:
     def replay(self, params: ReplayParams | None = None, **changes: Any) -> Replayed:
         """Return the mesh as it was when so many triangles were left, or after so many collapses.
 
-        At the last it equals what `simplify` gave out, to the bit. There is nothing to fit.
+        At the last it equals what `simplify` gave out with `fit=False`, to the bit.
 
         Raises
         ------
         UsageError
-            For fewer triangles or more collapses than the record leads to.
+            For fewer triangles or more collapses than the record leads to, and for `fit`, which needs the
+            whole run.
         """
-        collapses = self._steps.wanted(resolve(ReplayParams, params, changes))
+        params = resolve(ReplayParams, params, changes)
+        if params.fit:
+            raise UsageError("a record of method seams cannot be fitted; simplify to that number instead.")
+        collapses = self._steps.wanted(params)
         corners = np.flatnonzero(self.corner_vertex >= 0)
         # Backwards, so that of all corners of a vertex or wedge the first one counts.
         first = np.zeros(self._steps.vertices, np.int64)

@@ -24,7 +24,7 @@ from stages.spatial_order import is_scattered, ordered, with_rows
 Floats = NDArray[np.float64]
 
 # What the parameters of this method are if they are not given.
-_TEXTURE_WEIGHT = 1.0
+_TEXTURE_WEIGHT = 0.5
 _NORMAL_WEIGHT = 1.0
 _ACROSS_TEXTURES = 0.5
 _ACROSS_PARTS = 0.5
@@ -99,6 +99,7 @@ def _as_it_is(
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
         lock if len(lock) else np.zeros(len(positions), bool),
         knobs=_knobs(params, attributes.uv_scale),
+        fit=params.fit,
         running=running,
         progress=progress,
     )
@@ -126,6 +127,7 @@ def _as_it_is(
         collapses=found.collapses,
         attempts=found.attempts,
         triangles_before=count,
+        fitted=found.fitted,
         record=record,
         similar_distance_m=distance,
         joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,

@@ -30,7 +30,7 @@ _FIGURES = {
         "max_shape_m",
         "max_texture_levels",
     ),
-    "seams": ("similar_distance_m", "joined_vertices", "texture_scale_m", "seam_drift"),
+    "seams": ("fitted", "similar_distance_m", "joined_vertices", "texture_scale_m", "seam_drift"),
     "jia01": (
         "largest_shape_change_m",
         "largest_texture_change_levels",

@@ -109,7 +109,8 @@ class SimplifyParams:
     )
     fit: bool = param(
         True,
-        "quadric: move vertices and colours to fit the input by least squares at the end; boundaries stay.",
+        "quadric, seams: move vertices to fit the input by least squares at the end, with quadric their "
+        "colours too; boundaries stay.",
         group=_ONE_METHOD,
     )
     close_bounds: bool = param(
@@ -148,8 +149,8 @@ class SimplifyParams:
     )
     texture_weight: float | None = param(
         None,
-        "seams: weight of a shift of the texture along the surface against a shift of the surface; "
-        "default: 1.",
+        "seams: weight of a shift of the texture along the surface against a shift of the surface itself; "
+        "default: 0.5.",
         group=_SEAMS,
         low=0,
     )

@@ -17,12 +17,13 @@ pub mod texture;
 pub mod wedges;
 pub mod weld;
 
-use crate::engine::{Engine, Refusal, Stop, Until};
+use crate::engine::{Engine, Merge, Refusal, Stop, Until};
 use crate::error::KernelError;
+use crate::fit::{Input, fit};
 use crate::geometry::Vec3;
-use crate::ids::TriangleId;
+use crate::ids::{TriangleId, VertexId};
 use crate::legality::Illegal;
-use crate::mesh::{Mesh, Pin, check_points};
+use crate::mesh::{Compact, Mesh, Pin, check_points};
 use crate::progress::Progress;
 use measure::{Knobs, Seams, Standing};
 use record::Log;
@@ -60,20 +61,33 @@ pub struct Outcome<const K: usize> {
     pub attempts: u64,
     /// Largest distance in the image between a seam and what it was, as a length.
     pub seam_drift: f64,
+    pub is_fitted: bool,
     pub log: Option<Log<K>>,
 }
 
-/// Collapse until at most `target` triangles are left.
+/// How far to go, and what to do besides.
+#[derive(Clone, Copy, Debug)]
+pub struct Goal {
+    /// Collapse until at most this many triangles are left.
+    pub triangles: usize,
+    /// Move vertices along their normals to fit the input at the end.
+    pub fit: bool,
+    pub record: bool,
+    /// For the fit.
+    pub threads: usize,
+}
+
+/// Collapse as far as the goal says.
 ///
 /// # Errors
 /// [`KernelError`] for an index out of range, a value that is not finite, or when interrupted.
 pub fn simplify<const D: usize, const K: usize>(
     surface: Surface<K>,
     knobs: Knobs,
-    target: usize,
-    record: bool,
+    goal: Goal,
     progress: &mut Progress,
 ) -> Result<Outcome<K>, KernelError> {
+    let target = goal.triangles;
     check_points(&surface.points)?;
     check_points(&surface.corners)?;
     let welded = weld::weld(&surface.sets, &surface.triangles)?;
@@ -98,7 +112,8 @@ pub fn simplify<const D: usize, const K: usize>(
         triangle_source: welded.triangle_source,
         pins,
     };
-    let measure = Seams::<D, K>::new(&mesh, &surface, welded.tie, knobs, record);
+    let measure = Seams::<D, K>::new(&mesh, &surface, welded.tie, knobs, goal.record);
+    let given = goal.fit.then(|| Given::new(&mesh));
     let mut engine = Engine::new(mesh, measure);
     let mut stop = Stop::Exhausted;
     // Told in a hundred steps, so that the loop itself stays as it is.
@@ -116,13 +131,63 @@ pub fn simplify<const D: usize, const K: usize>(
     if left <= target {
         stop = Stop::Target;
     }
-    Ok(gathered(engine, stop))
+    gathered(engine, stop, given, goal.threads, progress)
 }
 
-fn gathered<const D: usize, const K: usize>(engine: Engine<3, Seams<D, K>>, stop: Stop) -> Outcome<K> {
+/// The surface before any collapse.
+struct Given {
+    points: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Given {
+    fn new(mesh: &Mesh<3>) -> Self {
+        let corners = |t| mesh.connectivity.corners(t).map(|v| v.0);
+        Self { points: mesh.points.clone(), triangles: mesh.connectivity.triangles().map(corners).collect() }
+    }
+
+    /// Move what became of it along its normals, to fit it by least squares. Whether that was done: not where sheets
+    /// touch in a way that their vertices alone do not tell.
+    fn fit(
+        &self,
+        mesh: &Mesh<3>,
+        compact: &mut Compact<3>,
+        merges: &[Merge],
+        threads: usize,
+        progress: &Progress,
+    ) -> Result<bool, KernelError> {
+        let Ok(mut light) = Mesh::new(compact.points.clone(), &compact.triangles) else {
+            return Ok(false);
+        };
+        let mut became = vec![VertexId::NONE; self.points.len()];
+        for (number, v) in mesh.connectivity.vertices().enumerate() {
+            became[v.index()] = VertexId::from_index(number);
+            light.pins[number] = mesh.pin(v);
+        }
+        for merge in merges.iter().rev() {
+            became[merge.removed.index()] = became[merge.survivor.index()];
+        }
+        let input = Input { points: &self.points, triangles: &self.triangles, became: &became };
+        fit(&mut light, &input, threads, progress)?;
+        compact.points = light.points;
+        Ok(true)
+    }
+}
+
+fn gathered<const D: usize, const K: usize>(
+    engine: Engine<3, Seams<D, K>>,
+    stop: Stop,
+    given: Option<Given>,
+    threads: usize,
+    progress: &Progress,
+) -> Result<Outcome<K>, KernelError> {
     let attempts = engine.attempts();
     let (mesh, measure, refusals, merges, _) = engine.into_parts();
-    let compact = mesh.compact();
+    let mut compact = mesh.compact();
+    let is_fitted = match given.filter(|_| !merges.is_empty() && stop != Stop::Enough) {
+        Some(given) => given.fit(&mesh, &mut compact, &merges, threads, progress)?,
+        None => false,
+    };
     let mut corners = Vec::with_capacity(3 * compact.triangles.len());
     let mut corner_source = Vec::with_capacity(3 * compact.triangles.len());
     for t in mesh.connectivity.triangles() {
@@ -151,7 +216,8 @@ fn gathered<const D: usize, const K: usize>(engine: Engine<3, Seams<D, K>>, stop
         };
         standing[rule].1 += 1;
     }
-    Outcome {
+    Ok(Outcome {
+        is_fitted,
         points: compact.points,
         triangles: compact.triangles,
         corners,
@@ -164,5 +230,5 @@ fn gathered<const D: usize, const K: usize>(engine: Engine<3, Seams<D, K>>, stop
         attempts,
         seam_drift: measure.largest_drift(),
         log: measure.into_log(),
-    }
+    })
 }

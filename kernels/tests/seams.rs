@@ -9,7 +9,7 @@ use scanloom_kernels::progress::{Control, Progress};
 use scanloom_kernels::seams::measure::Knobs;
 use scanloom_kernels::seams::texture::signed_area;
 use scanloom_kernels::seams::weld::{UNTIED, weld};
-use scanloom_kernels::seams::{Outcome, Surface, simplify};
+use scanloom_kernels::seams::{Goal, Outcome, Surface, simplify};
 
 const KNOBS: Knobs = Knobs {
     across_materials: 0.5,
@@ -49,7 +49,8 @@ fn painted(w: u32, h: u32) -> Surface<2> {
 
 fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
     let control = Control::default();
-    simplify::<5, 2>(surface, knobs, target, true, &mut Progress::new(&control)).expect("a sound surface")
+    let goal = Goal { triangles: target, fit: true, record: true, threads: 1 };
+    simplify::<5, 2>(surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
 }
 
 fn euler(outcome: &Outcome<2>) -> i64 {

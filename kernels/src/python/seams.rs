@@ -10,7 +10,7 @@ use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
 use super::simplified::{Running, stopped_by};
 use crate::seams::measure::Knobs;
-use crate::seams::{Outcome, Surface, simplify};
+use crate::seams::{Goal, Outcome, Surface, simplify};
 
 /// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::measure::Knobs`.
 #[pyclass(frozen)]
@@ -52,6 +52,7 @@ pub struct BySeams {
     collapses: u64,
     attempts: u64,
     seam_drift: f64,
+    fitted: bool,
     log: Option<Py<SeamLog>>,
 }
 
@@ -76,7 +77,7 @@ pub struct SeamLog {
 /// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
 /// then three or six more.
 #[pyfunction]
-#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, fixed, *, knobs, running, progress))]
+#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, fixed, *, knobs, fit, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_seams(
     py: Python<'_>,
@@ -89,6 +90,7 @@ pub fn simplify_seams(
     parts: PyReadonlyArray1<'_, i32>,
     fixed: PyReadonlyArray1<'_, bool>,
     knobs: PyRef<'_, SeamKnobs>,
+    fit: bool,
     running: PyRef<'_, Running>,
     progress: Py<PyAny>,
 ) -> PyResult<BySeams> {
@@ -121,9 +123,9 @@ pub fn simplify_seams(
     };
     let (knobs, running) = (knobs.0, &*running);
     match corners.as_array().ncols() {
-        2 => light.simplify::<5, 2>(py, &corners, knobs, running, &progress),
-        5 => light.simplify::<8, 5>(py, &corners, knobs, running, &progress),
-        8 => light.simplify::<11, 8>(py, &corners, knobs, running, &progress),
+        2 => light.simplify::<5, 2>(py, &corners, knobs, fit, running, &progress),
+        5 => light.simplify::<8, 5>(py, &corners, knobs, fit, running, &progress),
+        8 => light.simplify::<11, 8>(py, &corners, knobs, fit, running, &progress),
         k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
     }
 }
@@ -145,6 +147,7 @@ impl Light {
         py: Python<'_>,
         corners: &PyReadonlyArray2<'_, f64>,
         knobs: Knobs,
+        is_fitted: bool,
         running: &Running,
         progress: &Py<PyAny>,
     ) -> PyResult<BySeams> {
@@ -158,9 +161,15 @@ impl Light {
             parts: self.parts,
             fixed: self.fixed,
         };
-        let (target, record) = (running.goal().triangles, running.goal().record);
+        let running_goal = running.goal();
+        let goal = Goal {
+            triangles: running_goal.triangles,
+            fit: is_fitted,
+            record: running_goal.record,
+            threads: running_goal.threads,
+        };
         let outcome = detached(py, Some(progress), running.partial, |progress| {
-            simplify::<D, K>(surface, knobs, target, record, progress)
+            simplify::<D, K>(surface, knobs, goal, progress)
         })?;
         returned(py, outcome)
     }
@@ -199,6 +208,7 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
         collapses: outcome.collapses as u64,
         attempts: outcome.attempts,
         seam_drift: outcome.seam_drift,
+        fitted: outcome.is_fitted,
         log: log.transpose()?,
     })
 }
