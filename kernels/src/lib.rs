@@ -6,7 +6,7 @@
 //! | [`mesh`] | connectivity + points + where every element came from |
 //! | [`star`] | the neighbourhood of an edge that a collapse sees |
 //! | [`legality`] | what no collapse may do |
-//! | [`queue`], [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
+//! | [`queue`], `front`, [`engine`] | the collapse loop; a [`engine::Measure`] says what varies |
 //! | [`split`] | splitting long edges |
 //! | [`jia01`], [`shape`] | texture-preserving simplification; how far a collapse takes the surface |
 //! | [`partition`], [`patch`], [`rounds`], [`parallel`] | the loop over a mesh of any size, patch by patch, on all threads |
@@ -32,6 +32,7 @@ pub mod engine;
 pub mod error;
 pub mod fan;
 pub mod fit;
+mod front;
 pub mod geometry;
 pub mod ids;
 pub mod jia01;

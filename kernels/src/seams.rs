@@ -17,7 +17,7 @@ pub mod texture;
 pub mod wedges;
 pub mod weld;
 
-use crate::engine::{Engine, Merge, Refusal, Stop, Until};
+use crate::engine::{Engine, Merge, Refusal, Stop};
 use crate::error::KernelError;
 use crate::fit::{Input, fit};
 use crate::geometry::Vec3;
@@ -64,6 +64,9 @@ pub struct Outcome<const K: usize> {
     pub is_fitted: bool,
     pub log: Option<Log<K>>,
 }
+
+/// Edges worked on at a time: what is known of them and around them fits into the caches.
+const WINDOW: usize = 6144;
 
 /// How far to go, and what to do besides.
 #[derive(Clone, Copy, Debug)]
@@ -115,19 +118,9 @@ pub fn simplify<const D: usize, const K: usize>(
     let measure = Seams::<D, K>::new(&mesh, &surface, welded.tie, knobs, goal.record);
     let given = goal.fit.then(|| Given::new(&mesh));
     let mut engine = Engine::new(mesh, measure);
-    let mut stop = Stop::Exhausted;
-    // Told in a hundred steps, so that the loop itself stays as it is.
-    let step = (triangles.saturating_sub(target) / 100).max(1);
-    let mut left = triangles;
-    while left > target {
-        let until = Until { triangles: left.saturating_sub(step).max(target), ..Until::EXHAUSTED };
-        stop = engine.run(until, progress)?;
-        left = engine.mesh().connectivity.triangle_count();
-        progress.tell((triangles - left) as u64, triangles.saturating_sub(target) as u64)?;
-        if stop != Stop::Target {
-            break;
-        }
-    }
+    progress.tell(0, triangles.saturating_sub(target) as u64)?;
+    let mut stop = engine.run_by_windows(target, WINDOW, progress)?;
+    let left = engine.mesh().connectivity.triangle_count();
     if left <= target {
         stop = Stop::Target;
     }
