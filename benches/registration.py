@@ -1,6 +1,7 @@
 """Poses found against true ones, ours beside Open3D's odometry. Prints a Markdown table.
 
-python benches/registration.py SCAN [SCAN ...] [--every N] [--depth-only] [--only NAME ...] [--meshes]
+python benches/registration.py SCAN [SCAN ...] [--every N] [--again N] [--depth-only] [--only NAME ...]
+    [--meshes]
 
 Each SCAN has true poses, which are hidden from all. ATE is the root mean square distance of camera centres
 after the best rigid motion (Umeyama 1991); "scaled" after the best motion with a scale, which takes out
@@ -131,16 +132,18 @@ def main() -> None:
     )
     parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
+    parser.add_argument("--again", type=int, default=1, metavar="N", help="go to and fro N times in all")
     parser.add_argument("--depth-only", action="store_true", help="hide the colours")
     parser.add_argument("--only", nargs="+", choices=RIVALS, default=list(RIVALS), metavar="NAME")
     parser.add_argument("--meshes", action="store_true", help="fuse and compare meshes too")
     options = parser.parse_args()
-    if options.every < 1:
-        parser.error("--every wants 1 or more")
+    if min(options.every, options.again) < 1:
+        parser.error("--every and --again want 1 or more")
     columns = ["scan", "poses", "frames", "pieces", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °"]
     print_head([*columns, "frames/s", *["mesh RMS mm"] * options.meshes], words=2)
     for folder in options.scans:
-        truth = frames_of(folder)[:: options.every]
+        there = frames_of(folder)[:: options.every]
+        truth = [frame for i in range(options.again) for frame in there[:: 1 if i % 2 == 0 else -1]]
         hidden = [hidden_pose(frame, depth_only=options.depth_only) for frame in truth]
         true_mesh = fuse(truth).mesh if options.meshes else None
         for name in options.only:
