@@ -137,7 +137,8 @@ def register(
     ----------
     scan : frames in the order they were taken, with depth; colour helps.
     params : RegisterParams; single fields can be given by name instead.
-    progress : called with the frames that are done and their number.
+    progress : called with the frames that are done and their number, and then with the couples of key frames
+        among them that were looked at for loops.
 
     Raises
     ------
@@ -165,7 +166,7 @@ def register(
             raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
         edges = list(key_edges(chain, max_depth))
         if params.loops:
-            edges += loops(chain, max_depth, given)
+            edges += loops(chain, max_depth, given, progress)
     groups = pieces(len(chain.keys), edges)
     poses, used, wrong = placed_pieces(chain, groups, edges)
     return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from stages.formats.trajectories import inverted
 from stages.prefetch import read_ahead, workers
+from stages.progress import Progress
 from stages.registration.appearance import likeness
 from stages.registration.chain import Chain
 from stages.registration.features import recognise
@@ -24,12 +25,13 @@ _LOOP_POINTS = 25
 _LEAST_LIKENESS = 0.15
 
 
-def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edge]:
+def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: Progress) -> list[Edge]:
     """Return motions between key frames that do not follow each other and show the same place.
 
     Parameters
     ----------
     given : world_from_camera by the frame's place; where all key frames have one, it tells who is near whom.
+    progress : called with the frames and couples that are done, and their number.
     """
     features = [chain.views.features[key] for key in chain.keys]
     depths = np.array([chain.seen[key].depth_m for key in chain.keys])
@@ -59,7 +61,12 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose]) -> list[Edg
     couples = sorted(_near(poses, depths, parts) | _alike(likeness(features), parts))
     threads = workers()
     found = read_ahead(close, couples, threads=threads, ahead=2 * threads)
-    return [edge for edge in found if edge is not None]
+    frames, edges = len(chain.seen) + len(chain.skipped), []
+    for done, edge in enumerate(found, 1):
+        progress(frames + done, frames + len(couples))
+        if edge is not None:
+            edges.append(edge)
+    return edges
 
 
 def _near(
