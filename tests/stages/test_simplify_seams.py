@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from seamed_meshes import (
     charts,
     edge_counts,
@@ -101,6 +103,46 @@ def test_the_chart_check_sees_a_coordinate_outside() -> None:
     uvs[0, 0] -= 0.01
     moved = mesh.with_(texture=Texture(uvs, mesh.texture.material_ids, mesh.texture.materials))
     assert outside_charts(moved, everything, mesh) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
+    """A ball with holes, cut into charts at random, with doubled vertices or not, in part without texture."""
+    rng = np.random.default_rng(seed)
+    mesh = wrapped_ball(int(rng.integers(4, 10)), int(rng.integers(5, 14)), bumps=0.1)
+    assert mesh.texture is not None
+    kept = np.flatnonzero(rng.random(len(mesh.triangles)) < rng.choice([0.85, 1.0]))
+    mesh = mesh.with_triangles(mesh.triangles[kept], kept)
+    count = len(kept)
+    middle = mesh.vertices[mesh.triangles].mean(axis=1)
+    centres = rng.standard_normal((int(rng.integers(1, 8)), 3))
+    chart = np.argmax(middle @ centres.T, axis=1)
+    if rng.random() < 0.3:
+        chart = rng.integers(0, 4, count)
+    assert mesh.texture is not None
+    uvs = mesh.texture.uvs + rng.random((8, 2))[chart][:, None]
+    mirrored = rng.random(8)[chart] < 0.3
+    uvs[mirrored] *= [-1, 1]
+    uvs[rng.random(count) < rng.choice([0.0, 0.1])] = 0
+    ids = rng.integers(-1, 2, 8)[chart].astype(np.int32)
+    vertices, triangles = mesh.vertices, mesh.triangles
+    if rng.random() < 0.6:
+        # As files do: a copy of a vertex for each chart.
+        pairs, corners = np.unique(
+            np.column_stack([triangles.reshape(-1), np.repeat(chart, 3)]), axis=0, return_inverse=True
+        )
+        vertices, triangles = vertices[pairs[:, 0]], corners.reshape(-1, 3).astype(np.int32)
+    cut = Mesh(vertices, triangles, texture=Texture(uvs, ids, (Material("a"), Material("b"))))
+    result = simplify(
+        cut, method="seams", ratio=float(rng.uniform(0.02, 0.9)), record=True, fit=rng.random() < 0.5
+    )
+    assert isinstance(result.record, SeamRecord)
+    assert_sound(result.mesh, result.triangle_source, cut)
+    assert outside_charts(result.mesh, result.triangle_source, cut) == 0
+    for collapses in rng.integers(0, len(result.record.removed) + 1, 3):
+        replayed = result.record.replay(collapses=int(collapses))
+        assert_sound(replayed.mesh, replayed.triangle_source, cut)
 
 
 # -- figure 3 of the paper -------------------------------------------------------------------------------

@@ -589,8 +589,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         }
     }
 
-    /// Whether a collapse would lay an edge where another sheet may have one: between two tied vertices, or to a tied
-    /// vertex that both ends reach in different sheets. The link condition knows nothing of sheets.
+    /// Whether a collapse would lay an edge where there is one already that the link condition does not see, since one
+    /// of its ends is another fan of the same set: a new spoke of the survivor, to or from a tied vertex.
     fn meets_another_sheet(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         if !self.has_ties {
             return false;
@@ -598,11 +598,17 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
         let own = self.tie[kept.index()];
         let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
+        // Whether a vertex has a neighbour in a set, beside one it is known to have.
+        let reaches = |from: VertexId, set: u32, known: VertexId| {
+            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.tie[v.index()] == set)
+        };
         mesh.connectivity.spokes(gone).filter(|(_, v)| *v != kept).any(|(_, v)| {
             let tie = self.tie[v.index()];
-            tie != UNTIED
-                && ((own != UNTIED && (own == tie || !is_apex(v)))
-                    || mesh.connectivity.spokes(kept).any(|(_, u)| u != v && self.tie[u.index()] == tie))
+            if tie != UNTIED {
+                (own != UNTIED && (own == tie || !is_apex(v))) || reaches(kept, tie, v)
+            } else {
+                own != UNTIED && !is_apex(v) && reaches(v, own, kept)
+            }
         })
     }
 }
