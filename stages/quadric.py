@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +11,10 @@ from stages.collapse_record import CollapseRecord
 from stages.color_weight import color_weight
 from stages.mesh import Mesh
 from stages.progress import Progress
+from stages.reordered import reordered
 from stages.simplified import Simplified
 from stages.simplify_params import SimplifyParams
-from stages.spatial_order import is_scattered, ordered, with_rows
+from stages.spatial_order import Rows, is_scattered
 
 # Triangles worked on at a time: small enough for the caches.
 PATCH_TRIANGLES = 8192
@@ -56,21 +55,16 @@ def _in_order(
     progress: Progress,
 ) -> Simplified:
     """Simplify a scattered mesh in an order that suits the caches; the result is in that of the input."""
-    order = ordered(mesh)
-    factors = importance[order.vertices] if len(importance) else importance
+
+    def run(mesh: Mesh, vertices: Rows) -> Simplified:
+        factors = importance[vertices] if len(importance) else importance
+        return _as_it_is(mesh, params, lock[vertices], factors, running, progress)
+
     try:
-        found = _as_it_is(order.mesh, params, lock[order.vertices], factors, running, progress)
+        return reordered(mesh, run)
     except _kernels.InvalidMeshError:
         # The message has to name what is wrong as the caller knows it.
         return _as_it_is(mesh, params, lock, importance, running, progress)
-    sources = order.vertices[found.vertex_source], order.triangles[found.triangle_source]
-    vertices, triangles = (np.argsort(source) for source in sources)
-    return replace(
-        found,
-        mesh=with_rows(found.mesh, vertices, triangles),
-        vertex_source=sources[0][vertices].astype(np.int32),
-        triangle_source=sources[1][triangles].astype(np.int32),
-    )
 
 
 def _as_it_is(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,13 @@ from stages.color_weight import color_weight
 from stages.mesh import Mesh
 from stages.progress import Progress
 from stages.raycasting import bounding_box
+from stages.reordered import reordered
 from stages.seam_attributes import SeamAttributes, SeamState
 from stages.seam_record import LOGGED, SeamRecord
 from stages.similar import default_similar_distance, similar_sets
 from stages.simplified import Simplified
 from stages.simplify_params import SimplifyParams
-from stages.spatial_order import is_scattered, ordered, with_rows
+from stages.spatial_order import Rows, is_scattered
 
 Floats = NDArray[np.float64]
 
@@ -60,16 +60,11 @@ def _in_order(
     progress: Progress,
 ) -> Simplified:
     """Simplify a scattered mesh in an order that suits the caches; the result is in that of the input."""
-    order = ordered(mesh)
-    found = _as_it_is(order.mesh, params, lock[order.vertices] if len(lock) else lock, running, progress)
-    sources = order.vertices[found.vertex_source], order.triangles[found.triangle_source]
-    vertices, triangles = (np.argsort(source, kind="stable") for source in sources)
-    return replace(
-        found,
-        mesh=with_rows(found.mesh, vertices, triangles),
-        vertex_source=sources[0][vertices].astype(np.int32),
-        triangle_source=sources[1][triangles].astype(np.int32),
-    )
+
+    def run(mesh: Mesh, vertices: Rows) -> Simplified:
+        return _as_it_is(mesh, params, lock[vertices] if len(lock) else lock, running, progress)
+
+    return reordered(mesh, run)
 
 
 def _as_it_is(
