@@ -20,12 +20,12 @@ from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.params import resolve
 from stages.patches import Patches
-from stages.planar_params import PatchParams
+from stages.planar_params import MAX_TEXTURE, PatchParams
 from stages.progress import Progress, silent
 from stages.raycasting import bounding_box
 from stages.simplified import Simplified
 
-VERSION = 1
+VERSION = 2
 
 _SHAPE_PER_DIAGONAL = 0.005
 _FARTHEST_COLORS = 255 * math.sqrt(3)
@@ -144,7 +144,7 @@ def by_patches(
         color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
         iterations=result.rounds,
         max_shape_m=shape,
-        max_texture_levels=params.max_texture,
+        max_texture_levels=color if with_color else None,
         patches=_patches(result, given.origin),
         triangle_patch=result.triangle_patch,
         kept_patches=int(result.kept.sum()),
@@ -169,7 +169,9 @@ def _bounds(mesh: Mesh, params: PatchParams) -> tuple[float, float]:
         low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
         # A mesh without extent has nothing to bound.
         shape = _SHAPE_PER_DIAGONAL * float(np.linalg.norm(high - low)) or 1.0
-    return shape, math.inf if params.max_texture is None else params.max_texture
+    if mesh.colors is None:
+        return shape, math.inf
+    return shape, MAX_TEXTURE if params.max_texture is None else params.max_texture
 
 
 def _patches(found: _kernels.PlanarPatches, origin: NDArray[np.float64]) -> Patches:

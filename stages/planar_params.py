@@ -9,6 +9,8 @@ from typing import Any
 from stages.errors import UsageError
 from stages.params import check, param
 
+# At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
+MAX_TEXTURE = 60.0
 PATCH_ANGLE = 40.0
 CREASE_ANGLE = 40.0
 NOISE_ANGLE = 75.0
@@ -71,7 +73,8 @@ class PatchParams:
     max_texture: float | None = param(
         None,
         "Largest difference of colour, likewise, Euclidean over the channels; the colours of a patch are "
-        "within 0.4 of that of a linear function. No bound if not given.",
+        f"within 0.4 of that of a linear function. Default for coloured meshes: {MAX_TEXTURE:g}; 1000 is no "
+        "bound in effect.",
         unit="8-bit levels",
         low=0,
     )

@@ -20,7 +20,7 @@ from stages.simplify_params import SimplifyParams
 
 __all__ = ["VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-VERSION = 8
+VERSION = 9
 
 
 def simplify(

@@ -73,7 +73,8 @@ class SimplifyParams:
         "either surface and that at any nearest point of the other; no bound if not given. jia01: the "
         "strongest contrast in the neighbourhood of a collapse, summed over the collapses around an edge, "
         "which far exceeds the colour error that results; default: 400. planar: largest difference "
-        "between the colours of a point and of its counterpart on the other surface; no bound if not given.",
+        "between the colours of a point and of its counterpart on the other surface; default for coloured "
+        f"meshes: {planar_params.MAX_TEXTURE:g}, and 1000 is no bound in effect.",
         group=_HOW_FAR,
         unit="8-bit levels",
         low=0,

@@ -31,7 +31,7 @@ pub mod reasons;
 pub mod retriangulate;
 pub mod straighten;
 
-use assemble::Assembled;
+use assemble::{Assembled, Known};
 
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
@@ -126,21 +126,27 @@ pub fn simplify<const D: usize, const K: usize>(
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Planar, KernelError> {
-    let mut patches = propagate::propagate::<D, K>(mesh, options, progress)?;
-    let mut is_last = false;
+    let facets = facets(mesh, options.threads);
+    let mut patches = propagate::propagate::<D, K>(mesh, &facets, options, progress)?;
+    let mut known = None;
     loop {
-        match assemble::assemble(mesh, patches, options, is_last, progress)? {
+        match assemble::assemble(mesh, patches, options, known, progress)? {
             Assembled::Whole(planar) => return Ok(*planar),
-            Assembled::Folded(found, is_folded) => {
-                patches = propagate::separate::<D, K>(mesh, &found, &is_folded, options, progress)?;
-                is_last = true;
+            Assembled::Folded { patches: found, is_folded, first } => {
+                let was;
+                (patches, was) =
+                    propagate::separate::<D, K>(mesh, &facets, &found, &is_folded, options, progress)?;
+                known = Some(Known { was, first });
             }
         }
     }
 }
 
-/// Unit normal and area of each triangle; a triangle without area has the normal 0.
-pub fn facets<const D: usize>(mesh: &Mesh<D>, threads: usize) -> Vec<(Vec3, f64)> {
+/// Unit normal and area of a triangle; one without area has the normal 0.
+pub type Facet = (Vec3, f64);
+
+/// Of each triangle.
+pub fn facets<const D: usize>(mesh: &Mesh<D>, threads: usize) -> Vec<Facet> {
     use crate::geometry::{cross, norm2, position, sub};
     let mut facets = vec![([0.0; 3], 0.0); mesh.connectivity.triangle_slots()];
     crate::parallel::fill(&mut facets, threads, |t| {

@@ -156,7 +156,7 @@ def test_a_cylinder_closes_around_itself() -> None:
 
 def test_no_vertex_lies_on_an_edge_of_others() -> None:
     """A T-junction would be an edge that one side has whole and the other in two parts: a boundary."""
-    mesh = MESHES["ball"]()
+    mesh = MESHES["ball"]().with_(colors=None)
     result = planar(mesh, max_shape=0.05)
     assert topology(result.mesh).boundary_loops == 0
     assert len(result.mesh.triangles) < 0.2 * len(mesh.triangles)
@@ -184,9 +184,14 @@ def test_colours_stop_patches_and_counterparts_have_them() -> None:
     x, y = mesh.vertices[:, :2].T
     levels = np.stack([255 * x, 255 * y, 128 + 60 * np.sin(5 * x) * np.cos(4 * y)], 1)
     mesh = mesh.with_(colors=np.rint(levels).astype(np.uint8))
-    free = planar(mesh, max_shape=0.05)
+    free = planar(mesh, max_shape=0.05, max_texture=1000)
     held = planar(mesh, max_shape=0.05, max_texture=15)
     assert len(free.mesh.triangles) < len(held.mesh.triangles) < len(mesh.triangles)
+    # Texture is not lost where nobody asks for a bound.
+    usual = planar(mesh, max_shape=0.05)
+    assert usual.max_texture_levels == 60
+    assert 0 < (usual.color_bound_levels or 0) <= 60
+    assert planar(mesh.with_(colors=None), max_shape=0.05).max_texture_levels is None
     assert 0 < (held.color_bound_levels or 0) <= 15
     assert_counterparts(held, mesh, 500)
     # A ramp is linear, however far it goes.

@@ -22,6 +22,7 @@ const MOST_TRIES: u8 = 8;
 /// Patches that one thread takes at a time.
 const BATCH: usize = 64;
 
+#[derive(Clone)]
 enum Outcome {
     New(Vec<([u32; 3], u32)>),
     /// Vertices without which there is no triangulation.
@@ -37,11 +38,29 @@ enum Outcome {
 /// What comes of an assembly.
 pub enum Assembled {
     Whole(Box<Planar>),
-    /// The patches, and which of them lie over themselves, seen along their normals.
-    Folded(Patches, Vec<bool>),
+    /// Some patches lie over themselves, seen along their normals.
+    Folded {
+        patches: Patches,
+        is_folded: Vec<bool>,
+        first: First,
+    },
 }
 
-/// With `is_last`, patches that lie over themselves keep their triangles.
+/// What comes of the patches before any two of them have to agree.
+pub struct First {
+    /// Vertices on borders that stay.
+    stays: Vec<bool>,
+    outcomes: Vec<Outcome>,
+}
+
+/// An assembly of patches of which some have been divided since.
+pub struct Known {
+    /// Which of its patches each one is; none for those that are new.
+    pub was: Vec<Option<u32>>,
+    pub first: First,
+}
+
+/// Where an assembly is `known` already, patches that lie over themselves keep their triangles.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -49,11 +68,13 @@ pub fn assemble<const D: usize>(
     mesh: &Mesh<D>,
     patches: Patches,
     options: &Options,
-    is_last: bool,
+    mut known: Option<Known>,
     progress: &mut Progress,
 ) -> Result<Assembled, KernelError> {
-    let borders = trace(&mesh.connectivity, &patches, progress)?;
-    let stays = straighten(mesh, &patches, &borders, options, progress)?;
+    let is_last = known.is_some();
+    let borders = trace(&mesh.connectivity, &patches, options.threads, progress)?;
+    let before = known.as_ref().map(|known| (known.first.stays.as_slice(), known.was.as_slice()));
+    let stays = straighten(mesh, &patches, &borders, before, options, progress)?;
     let count = patches.patches.len();
     let mut assembly = Assembly {
         mesh,
@@ -67,21 +88,29 @@ pub fn assemble<const D: usize>(
         tries: vec![0; count],
         forbidden: vec![],
         triangles: vec![vec![]; count],
+        edges: vec![],
+        has_changed: vec![true; count],
         rounds: 0,
     };
+    let stays = if is_last { vec![] } else { assembly.stays.clone() };
+    let mut first = First { stays, outcomes: vec![] };
     let mut open: Vec<u32> = (0..count as u32).collect();
     while !open.is_empty() {
-        open = assembly.settle(open, progress)?;
+        let outcomes = assembly.outcomes(&open, known.take().as_ref(), progress)?;
+        if assembly.rounds == 1 && !is_last {
+            first.outcomes = outcomes.clone();
+        }
+        open = assembly.settle(&open, outcomes);
         if open.is_empty() && !is_last && assembly.is_folded.contains(&true) {
             let is_folded = assembly.is_folded;
-            return Ok(Assembled::Folded(patches, is_folded));
+            return Ok(Assembled::Folded { patches, is_folded, first });
         }
         if open.is_empty() {
             open = assembly.conflicts();
         }
     }
     let bounds = assembly.bounds();
-    let refused = reasons::count(mesh, &patches, options);
+    let refused = reasons::count(mesh, &patches, &borders, options);
     let (vertex_source, triangles, triangle_source, triangle_patch) = assembly.output();
     let (kept, rounds) = (assembly.kept, assembly.rounds);
     Ok(Assembled::Whole(Box::new(Planar {
@@ -128,6 +157,10 @@ struct Assembly<'a, const D: usize> {
     forbidden: Vec<(u32, [VertexId; 2])>,
     /// The triangles of each patch that does not keep its own, and their sources.
     triangles: Vec<Vec<([u32; 3], u32)>>,
+    /// Of the result, sorted, but for the patches that have changed.
+    edges: Vec<Edge>,
+    /// Patches whose edges may be others since these were gathered.
+    has_changed: Vec<bool>,
     rounds: usize,
 }
 
@@ -137,9 +170,15 @@ impl<const D: usize> Assembly<'_, D> {
         Polygon::new(self.mesh, self.borders, number, &self.patches.patches[number], &self.stays)
     }
 
-    /// Triangulate some patches; returns those that have to be done again.
-    fn settle(&mut self, open: Vec<u32>, progress: &Progress) -> Result<Vec<u32>, KernelError> {
+    /// Triangulate some patches.
+    fn outcomes(
+        &mut self,
+        open: &[u32],
+        known: Option<&Known>,
+        progress: &Progress,
+    ) -> Result<Vec<Outcome>, KernelError> {
         self.rounds += 1;
+        let outcome = |&p: &u32| self.known_outcome(p, known).unwrap_or_else(|| self.retriangulate(p));
         let batches = open.len().div_ceil(BATCH);
         let outcomes = parallel::map(
             batches,
@@ -148,12 +187,30 @@ impl<const D: usize> Assembly<'_, D> {
             |_, batch| {
                 let end = open.len().min((batch + 1) * BATCH);
                 progress.check()?;
-                Ok(open[batch * BATCH..end].iter().map(|&p| self.retriangulate(p)).collect::<Vec<_>>())
+                Ok(open[batch * BATCH..end].iter().map(outcome).collect::<Vec<_>>())
             },
         );
-        let mut again = vec![];
         let outcomes = outcomes.into_iter().collect::<Result<Vec<_>, KernelError>>()?;
-        for (&patch, outcome) in open.iter().zip(outcomes.into_iter().flatten()) {
+        Ok(outcomes.into_iter().flatten().collect())
+    }
+
+    /// What has come of a patch before, if it and what stays of its border are the same.
+    fn known_outcome(&self, patch: u32, known: Option<&Known>) -> Option<Outcome> {
+        let known = known?;
+        let was = known.was[patch as usize]?;
+        let mut border = self.borders.loops(patch as usize).flatten();
+        let is_same = |&h: &HalfedgeId| {
+            let v = self.mesh.connectivity.origin(h).index();
+            self.stays[v] == known.first.stays[v]
+        };
+        border.all(is_same).then(|| known.first.outcomes[was as usize].clone())
+    }
+
+    /// Take what has come of some patches; returns those that have to be done again.
+    fn settle(&mut self, open: &[u32], outcomes: Vec<Outcome>) -> Vec<u32> {
+        let mut again = vec![];
+        for (&patch, outcome) in open.iter().zip(outcomes) {
+            self.has_changed[patch as usize] = true;
             match outcome {
                 Outcome::New(triangles) => self.triangles[patch as usize] = triangles,
                 Outcome::PutBack(vertices) => {
@@ -172,7 +229,7 @@ impl<const D: usize> Assembly<'_, D> {
                 }
             }
         }
-        Ok(self.once_each(again))
+        self.once_each(again)
     }
 
     fn once_each(&self, mut again: Vec<u32>) -> Vec<u32> {
@@ -191,6 +248,7 @@ impl<const D: usize> Assembly<'_, D> {
 
     fn keep(&mut self, patch: u32, again: &mut Vec<u32>) {
         self.kept[patch as usize] = true;
+        self.has_changed[patch as usize] = true;
         self.triangles[patch as usize] = vec![];
         let borders = self.borders;
         for &h in borders.loops(patch as usize).flatten() {
@@ -321,20 +379,7 @@ type Edge = ([VertexId; 2], Kind, u32, u32);
 impl<const D: usize> Assembly<'_, D> {
     /// Resolve what makes the result no manifold; returns the patches that have to be done again.
     fn conflicts(&mut self) -> Vec<u32> {
-        let batches = self.patches.patches.len().div_ceil(BATCH);
-        let mut edges: Vec<Edge> = parallel::map(
-            batches,
-            self.options.threads,
-            || (),
-            |_, batch| {
-                let end = self.patches.patches.len().min((batch + 1) * BATCH);
-                (batch * BATCH..end).flat_map(|p| self.edges(p as u32)).collect::<Vec<_>>()
-            },
-        )
-        .into_iter()
-        .flatten()
-        .collect();
-        edges.sort_unstable();
+        let edges = self.gathered_edges();
         let mut again = vec![];
         for same in edges.chunk_by(|e, f| e.0 == f.0) {
             // The first may stay, seen from both sides.
@@ -343,12 +388,37 @@ impl<const D: usize> Assembly<'_, D> {
                 self.resolve(edge, &mut again);
             }
         }
+        self.edges = edges;
         self.forbidden.sort_unstable();
         self.forbidden.dedup();
         if again.is_empty() {
             self.look_at_whole(&mut again);
         }
         self.once_each(again)
+    }
+
+    /// All edges, sorted; those of patches that have not changed are known.
+    fn gathered_edges(&mut self) -> Vec<Edge> {
+        let count = self.has_changed.len();
+        let changed: Vec<u32> = (0..count as u32).filter(|&p| self.has_changed[p as usize]).collect();
+        let mut fresh: Vec<Edge> = parallel::map(
+            changed.len().div_ceil(BATCH),
+            self.options.threads,
+            || (),
+            |_, batch| {
+                let end = changed.len().min((batch + 1) * BATCH);
+                changed[batch * BATCH..end].iter().flat_map(|&p| self.edges(p)).collect::<Vec<_>>()
+            },
+        )
+        .concat();
+        fresh.sort_unstable();
+        let mut edges = std::mem::take(&mut self.edges);
+        edges.retain(|edge| !self.has_changed[edge.3 as usize]);
+        edges.extend(fresh);
+        // Of two sorted runs a stable sort makes one.
+        edges.sort();
+        self.has_changed.fill(false);
+        edges
     }
 
     fn edges(&self, patch: u32) -> Vec<Edge> {

@@ -4,7 +4,11 @@ use super::{Patches, is_border};
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
 use crate::ids::{HalfedgeId, VertexId};
+use crate::parallel;
 use crate::progress::Progress;
+
+/// Halfedges that one thread looks at in one go.
+const BATCH: u32 = 1 << 16;
 
 /// The borders of all patches; each border halfedge has its patch on the left.
 #[derive(Clone, Debug)]
@@ -21,6 +25,11 @@ pub struct Borders {
 }
 
 impl Borders {
+    /// All border halfedges.
+    pub fn all(&self) -> &[HalfedgeId] {
+        &self.halfedges
+    }
+
     /// The loops of a patch, each as the halfedges along it.
     pub fn loops(&self, patch: usize) -> impl ExactSizeIterator<Item = &[HalfedgeId]> {
         let range = self.patches[patch] as usize..self.patches[patch + 1] as usize;
@@ -53,6 +62,7 @@ pub fn next_border(connectivity: &Connectivity, of: &[u32], h: HalfedgeId) -> Ha
 pub fn trace(
     connectivity: &Connectivity,
     patches: &Patches,
+    threads: usize,
     progress: &mut Progress,
 ) -> Result<Borders, KernelError> {
     let of = &patches.of;
@@ -64,8 +74,17 @@ pub fn trace(
         degree: vec![0; connectivity.vertex_slots()],
         inside: vec![0; patches.patches.len()],
     };
-    let all: Vec<HalfedgeId> =
-        (0..count).map(HalfedgeId).filter(|&h| is_border(connectivity, of, h)).collect();
+    let all = parallel::map(
+        count.div_ceil(BATCH) as usize,
+        threads,
+        || (),
+        |_, batch| {
+            let from = batch as u32 * BATCH;
+            let halfedges = (from..count.min(from + BATCH)).map(HalfedgeId);
+            halfedges.filter(|&h| is_border(connectivity, of, h)).collect::<Vec<_>>()
+        },
+    )
+    .concat();
     for &h in &all {
         borders.degree[connectivity.origin(h).index()] += 1;
         if connectivity.twin(h).is_none() {

@@ -6,7 +6,7 @@
 
 use super::fit::{Fit, Moments, frame};
 use super::overlap::{Flat, Sheet};
-use super::{Options, Patch, Patches, facets};
+use super::{Facet, Options, Patch, Patches};
 use crate::connectivity::Connectivity;
 use crate::error::KernelError;
 use crate::geometry::{Vec3, dot, norm2, position, sub};
@@ -44,39 +44,43 @@ const CLASSES: usize = 256;
 /// [`KernelError::Interrupted`].
 pub fn propagate<const D: usize, const K: usize>(
     mesh: &Mesh<D>,
+    facets: &[Facet],
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Patches, KernelError> {
-    let mut growth = Growth::<D, K>::new(mesh, options);
-    let seeds = growth.flattest_first();
+    let mut growth = Growth::<D, K>::new(mesh, facets, options);
+    let all: Vec<u32> = (0..facets.len() as u32).collect();
+    let seeds = growth.flattest_first(&all);
     growth.grow_all(&seeds, progress)?;
     if options.noise <= 1.0 {
         growth.absorb();
         growth.grow_all(&seeds, progress)?;
     }
-    Ok(growth.largest_first())
+    Ok(growth.largest_first().0)
 }
 
-/// Grow those patches again that lie over themselves, seen along their normals, as several that do not.
+/// Grow those patches again that lie over themselves, seen along their normals, as several that do not. Returns
+/// also which of the former patches each is; none for those that are new.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
 pub fn separate<const D: usize, const K: usize>(
     mesh: &Mesh<D>,
+    facets: &[Facet],
     patches: &Patches,
     is_folded: &[bool],
     options: &Options,
     progress: &mut Progress,
-) -> Result<Patches, KernelError> {
-    let mut growth = Growth::<D, K>::new(mesh, options);
+) -> Result<(Patches, Vec<Option<u32>>), KernelError> {
+    let mut growth = Growth::<D, K>::new(mesh, facets, options);
     let free = |t: &u32| is_folded[patches.of[*t as usize] as usize];
+    let all: Vec<u32> = (0..facets.len() as u32).filter(free).collect();
     growth.of.fill(TAKEN);
-    let mut seeds = growth.flattest_first();
-    seeds.retain(free);
+    let seeds = growth.flattest_first(&all);
     seeds.iter().for_each(|&t| growth.of[t as usize] = NONE);
     growth.were = &patches.of;
     growth.grow_all(&seeds, progress)?;
-    let again = growth.largest_first();
+    let (again, _) = growth.largest_first();
     // The patches that stand, and these.
     let kept: Vec<u32> = (0..is_folded.len() as u32).filter(|&p| !is_folded[p as usize]).collect();
     let mut number = vec![NONE; is_folded.len()];
@@ -87,13 +91,15 @@ pub fn separate<const D: usize, const K: usize>(
         .iter()
         .zip(&again.of)
         .map(|(&was, &now)| if now == TAKEN { number[was as usize] } else { now + kept.len() as u32 });
-    Ok(by_area(all, of.collect(), patches.looks + again.looks))
+    let (patches, order) = by_area(all, of.collect(), patches.looks + again.looks);
+    Ok((patches, order.into_iter().map(|id| kept.get(id as usize).copied()).collect()))
 }
 
 struct Growth<'a, const D: usize, const K: usize> {
     mesh: &'a Mesh<D>,
     options: &'a Options,
-    facets: Vec<(Vec3, f64)>,
+    facets: &'a [Facet],
+    has_pins: bool,
     of: Vec<u32>,
     grown: Vec<Grown<K>>,
     releases: Vec<u8>,
@@ -104,6 +110,10 @@ struct Growth<'a, const D: usize, const K: usize> {
     extent: (usize, f64),
     /// Triangles of the patch that grows, in the order they joined.
     members: Vec<u32>,
+    /// Their vertices: those of the seed, then the one that each other triangle brought with it.
+    vertices: Vec<VertexId>,
+    /// Of the members.
+    area: f64,
     thickness: f64,
     residual2: f64,
     looks: u64,
@@ -120,32 +130,35 @@ struct Grown<const K: usize> {
 }
 
 impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
-    fn new(mesh: &'a Mesh<D>, options: &'a Options) -> Self {
-        let facets = facets(mesh, options.threads);
+    fn new(mesh: &'a Mesh<D>, facets: &'a [Facet], options: &'a Options) -> Self {
         let count = facets.len();
         Self {
             mesh,
             options,
             facets,
+            has_pins: mesh.pins.iter().any(|pin| *pin != Pin::Free),
             of: vec![NONE; count],
             grown: vec![],
             releases: vec![0; count],
             were: &[],
             extent: (0, 0.0),
             members: vec![],
+            vertices: vec![],
+            area: 0.0,
             thickness: FOR_THICKNESS * options.max_distance,
             residual2: (FOR_RESIDUAL * options.max_color).powi(2),
             looks: 0,
         }
     }
 
-    /// Triangles sorted by the sharpest of their edges; in a class by number.
-    fn flattest_first(&self) -> Vec<u32> {
-        let mut classes = vec![0u8; self.of.len()];
-        crate::parallel::fill(&mut classes, self.options.threads, |t| {
+    /// Some triangles sorted by the sharpest of their edges; in a class as they were.
+    fn flattest_first(&self, triangles: &[u32]) -> Vec<u32> {
+        let mut classes = vec![0u8; triangles.len()];
+        crate::parallel::fill(&mut classes, self.options.threads, |i| {
+            let t = triangles[i];
             let sharpest = self
-                .beside(t as u32)
-                .map(|(other, _)| dot(&self.facets[t].0, &self.facets[other as usize].0))
+                .beside(t)
+                .map(|other| dot(&self.facets[t as usize].0, &self.facets[other as usize].0))
                 .fold(1.0, f64::min);
             // By angle, roughly: 1 − cosine grows with its square.
             let angle = (0.5 * (1.0 - sharpest)).max(0.0).sqrt();
@@ -155,21 +168,21 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         classes.iter().for_each(|&class| next[class as usize + 1] += 1);
         (0..CLASSES).for_each(|class| next[class + 1] += next[class]);
         let mut sorted = vec![0; classes.len()];
-        for (t, &class) in classes.iter().enumerate() {
-            sorted[next[class as usize]] = t as u32;
+        for (&t, &class) in triangles.iter().zip(&classes) {
+            sorted[next[class as usize]] = t;
             next[class as usize] += 1;
         }
         sorted
     }
 
-    /// The triangles beside one, each with its vertex across the common edge.
+    /// The triangles beside one.
     #[inline]
-    fn beside(&self, t: u32) -> impl Iterator<Item = (u32, VertexId)> + '_ {
+    fn beside(&self, t: u32) -> impl Iterator<Item = u32> + '_ {
         let connectivity = &self.mesh.connectivity;
         (3 * t..3 * t + 3)
             .map(move |h| connectivity.twin(HalfedgeId(h)))
             .filter(|twin| twin.is_some())
-            .map(move |twin| (Connectivity::triangle(twin).0, connectivity.origin(Connectivity::prev(twin))))
+            .map(|twin| Connectivity::triangle(twin).0)
     }
 
     fn corners(&self, t: u32) -> [&[f64; D]; 3] {
@@ -177,7 +190,8 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
     }
 
     fn is_pinned(&self, t: u32) -> bool {
-        self.mesh.connectivity.corners(TriangleId(t)).iter().any(|&v| self.mesh.pin(v) != Pin::Free)
+        let is_pinned = |&v: &VertexId| self.mesh.pin(v) != Pin::Free;
+        self.has_pins && self.mesh.connectivity.corners(TriangleId(t)).iter().any(is_pinned)
     }
 
     fn grow_all(&mut self, seeds: &[u32], progress: &mut Progress) -> Result<(), KernelError> {
@@ -234,13 +248,22 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
 
     fn start(&mut self, seed: u32, id: u32) -> Moments<D, K> {
         self.members.clear();
-        self.members.push(seed);
-        self.of[seed as usize] = id;
+        self.vertices.clear();
+        self.area = 0.0;
+        self.vertices.extend(self.mesh.connectivity.corners(TriangleId(seed)));
+        self.join(seed, id);
         let corners = self.corners(seed);
         let mut moments = Moments::new(position(corners[0]));
         corners.iter().for_each(|p| moments.add_vertex(p));
         moments.add_normal(&self.facets[seed as usize]);
         moments
+    }
+
+    #[inline]
+    fn join(&mut self, t: u32, id: u32) {
+        self.of[t as usize] = id;
+        self.members.push(t);
+        self.area += self.facets[t as usize].1;
     }
 
     /// The paper's growth: the mean normal, and here the plane and the colours, follow after each layer.
@@ -265,14 +288,15 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                     if !self.is_alike(from, to, &fit.normal) {
                         continue;
                     }
-                    let p = self.mesh.point(self.mesh.connectivity.origin(Connectivity::prev(twin)));
+                    let across = self.mesh.connectivity.origin(Connectivity::prev(twin));
+                    let p = self.mesh.point(across);
                     let suits = K == 0
                         || fit.residual2(p) <= self.residual2
                         || (is_young && fit.residual2_of_mean(p) <= self.residual2);
                     let fits = fit.height(p).abs() <= half && suits;
                     if fits && !self.is_pinned(to) {
-                        self.of[to as usize] = id;
-                        self.members.push(to);
+                        self.join(to, id);
+                        self.vertices.push(across);
                         moments.add_vertex(p);
                         moments.add_normal(&self.facets[to as usize]);
                     }
@@ -301,15 +325,19 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                 }
                 let to = Connectivity::triangle(twin).0;
                 self.looks += 1;
+                if self.of[to as usize] != NONE {
+                    continue;
+                }
                 let is_alike = if sheet.is_some() {
                     self.was_alike(from, to, &fit.normal)
                 } else {
                     self.is_alike(from, to, &fit.normal)
                 };
-                if self.of[to as usize] != NONE || !is_alike {
+                if !is_alike {
                     continue;
                 }
-                let p = self.mesh.point(self.mesh.connectivity.origin(Connectivity::prev(twin)));
+                let across = self.mesh.connectivity.origin(Connectivity::prev(twin));
+                let p = self.mesh.point(across);
                 let height = fit.height(p);
                 let wider = [heights[0].min(height), heights[1].max(height)];
                 let is_flat = wider[1] - wider[0] <= self.thickness;
@@ -317,8 +345,8 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                 let is_over = |sheet: &mut Sheet| !sheet.add(self.flat(to, &frame(&fit.normal)));
                 if fits && !sheet.as_mut().is_some_and(is_over) {
                     heights = wider;
-                    self.of[to as usize] = id;
-                    self.members.push(to);
+                    self.join(to, id);
+                    self.vertices.push(across);
                 }
             }
         }
@@ -369,11 +397,12 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
             if *area > 0.0 && dot(normal, &fit.normal) <= LEAST_COSINE {
                 return None;
             }
-            for p in self.corners(t) {
-                let height = fit.height(p);
-                heights = [heights[0].min(height), heights[1].max(height)];
-                residual2 = residual2.max(fit.residual2(p));
-            }
+        }
+        for &v in &self.vertices {
+            let p = self.mesh.point(v);
+            let height = fit.height(p);
+            heights = [heights[0].min(height), heights[1].max(height)];
+            residual2 = residual2.max(fit.residual2(p));
             if heights[1] - heights[0] > self.thickness || (K > 0 && residual2 > self.residual2) {
                 return None;
             }
@@ -388,7 +417,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let patch = Patch {
             seed,
             faces: self.members.len() as u32,
-            area: self.members.iter().map(|&t| self.facets[t as usize].1).sum(),
+            area: self.area,
             normal: fit.normal,
             origin: fit.origin,
             heights: [0.0; 2],
@@ -405,7 +434,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let mut wave: Vec<u32> = vec![];
         for t in 0..self.of.len() as u32 {
             let own = self.of[t as usize] as usize;
-            if !is_loose[own] && self.beside(t).any(|(other, _)| is_loose[self.of[other as usize] as usize]) {
+            if !is_loose[own] && self.beside(t).any(|other| is_loose[self.of[other as usize] as usize]) {
                 wave.push(t);
             }
         }
@@ -471,7 +500,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         }
     }
 
-    fn largest_first(self) -> Patches {
+    fn largest_first(self) -> (Patches, Vec<u32>) {
         let settled = |grown: &Grown<K>| Patch {
             heights: grown.heights,
             residual: grown.residual2.sqrt(),
@@ -481,8 +510,8 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
     }
 }
 
-/// Patches numbered by area, largest first.
-fn by_area(patches: Vec<Patch>, mut of: Vec<u32>, looks: u64) -> Patches {
+/// Patches numbered by area, largest first, and which each was before.
+fn by_area(patches: Vec<Patch>, mut of: Vec<u32>, looks: u64) -> (Patches, Vec<u32>) {
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
     order.sort_by(|&a, &b| {
         let area = |id: u32| patches[id as usize].area;
@@ -491,7 +520,8 @@ fn by_area(patches: Vec<Patch>, mut of: Vec<u32>, looks: u64) -> Patches {
     let mut number = vec![0; patches.len()];
     order.iter().zip(0..).for_each(|(&old, new)| number[old as usize] = new);
     of.iter_mut().filter(|id| **id != TAKEN).for_each(|id| *id = number[*id as usize]);
-    Patches { patches: order.iter().map(|&id| patches[id as usize]).collect(), of, looks }
+    let patches = order.iter().map(|&id| patches[id as usize]).collect();
+    (Patches { patches, of, looks }, order)
 }
 
 fn around(heights: [f64; 3]) -> [f64; 2] {

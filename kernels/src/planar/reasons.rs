@@ -1,10 +1,11 @@
 //! What keeps two patches apart.
 
+use super::border::Borders;
 use super::propagate::FOR_THICKNESS;
-use super::{Options, Patches, is_border};
+use super::{Options, Patches};
 use crate::connectivity::Connectivity;
 use crate::geometry::{cross, dot, position, sub, unit};
-use crate::ids::{HalfedgeId, TriangleId};
+use crate::ids::TriangleId;
 use crate::mesh::Mesh;
 
 /// The paper's two criteria; the bound on distance; else colours, a pinned vertex, or that another patch was there
@@ -12,7 +13,12 @@ use crate::mesh::Mesh;
 pub const REASONS: [&str; 4] = ["fidelity", "detail", "shape", "other"];
 
 /// Edges of the mesh between two patches, by the first of the reasons that holds for the patches on both sides.
-pub fn count<const D: usize>(mesh: &Mesh<D>, patches: &Patches, options: &Options) -> [u64; 4] {
+pub fn count<const D: usize>(
+    mesh: &Mesh<D>,
+    patches: &Patches,
+    borders: &Borders,
+    options: &Options,
+) -> [u64; 4] {
     let connectivity = &mesh.connectivity;
     // Few triangles are at a border; their normals are had again at once.
     let normal = |t: u32| {
@@ -31,9 +37,9 @@ pub fn count<const D: usize>(mesh: &Mesh<D>, patches: &Patches, options: &Option
         high - low <= FOR_THICKNESS * options.max_distance
     };
     let mut refused = [0; 4];
-    for h in (0..3 * connectivity.triangle_slots() as u32).map(HalfedgeId) {
+    for &h in borders.all() {
         let twin = connectivity.twin(h);
-        if twin.is_none() || h > twin || !is_border(connectivity, &patches.of, h) {
+        if twin.is_none() || h > twin {
             continue;
         }
         let [s, t] = [h, twin].map(|h| Connectivity::triangle(h).0);

@@ -25,7 +25,8 @@ pub fn tolerance(patch: &Patch, options: &Options) -> f64 {
     shape.sqrt().min(color)
 }
 
-/// Which vertices on borders stay.
+/// Which vertices on borders stay. `known` says it for the borders of patches that are what they were before: a
+/// chain between two of these has the same corners at its ends, or none, as other patches were only divided.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -33,6 +34,7 @@ pub fn straighten<const D: usize>(
     mesh: &Mesh<D>,
     patches: &Patches,
     borders: &Borders,
+    known: Option<(&[bool], &[Option<u32>])>,
     options: &Options,
     progress: &mut Progress,
 ) -> Result<Vec<bool>, KernelError> {
@@ -57,14 +59,19 @@ pub fn straighten<const D: usize>(
                     continue;
                 }
                 chain.trace(&patches.of, h, is_corner);
-                let beside = connectivity.twin(h);
-                let mut within = tolerances[patch];
-                if beside.is_some() {
-                    within =
-                        within.min(tolerances[patches.of[Connectivity::triangle(beside).index()] as usize]);
-                }
+                let twin = connectivity.twin(h);
+                let beside = if twin.is_some() {
+                    patches.of[Connectivity::triangle(twin).index()] as usize
+                } else {
+                    patch
+                };
                 chain.vertices.iter().for_each(|v| is_done[v.index()] = true);
-                chain.straighten(within, &mut stays);
+                match known {
+                    Some((before, was)) if was[patch].is_some() && was[beside].is_some() => {
+                        chain.vertices.iter().for_each(|v| stays[v.index()] |= before[v.index()]);
+                    }
+                    _ => chain.straighten(tolerances[patch].min(tolerances[beside]), &mut stays),
+                }
             }
         }
     }

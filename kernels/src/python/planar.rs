@@ -10,7 +10,7 @@ use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unkno
 use super::detached::detached;
 use crate::mesh::{Mesh, Pin};
 use crate::parallel::threads;
-use crate::planar::{Options, Patches, Planar, propagate, reasons, simplify};
+use crate::planar::{Options, Patches, Planar, facets, propagate, reasons, simplify};
 
 /// The near-planar patches of a mesh, largest area first.
 #[pyclass(frozen, get_all, subclass)]
@@ -185,7 +185,8 @@ fn patches_of_points<const D: usize, const K: usize>(
     let (points, triangles) = inputs.copied::<D>()?;
     let (mesh, patches) = detached(py, Some(progress), false, |progress| {
         let mesh = mesh_of(points, &triangles, &[])?;
-        let patches = propagate::propagate::<D, K>(&mesh, options, progress)?;
+        let patches =
+            propagate::propagate::<D, K>(&mesh, &facets(&mesh, options.threads), options, progress)?;
         Ok((mesh, patches))
     })?;
     PlanarPatches::new(py, triangles.len(), &mesh, &patches)
