@@ -24,7 +24,7 @@ python-checks: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m mypy.stubtest stages._kernels
+	$(BIN)/python -m mypy.stubtest --mypy-config-file pyproject.toml stages._kernels
 
 # Installing is what compiles the kernels; a changed source or dependency list installs again.
 $(READY): pyproject.toml $(KERNEL_SOURCES)
