@@ -13,7 +13,7 @@ demo: $(READY)
 	@echo "The mesh is demo/rgbd/simplified.ply, the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
 
 test: $(READY) rust-checks python-checks
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 rust-checks:
 	cd kernels && cargo fmt --check
