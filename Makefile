@@ -13,7 +13,7 @@ demo: $(READY)
 	@echo "The mesh is demo/rgbd/simplified.ply, the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
 
 test: $(READY) rust-checks python-checks
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 rust-checks:
 	cd kernels && cargo fmt --check
@@ -24,7 +24,7 @@ python-checks: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m mypy.stubtest stages._kernels
+	$(BIN)/python -m mypy.stubtest --mypy-config-file pyproject.toml stages._kernels
 
 # Installing is what compiles the kernels; a changed source or dependency list installs again.
 $(READY): pyproject.toml $(KERNEL_SOURCES)

@@ -10,6 +10,7 @@ from typing_extensions import disjoint_base
 __all__ = [
     "ByPatches",
     "ByQuadrics",
+    "BySeams",
     "BySums",
     "Certified",
     "InvalidMeshError",
@@ -18,6 +19,8 @@ __all__ = [
     "PlanarPatches",
     "Proven",
     "Running",
+    "SeamKnobs",
+    "SeamLog",
     "Simplified",
     "SnmError",
     "certify",
@@ -31,6 +34,7 @@ __all__ = [
     "simplify_by_quadrics",
     "simplify_certified",
     "simplify_planar",
+    "simplify_seams",
     "spatial_order",
 ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,8 +52,8 @@ def tiny_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def ball(tmp_path: Path) -> Path:
+@pytest.fixture(scope="session")
+def made_ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """PLY file of a coloured ball of 1 m radius: 1,280 triangles, and one far speck."""
     import trimesh
 
@@ -60,9 +61,29 @@ def ball(tmp_path: Path) -> Path:
     vertices = np.vstack([mesh.vertices, [[9, 9, 9], [9.001, 9, 9], [9, 9.001, 9]]])
     triangles = np.vstack([mesh.faces, [[len(mesh.vertices) + i for i in range(3)]]])
     colors = np.clip(128 + 100 * vertices, 0, 255).astype(np.uint8)
-    path = tmp_path / "ball.ply"
+    path = tmp_path_factory.mktemp("made") / "ball.ply"
     write_ply(path, Mesh(vertices, triangles.astype(np.int32), colors))
     return path
+
+
+@pytest.fixture(scope="session")
+def made_clean_ball(made_ball: Path) -> Path:
+    """The ball as `scanloom clean` leaves it."""
+    path = made_ball.with_name("clean.ply")
+    assert run_command(["clean", str(made_ball), str(path)]) == 0
+    return path
+
+
+@pytest.fixture
+def ball(made_ball: Path, tmp_path: Path) -> Path:
+    """The test's own copy of the ball."""
+    return Path(shutil.copy(made_ball, tmp_path))
+
+
+@pytest.fixture
+def clean_ball(made_clean_ball: Path, ball: Path) -> Path:
+    """The test's own copy of the clean ball, beside the ball."""
+    return Path(shutil.copy(made_clean_ball, ball.parent))
 
 
 @dataclass(frozen=True)

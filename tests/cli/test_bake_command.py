@@ -13,13 +13,6 @@ from stages.mesh_files import read_mesh
 Run = Callable[..., Any]
 
 
-@pytest.fixture
-def clean_ball(scanloom: Run, ball: Path) -> Path:
-    path = ball.with_name("clean.ply")
-    assert scanloom("clean", ball, path).exit_code == 0
-    return path
-
-
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
 def test_simplify_can_bake_into_each_format_that_holds_an_image(
     scanloom: Run, clean_ball: Path, tmp_path: Path, suffix: str

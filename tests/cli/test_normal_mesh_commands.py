@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from cli.app import run_command
 from stages.formats.ply import read_vertex_values, write_ply
 from stages.mesh import Mesh
 from stages.mesh_files import read_mesh
@@ -19,20 +21,20 @@ Run = Callable[..., Any]
 SMALL = ("--levels", 2, "--base-triangles", 80)
 
 
-@pytest.fixture
-def clean_ball(scanloom: Run, ball: Path) -> Path:
-    path = ball.with_name("clean.ply")
-    assert scanloom("clean", ball, path).exit_code == 0
-    return path
-
-
-@pytest.fixture
-def kept(scanloom: Run, clean_ball: Path) -> Path:
+@pytest.fixture(scope="module")
+def made_kept(made_clean_ball: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of two levels, and remeshed.ply beside it."""
-    path = clean_ball.with_name("kept.snm")
-    ran = scanloom("remesh", clean_ball, path.with_name("remeshed.ply"), *SMALL, "--save", path)
-    assert ran.exit_code == 0, ran.stderr
+    path = tmp_path_factory.mktemp("kept") / "kept.snm"
+    words = ("remesh", made_clean_ball, path.with_name("remeshed.ply"), *SMALL, "--save", path)
+    assert run_command([str(word) for word in words]) == 0
     return path
+
+
+@pytest.fixture
+def kept(made_kept: Path, clean_ball: Path) -> Path:
+    """The test's own copy of both, beside the clean ball."""
+    shutil.copy(made_kept.with_name("remeshed.ply"), clean_ball.parent)
+    return Path(shutil.copy(made_kept, clean_ball.parent))
 
 
 def test_remesh_writes_the_finest_level_all_levels_and_a_file(

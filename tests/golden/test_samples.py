@@ -206,7 +206,11 @@ def scanned(truth) -> Mesh:
     )
 
 
+@pytest.fixture(scope="module")
+def of_scanned(truth, scanned) -> dict:
+    return {"simplified": mesh_figures(scanned, truth)}
+
+
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_is_told_from_the_golden_mesh(damage, truth, scanned):
-    golden = {"simplified": mesh_figures(scanned, truth)}
-    assert deviations({"simplified": mesh_figures(DAMAGE[damage](scanned), truth)}, golden) != []
+def test_damage_is_told_from_the_golden_mesh(damage, truth, scanned, of_scanned):
+    assert deviations({"simplified": mesh_figures(DAMAGE[damage](scanned), truth)}, of_scanned) != []

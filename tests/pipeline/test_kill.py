@@ -43,7 +43,7 @@ def test_killed_at_random_moments(toy: ModuleType, tmp_path: Path):
     out = tmp_path / "out"
     draw = random.Random(3)
     killed = 0
-    for _ in range(12):
+    for _ in range(8):
         with subprocess.Popen([*command, str(out)]) as process:
             time.sleep(whole * draw.uniform(0.3, 0.95))
             process.kill()

@@ -18,7 +18,14 @@ from stages.formats.trajectories import read_tum
 from stages.layouts import read_scan
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "rgbd"
-QUICK = ("scan.every=3", "fuse.voxel_size=0.02", "simplify.ratio=0.2")
+QUICK = (
+    "scan.every=3",
+    "fuse.voxel_size=0.02",
+    "simplify.ratio=0.2",
+    "compare.samples=1000",
+    "report.views=1",
+    "report.width=64",
+)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +63,7 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
     assert register["figures"]["frames"] == len(truth)
     assert register["figures"]["pieces"] == [len(truth)]
 
-    again = run(unposed, out, config("fuse.voxel_size=0.03"))
+    again = run(unposed, out, config("fuse.voxel_size=0.03"), until="fuse")
     assert [outcome.cached for outcome in again.stages][:2] == [True, False]
 
 

@@ -236,7 +236,7 @@ def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
     out = tmp_path / "out"
     draw = random.Random(11)
     kills = 0
-    for _ in range(5):
+    for _ in range(3):
         with subprocess.Popen([sys.executable, "-c", code, out]) as process:
             time.sleep(seconds * draw.uniform(0.2, 0.9))
             process.kill()

@@ -208,7 +208,7 @@ def soup(rng, count: int) -> Mesh:
     return mesh(vertices, triangles, rng.integers(0, 256, (len(vertices), 3)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 14), st.integers(1, 14), st.sampled_from([2, 16]))
 def test_no_sample_of_random_triangles_passes_the_bounds(seed, a, b, effort):
     rng = np.random.default_rng(seed)
@@ -216,7 +216,7 @@ def test_no_sample_of_random_triangles_passes_the_bounds(seed, a, b, effort):
     attacked(result, original, certify(result, original, effort=effort), 300, rng, brute_force)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.3), st.floats(0, 0.05))
 def test_no_sample_of_disturbed_surfaces_passes_the_bounds_which_are_close(seed, across, along):
     rng = np.random.default_rng(seed)
@@ -234,7 +234,7 @@ def test_no_sample_of_disturbed_surfaces_passes_the_bounds_which_are_close(seed,
     assert found.shape_bound_m <= 1.06 * found.shape_attained_m + 10 * found.slack_m
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0), st.floats(50, 440))
 def test_what_is_said_to_stay_within_a_limit_does(seed, max_shape, max_color):
     rng = np.random.default_rng(seed)
@@ -254,8 +254,6 @@ def test_what_is_said_to_stay_within_a_limit_does(seed, max_shape, max_color):
     [
         ("cow.obj", 0.1, 1.1),
         ("stanford-bunny.obj", 0.1, 1.1),
-        ("horse.ply", 0.1, 1.1),
-        ("redkitchen_fused_vertexcolor.ply", 0.1, 1.1),
         # Here Embree overlooks needles of the original.
         ("redkitchen_fused_vertexcolor.ply", 0.5, 1.1),
     ],

@@ -389,7 +389,7 @@ def cleaned_or_nothing(mesh: Mesh, **changes):
         return None
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(soups(), st.booleans())
 def test_any_soup_becomes_an_oriented_manifold(mesh, stitch):
     result = cleaned_or_nothing(mesh, stitch=stitch)

@@ -191,7 +191,7 @@ def test_a_cube_is_met_to_float_precision() -> None:
 
 
 def test_progress_is_told_and_may_stop_the_work() -> None:
-    mesh = coloured_meshes.sheet(300)
+    mesh = coloured_meshes.sheet(120)
     seen: list[tuple[int, int]] = []
     remesh(mesh, progress=lambda done, total: seen.append((done, total)))
     assert len(seen) >= 2

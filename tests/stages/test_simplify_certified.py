@@ -34,7 +34,7 @@ def hills(n: int = 40) -> Mesh:
 
 def two_sheets_that_touch() -> Mesh:
     """A black sheet and a white one at the same place: which colour is nearest, nobody can say."""
-    mesh = hills(12)
+    mesh = hills(6)
     both = np.concatenate([mesh.triangles, mesh.triangles + len(mesh.vertices)])
     black, white = (np.full((len(mesh.vertices), 3), level, np.uint8) for level in (0, 255))
     return Mesh(np.tile(mesh.vertices, (2, 1)), both, colors=np.concatenate([black, white]))

@@ -18,8 +18,8 @@ from stages.progress import Progress
 from stages.simplify import simplify
 from stages.topology import topology
 
-# Hills of a million triangles or fewer; the child says when collapsing, or proving, has begun, and afterwards
-# how far it came and when it stopped.
+# Hills of half a million triangles or fewer; the child says when collapsing, or proving, has begun, and
+# afterwards how far it came and when it stopped.
 CHILD = """
 import json, sys, time
 import numpy as np
@@ -29,7 +29,7 @@ from stages.topology import topology
 
 arguments = json.loads(sys.argv[1])
 at_proof = arguments.pop("at_proof", False)
-n = arguments.pop("n", 720)
+n = arguments.pop("n", 500)
 y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
 z = 0.1 * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, 0.0001, x.shape)
 a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
@@ -119,10 +119,12 @@ def test_ctrl_c_during_a_proof_ends_it_and_gives_out_what_it_was_about() -> None
 
 @METHODS
 def test_ctrl_c_gives_out_what_there_is(arguments: dict[str, float]) -> None:
-    report = interrupted(partial=True, **arguments)
+    # Bounds are proven of what there is, which takes longer than getting there.
+    n = 500 if {"ratio", "method"} & arguments.keys() else 200
+    report = interrupted(partial=True, n=n, **arguments)
     assert not report["interrupted"]
     assert report["stopped_by"] == "request"
-    assert 0.05 * 1_036_800 < report["triangles"] < 1_036_800
+    assert 0.05 * 2 * n**2 < report["triangles"] < 2 * n**2
     assert report["sound"]
     assert report["euler"] == 1
 

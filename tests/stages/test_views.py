@@ -370,10 +370,18 @@ def upside_down(frame: Frame) -> Frame:
     return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]), mask=mask)
 
 
-@pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
-def test_images_turned_against_their_poses_are_turned_back(places: list[int]) -> None:
+@pytest.fixture(scope="module")
+def upright() -> tuple[Scan, list[DepthMap | SkippedFrame]]:
+    """The made scene, and what is found of it as it is."""
     scan, _ = posed_scene.scan()
-    expected = [result for _, result in views_depth(scan)]
+    return scan, [result for _, result in views_depth(scan)]
+
+
+@pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
+def test_images_turned_against_their_poses_are_turned_back(
+    upright: tuple[Scan, list[DepthMap | SkippedFrame]], places: list[int]
+) -> None:
+    scan, expected = upright
     frames = [upside_down(frame) if at in places else frame for at, frame in enumerate(scan.frames)]
 
     results = [result for _, result in views_depth(replace(scan, frames=frames))]

@@ -411,10 +411,14 @@ def test_binary_models_cut_anywhere_are_refused(scan_folder, which):
 def test_any_damaged_byte_of_points_is_refused_or_read(workspace, value):
     write_text(workspace / "sparse")
     data = binary_points()
-    for at in range(0, len(data), 5):
+    # Every byte of the first two points that one image has, of the first that two have, and of the last.
+    one, two = 59, 67
+    middle = 8 + 30 * one
+    assert len(data) == middle + 30 * two
+    for at in (*range(8 + 2 * one), *range(middle, middle + two), *range(len(data) - two, len(data))):
         (workspace / "sparse" / "points3D.bin").write_bytes(data[:at] + bytes([value]) + data[at + 1 :])
         try:
-            for frame in read_scan(workspace).frames:
+            for frame in read_scan(workspace, ScanParams(layout="colmap")).frames:
                 assert frame.depth_range is None or 0 < frame.depth_range[0] < frame.depth_range[1] < 1e10
         except InputError as error:
             assert "points3D.bin" in str(error)  # noqa: PT017
