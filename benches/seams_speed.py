@@ -1,0 +1,65 @@
+"""Collapses a second of method seams, one thread, at several sizes. Prints a Markdown table.
+
+    python benches/seams_speed.py [SIZES ...]
+
+A noisy height field is cut into strips of 50 rows, each a chart of its own with vertices of its own, and
+taken to a tenth of its triangles: texture coordinates alone, and with colours. Time is processor time of the
+whole call but the fit, the best of three.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from markdown_tables import print_head, print_row
+from simplify_speed import hills
+
+from stages.mesh import Material, Mesh, Texture
+from stages.simplify import simplify
+
+SIZES = (10_000, 100_000, 1_000_000)
+_ROWS = 50
+
+
+def strips(triangles: int) -> Mesh:
+    """Return a height field whose strips are charts side by side in the image, turned by a quarter."""
+    mesh = hills(triangles)
+    place = mesh.vertices[:, :2] / np.ptp(mesh.vertices[:, :2])
+    n = round(len(mesh.vertices) ** 0.5)
+    strip = mesh.triangles.min(axis=1) // n // _ROWS
+    keys, corners = np.unique(
+        np.repeat(strip, 3).astype(np.int64) << 32 | mesh.triangles.reshape(-1), return_inverse=True
+    )
+    source = keys & 0xFFFFFFFF
+    flat = place[mesh.triangles]
+    uvs = np.stack([flat[..., 1] + 0.01 * strip[:, None], flat[..., 0]], axis=2)
+    assert mesh.colors is not None
+    return Mesh(
+        mesh.vertices[source],
+        corners.reshape(-1, 3).astype(np.int32),
+        mesh.colors[source],
+        texture=Texture(uvs, np.zeros(len(uvs), np.int32), (Material("strips"),)),
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    print_head(["triangles", "attributes", "collapses/s"], words=2)
+    for size in [int(word) for word in sys.argv[1:]] or SIZES:
+        mesh = strips(size)
+        for name, one in (
+            ("texture coordinates", mesh.with_(colors=None)),
+            ("texture coordinates, colours", mesh),
+        ):
+            best, collapses = np.inf, 0
+            for _ in range(3):
+                began = time.process_time()
+                result = simplify(one, ratio=0.1, fit=False, threads=1)
+                best, collapses = min(best, time.process_time() - began), result.collapses
+            print_row([f"{len(mesh.triangles):,}", name, f"{collapses / best:,.0f}"])
+
+
+if __name__ == "__main__":
+    main()
