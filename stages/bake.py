@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.baking.atlas import Atlas, signed_areas, unwrap
+from stages.baking.atlas import Atlas, unwrap
 from stages.baking.facing import FacingColors
 from stages.baking.filling import filled_up
 from stages.baking.rasterize import covered, strips
@@ -27,7 +27,7 @@ from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.raycasting import Floats, Surface, bounding_box
 from stages.surface_color import has_color, pixels_of
-from stages.texture import Image, Material, Texture
+from stages.texture import Image, Material, Texture, signed_areas
 from stages.topology import areas, require_area
 
 VERSION = 1

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.errors import MeshError
-from stages.formats.colors import linear_from_srgb, srgb_from_linear, to_uint8
+from stages.formats.colors import to_uint8
 from stages.mesh import Mesh, validated
+from stages.surface_color import sampled, tinted
 from stages.texture import Image, Material, Texture
 
 # Open3D's and trimesh's classes cannot be named here without importing the libraries.
@@ -268,53 +269,13 @@ def with_vertex_colors(mesh: Mesh) -> Mesh:
 
 def _corner_colors(
     material: Material, image: Image | None, uvs: NDArray[np.float64], notes: list[str]
-) -> NDArray[np.float64] | None:
+) -> NDArray[np.floating] | None:
     """Return (k, 3) colours 0..255 at texture coordinates (k, 2); None if nothing is known of them."""
     if image is not None and len(uvs):
         try:
-            samples = _bilinear(image.pixels[..., :3], uvs, material.wrap)
+            return tinted(sampled(image.pixels, uvs, material.wrap), material)
         except MeshError as error:
             notes.append(str(error))
-        else:
-            return samples if material.base_color is None else _times(samples, material.base_color[:3])
     if material.base_color is None:
         return None
     return np.tile(np.array(material.base_color[:3]) * 255, (len(uvs), 1))
-
-
-def _times(samples: NDArray[np.float64], factor: tuple[float, ...]) -> NDArray[np.float64]:
-    if min(factor) == max(factor) == 1:
-        return samples
-    return 255 * srgb_from_linear(linear_from_srgb(samples / 255) * linear_from_srgb(np.array(factor)))
-
-
-def _bilinear(
-    image: NDArray[np.uint8], uvs: NDArray[np.float64], wrap: tuple[str, str]
-) -> NDArray[np.float64]:
-    height, width = image.shape[:2]
-    # Pixel centres lie at half texels, and v counts from the bottom.
-    columns, fx = _texels(uvs[:, 0], width, wrap[0])
-    rows, fy = _texels(1 - uvs[:, 1], height, wrap[1])
-    upper = image[rows[0], columns[0]] * (1 - fx) + image[rows[0], columns[1]] * fx
-    lower = image[rows[1], columns[0]] * (1 - fx) + image[rows[1], columns[1]] * fx
-    return np.asarray(upper * (1 - fy) + lower * fy)
-
-
-def _texels(
-    at: NDArray[np.float64], count: int, way: str
-) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], NDArray[np.float64]]:
-    """Return the texels around places in units of the image, and the share (k, 1) of the second."""
-    # Brought near first: the places may be as far off as numbers go.
-    place = at.clip(-1, 2) if way == "clamp" else at % (2 if way == "mirror" else 1)
-    place = place * count - 0.5
-    first = np.floor(place).astype(np.int64)
-    return (_inside(first, count, way), _inside(first + 1, count, way)), (place - first)[:, None]
-
-
-def _inside(index: NDArray[np.int64], count: int, way: str) -> NDArray[np.int64]:
-    if way == "clamp":
-        return index.clip(0, count - 1)
-    if way == "mirror":
-        index = index % (2 * count)
-        return np.minimum(index, 2 * count - 1 - index)
-    return index % count

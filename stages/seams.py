@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages import seam_defaults as defaults
 from stages.centred import attributes_of
 from stages.color_weight import color_weight
 from stages.mesh import Mesh
@@ -16,21 +17,14 @@ from stages.raycasting import bounding_box
 from stages.reordered import reordered
 from stages.seam_attributes import SeamAttributes, SeamState
 from stages.seam_record import LOGGED, SeamRecord
-from stages.similar import default_similar_distance, similar_sets
+from stages.similar import similar_sets
 from stages.simplified import Simplified
 from stages.simplify_params import SimplifyParams
-from stages.spatial_order import Rows, is_scattered
+from stages.spatial_order import is_scattered
+from stages.texture import signed_areas
+from stages.topology import areas
 
 Floats = NDArray[np.float64]
-
-# What the parameters of this method are if they are not given.
-_TEXTURE_WEIGHT = 0.5
-_NORMAL_WEIGHT = 1.0
-_ACROSS_TEXTURES = 0.5
-_ACROSS_PARTS = 0.5
-_VALENCE_PENALTY = 0.1
-_SET_PENALTY = 0.1
-_SHAPE_WEIGHT = 1.0
 
 
 def by_seams(
@@ -48,23 +42,9 @@ def by_seams(
     running : up to how many triangles, with a record or not, and what Ctrl-C does.
     """
     # A record names the corners of the input all along.
-    run = _in_order if not running.record and is_scattered(mesh) else _as_it_is
-    return run(mesh, params, lock, running, progress)
-
-
-def _in_order(
-    mesh: Mesh,
-    params: SimplifyParams,
-    lock: NDArray[np.bool_],
-    running: _kernels.Running,
-    progress: Progress,
-) -> Simplified:
-    """Simplify a scattered mesh in an order that suits the caches; the result is in that of the input."""
-
-    def run(mesh: Mesh, vertices: Rows) -> Simplified:
-        return _as_it_is(mesh, params, lock[vertices] if len(lock) else lock, running, progress)
-
-    return reordered(mesh, run)
+    if running.record or not is_scattered(mesh):
+        return _as_it_is(mesh, params, lock, running, progress)
+    return reordered(mesh, lambda own, vertices: _as_it_is(own, params, lock[vertices], running, progress))
 
 
 def _as_it_is(
@@ -74,12 +54,10 @@ def _as_it_is(
     running: _kernels.Running,
     progress: Progress,
 ) -> Simplified:
-    distance = params.similar_distance
-    if distance is None:
-        distance = default_similar_distance(mesh.vertices)
-    sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
+    distance = _given(params.similar_distance, defaults.SIMILAR_DISTANCE * float(np.linalg.norm(high - low)))
+    sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
     attributes = _attributes(mesh, positions, origin, params, running)
     texture = mesh.texture
     count = len(mesh.triangles)
@@ -92,7 +70,7 @@ def _as_it_is(
         has_uvs,
         np.full(count, -1, np.int32) if texture is None else texture.material_ids,
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
-        lock if len(lock) else np.zeros(len(positions), bool),
+        lock,
         knobs=_knobs(params, attributes.uv_scale),
         fit=params.fit,
         running=running,
@@ -140,7 +118,7 @@ def _attributes(
     uv_scale = color_scale = normal_scale = 0.0
     texture = mesh.texture
     if texture is not None and texture.has_uvs().any():
-        weight = _TEXTURE_WEIGHT if params.texture_weight is None else params.texture_weight
+        weight = _given(params.texture_weight, defaults.TEXTURE_WEIGHT)
         # A weight of 0 would leave no place for the coordinates.
         uv_scale = max(weight, 1e-9) * _metres_per_image(mesh, positions)
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
@@ -156,7 +134,7 @@ def _attributes(
     if normals is None and mesh.normals is not None:
         normals = mesh.normals[corners]
     if normals is not None:
-        weight = _NORMAL_WEIGHT if params.normal_weight is None else params.normal_weight
+        weight = _given(params.normal_weight, defaults.NORMAL_WEIGHT)
         normal_scale = max(weight * _metres_per_normal(mesh, positions, running.target_triangles), 1e-12)
         columns.append(normals * normal_scale)
     return SeamAttributes(
@@ -175,15 +153,12 @@ def _attributes(
 def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
     """Return the length on the surface that the image's side covers, in the mean over the surface's area."""
     assert mesh.texture is not None
-    points, uvs = positions[mesh.triangles], mesh.texture.uvs
-    area = np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1)
-    (ux, uy), (vx, vy) = (uvs[:, 1] - uvs[:, 0]).T, (uvs[:, 2] - uvs[:, 0]).T
-    in_image = np.abs(ux * vy - uy * vx)
-    if not in_image.sum() > 0:
+    in_image = np.abs(signed_areas(mesh.texture.uvs))
+    seen = in_image > 0
+    if not seen.any():
         # Every triangle has one texel: a palette. Any other colour is far away.
         return float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
-    seen = in_image > 0
-    return float(np.sqrt(area[seen].sum() / in_image[seen].sum())) or 1.0
+    return float(np.sqrt(areas(positions, mesh.triangles)[seen].sum() / in_image[seen].sum())) or 1.0
 
 
 def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
@@ -192,23 +167,21 @@ def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
     On a round surface of radius r, an edge of length e is e² / 8r off in its middle, and the normals of its
     ends are e / r apart: an eighth of the length of the edges that will be left balances the two.
     """
-    points = positions[mesh.triangles]
-    area = (
-        0.5 * np.linalg.norm(np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]), axis=1).sum()
-    )
+    area = areas(positions, mesh.triangles).sum()
     return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
 
 
 def _knobs(params: SimplifyParams, uv_scale: float) -> _kernels.SeamKnobs:
-    def given(value: float | None, default: float) -> float:
-        return default if value is None else value
-
     drift = params.max_seam_drift
     return _kernels.SeamKnobs(
-        across_materials=given(params.across_textures, _ACROSS_TEXTURES),
-        across_parts=given(params.across_parts, _ACROSS_PARTS),
-        valence=given(params.valence_penalty, _VALENCE_PENALTY),
-        wedges=given(params.set_penalty, _SET_PENALTY),
-        shape=given(params.shape_weight, _SHAPE_WEIGHT),
+        across_materials=_given(params.across_textures, defaults.ACROSS_TEXTURES),
+        across_parts=_given(params.across_parts, defaults.ACROSS_PARTS),
+        valence=_given(params.valence_penalty, defaults.VALENCE_PENALTY),
+        wedges=_given(params.set_penalty, defaults.SET_PENALTY),
+        shape=_given(params.shape_weight, defaults.SHAPE_WEIGHT),
         seam_drift=np.inf if drift is None else drift * uv_scale,
     )
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value

@@ -13,17 +13,6 @@ from stages.mesh import Triangles, Vertices
 # Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
 _MOST_PAIRS = 64
 
-# Share of the bounding box's diagonal that counts as equal: what single precision leaves of a coordinate.
-_EQUAL = 1e-6
-
-
-def default_similar_distance(vertices: Vertices) -> float:
-    """Return the distance within which vertices of a mesh are the same, in its own unit.
-
-    A millionth of the bounding box's diagonal, about what is lost where a file holds single precision.
-    """
-    return _EQUAL * float(np.linalg.norm(np.ptp(vertices, axis=0))) if len(vertices) else 0.0
-
 
 def similar_sets(
     vertices: Vertices, triangles: Triangles, distance: float

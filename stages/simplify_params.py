@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from stages import planar_params
+from stages import planar_params, seam_defaults
 from stages.errors import UsageError
 from stages.params import check, param
 
@@ -142,8 +142,8 @@ class SimplifyParams:
     noise_angle: float | None = planar_params.noise_angle(None, _ONE_METHOD)
     similar_distance: float | None = param(
         None,
-        "seams: vertices closer than this are one. A larger one joins parts that only touch. Default: a "
-        "millionth of the bounding box's diagonal.",
+        "seams: vertices closer than this are one. A larger one joins parts that only touch. Default: "
+        f"{seam_defaults.SIMILAR_DISTANCE:g} of the bounding box's diagonal.",
         group=_SEAMS,
         unit="m",
         low=0,
@@ -151,46 +151,48 @@ class SimplifyParams:
     texture_weight: float | None = param(
         None,
         "seams: weight of a shift of the texture along the surface against a shift of the surface itself; "
-        "default: 0.5.",
+        f"default: {seam_defaults.TEXTURE_WEIGHT:g}.",
         group=_SEAMS,
         low=0,
     )
     normal_weight: float | None = param(
         None,
         "seams: weight of normals, if the mesh has any, against 1 where an edge that is left turns as much "
-        "by them as by its shape; default: 1.",
+        f"by them as by its shape; default: {seam_defaults.NORMAL_WEIGHT:g}.",
         group=_SEAMS,
         low=0,
     )
     shape_weight: float | None = param(
         None,
         "seams: weight of the quadric of shape alone against that of shape and attributes, where a seam is "
-        "near; default: 1.",
+        f"near; default: {seam_defaults.SHAPE_WEIGHT:g}.",
         group=_SEAMS,
         low=0,
     )
     across_textures: float | None = param(
         None,
-        "seams: penalty for a collapse where several materials meet, as a share of its cost; default: 0.5.",
+        "seams: penalty for a collapse where several materials meet, as a share of its cost; default: "
+        f"{seam_defaults.ACROSS_TEXTURES:g}.",
         group=_SEAMS,
         low=0,
     )
     across_parts: float | None = param(
         None,
-        "seams: the same where several parts meet; default: 0.5.",
+        f"seams: the same where several parts meet; default: {seam_defaults.ACROSS_PARTS:g}.",
         group=_SEAMS,
         low=0,
     )
     valence_penalty: float | None = param(
         None,
         "seams: penalty for each edge beyond eight that a vertex would have, as a share of its cost; "
-        "default: 0.1.",
+        f"default: {seam_defaults.VALENCE_PENALTY:g}.",
         group=_SEAMS,
         low=0,
     )
     set_penalty: float | None = param(
         None,
-        "seams: the same for each copy of the ends of an edge beyond two; default: 0.1.",
+        "seams: the same for each copy of the ends of an edge beyond two; default: "
+        f"{seam_defaults.SET_PENALTY:g}.",
         group=_SEAMS,
         low=0,
     )
@@ -264,8 +266,7 @@ class SimplifyParams:
 
     def _require_suited(self, method: str) -> None:
         for name, methods in _ONLY_FOR.items():
-            # By default, none of these is set.
-            # A number that is 0 was given.
+            # By default none of these is set; a number that is 0 was given.
             if method in methods or getattr(self, name) is None or getattr(self, name) is False:
                 continue
             if self.method == "auto":

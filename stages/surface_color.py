@@ -60,7 +60,7 @@ def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _F
             corners = mesh.texture.uvs.take(triangles[chosen], axis=0)
             # In double precision: of a large image, float32 resolves a few hundredths of a texel only.
             uvs = np.einsum("kc,kcx->kx", np.asarray(weights[chosen], np.float64), corners)
-            colors[chosen] = _tinted(sampled(pixels, uvs, material.wrap), material)
+            colors[chosen] = tinted(sampled(pixels, uvs, material.wrap), material)
             is_its &= ~has_uvs
         if mesh.colors is None and material.base_color is not None:
             colors[is_its] = np.array(material.base_color[:3]) * 255
@@ -82,6 +82,14 @@ def sampled(image: Pixels, uvs: NDArray[np.float64], wrap: tuple[str, str] = ("r
         first, second = (image[row, column, :3].astype(np.float32) for column in columns)
         lines.append(first + (second - first) * right_share)
     return np.asarray(lines[0] + (lines[1] - lines[0]) * lower_share)
+
+
+def tinted(colors: _Floats, material: Material) -> _Floats:
+    """Return colours (k, 3) in levels times the base colour of a material, as light adds up."""
+    if material.base_color is None or min(material.base_color[:3]) >= 1:
+        return colors
+    tint = linear_from_srgb(np.array(material.base_color[:3]))
+    return np.asarray(255 * srgb_from_linear(linear_from_srgb(colors / 255) * tint))
 
 
 def pixels_of(material: Material) -> Pixels | None:
@@ -114,13 +122,6 @@ def _around(
 
 def _materials(mesh: Mesh) -> tuple[Material, ...]:
     return () if mesh.texture is None else mesh.texture.materials
-
-
-def _tinted(colors: _Floats, material: Material) -> _Floats:
-    if material.base_color is None or min(material.base_color[:3]) >= 1:
-        return colors
-    tint = linear_from_srgb(np.array(material.base_color[:3]))
-    return np.asarray(255 * srgb_from_linear(linear_from_srgb(colors / 255) * tint))
 
 
 def _interpolated(values: NDArray[np.uint8], corners: NDArray[np.int32], weights: _Floats) -> _Floats:

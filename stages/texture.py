@@ -128,6 +128,12 @@ class Texture:
         )
 
 
+def signed_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the areas of triangles in a plane (m, 3, 2), negative for those that go round the other way."""
+    (x1, y1), (x2, y2) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
+    return np.asarray((x1 * y2 - y1 * x2) / 2)
+
+
 def rows_or(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArray[Any]:
     """Return the rows that `source` (row numbers or a mask) names, and `missing` for those of -1."""
     chosen: NDArray[Any] = array[source]

@@ -1,5 +1,5 @@
-//! The edges that wait for their turn: all in one queue, or only those of a window and up to a ceiling, while the others'
-//! priorities are remembered.
+//! The edges that wait for their turn: all in one queue, or only those of a window and up to a ceiling, while the
+//! priorities of the others are remembered.
 //!
 //! One queue goes everywhere on the mesh from one collapse to the next, and on a large mesh every step waits for
 //! memory. Window after window, each up to the same priority, a small part of it is worked on at a time.
@@ -28,9 +28,8 @@ impl Front {
         if self.keys.is_empty() {
             self.keys = vec![f64::INFINITY; self.window.end];
         }
-        while let Some((edge, key)) = self.queue.first() {
+        for (edge, key) in self.queue.drain() {
             self.keys[edge.index()] = key;
-            self.queue.discard(edge);
         }
         self.window = 0..0;
     }

@@ -21,7 +21,7 @@ use crate::engine::{Engine, Merge, Refusal, Stop};
 use crate::error::KernelError;
 use crate::fit::{Input, fit};
 use crate::geometry::Vec3;
-use crate::ids::{TriangleId, VertexId};
+use crate::ids::VertexId;
 use crate::legality::Illegal;
 use crate::mesh::{Compact, Mesh, Pin, check_points};
 use crate::progress::Progress;
@@ -119,11 +119,7 @@ pub fn simplify<const D: usize, const K: usize>(
     let given = goal.fit.then(|| Given::new(&mesh));
     let mut engine = Engine::new(mesh, measure);
     progress.tell(0, triangles.saturating_sub(target) as u64)?;
-    let mut stop = engine.run_by_windows(target, WINDOW, progress)?;
-    let left = engine.mesh().connectivity.triangle_count();
-    if left <= target {
-        stop = Stop::Target;
-    }
+    let stop = engine.run_by_windows(target, WINDOW, progress)?;
     gathered(engine, stop, given, goal.threads, progress)
 }
 
@@ -185,7 +181,7 @@ fn gathered<const D: usize, const K: usize>(
     let mut corner_source = Vec::with_capacity(3 * compact.triangles.len());
     for t in mesh.connectivity.triangles() {
         for corner in 0..3 {
-            let (attributes, source) = measure.corner(TriangleId(t.0), corner);
+            let (attributes, source) = measure.corner(t, corner);
             corners.push(attributes);
             corner_source.push(source);
         }

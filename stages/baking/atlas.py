@@ -25,6 +25,7 @@ from stages.baking.rasterize import overlaps
 from stages.errors import StageError
 from stages.mesh import Mesh
 from stages.progress import Progress, silent
+from stages.texture import signed_areas
 from stages.topology import areas, is_degenerate
 
 Floats = NDArray[np.float64]
@@ -108,12 +109,6 @@ def unwrap(mesh: Mesh, size: int, padding: int, progress: Progress = silent) -> 
     corners[proper], charts_of[proper] = packed["corners"], packed["charts"]
     _place_flat(mesh, corners, charts_of)
     return Atlas(corners, charts_of, size, padding)
-
-
-def signed_areas(corners: Floats) -> Floats:
-    """Return the areas of triangles in a plane (m, 3, 2), negative for those that go round the other way."""
-    (x1, y1), (x2, y2) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
-    return np.asarray((x1 * y2 - y1 * x2) / 2)
 
 
 def _charts(

@@ -118,6 +118,20 @@ impl<const K: usize> Wedges<K> {
         wedges
     }
 
+    /// Give a wedge attributes and home; `merged` are those it is made of, and where one of them had the same attributes
+    /// to the bit, their source is known. Whether the attributes are others than before.
+    pub fn put(&mut self, wedge: u32, merged: [u32; 2], attributes: [f64; K], home: u32) -> bool {
+        let at = wedge as usize;
+        self.home[at] = home;
+        if self.attributes[at] == attributes {
+            return false;
+        }
+        let same = merged.into_iter().find(|&w| w != NONE && self.attributes[w as usize] == attributes);
+        self.source[at] = same.map_or(NONE, |w| self.source[w as usize]);
+        self.attributes[at] = attributes;
+        true
+    }
+
     #[inline]
     pub fn of(&self, h: HalfedgeId) -> u32 {
         self.of_corner[h.index()]

@@ -1,0 +1,143 @@
+//! What a collapse may not do to the image and to sheets that touch; what it may not do to triangles in space is the business
+//! of [`crate::legality`].
+
+use super::super::texture::{from_segment, keeps_side, seam_after, seam_before};
+use super::super::wedges::{NONE, uv_of};
+use super::super::weld::UNTIED;
+use super::plan::{Candidate, Plan, Run};
+use super::{Seams, Standing};
+use crate::connectivity::Connectivity;
+use crate::geometry::distance2;
+use crate::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::legality::keeps_triangles;
+use crate::mesh::Mesh;
+use crate::star::Star;
+
+impl<const D: usize, const K: usize> Seams<D, K> {
+    /// Whether a candidate leaves all triangles of space and image their sides up, every texture coordinate in its
+    /// chart and seams near where they were; completes the plan.
+    pub(super) fn try_candidate(
+        &self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        plan: &mut Plan<K>,
+        candidate: Candidate,
+    ) -> Result<(), Standing> {
+        keeps_triangles(star, &candidate.place).map_err(|_| Standing::Fold)?;
+        let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
+        for i in 0..plan.classes.len() {
+            let class = plan.classes[i];
+            plan.classes[i].value = match exact.filter(|_| class.is_only_at(exact)) {
+                Some(end) => self.wedges.attributes[class.at_end[end] as usize],
+                None => self.value(plan, &class, &candidate.place, candidate.keep),
+            };
+        }
+        if !self.images_keep_their_side(mesh, star, plan) || !self.find_homes(plan, candidate.keep.is_some())
+        {
+            return Err(Standing::Chart);
+        }
+        plan.runs = [None; 2];
+        if let Some(end) = candidate.keep.filter(|_| self.is_seam[star.edge.index()]) {
+            if candidate.drift > self.knobs.seam_drift {
+                return Err(Standing::Drift);
+            }
+            let mut runs = self.follow_seam(mesh, star.edge, plan.sides, end);
+            let runs = [runs.next(), runs.next()];
+            plan.runs = runs;
+        }
+        Ok(())
+    }
+
+    /// Whether every triangle of the star that has an image keeps its side up in it.
+    fn images_keep_their_side(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &Plan<K>) -> bool {
+        star.wings.iter().all(|wing| {
+            let v = star.ends[wing.end];
+            let corners = [0, 1, 2].map(|i| HalfedgeId(3 * wing.triangle.0 + i));
+            let wedges = corners.map(|h| self.wedges.of(h));
+            let moved = corners.iter().position(|&h| mesh.connectivity.origin(h) == v);
+            let to =
+                moved.and_then(|corner| plan.class_of(wing.end, wedges[corner]).map(|class| (corner, class)));
+            let (true, Some((corner, class))) = (self.is_textured(wedges[0]), to) else {
+                return true;
+            };
+            let before = wedges.map(|w| self.wedges.uv(w));
+            let mut after = before;
+            after[corner] = uv_of(&class.value);
+            keeps_side(before, after)
+        })
+    }
+
+    /// Find the triangle of the input that holds each class's texture coordinate. Whether there is one for all: of a
+    /// coordinate that `is_kept` from an end that is known, and only the way there can leave the chart.
+    fn find_homes(&self, plan: &mut Plan<K>, is_kept: bool) -> bool {
+        plan.classes.iter_mut().all(|class| {
+            let mut own = class.at_end.into_iter().filter(|&w| w != NONE);
+            let some = class.some();
+            let uv = uv_of(&class.value);
+            let start = self.wedges.home[some as usize];
+            let home = if !self.is_textured(some) {
+                Some(start)
+            } else if let Some(same) = own.find(|&w| self.wedges.uv(w) == uv) {
+                Some(self.wedges.home[same as usize])
+            } else {
+                self.charts.locate(start, uv).or(is_kept.then_some(start))
+            };
+            class.home = home.unwrap_or(start);
+            home.is_some()
+        })
+    }
+
+    /// The runs of seam that change when a seam edge shrinks to its end `keep`: on each side of it the next seam
+    /// edge beyond the other end, and how far the image is then from what it was.
+    pub(super) fn follow_seam<'a>(
+        &'a self,
+        mesh: &'a Mesh<3>,
+        edge: EdgeId,
+        sides: [Option<[u32; 2]>; 2],
+        keep: usize,
+    ) -> impl Iterator<Item = Run> + 'a {
+        let connectivity = &mesh.connectivity;
+        let first = connectivity.halfedge(edge);
+        let halfedges = [first, connectivity.twin(first)].into_iter().enumerate();
+        halfedges.zip(sides).filter_map(move |((side, h), wedges)| {
+            let uvs = wedges?.map(|w| if self.is_textured(w) { self.wedges.uv(w) } else { [0.0; 2] });
+            // Halfedges of the second side run from the second end to the first.
+            let beyond = if side == keep {
+                Connectivity::next(seam_after(mesh, &self.is_seam, h))
+            } else {
+                seam_before(mesh, &self.is_seam, h)
+            };
+            let next = connectivity.edge(if side == keep { Connectivity::prev(beyond) } else { beyond });
+            let (kept, gone) = (uvs[keep], uvs[1 - keep]);
+            let wedge = self.wedges.of(beyond);
+            let far = if self.is_textured(wedge) { self.wedges.uv(wedge) } else { kept };
+            let before = self.drifts.of(edge).max(self.drifts.of(next));
+            let length2 =
+                distance2(mesh.point(connectivity.origin(beyond)), mesh.point(connectivity.ends(edge)[keep]));
+            Some(Run { next, drift: before + from_segment(gone, kept, far), length2 })
+        })
+    }
+
+    /// Whether a collapse would lay an edge where there is one already that the link condition does not see, since one
+    /// of its ends is another fan of the same set: a new spoke of the survivor, to or from a tied vertex.
+    pub(super) fn meets_another_sheet(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        if !self.has_ties {
+            return false;
+        }
+        let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
+        let own = self.tie[kept.index()];
+        let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
+        // Whether a vertex has a neighbour in a set, beside one it is known to have.
+        let reaches = |from: VertexId, set: u32, known: VertexId| {
+            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.tie[v.index()] == set)
+        };
+        mesh.connectivity.spokes(gone).filter(|(_, v)| *v != kept).any(|(_, v)| {
+            let tie = self.tie[v.index()];
+            if tie != UNTIED {
+                (own != UNTIED && (own == tie || !is_apex(v))) || reaches(kept, tie, v)
+            } else {
+                own != UNTIED && !is_apex(v) && reaches(v, own, kept)
+            }
+        })
+    }
+}
