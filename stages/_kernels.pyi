@@ -36,6 +36,7 @@ __all__ = [
     "simplify_planar",
     "simplify_seams",
     "spatial_order",
+    "tied_vertices",
 ]
 
 class InvalidMeshError(ValueError):
@@ -171,6 +172,7 @@ def simplify_seams(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> BySeams: ...
+def tied_vertices(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> NDArray[np.bool_]: ...
 
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]

@@ -17,7 +17,7 @@ from stages.raycasting import bounding_box
 from stages.reordered import reordered
 from stages.seam_attributes import SeamAttributes, SeamState
 from stages.seam_record import LOGGED, SeamRecord
-from stages.similar import similar_sets
+from stages.similar import joinable_sets, similar_sets
 from stages.simplified import Simplified
 from stages.simplify_params import SimplifyParams
 from stages.spatial_order import is_scattered
@@ -56,8 +56,13 @@ def _as_it_is(
 ) -> Simplified:
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
-    distance = _given(params.similar_distance, defaults.SIMILAR_DISTANCE * float(np.linalg.norm(high - low)))
-    sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
+    distance = params.similar_distance
+    if distance is None:
+        distance = defaults.SIMILAR_DISTANCE * float(np.linalg.norm(high - low))
+        sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
+        lock = lock | apart
+    else:
+        sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
     attributes = _attributes(mesh, positions, origin, params, running)
     texture = mesh.texture
     count = len(mesh.triangles)

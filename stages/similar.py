@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.errors import UsageError
 from stages.mesh import Triangles, Vertices
 
@@ -44,6 +45,35 @@ def similar_sets(
         return sets, vertices[first][sets]
     sets = _ranked(joined[sets])
     return sets, _means(vertices, sets)
+
+
+def joinable_sets(
+    vertices: Vertices, triangles: Triangles, distance: float
+) -> tuple[NDArray[np.int32], Vertices, NDArray[np.bool_]]:
+    """Find similar sets as `similar_sets` does, but join vertices of different positions to a surface only.
+
+    Where triangles would meet that cannot be joined, as where a part stands on another or sheets lie on each
+    other, vertices keep the positions they have.
+
+    Returns
+    -------
+    sets, positions : as of `similar_sets`.
+    apart : (n,) bool, vertices that are similar to others and nevertheless not in one set with them. Surfaces
+        touch there, and come apart where only one of them moves.
+    """
+    sets, positions = similar_sets(vertices, triangles, distance)
+    apart = np.zeros(len(sets), bool)
+    equal, first = _equal(vertices)
+    if int(sets.max(initial=-1)) + 1 == len(first):
+        return sets, positions, apart
+    # What is taken apart may leave its neighbours in a set that cannot be joined any more.
+    while True:
+        is_uneven = np.bincount(sets[first], minlength=len(first))[sets] > 1
+        taken = is_uneven & _kernels.tied_vertices(sets, triangles)
+        if not taken.any():
+            return sets, _means(vertices, sets), apart
+        apart |= taken
+        sets = _ranked(np.where(taken, len(sets) + equal, sets))
 
 
 def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:

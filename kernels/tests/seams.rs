@@ -121,3 +121,83 @@ fn three_triangles_at_an_edge_and_two_back_to_back_stay_open_there() {
     assert_eq!(pillow.connectivity.edges().filter(|&e| pillow.connectivity.is_boundary_edge(e)).count(), 6);
     assert!(pillow.tie.iter().all(|&tie| tie != UNTIED));
 }
+
+/// Three shallow pyramids over one triangle: their rims are tied, and each of them alone could become that triangle.
+#[test]
+fn sheets_with_one_rim_do_not_become_the_same_triangle() {
+    let rim = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let mut points = vec![];
+    let mut triangles = vec![];
+    for height in [0.1, 0.2, -0.1] {
+        let first = points.len() as u32;
+        points.extend(rim);
+        points.push([0.3, 0.3, height]);
+        triangles.extend([[0, 1, 3], [1, 2, 3], [2, 0, 3]].map(|t: [u32; 3]| t.map(|v| first + v)));
+    }
+    let sets = (0..points.len() as u32).map(|v| if v % 4 == 3 { v } else { v % 4 }).collect();
+    let outcome = run(flat(points, sets, triangles), KNOBS, 0);
+    assert_eq!(doubled(&outcome), 0);
+    assert_eq!(outcome.triangles.len(), 1 + 3 + 3, "one of them is flat");
+}
+
+/// A plank that stands on one edge, where it meets a corner of walls: there it is open, and could fold up to two
+/// triangles.
+#[test]
+fn a_plank_on_an_edge_does_not_fold_up() {
+    let (x, y, z) = ([0.0, 140.0], [0.0, 8.0], [0.0, 1.0]);
+    let corner = |i: usize, j: usize, k: usize| [x[i], y[j], z[k]];
+    let mut points = vec![corner(0, 1, 0), corner(0, 0, 0), corner(1, 0, 0), corner(1, 1, 0)];
+    points.extend([corner(1, 1, 1), corner(1, 0, 1), corner(0, 0, 1), corner(0, 1, 1)]);
+    points.extend([[140.0, -6.0, 0.0], [0.0, 0.0, 105.0]]);
+    let plank = [
+        [3, 1, 0],
+        [3, 2, 1],
+        [7, 5, 4],
+        [7, 6, 5],
+        [7, 3, 0],
+        [7, 4, 3],
+        [6, 0, 1],
+        [6, 7, 0],
+        [5, 1, 2],
+        [5, 6, 1],
+        [4, 2, 3],
+        [4, 5, 2],
+    ];
+    let walls = [[1, 2, 8], [9, 2, 1]];
+    let outcome = run(flat(points, (0..10).collect(), [&plank[..], &walls[..]].concat()), KNOBS, 0);
+    println!("{:?}", outcome.triangles);
+    assert_eq!(doubled(&outcome), 0);
+    assert!(outcome.triangles.len() > 4, "the plank has an inside");
+}
+
+/// How many triangles have the corners of another one.
+fn doubled(outcome: &Outcome<2>) -> usize {
+    let mut sorted: Vec<[[u64; 3]; 3]> = outcome
+        .triangles
+        .iter()
+        .map(|t| {
+            let mut corners = t.map(|v| outcome.points[v as usize].map(f64::to_bits));
+            corners.sort_unstable();
+            corners
+        })
+        .collect();
+    let count = sorted.len();
+    sorted.sort_unstable();
+    sorted.dedup();
+    count - sorted.len()
+}
+
+/// A surface without an image.
+fn flat(points: Vec<[f64; 3]>, sets: Vec<u32>, triangles: Vec<[u32; 3]>) -> Surface<2> {
+    let (vertices, count) = (points.len(), triangles.len());
+    Surface {
+        points,
+        sets,
+        triangles,
+        corners: vec![[0.0; 2]; 3 * count],
+        textured: vec![false; count],
+        materials: vec![0; count],
+        parts: vec![0; count],
+        fixed: vec![false; vertices],
+    }
+}

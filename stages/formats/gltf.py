@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from stages.cleaning.merge import merge_vertices
 from stages.errors import InputError
 from stages.formats.colors import srgb_from_linear, to_uint8
-from stages.formats.gltf_container import Gltf, Tree, read_container
+from stages.formats.gltf_container import COMPRESSED, Gltf, Tree, read_container
 from stages.formats.gltf_materials import MaterialReader, Placement
 from stages.mesh import Mesh, validated
 from stages.texture import Texture
 
-_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 # These write vertex colours as they are displayed, whatever the specification says.
 _DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -78,7 +77,6 @@ def read_gltf(path: Path | str) -> Mesh:
     path = Path(path)
     try:
         gltf = read_container(path)
-        _require_uncompressed(gltf)
         with np.errstate(all="ignore"):  # what is not finite is refused, or left out, where it ends up
             return _read_scene(gltf)
     except MemoryError:
@@ -96,16 +94,6 @@ def read_gltf(path: Path | str) -> Mesh:
         raise InputError(
             "cannot be read as glTF: its description is damaged; get a whole copy of it.", path
         ) from error
-
-
-def _require_uncompressed(gltf: Gltf) -> None:
-    for name in gltf.items("extensionsRequired"):
-        if name in _COMPRESSED:
-            raise InputError(
-                f"is compressed with {name}, which is not read here; "
-                "write it again without compression (in Blender, turn Compression off on export).",
-                gltf.path,
-            )
 
 
 def _read_scene(gltf: Gltf) -> Mesh:
@@ -172,7 +160,7 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
         reading.note("points and lines are left out")
         return None
-    compressed = any(key in _COMPRESSED for key in primitive.get("extensions", {}))
+    compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
     if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
         raise InputError("is compressed; write it again without compression.", gltf.path)
     if "targets" in primitive:

@@ -21,6 +21,8 @@ from stages.formats.textures import beside
 
 Tree = dict[str, Any]
 
+COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
@@ -129,7 +131,7 @@ def read_container(path: Path) -> Gltf:
     Raises
     ------
     InputError
-        If the file is no glTF 2.0 file, or a buffer is missing or shorter than promised.
+        If the file is no glTF 2.0 file or compressed, or a buffer is missing or shorter than promised.
     """
     try:
         data = path.read_bytes()
@@ -144,6 +146,8 @@ def read_container(path: Path) -> Gltf:
     if not version.startswith("2."):
         raise InputError(f"is of glTF version {version[:20]!r}; write it again as glTF 2.0.", path)
     gltf = Gltf(path, tree)
+    # First of all: a buffer that is there for its size only is no damage.
+    _require_uncompressed(gltf)
     for number, buffer in enumerate(gltf.items("buffers")):
         content = _buffer(path, buffer, binary if number == 0 else b"")
         promised = natural(buffer["byteLength"])
@@ -153,6 +157,16 @@ def read_container(path: Path) -> Gltf:
             )
         gltf.buffers.append(content)
     return gltf
+
+
+def _require_uncompressed(gltf: Gltf) -> None:
+    for name in gltf.items("extensionsRequired"):
+        if name in COMPRESSED:
+            raise InputError(
+                f"is compressed with {name}, which is not read here; "
+                "write it again without compression (in Blender, turn Compression off on export).",
+                gltf.path,
+            )
 
 
 def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:

@@ -1,8 +1,9 @@
 """Polygons to triangles.
 
-Most polygons are convex, or at least star-shaped about their first corner: those become fans, in bulk. The
-others are cut by mapbox's earcut in the plane of their mean normal (Newell's method: Sutherland, Sproull
-and Schumacker, 1974). Every corner stays a corner of a triangle, so that neighbours still meet.
+Most polygons are convex, or at least star-shaped about their first corner: those become fans, in bulk. Quads
+that are not are cut along their other diagonal. The others are cut by mapbox's earcut in the plane of their
+mean normal (Newell's method: Sutherland, Sproull and Schumacker, 1974). Every corner stays a corner of a
+triangle, so that neighbours still meet.
 """
 
 from __future__ import annotations
@@ -61,17 +62,23 @@ def _cut_concave(
     used = indices[corners[split]]
     if used.size == 0 or used.min() < 0 or used.max() >= len(vertices):
         return  # the caller refuses such a mesh, and says why
-    # Relative to the first corner, which keeps the digits of small polygons far away.
-    origin = vertices[used[:, 0]]
-    with np.errstate(all="ignore"):
-        doubled = np.cross(vertices[used[:, 1]] - origin, vertices[used[:, 2]] - origin)
-        polygon, row = np.unique(source[split], return_inverse=True)
-        normal = np.stack([np.bincount(row, doubled[:, k]) for k in range(3)], axis=1)
-        square = (normal * normal).sum(axis=1)
-        share = (doubled * normal[row]).sum(axis=1) / square[row]
-    bent = np.bincount(row, ~(share > _NO_AREA)) > 0
+    doubled = _doubled_normals(vertices[used])
+    polygon, row = np.unique(source[split], return_inverse=True)
+    normal: Points = np.stack([np.bincount(row, doubled[:, k]) for k in range(3)], axis=1)
+    bent = np.bincount(row, ~(_shares(doubled, normal[row]) > _NO_AREA)) > 0
     begins = np.searchsorted(source, polygon)
-    left = 0
+
+    quads = np.flatnonzero(bent & (fan[polygon] == 2))
+    first = begins[quads]
+    (a, b, c), d = corners[first].T, corners[first + 1, 2]
+    other = np.stack((np.stack((b, c, d), axis=1), np.stack((b, d, a), axis=1)), axis=1)
+    halves = _doubled_normals(vertices[indices[other.reshape(-1, 3)]])
+    share = _shares(halves, np.repeat(normal[quads], 2, axis=0)).reshape(-1, 2)
+    whole = (share > _NO_AREA).all(axis=1)
+    for half in (0, 1):
+        corners[first[whole] + half] = other[whole, half]
+    bent[quads] = False
+    left = int((~whole).sum())
     for number in np.flatnonzero(bent).tolist():
         count = int(fan[polygon[number]])
         rows = slice(int(begins[number]), int(begins[number]) + count)
@@ -84,6 +91,19 @@ def _cut_concave(
             corners[rows] = start + triangles
     if left:
         notes.append(f"{left:,} of them cross themselves or have no area, and were split as if convex")
+
+
+def _doubled_normals(triangles: Points) -> Points:
+    """Return the normals (m, 3) of triangles (m, 3, 3), as long as twice their areas."""
+    # Relative to the first corner, which keeps the digits of small polygons far away.
+    with np.errstate(all="ignore"):
+        return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _shares(doubled: Points, normal: Points) -> Points:
+    """Return what share of its polygon's area each triangle has, negative where it turns the other way."""
+    with np.errstate(all="ignore"):
+        return np.asarray((doubled * normal).sum(axis=1) / (normal * normal).sum(axis=1))
 
 
 def _cut(ring: Points, normal: Points) -> Indices | None:

@@ -384,6 +384,9 @@ def test_compressed_files_are_refused_with_what_to_do(tmp_path, name):
     make.mesh({"attributes": {"POSITION": make.array(TRIANGLE, "f4")}})
     with pytest.raises(InputError, match=f"{name}.*write it again without compression"):
         make.read(tmp_path, extensionsRequired=[name])
+    # What is unpacked would go into a buffer that the file does not hold.
+    with pytest.raises(InputError, match=f"{name}.*write it again without compression"):
+        make.read(tmp_path, extensionsRequired=[name], buffers=[{"byteLength": 1 << 20}])
 
 
 @pytest.mark.parametrize(

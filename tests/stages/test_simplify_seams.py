@@ -26,7 +26,7 @@ from stages.errors import InputError, UsageError
 from stages.mesh import Material, Mesh, Texture
 from stages.mesh_files import read_mesh
 from stages.seam_record import SeamRecord
-from stages.similar import similar_sets
+from stages.similar import joinable_sets, similar_sets
 from stages.simplified import Simplified
 from stages.simplify import simplify
 
@@ -343,6 +343,31 @@ def test_similar_distance_joins_parts_that_only_touch() -> None:
     assert joined.joined_vertices is not None
     assert apart.joined_vertices is not None
     assert joined.joined_vertices - apart.joined_vertices == 81
+
+
+def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> None:
+    nearly = 1e-7
+    cubes = two_cubes(gap=nearly)
+    sets, positions, apart = joinable_sets(cubes.vertices, cubes.triangles, 2 * nearly)
+    np.testing.assert_array_equal(positions, cubes.vertices)
+    assert len(np.unique(sets)) == len(np.unique(cubes.vertices, axis=0))
+    facing = np.isclose(cubes.vertices[:, 0], 0.5, atol=1e-5)
+    np.testing.assert_array_equal(apart, facing)
+    light = simplify(cubes, method="seams", ratio=0.3)
+    assert edge_counts(welded(light.mesh)) == (0, 0)
+    assert overlapping(welded(light.mesh)) == 0
+
+    # The second copy of the middle row is off by a rounding error: the sheet is one all the same.
+    sheet = folded_strips()
+    vertices = sheet.vertices.copy()
+    copies = np.setdiff1d(np.arange(len(vertices)), np.unique(vertices, axis=0, return_index=True)[1])
+    vertices[copies] += nearly
+    shaken = sheet.with_(vertices=vertices)
+    assert edge_counts(welded(shaken))[0] > edge_counts(welded(sheet))[0]
+    assert not joinable_sets(vertices, sheet.triangles, 2 * nearly)[2].any()
+    light = simplify(shaken, ratio=0.3)
+    assert light.joined_vertices == len(copies)
+    assert edge_counts(welded(light.mesh))[0] <= edge_counts(welded(sheet))[0]
 
 
 def test_a_penalty_puts_off_what_it_is_for() -> None:

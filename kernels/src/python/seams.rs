@@ -9,7 +9,9 @@ use pyo3::prelude::*;
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
 use super::simplified::{Running, stopped_by};
+use crate::error::KernelError;
 use crate::seams::measure::Knobs;
+use crate::seams::weld::{UNTIED, weld};
 use crate::seams::{Goal, Outcome, Surface, simplify};
 
 /// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::measure::Knobs`.
@@ -128,6 +130,28 @@ pub fn simplify_seams(
         8 => light.simplify::<11, 8>(py, &corners, knobs, fit, running, &progress),
         k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
     }
+}
+
+/// Which vertices (n,) are in a set where triangles would meet that cannot be joined; see `scanloom_kernels::seams::weld`.
+#[pyfunction]
+pub fn tied_vertices<'py>(
+    py: Python<'py>,
+    sets: PyReadonlyArray1<'py, i32>,
+    triangles: PyReadonlyArray2<'py, i32>,
+) -> PyResult<Bound<'py, PyArray1<bool>>> {
+    let sets = sets.as_array();
+    let triangles = triangles_from(&triangles, sets.len())?;
+    if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
+        return Err(PyValueError::new_err("sets must be numbered from 0"));
+    }
+    let sets: Vec<u32> = sets.iter().map(|&s| s as u32).collect();
+    let is_tied = py.detach(|| -> Result<Vec<bool>, KernelError> {
+        let tie = weld(&sets, &triangles)?.tie;
+        let mut set_is_tied = vec![false; sets.len()];
+        tie.into_iter().filter(|&set| set != UNTIED).for_each(|set| set_is_tied[set as usize] = true);
+        Ok(sets.iter().map(|&set| set_is_tied[set as usize]).collect())
+    })?;
+    Ok(PyArray1::from_vec(py, is_tied))
 }
 
 /// A surface without its attributes.

@@ -103,7 +103,8 @@ pub struct Seams<const D: usize, const K: usize> {
     is_seam: Vec<bool>,
     /// The set of each vertex that must stay with others; see [`super::weld`].
     tie: Vec<u32>,
-    has_ties: bool,
+    /// Tied vertices by their sets, in order.
+    sheets: Vec<(u32, VertexId)>,
     charts: Charts,
     drifts: Drifts,
     plan: RefCell<Plan<K>>,
@@ -169,6 +170,9 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             }
             log
         });
+        let tied = connectivity.vertices().filter(|v| tie[v.index()] != UNTIED);
+        let mut sheets: Vec<(u32, VertexId)> = tied.map(|v| (tie[v.index()], v)).collect();
+        sheets.sort_unstable();
         Self {
             knobs,
             charts: Charts::new(mesh, &wedges, &is_seam),
@@ -179,8 +183,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             quadrics,
             is_seam,
             spots,
-            has_ties: tie.iter().any(|&set| set != UNTIED),
             tie,
+            sheets,
             log,
         }
     }

@@ -8,7 +8,7 @@ use super::plan::{Candidate, Plan, Run};
 use super::{Seams, Standing};
 use crate::connectivity::Connectivity;
 use crate::geometry::distance2;
-use crate::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
 use crate::legality::keeps_triangles;
 use crate::mesh::Mesh;
 use crate::star::Star;
@@ -118,12 +118,16 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         })
     }
 
-    /// Whether a collapse would lay an edge where there is one already that the link condition does not see, since one
-    /// of its ends is another fan of the same set: a new spoke of the survivor, to or from a tied vertex.
+    /// Whether a collapse would lay an edge or a triangle where there is one already that the link condition does not see,
+    /// since it is of another fan of the same set.
     pub(super) fn meets_another_sheet(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
-        if !self.has_ties {
-            return false;
-        }
+        !self.sheets.is_empty()
+            && (self.lays_an_edge_twice(mesh, star, survivor)
+                || self.lays_a_triangle_twice(mesh, star, survivor))
+    }
+
+    /// A new spoke of the survivor, to or from a tied vertex.
+    fn lays_an_edge_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
         let own = self.tie[kept.index()];
         let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
@@ -139,5 +143,35 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 own != UNTIED && !is_apex(v) && reaches(v, own, kept)
             }
         })
+    }
+
+    /// A triangle with the corners of another one. Two of them are tied then: elsewhere the link condition sees it.
+    fn lays_a_triangle_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        let connectivity = &mesh.connectivity;
+        let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
+        // What a vertex is afterwards, in space: its set, or itself.
+        let place = |v: VertexId| {
+            let v = if v == gone { kept } else { v };
+            let set = self.tie[v.index()];
+            if set == UNTIED { (UNTIED, v) } else { (set, VertexId::NONE) }
+        };
+        let is_tied = |v: VertexId| place(v).0 != UNTIED;
+        let vanishes = |t: TriangleId| star.vanishing.iter().any(|(vanishing, ..)| *vanishing == t);
+        let own = self.tie[kept.index()];
+        let first = self.sheets.partition_point(|&(set, _)| set < own);
+        let others = self.sheets[first..].iter().take_while(|(set, _)| *set == own).map(|&(_, v)| v);
+        let is_another = |v: &VertexId| *v != kept;
+        let fans = || [kept, gone].into_iter().chain(others.clone().filter(is_another));
+        let moved = star.wings.iter().filter(|wing| wing.end != survivor);
+        moved.filter(|wing| [kept, wing.from, wing.to].into_iter().filter(|&v| is_tied(v)).count() > 1).any(
+            |wing| {
+                let [from, to] = [wing.from, wing.to].map(place);
+                fans().flat_map(|v| connectivity.fan(v)).any(|h| {
+                    let sides = [h, Connectivity::next(h)].map(|h| place(connectivity.target(h)));
+                    let t = Connectivity::triangle(h);
+                    t != wing.triangle && !vanishes(t) && (sides == [from, to] || sides == [to, from])
+                })
+            },
+        )
     }
 }
