@@ -165,6 +165,7 @@ def simplify_seams(
     textured: NDArray[np.bool_],
     materials: NDArray[np.int32],
     parts: NDArray[np.int32],
+    importance: NDArray[np.float64],
     fixed: NDArray[np.bool_],
     *,
     knobs: SeamKnobs,

@@ -78,10 +78,11 @@ class SeamAttributes:
         if uvs is not None and mesh.texture is not None:
             uvs[kept] = mesh.texture.uvs.reshape(-1, 2)[source]
             uvs = uvs.reshape(-1, 3, 2)
-        before = self.positions[left.vertex_source]
-        moved = (left.places != before - self.origin).any(axis=1, keepdims=True)
-        vertices = np.where(moved, left.places + self.origin, before)
-        triangles, vertex_source, levels = left.triangles, left.vertex_source, None
+        own, triangles = _shared(left)
+        vertex_source, places, levels = left.vertex_source[own], left.places[own], None
+        before = self.positions[vertex_source]
+        moved = (places != before - self.origin).any(axis=1, keepdims=True)
+        vertices = np.where(moved, places + self.origin, before)
         if colors is not None and mesh.colors is not None:
             levels = np.rint(colors).clip(0, 255).astype(np.uint8)
             levels[kept] = mesh.colors[mesh.triangles.reshape(-1)[source]]
@@ -90,6 +91,18 @@ class SeamAttributes:
         base = mesh.with_(vertices=vertices, colors=levels, normals=None)
         light = base.with_triangles(triangles, left.triangle_source, uvs=uvs)
         return (light if normals is None else _with_normals(light, normals)), vertex_source
+
+
+def _shared(left: SeamState) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Return which vertices there are, and the triangles between them.
+
+    Where sheets touch without being joined, each has a vertex of its own; they share it if the input's did.
+    """
+    _, first, inverse = np.unique(left.vertex_source, return_index=True, return_inverse=True)
+    same = first[inverse.reshape(-1)]
+    is_there = (left.places == left.places[same]).all(axis=1)
+    own, number = np.unique(np.where(is_there, same, np.arange(len(same))), return_inverse=True)
+    return own, number.reshape(-1).astype(np.int32)[left.triangles]
 
 
 def _one_color_each(

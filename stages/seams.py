@@ -31,6 +31,7 @@ def by_seams(
     mesh: Mesh,
     params: SimplifyParams,
     lock: NDArray[np.bool_],
+    importance: Floats,
     running: _kernels.Running,
     progress: Progress,
 ) -> Simplified:
@@ -39,18 +40,25 @@ def by_seams(
     Parameters
     ----------
     lock : (n,) bool, vertices that stay.
+    importance : (n,) above 0, or (0,) for 1 everywhere.
     running : up to how many triangles, with a record or not, and what Ctrl-C does.
     """
     # A record names the corners of the input all along.
     if running.record or not is_scattered(mesh):
-        return _as_it_is(mesh, params, lock, running, progress)
-    return reordered(mesh, lambda own, vertices: _as_it_is(own, params, lock[vertices], running, progress))
+        return _as_it_is(mesh, params, lock, importance, running, progress)
+
+    def simplified(own: Mesh, vertices: NDArray[np.integer[Any]]) -> Simplified:
+        factors = importance[vertices] if len(importance) else importance
+        return _as_it_is(own, params, lock[vertices], factors, running, progress)
+
+    return reordered(mesh, simplified)
 
 
 def _as_it_is(
     mesh: Mesh,
     params: SimplifyParams,
     lock: NDArray[np.bool_],
+    importance: Floats,
     running: _kernels.Running,
     progress: Progress,
 ) -> Simplified:
@@ -75,6 +83,7 @@ def _as_it_is(
         has_uvs,
         np.full(count, -1, np.int32) if texture is None else texture.material_ids,
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
+        importance[mesh.triangles].mean(axis=1) if len(importance) else importance,
         lock,
         knobs=_knobs(params, attributes.uv_scale),
         fit=params.fit,

@@ -160,19 +160,38 @@ class Simplified:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a person should know of the result, in plain sentences."""
+        return (*self._of_topology(), *self._of_ties())
+
+    def _of_topology(self) -> tuple[str, ...]:
         kept = self.refused.get("topology", 0) + self.refused.get("bridge", 0)
         by_bounds = self.method not in ("quadric", "seams") and self.stopped_by != "triangles"
-        # There are at least half as many edges as sides of triangles.
-        if by_bounds or kept <= _CROWDED * 1.5 * len(self.mesh.triangles):
-            return ()
-        edges = len(edges_of(self.mesh.triangles, len(self.mesh.vertices)).ends)
-        if kept <= _CROWDED * edges:
+        share = self._share_of_edges(kept)
+        if by_bounds or share <= _CROWDED:
             return ()
         return (
-            f"{kept / edges:.0%} of the edges that are left stand for holes, handles and loose pieces, which "
+            f"{share:.0%} of the edges that are left stand for holes, handles and loose pieces, which "
             "all stay, so that the rest lost more than it had to; fill or remove small ones first "
             "(fill_holes and min_island_area of clean), or keep more triangles.",
         )
+
+    def _of_ties(self) -> tuple[str, ...]:
+        if self.method != "seams" or self.stopped_by != "bounds":
+            return ()
+        share = self._share_of_edges(self.refused.get("pinned", 0))
+        if share <= _CROWDED:
+            return ()
+        return (
+            f"{min(share, 1):.0%} of the edges that are left lie where sheets touch that cannot be joined, "
+            "as doubled faces do and parts that stand on each other, or are locked; they all stay. Run clean "
+            "first: it takes doubled faces away and lets the others move.",
+        )
+
+    def _share_of_edges(self, count: int) -> float:
+        """Return what share of the edges are so many; 0 where it is clear that this is less than half."""
+        # There are at least half as many edges as sides of triangles.
+        if count <= _CROWDED * 1.5 * len(self.mesh.triangles):
+            return 0.0
+        return count / len(edges_of(self.mesh.triangles, len(self.mesh.vertices)).ends)
 
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; what the method has no figure for is left out."""

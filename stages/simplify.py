@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from stages import _kernels, jia01, quadric, seams
 from stages.certified import simplify_certified
 from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
+from stages.mesh import Mesh
 from stages.params import resolve
 from stages.planar import by_patches
 from stages.progress import Progress, silent
@@ -49,11 +51,12 @@ def simplify(
     `triangles` or `ratio` too, it ends at this number or at the bounds, whichever comes first, and
     `stopped_by` says which.
 
-    Method `seams`, for `triangles` or `ratio` of textured meshes: vertices that a file doubles along texture
-    seams, between materials or parts are one, and move together. Each keeps texture coordinates, colour and
-    normal for every chart it lies in, which are part of the error. Welded by position, the result has no
-    hole, no edge of more than two triangles and no triangle upon another that the input has not. In the image
-    no triangle turns over, no texture coordinate leaves its chart, and seams stay within `max_seam_drift`.
+    Method `seams`, for `triangles` or `ratio` of meshes with texture, materials, parts or normals of corners:
+    vertices that a file doubles along texture seams, between materials or parts are one, and move together.
+    Each keeps texture coordinates, colour and normal for every chart it lies in, which are part of the error.
+    Welded by position, the result has no hole, no edge of more than two triangles and no triangle upon
+    another that the input has not. In the image no triangle turns over, no texture coordinate leaves its
+    chart, and seams stay within `max_seam_drift`.
 
     Method `jia01`, for bounds on sums: long edges are split; then edges collapse in the order of what was
     summed up around them. A new vertex is the mean of the projections of the edge's midpoint on the planes of
@@ -71,7 +74,7 @@ def simplify(
     lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included (with `seams` their
         positions; copies of a locked vertex stay too). Others may collapse into them.
     importance : (n,) float above 0, factor of the squared error around each vertex; for `certified` at least
-        1, and bounds there are divided by it. Not for `jia01`, `seams` and `planar`.
+        1, and bounds there are divided by it. Not for `jia01` and `planar`.
     regions : Sphere and Box of `stages.regions`, which lock the vertices they hold, or give them importance.
     record : keep all collapses, so that every mesh on the way can be had again. What `certified` proves, it
         proves of the last one.
@@ -144,10 +147,9 @@ def simplify(
     """
     params = resolve(SimplifyParams, params, changes)
     mesh = as_mesh(mesh)
-    textured = mesh.texture is not None and bool(mesh.texture.has_uvs().any())
-    method = params.chosen(textured=textured)
+    method = params.chosen(in_pieces=_is_in_pieces(mesh))
     locked, factors = resolve_control(mesh, lock, importance, regions)
-    if len(factors) and method in ("jia01", "seams"):
+    if len(factors) and method == "jia01":
         raise UsageError(
             f"importance has no meaning for method {method}; give triangles or ratio, no bound, and method "
             "quadric."
@@ -186,10 +188,16 @@ def simplify(
         if method == "quadric":
             return quadric.by_quadrics(mesh, params, locked, factors, running, progress)
         if method == "seams":
-            return seams.by_seams(mesh, params, locked, running, progress)
+            return seams.by_seams(mesh, params, locked, factors, running, progress)
         return jia01.by_sums(mesh, params, locked, running, progress)
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}; run clean first.", "mesh") from error
+
+
+def _is_in_pieces(mesh: Mesh) -> bool:
+    """Return whether the mesh has what `seams` alone carries: image, materials, parts, normals of corners."""
+    has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
+    return mesh.texture is not None or mesh.corner_normals is not None or has_parts
 
 
 def _contented(progress: Progress) -> Progress:

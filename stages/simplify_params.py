@@ -88,7 +88,8 @@ class SimplifyParams:
         "summed change of shape and texture. planar: near-planar patches with as few triangles as their "
         "borders need, within bounds; fast, for walls, floors and machined parts. auto: jia01 with "
         "resolution or paper_rule, else certified with max_shape or max_texture, else with triangles or "
-        "ratio seams if the mesh is textured and quadric if not, else jia01.",
+        "ratio seams if the mesh has texture, materials, parts or normals of corners and quadric if not, "
+        "else jia01.",
         group=_HOW,
         choices=("auto", "quadric", "certified", "jia01", "planar", "seams"),
     )
@@ -221,12 +222,12 @@ class SimplifyParams:
         """Return how many of so many triangles are wanted; 0 if there is no such wish."""
         return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles or 0
 
-    def chosen(self, *, textured: bool = False) -> str:
+    def chosen(self, *, in_pieces: bool = False) -> str:
         """Return the method that `auto` stands for here, or the one that is given.
 
         Parameters
         ----------
-        textured : whether the mesh has texture coordinates.
+        in_pieces : whether the mesh has texture, materials, parts or normals of corners.
 
         Raises
         ------
@@ -238,7 +239,7 @@ class SimplifyParams:
         if method == "auto":
             if self.resolution is not None or self.paper_rule:
                 method = "jia01"
-            elif not has_bound and self.has_count and (textured or self._names_seams()):
+            elif not has_bound and self.has_count and (in_pieces or self._names_seams()):
                 method = "seams"
             elif has_bound:
                 method = "certified"

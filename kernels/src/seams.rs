@@ -41,6 +41,8 @@ pub struct Surface<const K: usize> {
     pub textured: Vec<bool>,
     pub materials: Vec<i32>,
     pub parts: Vec<i32>,
+    /// Factor of the error around each triangle; empty for 1.
+    pub importance: Vec<f64>,
     /// Vertices that stay where they are.
     pub fixed: Vec<bool>,
 }

@@ -43,6 +43,7 @@ fn painted(w: u32, h: u32) -> Surface<2> {
         textured: vec![true; count],
         materials: vec![0; count],
         parts: vec![0; count],
+        importance: vec![],
         fixed: vec![false; 3 * count],
     }
 }
@@ -198,6 +199,7 @@ fn flat(points: Vec<[f64; 3]>, sets: Vec<u32>, triangles: Vec<[u32; 3]>) -> Surf
         textured: vec![false; count],
         materials: vec![0; count],
         parts: vec![0; count],
+        importance: vec![],
         fixed: vec![false; vertices],
     }
 }

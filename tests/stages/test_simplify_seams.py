@@ -21,6 +21,7 @@ from seamed_meshes import (
     wrapped_ball,
 )
 
+from stages.clean import clean
 from stages.collapse_record import load_record
 from stages.errors import InputError, UsageError
 from stages.mesh import Material, Mesh, Texture
@@ -370,6 +371,27 @@ def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> N
     assert edge_counts(welded(light.mesh))[0] <= edge_counts(welded(sheet))[0]
 
 
+def test_auto_takes_seams_for_what_only_seams_carries() -> None:
+    mesh = two_cubes(gap=0.5)
+    assert simplify(mesh, ratio=0.3).method == "seams"
+    plain = Mesh(mesh.vertices, mesh.triangles)
+    assert simplify(plain, ratio=0.3).method == "quadric"
+    one_part = plain.with_(part_ids=np.zeros(len(plain.triangles), np.int32), part_names=("box",))
+    assert simplify(one_part, ratio=0.3).method == "quadric"
+    colored = Texture(
+        np.zeros((len(mesh.triangles), 3, 2)),
+        np.repeat([0, 1], len(mesh.triangles) // 2).astype(np.int32),
+        (Material("red", base_color=(1, 0, 0, 1)), Material("blue", base_color=(0, 0, 1, 1))),
+    )
+    light = simplify(plain.with_(texture=colored), ratio=0.3)
+    assert light.method == "seams"
+    assert light.mesh.texture is not None
+    left = light.mesh.vertices[light.mesh.triangles].mean(axis=1)[:, 0] < 0.75
+    np.testing.assert_array_equal(light.mesh.texture.material_ids, np.where(left, 0, 1))
+    corners = np.broadcast_to([0.0, 0.0, 1.0], (len(mesh.triangles), 3, 3)).copy()
+    assert simplify(plain.with_(corner_normals=corners), ratio=0.3).method == "seams"
+
+
 def test_a_penalty_puts_off_what_it_is_for() -> None:
     mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
     parts = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
@@ -382,6 +404,22 @@ def test_a_penalty_puts_off_what_it_is_for() -> None:
         return len(by_part[0] & by_part[1])
 
     assert left_on_border(across_parts=1000) > left_on_border(across_parts=0)
+
+
+def test_importance_keeps_triangles_where_it_is() -> None:
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+    upper = mesh.vertices[:, 2] > 0
+
+    def share_above(**changes: Any) -> float:
+        light = simplify(mesh, method="seams", ratio=0.1, **changes)
+        assert_sound(light.mesh, light.triangle_source, mesh)
+        return float((light.mesh.vertices[light.mesh.triangles].mean(axis=1)[:, 2] > 0).mean())
+
+    assert share_above(importance=np.where(upper, 50.0, 1.0)) > 1.25 * share_above()
+    np.testing.assert_array_equal(
+        simplify(mesh, ratio=0.1, importance=np.full(len(upper), 1.0)).mesh.vertices,
+        simplify(mesh, ratio=0.1).mesh.vertices,
+    )
 
 
 def test_high_valence_is_put_off() -> None:
@@ -422,6 +460,26 @@ def test_locked_vertices_stay() -> None:
 
 
 # -- what is chosen, and what is refused -----------------------------------------------------------------
+
+
+def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
+    mesh = folded_strips(20, 11)
+    assert mesh.texture is not None
+    back = mesh.triangles[:, ::-1]
+    both = Mesh(
+        mesh.vertices,
+        np.concatenate([mesh.triangles, back]),
+        texture=mesh.texture.rows(np.tile(np.arange(len(back)), 2)),
+    )
+    result = simplify(both, ratio=0.2)
+    # What nothing has happened to is as it was.
+    np.testing.assert_array_equal(result.mesh.vertices[result.mesh.triangles], both.vertices[both.triangles])
+    assert len(result.mesh.vertices) <= len(both.vertices)
+    (warning,) = result.warnings
+    assert "doubled faces" in warning
+    light = simplify(clean(both).mesh, ratio=0.2)
+    assert light.stopped_by == "triangles"
+    assert not light.warnings
 
 
 def test_auto_takes_seams_for_textured_meshes_and_for_its_own_parameters() -> None:

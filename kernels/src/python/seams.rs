@@ -77,9 +77,9 @@ pub struct SeamLog {
 
 /// Simplify a mesh whose vertices are doubled along seams. `sets` (n,) says which vertices are one; `corners` (3 m, k)
 /// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
-/// then three or six more.
+/// then three or six more. `importance` (m,) multiplies the error around triangles, (0,) for 1.
 #[pyfunction]
-#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, fixed, *, knobs, fit, running, progress))]
+#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, fixed, *, knobs, fit, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_seams(
     py: Python<'_>,
@@ -90,6 +90,7 @@ pub fn simplify_seams(
     textured: PyReadonlyArray1<'_, bool>,
     materials: PyReadonlyArray1<'_, i32>,
     parts: PyReadonlyArray1<'_, i32>,
+    importance: PyReadonlyArray1<'_, f64>,
     fixed: PyReadonlyArray1<'_, bool>,
     knobs: PyRef<'_, SeamKnobs>,
     fit: bool,
@@ -114,6 +115,10 @@ pub fn simplify_seams(
             "sets, fixed, corners, textured, materials and parts must fit the mesh",
         ));
     }
+    let importance = importance.as_array().to_vec();
+    if !importance.is_empty() && importance.len() != triangles.len() {
+        return Err(PyValueError::new_err("importance needs one value a triangle, or none at all"));
+    }
     let light = Light {
         points,
         sets: sets.iter().map(|&s| s as u32).collect(),
@@ -121,6 +126,7 @@ pub fn simplify_seams(
         textured: textured.as_array().to_vec(),
         materials: materials.as_array().to_vec(),
         parts: parts.as_array().to_vec(),
+        importance,
         fixed: fixed.as_array().to_vec(),
     };
     let (knobs, running) = (knobs.0, &*running);
@@ -162,6 +168,7 @@ struct Light {
     textured: Vec<bool>,
     materials: Vec<i32>,
     parts: Vec<i32>,
+    importance: Vec<f64>,
     fixed: Vec<bool>,
 }
 
@@ -183,6 +190,7 @@ impl Light {
             textured: self.textured,
             materials: self.materials,
             parts: self.parts,
+            importance: self.importance,
             fixed: self.fixed,
         };
         let running_goal = running.goal();

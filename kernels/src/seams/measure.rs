@@ -131,8 +131,12 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 let attributes = &wedges.attributes[wedges.of(h) as usize];
                 std::array::from_fn::<f64, D, _>(|i| if i < 3 { place[i] } else { attributes[i - 3] })
             });
-            let quadric = Quadric::<K>::of_triangle(points.each_ref(), 1.0);
-            let plane = Quadric::<0>::of_triangle(points.map(|p| position(&p)).each_ref(), 0.0);
+            let mut quadric = Quadric::<K>::of_triangle(points.each_ref(), 1.0);
+            let mut plane = Quadric::<0>::of_triangle(points.map(|p| position(&p)).each_ref(), 0.0);
+            if let Some(&importance) = surface.importance.get(source) {
+                quadric.scale(importance);
+                plane.scale(importance);
+            }
             for h in halfedges {
                 let v = connectivity.origin(h).index();
                 quadrics[wedges.of(h) as usize].add(&quadric);
@@ -153,7 +157,9 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             for h in [first, connectivity.twin(first)].into_iter().filter(|h| h.is_some()) {
                 let across = mesh.point(connectivity.origin(Connectivity::prev(h)));
                 let [a, b] = ends.map(|v| mesh.point(v));
-                ends.iter().for_each(|v| shape[v.index()].add_wall(WALL, [a, b, across]));
+                let source = mesh.triangle_source[Connectivity::triangle(h).index()] as usize;
+                let weight = WALL * surface.importance.get(source).unwrap_or(&1.0);
+                ends.iter().for_each(|v| shape[v.index()].add_wall(weight, [a, b, across]));
             }
             ends.iter().for_each(|v| spots[v.index()].seam_degree += 1);
         }
