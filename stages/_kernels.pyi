@@ -23,6 +23,7 @@ __all__ = [
     "SeamLog",
     "Simplified",
     "SnmError",
+    "WeldedSheets",
     "certify",
     "color_weight",
     "decode_normal_mesh",
@@ -36,7 +37,7 @@ __all__ = [
     "simplify_planar",
     "simplify_seams",
     "spatial_order",
-    "tied_vertices",
+    "weld_sheets",
 ]
 
 class InvalidMeshError(ValueError):
@@ -173,7 +174,24 @@ def simplify_seams(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> BySeams: ...
-def tied_vertices(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> NDArray[np.bool_]: ...
+
+@final
+class WeldedSheets:
+    """What `weld_sheets` returns.
+
+    `triangles` (k, 3) number the vertices of the sheets, `triangle_source` (k,) says which triangle of the
+    input each was, those with two corners in one set being left out, and `is_tied` (p,) which vertices lie
+    where sheets touch.
+    """
+
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    @property
+    def triangle_source(self) -> NDArray[np.int32]: ...
+    @property
+    def is_tied(self) -> NDArray[np.bool_]: ...
+
+def weld_sheets(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> WeldedSheets: ...
 
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]

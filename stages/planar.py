@@ -8,7 +8,7 @@ vertex of the input, so that all it carries stays with it.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,20 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.centred import as_result, centred
 from stages.convert import MeshLike, as_mesh
-from stages.errors import MeshError, UsageError
+from stages.errors import UsageError
 from stages.mesh import Mesh
 from stages.params import resolve
 from stages.patches import Patches
 from stages.planar_params import MAX_TEXTURE, PatchParams
 from stages.progress import Progress, silent
 from stages.raycasting import bounding_box
+from stages.sheets import Sheets, taken_apart
 from stages.simplified import Simplified
 
 VERSION = 2
+
+# Vertices, their attributes, triangles.
+_Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32]]
 
 _SHAPE_PER_DIAGONAL = 0.005
 _FARTHEST_COLORS = 255 * math.sqrt(3)
@@ -47,7 +51,7 @@ def planar_patches(
 
     Parameters
     ----------
-    mesh : an oriented manifold, as for `simplify`, in metres.
+    mesh : in metres. Where more than two triangles meet at an edge, or differ in orientation, patches end.
     params : PatchParams; single fields can be given by name instead.
     progress : called about ten times a second; raising from it stops the work.
 
@@ -59,26 +63,27 @@ def planar_patches(
     Raises
     ------
     MeshError
-        For a mesh that is not an oriented manifold; the message names the elements.
+        For an index out of range or a value that is not finite.
     UsageError
         For a parameter out of range, or a bound on colours for a mesh without.
     """
     params = resolve(PatchParams, params, changes)
     mesh = as_mesh(mesh)
     given = centred(mesh)
-    try:
-        found = _kernels.planar_patches(
-            given.vertices,
-            given.attributes,
-            mesh.triangles,
-            cosines=_cosines(params),
-            bounds=_bounds(mesh, params),
-            threads=params.threads or 0,
-            progress=progress,
+    cosines, bounds, threads = _cosines(params), _bounds(mesh, params), params.threads or 0
+
+    def found(surface: _Surface) -> _kernels.PlanarPatches:
+        return _kernels.planar_patches(
+            *surface, cosines=cosines, bounds=bounds, threads=threads, progress=progress
         )
-    except _kernels.InvalidMeshError as error:
-        raise MeshError(f"{error}; run clean first.", "mesh") from error
-    return _patches(found, given.origin)
+
+    whole = given.vertices, given.attributes, mesh.triangles
+    try:
+        return _patches(found(whole), given.origin)
+    except _kernels.InvalidMeshError:
+        sheets = _sheets(mesh)
+        in_sheets = found(_in_sheets(whole, sheets))
+        return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
 
 
 def by_patches(
@@ -100,25 +105,38 @@ def by_patches(
     ------
     UsageError
         For a bound on colours for a mesh without.
-    _kernels.InvalidMeshError
-        For a mesh that is not an oriented manifold.
     """
     given = centred(mesh)
     shape, color = _bounds(mesh, params)
-    result = _kernels.simplify_planar(
-        given.vertices,
-        given.attributes,
-        mesh.triangles,
-        lock,
-        cosines=_cosines(params),
-        bounds=(shape, color),
-        threads=params.threads or 0,
-        partial=partial,
-        progress=progress,
-    )
-    source = result.vertex_source
+    cosines, threads = _cosines(params), params.threads or 0
+
+    def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> _kernels.ByPatches:
+        return _kernels.simplify_planar(
+            *surface,
+            lock,
+            cosines=cosines,
+            bounds=(shape, color),
+            threads=threads,
+            partial=partial,
+            progress=progress,
+        )
+
+    whole = given.vertices, given.attributes, mesh.triangles
+    try:
+        result = simplified(whole, lock)
+        triangles, source, triangle_source = result.triangles, result.vertex_source, result.triangle_source
+        input_patch = result.input_patch
+    except _kernels.InvalidMeshError:
+        sheets = _sheets(mesh)
+        of_sheets = sheets.vertex_source
+        # Where sheets touch, all triangles stay, and with them what touches.
+        result = simplified(_in_sheets(whole, sheets), lock[of_sheets] | sheets.is_tied)
+        source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
+        triangles = one.reshape(-1).astype(np.int32)[result.triangles]
+        triangle_source = sheets.triangle_source[result.triangle_source]
+        input_patch = _of_triangles(mesh, sheets, result.input_patch)
     colors = given.attributes[source].astype(np.float64)
-    light = as_result(mesh, mesh.vertices[source], colors, result.triangles, source, "simplify")
+    light = as_result(mesh, mesh.vertices[source], colors, triangles, source, "simplify")
     # The bounds hold in exact arithmetic; coordinates are rounded a few times on the way.
     slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
     bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
@@ -129,7 +147,7 @@ def by_patches(
     return Simplified(
         mesh=light,
         vertex_source=source,
-        triangle_source=result.triangle_source,
+        triangle_source=triangle_source,
         method="planar",
         stopped_by="request" if result.is_partial else "bounds",
         refused=result.refused,
@@ -145,10 +163,26 @@ def by_patches(
         iterations=result.rounds,
         max_shape_m=shape,
         max_texture_levels=color if with_color else None,
-        patches=_patches(result, given.origin),
+        patches=_patches(result, given.origin, input_patch),
         triangle_patch=result.triangle_patch,
         kept_patches=int(result.kept.sum()),
     )
+
+
+def _sheets(mesh: Mesh) -> Sheets:
+    return taken_apart(mesh.triangles, np.arange(len(mesh.vertices)))
+
+
+def _in_sheets(whole: _Surface, sheets: Sheets) -> _Surface:
+    vertices, attributes, _ = whole
+    return vertices[sheets.vertex_source], attributes[sheets.vertex_source], sheets.triangles
+
+
+def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the patch of each triangle of the mesh from that of each triangle of its sheets."""
+    result = np.full(len(mesh.triangles), -1, np.int32)
+    result[sheets.triangle_source] = patch
+    return result
 
 
 def _cosines(params: PatchParams) -> tuple[float, float, float]:
@@ -174,9 +208,13 @@ def _bounds(mesh: Mesh, params: PatchParams) -> tuple[float, float]:
     return shape, MAX_TEXTURE if params.max_texture is None else params.max_texture
 
 
-def _patches(found: _kernels.PlanarPatches, origin: NDArray[np.float64]) -> Patches:
+def _patches(
+    found: _kernels.PlanarPatches,
+    origin: NDArray[np.float64],
+    triangle_patch: NDArray[np.int32] | None = None,
+) -> Patches:
     return Patches(
-        triangle_patch=found.input_patch,
+        triangle_patch=found.input_patch if triangle_patch is None else triangle_patch,
         normals=found.normals,
         origins=found.origins + origin,
         areas=found.areas,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
 from stages.errors import UsageError
 from stages.mesh import Triangles, Vertices
+from stages.sheets import taken_apart
 
 # Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
 _MOST_PAIRS = 64
@@ -69,7 +69,10 @@ def joinable_sets(
     # What is taken apart may leave its neighbours in a set that cannot be joined any more.
     while True:
         is_uneven = np.bincount(sets[first], minlength=len(first))[sets] > 1
-        taken = is_uneven & _kernels.tied_vertices(sets, triangles)
+        sheets = taken_apart(triangles, sets)
+        is_tied = np.zeros(len(sets), bool)
+        is_tied[sets[sheets.vertex_source[sheets.is_tied]]] = True
+        taken = is_uneven & is_tied[sets]
         if not taken.any():
             return sets, _means(vertices, sets), apart
         apart |= taken

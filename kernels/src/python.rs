@@ -55,8 +55,9 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<seams::BySeams>()?;
     module.add_class::<seams::SeamKnobs>()?;
     module.add_class::<seams::SeamLog>()?;
+    module.add_class::<seams::WeldedSheets>()?;
     module.add_function(wrap_pyfunction!(seams::simplify_seams, module)?)?;
-    module.add_function(wrap_pyfunction!(seams::tied_vertices, module)?)?;
+    module.add_function(wrap_pyfunction!(seams::weld_sheets, module)?)?;
     module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;

@@ -9,7 +9,6 @@ use pyo3::prelude::*;
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
 use super::simplified::{Running, stopped_by};
-use crate::error::KernelError;
 use crate::seams::measure::Knobs;
 use crate::seams::weld::{UNTIED, weld};
 use crate::seams::{Goal, Outcome, Surface, simplify};
@@ -138,26 +137,36 @@ pub fn simplify_seams(
     }
 }
 
-/// Which vertices (n,) are in a set where triangles would meet that cannot be joined; see `scanloom_kernels::seams::weld`.
+/// Sheets between which a surface was taken apart; see `scanloom_kernels::seams::weld`.
+#[pyclass(frozen, get_all)]
+pub struct WeldedSheets {
+    triangles: Py<PyArray2<i32>>,
+    triangle_source: Py<PyArray1<i32>>,
+    is_tied: Py<PyArray1<bool>>,
+}
+
+/// Join triangles where two of them meet between the same `sets` (n,), and take them apart where more do.
 #[pyfunction]
-pub fn tied_vertices<'py>(
-    py: Python<'py>,
-    sets: PyReadonlyArray1<'py, i32>,
-    triangles: PyReadonlyArray2<'py, i32>,
-) -> PyResult<Bound<'py, PyArray1<bool>>> {
+pub fn weld_sheets(
+    py: Python<'_>,
+    sets: PyReadonlyArray1<'_, i32>,
+    triangles: PyReadonlyArray2<'_, i32>,
+) -> PyResult<WeldedSheets> {
     let sets = sets.as_array();
     let triangles = triangles_from(&triangles, sets.len())?;
     if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
         return Err(PyValueError::new_err("sets must be numbered from 0"));
     }
     let sets: Vec<u32> = sets.iter().map(|&s| s as u32).collect();
-    let is_tied = py.detach(|| -> Result<Vec<bool>, KernelError> {
-        let tie = weld(&sets, &triangles)?.tie;
-        let mut set_is_tied = vec![false; sets.len()];
-        tie.into_iter().filter(|&set| set != UNTIED).for_each(|set| set_is_tied[set as usize] = true);
-        Ok(sets.iter().map(|&set| set_is_tied[set as usize]).collect())
-    })?;
-    Ok(PyArray1::from_vec(py, is_tied))
+    let welded = py.detach(|| weld(&sets, &triangles))?;
+    let corners: Vec<[u32; 3]> =
+        welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
+    let is_tied = welded.tie.iter().map(|&set| set != UNTIED).collect();
+    Ok(WeldedSheets {
+        triangles: triangle_array(py, &corners)?,
+        triangle_source: id_array(py, welded.triangle_source.into_iter()),
+        is_tied: PyArray1::from_vec(py, is_tied).unbind(),
+    })
 }
 
 /// A surface without its attributes.
