@@ -165,6 +165,8 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
         raise InputError("is compressed; write it again without compression.", gltf.path)
     if "targets" in primitive:
         reading.note("morph targets are left out")
+    if "TANGENT" in attributes:
+        reading.note("tangents are left out: programs derive them from normals and texture coordinates")
     vertices = gltf.array(attributes["POSITION"])[:, :3].astype(np.float64)
     triangles = _triangles(gltf, primitive, mode, len(vertices))
     reading.corners += triangles.size + len(vertices)

@@ -28,6 +28,11 @@ _TRANSFORM = "KHR_texture_transform"
 # What the core of glTF allows; WebP is an extension that most programs know.
 _EMBEDDABLE = ("image/png", "image/jpeg", "image/webp")
 _WEBP = "EXT_texture_webp"
+# What a material of version 2.0 may say; anything else is of no standard.
+_KNOWN = (
+    *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
+    *("emissiveFactor", "alphaMode", "alphaCutoff", "doubleSided", "extensions", "extras"),
+)
 # A material without further statements would be metal. Read back, this one says nothing.
 _PLAIN: Tree = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
 
@@ -95,6 +100,7 @@ class MaterialReader:
         return self._found[index]
 
     def _material(self, tree: Tree, with_colors: bool) -> tuple[Material, Placement]:
+        tree = {key: value for key, value in tree.items() if key in _KNOWN}
         name = str(tree.get("name", ""))
         surface = tree.get("pbrMetallicRoughness", {})
         base = surface.get("baseColorTexture")
@@ -107,7 +113,8 @@ class MaterialReader:
         sampler: Tree = {}
         for holder, key in holders:
             info = holder[key]
-            found = self._texture(info["index"]) if _placement(info) == placement else None
+            is_there = "index" in info and _placement(info) == placement
+            found = self._texture(info["index"]) if is_there else None
             if found is None:
                 self._notes.append(
                     f"{key} of material {name!r} is left out: its image is missing, or its coordinates are "
@@ -165,7 +172,7 @@ def _texture_holders(tree: Any) -> Iterator[tuple[Tree, str]]:
     """Find all places of a material that name a texture, those of extensions too."""
     for key, value in tree.items():
         if isinstance(value, dict):
-            if key.endswith("Texture") and "index" in value:
+            if key.endswith("Texture"):
                 yield tree, key
             else:
                 yield from _texture_holders(value)
@@ -188,6 +195,15 @@ def _forget_placement(info: Tree) -> None:
 def multiplies_colors(material: Material) -> bool:
     """Return whether the material is from a file in which vertex colours multiply its image."""
     return isinstance(material.kept, GltfStatements) and material.kept.multiplies
+
+
+def has_images(material: Material | None) -> bool:
+    """Return whether a material has any image, its own or one that is kept for writing it back."""
+    if material is None:
+        return False
+    return material.image is not None or bool(
+        isinstance(material.kept, GltfStatements) and material.kept.textures
+    )
 
 
 class MaterialWriter:

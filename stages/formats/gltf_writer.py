@@ -21,7 +21,7 @@ from stages.cleaning.merge import same_rows
 from stages.errors import MeshError, StageError
 from stages.formats.colors import linear_from_srgb
 from stages.formats.gltf_container import Tree
-from stages.formats.gltf_materials import MaterialWriter, multiplies_colors
+from stages.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
 from stages.formats.textures import write_images
 from stages.mesh import Mesh
 from stages.replacing import replacing
@@ -173,7 +173,8 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     columns: list[NDArray[Any]] = []
     texture = mesh.texture
     uvs = None
-    if texture is not None and texture.has_uvs()[rows][:1].any():
+    # A material with images needs coordinates, even where none are known.
+    if texture is not None and (texture.has_uvs()[rows][:1].any() or has_images(material)):
         uvs = texture.uvs[rows].reshape(-1, 2)
         columns += list(uvs.T)
     normals = None

@@ -311,6 +311,33 @@ def test_what_is_written_reads_back_and_keeps_the_rules(tmp_path):
     assert_same(read_gltf(tmp_path / "boxes.glb"), mesh)
 
 
+def test_a_material_with_an_image_has_coordinates_even_where_none_are_known(tmp_path):
+    corners = np.zeros((2, 3, 2))
+    corners[0] = [(0, 0), (1, 0), (0, 1)]
+    material = Material("a", Image("a.png", RED))
+    texture = Texture(corners, np.zeros(2, np.int32), (material,))
+    mesh = Mesh(np.array(SQUARE, float), np.array([[0, 1, 2], [2, 1, 3]], np.int32), texture=texture)
+    write_gltf(tmp_path / "a.glb", mesh)
+    primitives = json_of(tmp_path / "a.glb")["meshes"][0]["primitives"]
+    assert all("TEXCOORD_0" in primitive["attributes"] for primitive in primitives)
+    back = read_gltf(tmp_path / "a.glb").texture
+    assert back.has_uvs().tolist() == [True, False]
+    np.testing.assert_array_equal(back.uvs, corners)
+
+
+def test_what_no_standard_knows_of_a_material_goes_no_further(tmp_path):
+    make = Maker()
+    make.mesh({"attributes": {"POSITION": make.array(TRIANGLE, "f4")}, "material": 0})
+    strange = {"normalTexture": {"scale": "not a number"}, "someday": {"index": 3}}
+    kept = {"name": "a", "doubleSided": True, "extras": {"own": 1}}
+    mesh = make.read(tmp_path, materials=[{**strange, **kept}])
+    assert any("normalTexture of material 'a' is left out" in note for note in mesh.notes)
+    write_gltf(tmp_path / "a.glb", mesh)
+    (material,) = json_of(tmp_path / "a.glb")["materials"]
+    assert {name: material.pop(name) for name in kept} == kept
+    assert set(material) <= {"pbrMetallicRoughness"}
+
+
 def test_triangles_of_one_material_are_put_together(tmp_path):
     order = np.array([2, 0, 3, 1, 6, 4, 7, 5])
     mesh = boxes()
