@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from stages.convert import MeshLike, as_mesh
 from stages.errors import MeshError, UsageError
 from stages.mesh import Mesh
 from stages.params import check, param, resolve
+from stages.prefetch import read_ahead, workers
 from stages.progress import Progress, silent
 from stages.raycasting import Floats, Surface, bounding_box
 from stages.surface_color import has_color, pixels_of
@@ -180,7 +182,7 @@ def bake(
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
     colors_of = FacingColors(surface, given, texel_size)
-    image, coverage = _image(atlas, samples, colors_of, progress)
+    image, coverage, turned = _image(atlas, samples, colors_of, progress)
     mesh = _textured(given, atlas, image)
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
     assert error is not None
@@ -192,7 +194,7 @@ def bake(
         charts=int(atlas.charts.max()) + 1,
         padding=padding,
         samples=samples,
-        turned=colors_of.turned / max(colors_of.asked, 1),
+        turned=turned,
         color=error,
         vertex_color=before if given.colors is not None else None,
     )
@@ -240,33 +242,54 @@ def _color_error(original: Surface, mesh: Mesh, box: Floats) -> ColorError | Non
     return compare_surfaces(original, Surface(mesh, box), CompareParams(samples=_COMPARED)).color_a_to_b
 
 
+@dataclass(frozen=True, eq=False)
+class _Strip:
+    """Rows of the image: `filled` texels have a sample on the surface, `turned` samples faced away."""
+
+    texels: NDArray[np.float32]
+    filled: NDArray[np.bool_]
+    samples: int
+    turned: int
+
+
 def _image(
     atlas: Atlas, samples: int, colors_of: FacingColors, progress: Progress
-) -> tuple[NDArray[np.uint8], float]:
-    """Return the image of an atlas, full to its edges, and the share that charts have of it."""
+) -> tuple[NDArray[np.uint8], float, float]:
+    """Return the image of an atlas, full to its edges, and two shares.
+
+    That which charts have of it, and that of the samples whose nearest point faced away.
+    """
     size = atlas.size
     image = np.zeros((size, size, 3), np.float32)
     filled = np.zeros((size, size), bool)
-    for start, end in strips(size, size * samples**2):
-        image[start:end], filled[start:end] = _strip(atlas, (start, end), samples, colors_of)
+    rows = strips(size, size * samples**2)
+    asked = turned = 0
+    paint = partial(_strip, atlas, samples, colors_of)
+    for (start, end), strip in zip(
+        rows, read_ahead(paint, rows, threads=workers(), ahead=workers() + 1), strict=True
+    ):
+        image[start:end], filled[start:end] = strip.texels, strip.filled
+        asked, turned = asked + strip.samples, turned + strip.turned
         progress(end, size)
     _mark_small(atlas, image, filled, colors_of)
-    return filled_up(image, filled, atlas.padding), float(filled.mean())
+    return filled_up(image, filled, atlas.padding), float(filled.mean()), turned / max(asked, 1)
 
 
-def _strip(
-    atlas: Atlas, rows: tuple[int, int], samples: int, colors_of: FacingColors
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Return rows of the image, and which texels have at least one sample on the surface."""
+def _strip(atlas: Atlas, samples: int, colors_of: FacingColors, rows: tuple[int, int]) -> _Strip:
     fine = (rows[0] * samples, rows[1] * samples)
     found = covered(atlas.corners * samples, fine, atlas.size * samples)
-    colors = colors_of(found.triangles, found.weights)
+    colors, turned = colors_of(found.triangles, found.weights)
     texels = (found.rows // samples - rows[0]) * atlas.size + found.columns // samples
     count = (rows[1] - rows[0]) * atlas.size
     hits = np.bincount(texels, minlength=count)
     sums = [np.bincount(texels, colors[:, channel], minlength=count) for channel in range(3)]
     means = np.stack(sums, axis=1) / np.maximum(hits, 1)[:, None]
-    return means.reshape(-1, atlas.size, 3).astype(np.float32), (hits > 0).reshape(-1, atlas.size)
+    return _Strip(
+        texels=means.reshape(-1, atlas.size, 3).astype(np.float32),
+        filled=(hits > 0).reshape(-1, atlas.size),
+        samples=len(texels),
+        turned=turned,
+    )
 
 
 def _mark_small(
@@ -276,5 +299,5 @@ def _mark_small(
     column, row = np.floor(atlas.corners.mean(axis=1)).astype(np.int64).clip(0, atlas.size - 1).T
     (missed,) = np.nonzero((atlas.charts >= 0) & ~filled[row, column])
     row, column = row[missed], column[missed]
-    image[row, column] = colors_of(missed, np.full((len(missed), 3), 1 / 3))
+    image[row, column], _ = colors_of(missed, np.full((len(missed), 3), 1 / 3))
     filled[row, column] = True

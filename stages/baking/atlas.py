@@ -34,6 +34,8 @@ Floats = NDArray[np.float64]
 _EDGE = 300.0
 # A triangle with less than this share of the texels it should have is laid out on its own.
 _LEAST_SHARE = 1e-3
+# Charts are packed in an image of this side at most, which is then enlarged: packing takes time by the texel.
+_PACKED = 1024
 # How often what still overlaps is taken out of its chart.
 _REPAIRS = 3
 # Of the image's side, to begin with; packing finds out what fits.
@@ -87,10 +89,12 @@ def unwrap(mesh: Mesh, size: int, padding: int, progress: Progress = silent) -> 
     placed = mesh.vertices[mesh.triangles[proper]]
     placed = (placed - (placed.min(axis=(0, 1)) + placed.max(axis=(0, 1))) / 2) * scale
     flat, charts = _charts(mesh.triangles[proper], placed, progress)
-    density = _FIRST_FILLED * size / math.sqrt(np.abs(signed_areas(flat)).sum())
+    enlarged = max(size / _PACKED, 1.0)
+    side, apart = round(size / enlarged), math.ceil(padding / enlarged)
+    density = _FIRST_FILLED * side / math.sqrt(np.abs(signed_areas(flat)).sum())
     packed: dict[str, NDArray[Any]] = {}
     for _ in range(1 + _REPAIRS):
-        given = {"corners": flat, "charts": charts, "size": size, "padding": padding, "density": density}
+        given = {"corners": flat, "charts": charts, "size": side, "padding": apart, "density": density}
         found = _asked("pack", given, progress)
         if found is None:
             raise _failure(len(proper))
@@ -99,8 +103,9 @@ def unwrap(mesh: Mesh, size: int, padding: int, progress: Progress = silent) -> 
                 f"the charts of {len(proper):,} triangles do not fit in {size} × {size} texels with "
                 f"{padding} around each; give a larger max_size or a smaller padding."
             )
-        density, packed = float(found["density"]), {"corners": found["corners"], "charts": charts}
-        bad = overlaps(found["corners"], size).triangles
+        density = float(found["density"])
+        packed = {"corners": found["corners"] * enlarged, "charts": charts}
+        bad = overlaps(packed["corners"], size).triangles
         if not len(bad):
             break
         flat, charts = _apart(flat, charts, placed, bad)

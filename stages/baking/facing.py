@@ -26,13 +26,7 @@ _PROBES = 100_000
 
 
 class FacingColors:
-    """The colours of an original at places on a light mesh.
-
-    Attributes
-    ----------
-    asked, turned : how many places there were, and at how many the nearest point faced away and another did
-        not.
-    """
+    """The colours of an original at places on a light mesh; several threads may ask at once."""
 
     def __init__(self, original: Surface, light: Mesh, texel_size: float) -> None:
         self._inwards = _INWARDS * texel_size
@@ -41,22 +35,24 @@ class FacingColors:
         self._light = light
         self._light_normals = _unit_normals(light)
         self._reach = self._farthest()
-        self.asked = self.turned = 0
 
-    def __call__(self, triangles: NDArray[np.int64], weights: Floats) -> NDArray[np.floating]:
-        """Return the colours (k, 3) at points of the light mesh."""
+    def __call__(self, triangles: NDArray[np.int64], weights: Floats) -> tuple[NDArray[np.floating], int]:
+        """Return the colours (k, 3) at points of the light mesh.
+
+        Beside them, at how many points the nearest one of the original faced away and another did not.
+        """
         corners = self._light.vertices[self._light.triangles[triangles]]
         points = self._moved_inwards(np.einsum("kc,kcx->kx", weights, corners), corners.mean(axis=1))
         nearest = self._original.closest(points)
         found, shares = nearest.triangles, nearest.weights
         normals = self._light_normals[triangles]
         (away,) = np.nonzero(_dot(normals, self._normals[found]) < 0)
+        turned = 0
         if len(away):
             chosen, others, other_shares = self._facing(points[away], normals[away])
             found[away[chosen]], shares[away[chosen]] = others, other_shares
-            self.turned += len(chosen)
-        self.asked += len(points)
-        return color_at(self._original.mesh, found, shares)
+            turned = len(chosen)
+        return color_at(self._original.mesh, found, shares), turned
 
     def _moved_inwards(self, points: Floats, middles: Floats) -> Floats:
         """Move points a little towards the middles of their triangles.
