@@ -196,8 +196,10 @@ def simplify(
 
 def _is_in_pieces(mesh: Mesh) -> bool:
     """Return whether the mesh has what `seams` alone carries: image, materials, parts, normals of corners."""
+    texture = mesh.texture
+    has_texture = texture is not None and ((texture.material_ids >= 0).any() or texture.has_uvs().any())
     has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
-    return mesh.texture is not None or mesh.corner_normals is not None or has_parts
+    return bool(has_texture or has_parts or mesh.corner_normals is not None)
 
 
 def _contented(progress: Progress) -> Progress:

@@ -68,18 +68,10 @@ def _cut_concave(
     bent = np.bincount(row, ~(_shares(doubled, normal[row]) > _NO_AREA)) > 0
     begins = np.searchsorted(source, polygon)
 
-    quads = np.flatnonzero(bent & (fan[polygon] == 2))
-    first = begins[quads]
-    (a, b, c), d = corners[first].T, corners[first + 1, 2]
-    other = np.stack((np.stack((b, c, d), axis=1), np.stack((b, d, a), axis=1)), axis=1)
-    halves = _doubled_normals(vertices[indices[other.reshape(-1, 3)]])
-    share = _shares(halves, np.repeat(normal[quads], 2, axis=0)).reshape(-1, 2)
-    whole = (share > _NO_AREA).all(axis=1)
-    for half in (0, 1):
-        corners[first[whole] + half] = other[whole, half]
-    bent[quads] = False
-    left = int((~whole).sum())
-    for number in np.flatnonzero(bent).tolist():
+    is_quad = fan[polygon] == 2
+    quads = np.flatnonzero(bent & is_quad)
+    left = _cut_quads(corners, begins[quads], normal[quads], indices, vertices)
+    for number in np.flatnonzero(bent & ~is_quad).tolist():
         count = int(fan[polygon[number]])
         rows = slice(int(begins[number]), int(begins[number]) + count)
         start = int(corners[rows][0, 0])
@@ -91,6 +83,23 @@ def _cut_concave(
             corners[rows] = start + triangles
     if left:
         notes.append(f"{left:,} of them cross themselves or have no area, and were split as if convex")
+
+
+def _cut_quads(corners: Indices, first: Indices, normal: Points, indices: Indices, vertices: Points) -> int:
+    """Cut quads along their other diagonal, in place; return how many that does not help.
+
+    Parameters
+    ----------
+    first : (q,) the row of `corners` with the first of each quad's two triangles.
+    normal : (q, 3) of the quads.
+    """
+    (a, b, c), d = corners[first].T, corners[first + 1, 2]
+    halves = np.stack((np.stack((b, c, d), axis=1), np.stack((b, d, a), axis=1)), axis=1)
+    doubled = _doubled_normals(vertices[indices[halves.reshape(-1, 3)]])
+    share = _shares(doubled, np.repeat(normal, 2, axis=0)).reshape(-1, 2)
+    whole = (share > _NO_AREA).all(axis=1)
+    corners[first[whole]], corners[first[whole] + 1] = halves[whole, 0], halves[whole, 1]
+    return int((~whole).sum())
 
 
 def _doubled_normals(triangles: Points) -> Points:

@@ -90,3 +90,7 @@ def test_what_crosses_itself_or_has_no_area_is_split_as_if_convex(ring):
 def test_indices_out_of_range_are_left_to_the_caller():
     corners, _ = split_polygons(np.array([4]), np.array([0, 1, 7, 2]), np.eye(3), [])
     assert len(corners) == 2
+    # Beside a quad that is concave at corner 3.
+    points = np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0), (1.5, 0.5, 0)])
+    corners, _ = split_polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]), points, [])
+    assert sorted(map(sorted, corners.tolist())) == [[0, 1, 3], [1, 2, 3], [4, 5, 6]]
