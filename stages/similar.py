@@ -13,6 +13,8 @@ from stages.sheets import taken_apart
 
 # Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
 _MOST_PAIRS = 64
+# Vertices that are asked how many there are, before all are.
+_ASKED = 4096
 
 
 def similar_sets(
@@ -37,14 +39,9 @@ def similar_sets(
     UsageError
         If `distance` is so large that most of the mesh would be one.
     """
-    sets, first = _equal(vertices)
-    if distance == 0 or len(first) < 2:
-        return sets, vertices[first][sets]
-    joined = _joined(vertices[first], sets, triangles, distance)
-    if joined is None:
-        return sets, vertices[first][sets]
-    sets = _ranked(joined[sets])
-    return sets, _means(vertices, sets)
+    equal, first = _equal(vertices)
+    sets = _similar(vertices[first], equal, triangles, distance)
+    return sets, _means(vertices, sets) if sets is not equal else vertices[first][sets]
 
 
 def joinable_sets(
@@ -61,11 +58,11 @@ def joinable_sets(
     apart : (n,) bool, vertices that are similar to others and nevertheless not in one set with them. Surfaces
         touch there, and come apart where only one of them moves.
     """
-    sets, positions = similar_sets(vertices, triangles, distance)
-    apart = np.zeros(len(sets), bool)
     equal, first = _equal(vertices)
-    if int(sets.max(initial=-1)) + 1 == len(first):
-        return sets, positions, apart
+    sets = _similar(vertices[first], equal, triangles, distance)
+    apart = np.zeros(len(sets), bool)
+    if sets is equal:
+        return sets, vertices[first][sets], apart
     # What is taken apart may leave its neighbours in a set that cannot be joined any more.
     while True:
         is_uneven = np.bincount(sets[first], minlength=len(first))[sets] > 1
@@ -110,31 +107,37 @@ def _firsts(sets: NDArray[np.int32]) -> NDArray[Any]:
     return first
 
 
-def _joined(
-    positions: Vertices, sets: NDArray[np.int32], triangles: Triangles, distance: float
-) -> NDArray[Any] | None:
-    """Return a label for each of `positions`, one for those that are close; None if none are."""
+def _similar(
+    positions: Vertices, equal: NDArray[np.int32], triangles: Triangles, distance: float
+) -> NDArray[np.int32]:
+    """Return the set of similar vertices each one is in; `equal` itself if no `positions` of its sets are."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    tree, count = cKDTree(positions), len(positions)
-    pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
-    if pairs_in_all > _MOST_PAIRS * count:
-        raise UsageError(
-            f"similar_distance {distance:g} m is far more than the distance between vertices: "
-            f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
-        )
-    if pairs_in_all == 0:
-        return None
+    count = len(positions)
+    if distance == 0 or count < 2:
+        return equal
+    tree = cKDTree(positions)
+    # Counting all pairs takes three times as long as listing the few there should be.
+    some = positions[:: max(count // _ASKED, 1)]
+    if tree.query_ball_point(some, distance, return_length=True).mean() > _MOST_PAIRS / 2:
+        pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
+        if pairs_in_all > _MOST_PAIRS * count:
+            raise UsageError(
+                f"similar_distance {distance:g} m is far more than the distance between vertices: "
+                f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
+            )
     pairs = tree.query_pairs(distance, output_type="ndarray")
+    if not len(pairs):
+        return equal
     close = np.zeros(count, bool)
     close[pairs] = True
-    edges = sets[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    edges = equal[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     edges = np.sort(edges[close[edges].all(axis=1)], axis=1)
     pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
     links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(links, directed=False)[1])
+    return _ranked(connected_components(links, directed=False)[1][equal])
 
 
 def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
