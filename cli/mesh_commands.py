@@ -137,9 +137,12 @@ def simplify(
     With neither: within the default bounds of --method jia01.
 
     --close-bounds and --save-bounds go with bounds. The input must be a manifold mesh; run `scanloom clean`
-    on it first when it is not.
+    on it first when it is not. Methods seams and planar take any mesh; auto takes seams for a model with
+    texture, materials or parts.
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
+
+    Example: scanloom simplify model.glb light.glb --ratio 0.1
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1 --region "sphere 0 0 1.2 0.3 20"
 

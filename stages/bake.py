@@ -32,7 +32,7 @@ from stages.surface_color import has_color, pixels_of
 from stages.texture import Image, Material, Texture, signed_areas
 from stages.topology import areas, require_area
 
-VERSION = 1
+VERSION = 2
 
 _MIN_SIZE = 64
 # Of the image, that charts fill; used to choose its size.

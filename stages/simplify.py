@@ -22,7 +22,7 @@ from stages.simplify_params import SimplifyParams
 
 __all__ = ["VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-VERSION = 9
+VERSION = 10
 
 
 def simplify(
@@ -68,7 +68,8 @@ def simplify(
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold.
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold,
+        but that seams and planar take any, and keep it as it is where triangles meet that cannot be joined.
         Vertices without triangles and triangles that name a vertex twice are left out.
     params : SimplifyParams; single fields can be given by name instead.
     lock : (n,) bool or vertex indices: these vertices stay to the bit, colour included (with `seams` their
@@ -191,7 +192,7 @@ def simplify(
             return seams.by_seams(mesh, params, locked, factors, running, progress)
         return jia01.by_sums(mesh, params, locked, running, progress)
     except _kernels.InvalidMeshError as error:
-        raise MeshError(f"{error}; run clean first.", "mesh") from error
+        raise MeshError(f"{error}; run clean first, or take method seams or planar.", "mesh") from error
 
 
 def _is_in_pieces(mesh: Mesh) -> bool:
