@@ -95,8 +95,8 @@ def simplify(
     ------
     MeshError
         For an edge with more than two triangles or inconsistent orientation, or a vertex where two fans
-        touch; the message names them. `clean` repairs all three. Not with `seams`,
-        where what touches so stays as it is.
+        touch; the message names them. `clean` repairs all three. Not with `seams` and `planar`, where what
+        touches so stays as it is.
     UsageError
         For a parameter out of range or of another method, a bound on the colours of a mesh without, or a
         resolution so fine that splitting passes 20 million triangles.

@@ -109,7 +109,7 @@ def test_the_chart_check_sees_a_coordinate_outside() -> None:
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
-    """A ball with holes, cut into charts at random, with doubled vertices or not, in part without texture."""
+    """A ball with holes, cut into charts at random, with vertices and triangles doubled, nearly so, or not."""
     rng = np.random.default_rng(seed)
     mesh = wrapped_ball(int(rng.integers(4, 10)), int(rng.integers(5, 14)), bumps=0.1)
     assert mesh.texture is not None
@@ -134,6 +134,14 @@ def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
             np.column_stack([triangles.reshape(-1), np.repeat(chart, 3)]), axis=0, return_inverse=True
         )
         vertices, triangles = vertices[pairs[:, 0]], corners.reshape(-1, 3).astype(np.int32)
+        if rng.random() < 0.3:
+            vertices = vertices + rng.normal(0, 1e-7, vertices.shape)
+    if rng.random() < 0.2:
+        # Once more, in part and nearly in the same place.
+        again = np.flatnonzero(rng.random(count) < rng.choice([0.1, 0.5]))
+        triangles = np.concatenate([triangles, triangles[again] + np.int32(len(vertices))])
+        vertices = np.concatenate([vertices, vertices + 3e-7])
+        uvs, ids = np.concatenate([uvs, uvs[again]]), np.concatenate([ids, ids[again]])
     cut = Mesh(vertices, triangles, texture=Texture(uvs, ids, (Material("a"), Material("b"))))
     result = simplify(
         cut, method="seams", ratio=float(rng.uniform(0.02, 0.9)), record=True, fit=rng.random() < 0.5
