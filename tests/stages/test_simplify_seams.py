@@ -109,7 +109,7 @@ def test_the_chart_check_sees_a_coordinate_outside() -> None:
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
-    """A ball with holes, cut into charts at random, with vertices and triangles doubled, nearly so, or not."""
+    """A ball with holes, cut into charts at random, with vertices and triangles doubled, nearly or not."""
     rng = np.random.default_rng(seed)
     mesh = wrapped_ball(int(rng.integers(4, 10)), int(rng.integers(5, 14)), bumps=0.1)
     assert mesh.texture is not None
