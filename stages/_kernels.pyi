@@ -488,6 +488,7 @@ def simplify_planar(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
+    labels: NDArray[np.int32],
     fixed: NDArray[np.bool_],
     *,
     cosines: tuple[float, float, float],
@@ -498,14 +499,16 @@ def simplify_planar(
 ) -> ByPatches:
     """Simplify by near-planar patches.
 
-    `cosines` are the least ones of fidelity, detail and noise (above 1 for none); `bounds` are (shape,
-    colour), the latter infinite for none. Raises InvalidMeshError for a mesh it cannot work on.
+    Triangles of a patch have one of the `labels` (m,), (0,) for none. `cosines` are the least ones of
+    fidelity, detail and noise (above 1 for none); `bounds` are (shape, colour), the latter infinite for none.
+    Raises InvalidMeshError for a mesh it cannot work on.
     """
 
 def planar_patches(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
+    labels: NDArray[np.int32],
     *,
     cosines: tuple[float, float, float],
     bounds: tuple[float, float],

@@ -28,8 +28,8 @@ from stages.simplified import Simplified
 
 VERSION = 2
 
-# Vertices, their attributes, triangles.
-_Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32]]
+# Vertices, their attributes, triangles and their labels.
+_Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
 
 _SHAPE_PER_DIAGONAL = 0.005
 _FARTHEST_COLORS = 255 * math.sqrt(3)
@@ -48,6 +48,7 @@ def planar_patches(
     of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8
     of `max_shape` apart, and its colours within 0.4 of `max_texture` of a linear function; and triangles
     left over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
+    Triangles of different materials or parts are in different patches.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def planar_patches(
             *surface, cosines=cosines, bounds=bounds, threads=threads, progress=progress
         )
 
-    whole = given.vertices, given.attributes, mesh.triangles
+    whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
     try:
         return _patches(found(whole), given.origin)
     except _kernels.InvalidMeshError:
@@ -121,7 +122,7 @@ def by_patches(
             progress=progress,
         )
 
-    whole = given.vertices, given.attributes, mesh.triangles
+    whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
     try:
         result = simplified(whole, lock)
         triangles, source, triangle_source = result.triangles, result.vertex_source, result.triangle_source
@@ -136,7 +137,11 @@ def by_patches(
         triangle_source = sheets.triangle_source[result.triangle_source]
         input_patch = _of_triangles(mesh, sheets, result.input_patch)
     colors = given.attributes[source].astype(np.float64)
-    light = as_result(mesh, mesh.vertices[source], colors, triangles, source, "simplify")
+    plain = mesh.with_(part_ids=None, part_names=())
+    if mesh.texture is not None and not mesh.texture.has_uvs().any():
+        plain = plain.with_(texture=None)
+    light = as_result(plain, mesh.vertices[source], colors, triangles, source, "simplify")
+    light = _carried(light, mesh, triangle_source)
     # The bounds hold in exact arithmetic; coordinates are rounded a few times on the way.
     slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
     bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
@@ -169,13 +174,34 @@ def by_patches(
     )
 
 
+def _labels(mesh: Mesh) -> NDArray[np.int32]:
+    """Return a number (m,) for the material and part of each triangle; (0,) where all are alike."""
+    key = np.zeros(len(mesh.triangles), np.int64)
+    for ids in (None if mesh.texture is None else mesh.texture.material_ids, mesh.part_ids):
+        if ids is not None:
+            key = key << 32 | (ids.astype(np.int64) + 1)
+    kinds, number = np.unique(key, return_inverse=True)
+    return number.astype(np.int32) if len(kinds) > 1 else np.zeros(0, np.int32)
+
+
+def _carried(light: Mesh, mesh: Mesh, triangle_source: NDArray[np.int32]) -> Mesh:
+    """Give triangles the part they come from, and the material where it needs no texture coordinates."""
+    if mesh.part_ids is not None:
+        light = light.with_(part_ids=mesh.part_ids[triangle_source], part_names=mesh.part_names)
+    if mesh.texture is None or mesh.texture.has_uvs().any():
+        return light
+    return light.with_(texture=mesh.texture.rows(triangle_source))
+
+
 def _sheets(mesh: Mesh) -> Sheets:
     return taken_apart(mesh.triangles, np.arange(len(mesh.vertices)))
 
 
 def _in_sheets(whole: _Surface, sheets: Sheets) -> _Surface:
-    vertices, attributes, _ = whole
-    return vertices[sheets.vertex_source], attributes[sheets.vertex_source], sheets.triangles
+    vertices, attributes, _, labels = whole
+    of_sheets = sheets.vertex_source
+    own = labels[sheets.triangle_source] if len(labels) else labels
+    return vertices[of_sheets], attributes[of_sheets], sheets.triangles, own
 
 
 def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArray[np.int32]:

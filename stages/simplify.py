@@ -88,8 +88,9 @@ def simplify(
     -------
     Simplified
         The mesh has colours if the input has. `seams` carries texture, materials, parts and normals of
-        corners; else normals are those of `vertex_source` and texture is left out, and a note of the mesh
-        says so; likewise when bounds are not proven.
+        corners, `planar` parts, and materials if there are no texture coordinates; else normals are those of
+        `vertex_source` and texture is left out, and a note of the mesh says so; likewise when bounds are not
+        proven.
 
     Raises
     ------

@@ -41,8 +41,10 @@ use crate::mesh::Mesh;
 use crate::progress::Progress;
 
 /// What limits the patches. Angles are given as least cosines: the paper's ε is 1 − cosine.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Options {
+    /// What triangles of the input must have in common to be in one patch; empty for nothing.
+    pub labels: Vec<u32>,
     /// Between the normals of a face and of the patch it joins (ε_fidelity).
     pub fidelity: f64,
     /// Between the normals of a face and of the one it is reached from (ε_detail).

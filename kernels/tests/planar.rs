@@ -12,6 +12,7 @@ use scanloom_kernels::progress::{Control, Progress};
 fn options(max_distance: f64) -> Options {
     let cosine = |degrees: f64| degrees.to_radians().cos();
     Options {
+        labels: vec![],
         fidelity: cosine(35.0),
         detail: cosine(35.0),
         noise: cosine(75.0),
@@ -202,4 +203,24 @@ fn the_work_is_linear() {
     };
     let [small, large] = [looks(20), looks(80)];
     assert!(large < 1.5 * small + 1.0 && large < 20.0, "{small} {large}");
+}
+
+#[test]
+fn triangles_of_different_labels_are_in_different_patches() {
+    // A flat sheet whose left half is labelled otherwise: each half becomes two triangles, and the border is whole.
+    let n = 10u32;
+    let points: Vec<Vec3> =
+        (0..(n + 1) * (n + 1)).map(|i| [f64::from(i % (n + 1)), f64::from(i / (n + 1)), 0.0]).collect();
+    let quads = (0..n * n).map(|i| i / n * (n + 1) + i % n);
+    let triangles: Vec<[u32; 3]> =
+        quads.flat_map(|a| [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]).collect();
+    let labels = (0..2 * n * n).map(|t| u32::from(t / 2 % n < n / 2)).collect();
+    assert_eq!(check(&points, &triangles, &options(0.01)).triangles.len(), 2);
+    let result = check(&points, &triangles, &Options { labels, ..options(0.01) });
+    assert_eq!(result.patches.patches.len(), 2);
+    assert_eq!(result.triangles.len(), 4);
+    for (t, &source) in result.triangles.iter().zip(&result.triangle_source) {
+        let is_left = t.iter().all(|&v| points[result.vertex_source[v as usize] as usize][0] <= 5.0);
+        assert_eq!(is_left, source / 2 % n < n / 2);
+    }
 }

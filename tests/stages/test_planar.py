@@ -15,7 +15,7 @@ import stages
 from stages.clean import clean
 from stages.compare import compare
 from stages.errors import UsageError
-from stages.mesh import Mesh
+from stages.mesh import Material, Mesh, Texture
 from stages.mesh_files import read_mesh
 from stages.patches import colored_by_patch
 from stages.raycasting import Surface
@@ -316,6 +316,35 @@ def test_where_walls_meet_nothing_comes_apart() -> None:
     assert (found.triangle_patch >= 0).all()
     # The wall parts the floor, and the floor the wall.
     assert found.count == 5
+
+
+def test_materials_and_parts_are_borders_and_are_kept() -> None:
+    """A box of three colours in two parts; its top is of one plane and several materials."""
+    made = trimesh.creation.box((2, 2, 1)).subdivide().subdivide().subdivide()
+    middles = made.triangles_center
+    ids = np.where(middles[:, 2] < 0.499, -1, (middles[:, 0] > 0).astype(int)).astype(np.int32)
+    colors = (Material("red", base_color=(1, 0, 0, 1)), Material("blue", base_color=(0, 0, 1, 1)))
+    mesh = Mesh(
+        np.array(made.vertices),
+        np.array(made.faces, np.int32),
+        texture=Texture(np.zeros((len(ids), 3, 2)), ids, colors),
+        part_ids=(middles[:, 1] > 0).astype(np.int32),
+        part_names=("front", "back"),
+    )
+    result = planar(mesh, max_shape=0.01)
+    assert_promises(result, mesh)
+    # Top in four, bottom and the two sides across the parts in two each, front and back.
+    assert result.patches is not None
+    assert result.patches.count == 12
+    light = result.mesh
+    assert light.texture is not None
+    assert light.part_names == mesh.part_names
+    assert light.notes == ()
+    middles = light.vertices[light.triangles].mean(axis=1)
+    np.testing.assert_array_equal(light.part_ids, middles[:, 1] > 0)
+    wanted = np.where(middles[:, 2] < 0.499, -1, middles[:, 0] > 0)
+    np.testing.assert_array_equal(light.texture.material_ids, wanted)
+    assert stages.planar_patches(mesh, max_shape=0.01).count == 12
 
 
 def test_a_scan_as_it_is_needs_no_cleaning() -> None:

@@ -377,15 +377,22 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
             && (*area == 0.0 || dot(normal, mean) > LEAST_COSINE)
     }
 
-    /// The paper's two criteria. A triangle without area has no normal, and goes with any.
+    #[inline]
+    fn have_one_label(&self, a: u32, b: u32) -> bool {
+        let label = |t: u32| self.options.labels.get(self.mesh.triangle_source[t as usize] as usize);
+        self.options.labels.is_empty() || label(a) == label(b)
+    }
+
+    /// The paper's two criteria, and what else keeps triangles apart. A triangle without area has no normal, and goes with any.
     #[inline]
     fn is_alike(&self, from: u32, to: u32, mean: &Vec3) -> bool {
         let (normal, area) = &self.facets[to as usize];
         let fidelity = self.options.fidelity.max(LEAST_COSINE);
-        *area == 0.0
+        let is_flat = *area == 0.0
             || (dot(normal, mean) > fidelity
                 && (self.facets[from as usize].1 == 0.0
-                    || dot(normal, &self.facets[from as usize].0) > self.options.detail))
+                    || dot(normal, &self.facets[from as usize].0) > self.options.detail));
+        is_flat && self.have_one_label(from, to)
     }
 
     /// Least and greatest height, and squared residual, of all members over a fit; none if they are not within its
@@ -463,6 +470,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let (normal, area) = self.facets[to as usize];
         let grown = &self.grown[id as usize];
         let stands = area == 0.0 || dot(&normal, &grown.fit.normal) > self.options.noise.max(LEAST_COSINE);
+        let stands = stands && self.have_one_label(grown.patch.seed, to);
         if !grown.is_open || self.of[to as usize] != NONE || !stands || self.is_pinned(to) {
             return false;
         }

@@ -69,7 +69,13 @@ pub struct ByPatches {
     is_partial: bool,
 }
 
-fn options(cosines: (f64, f64, f64), bounds: (f64, f64), wanted_threads: usize) -> PyResult<Options> {
+fn options(
+    labels: &PyReadonlyArray1<'_, i32>,
+    triangles: usize,
+    cosines: (f64, f64, f64),
+    bounds: (f64, f64),
+    wanted_threads: usize,
+) -> PyResult<Options> {
     let (fidelity, detail, noise) = cosines;
     let (max_distance, max_color) = bounds;
     if ![fidelity, detail, noise].iter().all(|c| *c >= 0.0) {
@@ -78,7 +84,11 @@ fn options(cosines: (f64, f64, f64), bounds: (f64, f64), wanted_threads: usize) 
     if !(max_distance > 0.0 && max_distance.is_finite() && max_color >= 0.0) {
         return Err(PyValueError::new_err("the distance must be above 0 and finite, the colour not below 0"));
     }
-    Ok(Options { fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
+    let labels: Vec<u32> = labels.as_array().iter().map(|&label| label as u32).collect();
+    if !labels.is_empty() && labels.len() != triangles {
+        return Err(PyValueError::new_err("labels need one value a triangle, or none at all"));
+    }
+    Ok(Options { labels, fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
 }
 
 /// The mesh with its pinned vertices.
@@ -94,15 +104,16 @@ fn mesh_of<const D: usize>(
     Ok(mesh)
 }
 
-/// Simplify a mesh by near-planar patches. `cosines` are (fidelity, detail, noise), `bounds` (shape, colour).
+/// Simplify a mesh by near-planar patches, each of triangles of one of the `labels` (m,), (0,) for none. `cosines` are (fidelity, detail, noise), `bounds` (shape, colour).
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, fixed, *, cosines, bounds, threads, partial, progress))]
+#[pyo3(signature = (vertices, attributes, triangles, labels, fixed, *, cosines, bounds, threads, partial, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_planar(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
+    labels: PyReadonlyArray1<'_, i32>,
     fixed: PyReadonlyArray1<'_, bool>,
     cosines: (f64, f64, f64),
     bounds: (f64, f64),
@@ -112,7 +123,7 @@ pub fn simplify_planar(
 ) -> PyResult<Py<ByPatches>> {
     let inputs = Inputs { vertices, attributes, triangles };
     let fixed = inputs.by_vertex("fixed", &fixed)?;
-    let options = options(cosines, bounds, threads)?;
+    let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
     match inputs.attribute_count() {
         0 => simplify_points::<3, 0>(py, &inputs, &fixed, &options, partial, &progress),
         1 => simplify_points::<4, 1>(py, &inputs, &fixed, &options, partial, &progress),
@@ -154,20 +165,21 @@ fn simplify_points<const D: usize, const K: usize>(
 
 /// The near-planar patches that `simplify_planar` would make.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, *, cosines, bounds, threads, progress))]
+#[pyo3(signature = (vertices, attributes, triangles, labels, *, cosines, bounds, threads, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn planar_patches(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
+    labels: PyReadonlyArray1<'_, i32>,
     cosines: (f64, f64, f64),
     bounds: (f64, f64),
     threads: usize,
     progress: Py<PyAny>,
 ) -> PyResult<PlanarPatches> {
     let inputs = Inputs { vertices, attributes, triangles };
-    let options = options(cosines, bounds, threads)?;
+    let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
     match inputs.attribute_count() {
         0 => patches_of_points::<3, 0>(py, &inputs, &options, &progress),
         1 => patches_of_points::<4, 1>(py, &inputs, &options, &progress),
