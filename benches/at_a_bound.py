@@ -26,8 +26,8 @@ from bounds import diagonal, worst
 from peers.tools import OURS, Tool
 from simplify import installed, results
 
-from stages.mesh import Mesh
-from stages.simplify import Simplified, simplify
+from stages.simplification.simplify import Simplified, simplify
+from stages.surface.mesh import Mesh
 
 MESHES = ("horse.ply", "fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply")
 HEAD = (

@@ -15,8 +15,8 @@ from pathlib import Path
 import meshes
 from markdown_tables import print_head, print_row
 
-from stages.bake import bake
-from stages.simplify import simplify
+from stages.simplification.simplify import simplify
+from stages.texturing.bake import bake
 
 COLUMNS = (
     "mesh",

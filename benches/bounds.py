@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from stages.clean import clean
-from stages.mesh import Mesh
-from stages.mesh_files import read_mesh
-from stages.raycasting import Floats, Located, Surface, bounding_box, interpolated
-from stages.simplify import simplify
-from stages.topology import areas
+from stages.cleaning.clean import clean
+from stages.simplification.simplify import simplify
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
+from stages.surface.raycasting import Floats, Located, Surface, bounding_box, interpolated
+from stages.surface.topology import areas
 
 MESHES = (
     "camelhead.off",

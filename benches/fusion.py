@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 
 from stages._open3d import open3d
-from stages.fuse import fuse
-from stages.images import read_color, read_depth
-from stages.layouts import read_scan
-from stages.mesh import Mesh
-from stages.scan import Scan
-from stages.topology import topology
+from stages.fusion.fuse import fuse
+from stages.scans.images import read_color, read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Scan
+from stages.surface.mesh import Mesh
+from stages.surface.topology import topology
 
 MAX_DEPTH = 4.0
 

@@ -24,9 +24,9 @@ import cv2
 import meshes
 import numpy as np
 
-from stages.compare import compare
-from stages.mesh import Colors, Mesh
-from stages.simplify import Simplified, simplify
+from stages.comparing.compare import compare
+from stages.simplification.simplify import Simplified, simplify
+from stages.surface.mesh import Colors, Mesh
 
 PAPER = {4: 0.84, 16: 0.92}
 # L and S_max, over e. Nothing on the unit sphere is longer than its diagonal: no limit.

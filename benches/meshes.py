@@ -11,10 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.clean import clean
+from stages.cleaning.clean import clean
 from stages.errors import InputError
-from stages.mesh import Colors, Mesh
-from stages.mesh_files import read_mesh
+from stages.surface.mesh import Colors, Mesh
+from stages.surface.mesh_files import read_mesh
 
 Floats = np.ndarray
 Sampler = Callable[[Colors, Floats, Floats], Colors]

@@ -42,16 +42,16 @@ from normal_mesh_rates import print_rates
 from simplify import edge_lengths, smallest_angles, unit_normals
 from simplify_speed import hills
 
-from stages.clean import clean
-from stages.compare import compare
-from stages.layouts import read_scan
-from stages.mesh import Mesh
-from stages.mesh_files import read_mesh
-from stages.normal_mesh import BOUNDARY, EXCEPTION, SCALAR, NormalMesh
-from stages.raycasting import Surface, bounding_box
-from stages.remesh import remesh
-from stages.topology import topology
-from stages.viewpoints import viewpoints
+from stages.cleaning.clean import clean
+from stages.comparing.compare import compare
+from stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION, SCALAR, NormalMesh
+from stages.normal_meshes.remesh import remesh
+from stages.picturing.viewpoints import viewpoints
+from stages.scans.read import read_scan
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
+from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.topology import topology
 
 PARTS = ("models", "rates", "colors", "growth")
 SIZES = (10_000, 100_000, 1_000_000)

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.distance_map import distance_map
-from stages.mesh import Mesh
-from stages.normal_mesh import NormalMesh
-from stages.raycasting import Surface, bounding_box
-from stages.render import Model, write_png
-from stages.scan import ColorImage
-from stages.viewpoints import View
+from stages.comparing.distance_map import distance_map
+from stages.normal_meshes.normal_mesh import NormalMesh
+from stages.picturing.render import Model, write_png
+from stages.picturing.viewpoints import View
+from stages.scans.scan import ColorImage
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface, bounding_box
 
 INK, PAPER = (38, 52, 74), (242, 244, 247)
 HEAD_PX = 32

@@ -25,10 +25,10 @@ from peers.draco import decoded, encoded
 from peers.tools import OURS, TOOLS, Missing, Tool, package
 from rate_distortion import File, Original, frontier, size_at, smallest
 
-from stages.mesh import Mesh
-from stages.normal_mesh import decode
-from stages.remesh import remesh
-from stages.simplify import simplify
+from stages.normal_meshes.normal_mesh import decode
+from stages.normal_meshes.remesh import remesh
+from stages.simplification.simplify import simplify
+from stages.surface.mesh import Mesh
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import numpy as np
 
 from stages._open3d import open3d
 from stages.fusion.posed_depth import read_matching_color
-from stages.images import read_depth
-from stages.scan import Camera, ColorImage, DepthImage, Frame
+from stages.scans.images import read_depth
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame
 
 # What pipelines that want colours see where a frame has none.
 _GREY = 128

@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from open3d_images import legacy_camera, legacy_image, read_images
 
 from stages._open3d import open3d
-from stages.formats.trajectories import inverted
 from stages.registration.odometry import one_thread_each
-from stages.scan import Camera, Frame, Pose
+from stages.scans.formats.trajectories import inverted
+from stages.scans.scan import Camera, Frame, Pose
 
 _FRAGMENT_FRAMES = 100
 _KEY_FRAMES_EVERY = 5

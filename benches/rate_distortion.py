@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.compare import CompareParams, compare_surfaces
-from stages.mesh import Mesh
-from stages.raycasting import Surface, bounding_box
+from stages.comparing.compare import CompareParams, compare_surfaces
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface, bounding_box
 
 # A coder's result may reach beyond the original's box by this share of it.
 MARGIN = 0.02

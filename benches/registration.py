@@ -32,17 +32,17 @@ from open3d_reconstruction import reconstruction_system
 from open3d_slam import dense_slam
 
 from stages._open3d import open3d
-from stages.compare import compare
-from stages.depth import DepthMap, depth_scan
+from stages.comparing.compare import compare
 from stages.errors import InputError
-from stages.formats.trajectories import inverted
-from stages.fuse import fuse
+from stages.fusion.fuse import fuse
 from stages.fusion.posed_depth import rigid_pose
-from stages.layouts import read_scan
-from stages.mesh import Mesh
-from stages.register import Registration, register
 from stages.registration.motion import angle
-from stages.scan import Frame, Pose
+from stages.registration.register import Registration, register
+from stages.scans.formats.trajectories import inverted
+from stages.scans.read import read_scan
+from stages.scans.scan import Frame, Pose
+from stages.stereo.depth import DepthMap, depth_scan
+from stages.surface.mesh import Mesh
 
 # Open3D's examples cut depth here, in metres.
 _TRUNCATION = 4.0

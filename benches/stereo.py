@@ -18,9 +18,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stages.depth import depth, depth_scan
-from stages.layouts import read_scan
-from stages.scan import Camera, StereoRig
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, StereoRig
+from stages.stereo.depth import depth, depth_scan
 
 Image = np.ndarray
 

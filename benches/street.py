@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.depth import DepthMap, depth_scan
-from stages.fuse import fuse
-from stages.images import read_color, read_right
-from stages.layouts import read_scan
-from stages.mesh import Mesh
-from stages.render import render, write_png
-from stages.scan import Camera, Scan
-from stages.topology import topology
-from stages.viewpoints import View
+from stages.fusion.fuse import fuse
+from stages.picturing.render import render, write_png
+from stages.picturing.viewpoints import View
+from stages.scans.images import read_color, read_right
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Scan
+from stages.stereo.depth import DepthMap, depth_scan
+from stages.surface.mesh import Mesh
+from stages.surface.topology import topology
 
 # The lane along the path, and what lies beside it, metres to the right of the left camera.
 STRIPS = {"lane": (-1.5, 1.5), "left side": (-6.0, -3.0), "right side": (3.0, 6.0)}

@@ -31,16 +31,16 @@ from peers.native import Missing
 from peers.tools import pointer
 from texture_soundness import soundness
 
-from stages.bake import bake
-from stages.clean import clean
-from stages.compare import compare
-from stages.convert import as_mesh, to_open3d, to_open3d_legacy, with_vertex_colors
-from stages.formats.image_bytes import decoded_image
-from stages.mesh import Image, Material, Mesh
-from stages.mesh_files import read_mesh, write_mesh
+from stages.cleaning.clean import clean
+from stages.comparing.compare import compare
+from stages.files.image_bytes import decoded_image
 from stages.params import described
-from stages.simplify import SimplifyParams, simplify
-from stages.surface_color import has_color
+from stages.simplification.simplify import SimplifyParams, simplify
+from stages.surface.color import has_color
+from stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy, with_vertex_colors
+from stages.surface.mesh import Image, Material, Mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.texturing.bake import bake
 
 Simplifier = Callable[[Mesh, int], tuple[Callable[[], Any], Callable[[Any], Mesh]]]
 

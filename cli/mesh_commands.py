@@ -29,11 +29,11 @@ from stages import (
     SimplifyParams,
     UsageError,
 )
-from stages.formats.ply import write_ply
 from stages.params import check, param
-from stages.patches import colored_by_patch
-from stages.regions import parse_region
-from stages.render import write_png
+from stages.picturing.render import write_png
+from stages.simplification.planar.patches import colored_by_patch
+from stages.simplification.regions import parse_region
+from stages.surface.formats.ply import write_ply
 
 SaveBounds = Annotated[
     Path | None,

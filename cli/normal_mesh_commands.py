@@ -16,7 +16,7 @@ from cli.options import with_options
 from cli.output import Output, lines_of, size_of, table_of
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file, require_writable
 from stages import InputError, NormalMesh, RemeshParams
-from stages.formats.ply import read_vertex_values
+from stages.surface.formats.ply import read_vertex_values
 
 _SNM = (".snm",)
 

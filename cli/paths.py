@@ -11,7 +11,7 @@ from pathlib import Path
 
 from stages.errors import InputError, UsageError
 
-# What stages.mesh_files.write_mesh can write.
+# What stages.surface.mesh_files.write_mesh can write.
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 
 

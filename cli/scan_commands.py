@@ -12,9 +12,10 @@ from cli.options import as_typed, with_options
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, new_folder, require_new_file, require_scan
 from stages import DepthParams, FuseParams, InputError, RegisterParams, ScanParams
-from stages.inspection_picture import inspection_picture
-from stages.render import write_png
-from stages.sanity import require_poses
+from stages.inspecting.picture import inspection_picture
+from stages.inspecting.sanity import require_poses
+from stages.picturing.render import write_png
+from stages.scans.read import require_complete
 
 ScanFolder = Annotated[
     Path,
@@ -112,7 +113,7 @@ def register(
             "or `scanloom run` for the whole way.",
             folder,
         )
-    stages.layouts.require_complete(source, folder, posed=False)
+    require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
         figures = write(draft, stages.register(source, params, progress=progress))
     out.result({"output": str(target), **figures})

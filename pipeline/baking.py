@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.bake import BakeParams, bake
-from stages.mesh import Mesh
-from stages.mesh_files import write_mesh
 from stages.params import param
 from stages.progress import Progress
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import write_mesh
+from stages.texturing.bake import BakeParams, bake
 
 
 @dataclass(frozen=True, kw_only=True)

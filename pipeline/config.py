@@ -8,13 +8,13 @@ from pipeline.baking import BakeSection
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
-from stages.clean import CleanParams
-from stages.compare import CompareParams
-from stages.depth import DepthParams
-from stages.fuse import FuseParams
-from stages.layouts import ScanParams
-from stages.register import RegisterParams
-from stages.simplify import SimplifyParams
+from stages.cleaning.clean import CleanParams
+from stages.comparing.compare import CompareParams
+from stages.fusion.params import FuseParams
+from stages.registration.register import RegisterParams
+from stages.scans.params import ScanParams
+from stages.simplification.simplify import SimplifyParams
+from stages.stereo.depth import DepthParams
 
 
 @dataclass(frozen=True)

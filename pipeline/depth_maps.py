@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.depth import DepthMap
 from stages.errors import InputError
-from stages.formats.ply import write_ply_cloud
-from stages.layouts import write_scan_json
-from stages.prefetch import read_ahead
-from stages.scan import ColorImage, DepthImage, Frame, SkippedFrame
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import ColorImage, DepthImage, Frame, SkippedFrame
+from stages.stereo.depth import DepthMap
+from stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
 MAX_POINTS = 1_000_000
@@ -49,7 +49,7 @@ def write_depth_maps(
     Parameters
     ----------
     folder : an empty folder.
-    measured : as `stages.depth.depth_scan` yields them.
+    measured : as `stages.stereo.depth.depth_scan` yields them.
     count : how many will come.
 
     Raises

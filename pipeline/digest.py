@@ -21,7 +21,7 @@ import numpy as np
 
 from stages.errors import StageError
 from stages.progress import Progress, silent
-from stages.scan import Frame, Packed, Scan
+from stages.scans.scan import Frame, Packed, Scan
 
 # No stage computes with these; in many layouts both come from file names.
 _SHOWN_TO_PEOPLE = frozenset({"name", "timestamp"})

@@ -19,25 +19,25 @@ from pipeline import baking, registering, remeshing, report
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
-from stages.bake import VERSION as BAKE_VERSION
-from stages.clean import VERSION as CLEAN_VERSION
-from stages.clean import clean
-from stages.compare import VERSION as COMPARE_VERSION
-from stages.depth import VERSION as DEPTH_VERSION
-from stages.depth import depth_scan
+from stages.cleaning.clean import VERSION as CLEAN_VERSION
+from stages.cleaning.clean import clean
+from stages.comparing.compare import VERSION as COMPARE_VERSION
 from stages.errors import InputError
-from stages.formats.ply import read_ply, write_ply
-from stages.fuse import VERSION as FUSE_VERSION
-from stages.fuse import fuse
-from stages.layouts import read_scan
-from stages.register import VERSION as REGISTER_VERSION
-from stages.register import register
-from stages.remesh import VERSION as REMESH_VERSION
-from stages.sanity import require_poses
-from stages.scan import Scan
-from stages.simplify import VERSION as SIMPLIFY_VERSION
-from stages.simplify import simplify
-from stages.views import views_depth
+from stages.fusion.fuse import VERSION as FUSE_VERSION
+from stages.fusion.fuse import fuse
+from stages.inspecting.sanity import require_poses
+from stages.normal_meshes.remesh import VERSION as REMESH_VERSION
+from stages.registration.register import VERSION as REGISTER_VERSION
+from stages.registration.register import register
+from stages.scans.read import read_scan
+from stages.scans.scan import Scan
+from stages.simplification.simplify import VERSION as SIMPLIFY_VERSION
+from stages.simplification.simplify import simplify
+from stages.stereo.depth import VERSION as DEPTH_VERSION
+from stages.stereo.depth import depth_scan
+from stages.stereo.views_depth import views_depth
+from stages.surface.formats.ply import read_ply, write_ply
+from stages.texturing.bake import VERSION as BAKE_VERSION
 
 
 def _depth(job: Job) -> Mapping[str, Any]:

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from pipeline.depth_maps import cloud_of
 from stages.errors import InputError
-from stages.formats.ply import write_ply_cloud
-from stages.formats.trajectories import write_tum
 from stages.fusion.posed_depth import read_matching_color, rigid_pose
-from stages.images import read_depth
-from stages.register import Registration
-from stages.scan import ColorImage, Frame, Scan
+from stages.registration.register import Registration
+from stages.scans.formats.trajectories import write_tum
+from stages.scans.images import read_depth
+from stages.scans.scan import ColorImage, Frame, Scan
+from stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud: enough to judge the poses by.
 _MAX_POINTS = 500_000

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from stages.compare import CompareParams, compare_surfaces
-from stages.distance_map import distance_map
-from stages.formats.ply import read_ply
-from stages.mesh import Mesh
+from stages.comparing.compare import CompareParams, compare_surfaces
+from stages.comparing.distance_map import distance_map
+from stages.normal_meshes.remesh import RemeshParams, remesh
 from stages.params import param
+from stages.picturing.render import Model, View, write_png
 from stages.progress import Progress
-from stages.raycasting import Surface, bounding_box
-from stages.remesh import RemeshParams, remesh
-from stages.render import Model, View, write_png
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface, bounding_box
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 
 from pipeline.engine import Outcome
-from stages.compare import CompareParams, compare_surfaces
-from stages.mesh import Mesh
+from stages.comparing.compare import CompareParams, compare_surfaces
 from stages.params import check, param
-from stages.prefetch import read_ahead
+from stages.picturing.render import Model, Shading, View, viewpoints, write_png
 from stages.progress import Progress, silent
-from stages.raycasting import Surface, bounding_box
-from stages.render import Model, Shading, View, viewpoints, write_png
-from stages.scan import Frame, Scan
-from stages.topology import require_area, topology
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import Frame, Scan
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.topology import require_area, topology
 
 VERSION = 2
 # Of report.json: raised when a name changes its meaning or disappears.

@@ -18,8 +18,8 @@ from pipeline.failures import explained
 from pipeline.graph import STAGES, is_registered, left_out, plan_for, source_of
 from pipeline.report import compose, to_json
 from stages.errors import UsageError
-from stages.layouts import read_scan, require_complete
-from stages.scan import Scan
+from stages.scans.read import read_scan, require_complete
+from stages.scans.scan import Scan
 
 CACHE_VARIABLE = "SCANLOOM_CACHE"
 

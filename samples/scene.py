@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.mesh import Mesh
+from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

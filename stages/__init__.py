@@ -4,39 +4,40 @@
 >>> fused = fuse(read_scan("my_scan"))
 >>> light = simplify(clean(fused.mesh).mesh, ratio=0.1).mesh
 
-Each name below that is a verb is a function; its module of the same name holds the parameter class
-(`from stages.simplify import SimplifyParams`). Open3D, OpenCV, SciPy and trimesh are imported when
-first used, so importing this package is cheap.
+Each name below that is a verb is a function, in a file of its name in the room of its stage. Open3D, OpenCV,
+SciPy and trimesh are imported when first used, so importing this package is cheap.
 """
 
-from stages.bake import Baked, BakeParams, bake
-from stages.certify import Certificate, CertifyParams, certify
-from stages.clean import Cleaned, CleanParams, clean
-from stages.collapse_record import CollapseRecord, load_record
-from stages.collapse_steps import ReplayParams
-from stages.compare import CompareParams, Comparison, compare
-from stages.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
-from stages.depth import DepthMap, DepthParams, depth, depth_scan
+from stages.cleaning.clean import Cleaned, CleanParams, clean
+from stages.comparing.certify import Certificate, CertifyParams, certify
+from stages.comparing.compare import CompareParams, Comparison, compare
 from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
-from stages.fuse import Fused, FuseParams, fuse
-from stages.inspection import Inspection, inspect
-from stages.layouts import ScanParams, read_scan
-from stages.mesh import Mesh
-from stages.mesh_files import read_mesh, write_mesh
-from stages.normal_mesh import NormalMesh, Offsets, decode
-from stages.patches import Patches
-from stages.planar import planar_patches
-from stages.planar_params import PatchParams
-from stages.regions import Box, Sphere
-from stages.register import RegisterParams, Registration, register
-from stages.remesh import RemeshParams, remesh
-from stages.render import View, render
-from stages.scan import Camera, Frame, Scan, StereoRig
-from stages.simplify import Simplified, SimplifyParams, simplify
-from stages.texture import Image, Material, Texture
-from stages.topology import Topology, topology
-from stages.viewpoints import viewpoints
-from stages.views import views_depth
+from stages.fusion.fuse import Fused, fuse
+from stages.fusion.params import FuseParams
+from stages.inspecting.inspect import Inspection, inspect
+from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
+from stages.normal_meshes.remesh import RemeshParams, remesh
+from stages.picturing.render import View, render
+from stages.picturing.viewpoints import viewpoints
+from stages.registration.register import RegisterParams, Registration, register
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame, Scan, StereoRig
+from stages.simplification.planar.params import PatchParams
+from stages.simplification.planar.patches import Patches
+from stages.simplification.planar.run import planar_patches
+from stages.simplification.records.record import CollapseRecord, load_record
+from stages.simplification.records.steps import ReplayParams
+from stages.simplification.regions import Box, Sphere
+from stages.simplification.simplify import Simplified, SimplifyParams, simplify
+from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
+from stages.stereo.views_depth import views_depth
+from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.surface.texture import Image, Material, Texture
+from stages.surface.topology import Topology, topology
+from stages.texturing.bake import Baked, BakeParams, bake
 
 __all__ = [
     "BakeParams",

@@ -1,4 +1,4 @@
-"""Mesh kernels in Rust. Private: `stages.simplify` is the way in."""
+"""Mesh kernels in Rust. Private: `stages.simplification.simplify` is the way in."""
 
 from collections.abc import Callable
 from typing import TypeAlias, final
@@ -95,7 +95,7 @@ class SeamKnobs:
 
 @final
 class SeamLog:
-    """All collapses of `simplify_seams`; the properties are those of `stages.seam_record.SeamRecord`."""
+    """All collapses of `simplify_seams`; the properties are those of a `SeamRecord`."""
 
     @property
     def removed(self) -> NDArray[np.int32]: ...

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages.mesh import Mesh
-from stages.topology import topology
+from stages.surface.mesh import Mesh
+from stages.surface.topology import topology
 
 ROOT = Path(__file__).resolve().parents[1]
 MAP = np.arange(8 * 16 * 3, dtype=np.uint8).reshape(8, 16, 3) % 200
@@ -238,7 +238,7 @@ def test_growth_is_relative_to_n_log_n(speed: ModuleType):
 def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
     meshes: ModuleType, at_a_bound: ModuleType, monkeypatch: pytest.MonkeyPatch
 ):
-    from stages.simplify import simplify
+    from stages.simplification.simplify import simplify
 
     globe = meshes.globe(12, MAP)
     light = simplify(globe, ratio=0.2).mesh
@@ -262,7 +262,7 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
 
 
 def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound: ModuleType):
-    from stages.simplify import simplify
+    from stages.simplification.simplify import simplify
 
     globe = meshes.globe(12, MAP)
     ours = simplify(globe, max_shape=0.02, max_texture=40)
@@ -406,8 +406,8 @@ def reconstruction() -> ModuleType:
 
 def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
     """Largest distance, metres, and angle, radians, to true poses, in the first camera's world."""
-    from stages.formats.trajectories import inverted
     from stages.registration.motion import angle
+    from stages.scans.formats.trajectories import inverted
 
     first = inverted(truth[0].world_from_camera)
     off = [inverted(poses[i]) @ first @ frame.world_from_camera for i, frame in enumerate(truth)]

@@ -18,11 +18,11 @@ import numpy as np
 from peers import native
 from peers.native import Missing
 from stages._open3d import open3d
-from stages.color_weight import color_weight
-from stages.convert import as_mesh, to_open3d, to_open3d_legacy
 from stages.errors import StageError
-from stages.mesh import Mesh
-from stages.simplify import simplify
+from stages.simplification.color_weight import color_weight
+from stages.simplification.simplify import simplify
+from stages.surface.convert import as_mesh, to_open3d, to_open3d_legacy
+from stages.surface.mesh import Mesh
 
 Prepared = tuple[Callable[[], Any], Callable[[Any], Mesh]]
 

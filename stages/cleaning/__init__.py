@@ -1,1 +1,1 @@
-"""What the clean stage is made of: one kind of defect a module."""
+"""Cleaning: one kind of defect a module, `clean` puts them right in turn."""

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.traced import Traced
-from stages.edges import Edges, Ids, edges_of, next_corner
-from stages.mesh import Mesh, Triangles, Vertices
-from stages.topology import FLAT
+from stages.surface.edges import Edges, Ids, edges_of, next_corner
+from stages.surface.mesh import Mesh, Triangles, Vertices
+from stages.surface.topology import FLAT
 
 # The work grows with the cube of the number of edges: at this many, about a second.
 _MOST_EDGES = 500

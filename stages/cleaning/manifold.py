@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.cleaning.traced import Traced
-from stages.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
-from stages.mesh import Mesh
-from stages.topology import areas
+from stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
+from stages.surface.mesh import Mesh
+from stages.surface.topology import areas
 
 # Edges of more triangles are not matched but taken apart; the pairs to compare grow with the square.
 _MOST_TO_MATCH = 32

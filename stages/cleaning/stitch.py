@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.cleaning.merge import same_rows
 from stages.cleaning.traced import Traced
-from stages.edges import Ids, components, edges_of, next_corner
-from stages.mesh import Vertices
-from stages.topology import repeats_vertex
+from stages.surface.edges import Ids, components, edges_of, next_corner
+from stages.surface.mesh import Vertices
+from stages.surface.topology import repeats_vertex
+from stages.surface.welding import same_rows
 
 
 def stitch(traced: Traced) -> tuple[Traced, int]:

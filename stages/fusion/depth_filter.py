@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scan import Camera, DepthImage
+from stages.scans.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]

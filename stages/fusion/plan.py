@@ -7,20 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.fusion.params import FuseParams
 from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.survey import Noise, survey
 from stages.fusion.voxels import BLOCK, Layer, block_keys, layers
-from stages.prefetch import read_ahead
-from stages.scan import Frame, Pose
-
-if TYPE_CHECKING:
-    from stages.fuse import FuseParams
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import Frame, Pose
 
 # How many places of the scan are looked at, two neighbouring frames at each; fewer when frames are large,
 # since all of them are held at once.

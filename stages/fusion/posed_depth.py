@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.fusion.depth_filter import Surface, surface
-from stages.images import read_color, read_depth
-from stages.scan import Camera, ColorImage, DepthImage, Frame, Pose, scaled
+from stages.scans.images import read_color, read_depth
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, scaled
 
 # Poses come from text with few digits and from trackers that drift off rotation a little.
 _RIGID_TOLERANCE = 1e-2
@@ -147,5 +147,5 @@ def rigid_pose(frame: Frame) -> Pose:
 
 
 def _pinhole(camera: Camera) -> Camera:
-    """Return the camera of the images as they were read: `stages.images` has taken the distortion out."""
+    """Return the camera of the images as they were read: `scans.images` took the distortion out."""
     return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)

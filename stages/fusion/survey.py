@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.fusion.posed_depth import PosedDepth
-from stages.scan import DepthImage
+from stages.scans.scan import DepthImage
 
 _STEP = 4  # every fourth pixel of a row and a column is looked at
 _BINS = 8

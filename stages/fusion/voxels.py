@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.errors import StageError
 from stages.fusion.posed_depth import PosedDepth
-from stages.mesh import Mesh
-from stages.scan import Camera, ColorImage, Pose
+from stages.scans.scan import Camera, ColorImage, Pose
+from stages.surface.mesh import Mesh
 
 # 8³ voxels a block: half as many voxels that no surface needs as with Open3D's own 16³.
 BLOCK = 8

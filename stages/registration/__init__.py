@@ -1,1 +1,1 @@
-"""What `stages.register` is made of: views, alignment of two, which pairs to try, and the pose graph."""
+"""Registration: views, alignment of two, which pairs to try, and the pose graph."""

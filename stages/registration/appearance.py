@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.registration.features import Features
-from stages.sift import rooted
+from stages.registration.sift import rooted
 
 _WORDS = 32
 _SAMPLE = 20_000

@@ -10,8 +10,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stages.errors import InputError
-from stages.formats.trajectories import inverted
-from stages.prefetch import read_ahead, workers
 from stages.progress import Progress
 from stages.registration.graph import Edge
 from stages.registration.key_views import KeyViews
@@ -25,7 +23,9 @@ from stages.registration.motion import (
     refined,
 )
 from stages.registration.view import View, read_view
-from stages.scan import Frame, Pose, SkippedFrame
+from stages.scans.formats.trajectories import inverted
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Frame, Pose, SkippedFrame
 
 # A key frame is taken where the view has moved by this much of its median depth, has turned by this much, or
 # after so many frames.

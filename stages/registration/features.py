@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scan import Camera, DepthImage, Pose
-from stages.sift import keypoints, matches
+from stages.registration.sift import keypoints, matches
+from stages.scans.scan import Camera, DepthImage, Pose
 
 # Features are looked for in images of at most this width, and the strongest that have a depth are kept.
 WIDEST = 480

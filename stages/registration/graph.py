@@ -9,7 +9,7 @@ import numpy as np
 
 from stages._open3d import open3d
 from stages.registration.motion import Motion
-from stages.scan import Pose
+from stages.scans.scan import Pose
 
 
 @dataclass(frozen=True, eq=False)

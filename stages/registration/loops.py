@@ -8,15 +8,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.formats.trajectories import inverted
-from stages.prefetch import read_ahead, workers
 from stages.progress import Progress
 from stages.registration.appearance import likeness
 from stages.registration.chain import Chain
 from stages.registration.features import recognise
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion, NoMotion, by_points, by_surface, is_near
-from stages.scan import Pose
+from stages.scans.formats.trajectories import inverted
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Pose
 
 # Loops are looked for with this many views that should overlap and this many that look alike.
 _NEAR, _ALIKE = 5, 3

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.formats.trajectories import inverted
 from stages.registration.features import Recognised, recognise
 from stages.registration.odometry import Meeting, align, align_from_afar, meeting
 from stages.registration.view import View
-from stages.scan import Pose
+from stages.scans.formats.trajectories import inverted
+from stages.scans.scan import Pose
 
 # Matched points from which a motion is believed without a surface that agrees.
 _SURE_POINTS = 15

@@ -9,10 +9,10 @@ from itertools import count
 
 import numpy as np
 
-from stages.formats.trajectories import inverted
 from stages.registration.chain import Chain
 from stages.registration.graph import Edge, optimised
-from stages.scan import Pose
+from stages.scans.formats.trajectories import inverted
+from stages.scans.scan import Pose
 
 # Surfaces count as the same within this share of the median depth.
 _REACH_SHARE = 0.03

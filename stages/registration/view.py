@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
-from stages.images import read_color, read_depth
 from stages.registration.features import WIDEST, Features, features_of
-from stages.scan import Camera, ColorImage, DepthImage, Frame, scaled
+from stages.scans.images import read_color, read_depth
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled
 
 # Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
 _WIDEST = 400

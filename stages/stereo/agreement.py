@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scan import DepthImage
+from stages.scans.scan import DepthImage
 from stages.stereo.posed_views import PosedView
 
 

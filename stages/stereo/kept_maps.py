@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import StageError
-from stages.scan import DepthImage
+from stages.scans.scan import DepthImage
 
 
 class KeptMaps:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scan import Camera
+from stages.scans.scan import Camera
 
 # Fewer matched corners say nothing.
 _ENOUGH = 40

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scan import Camera, Frame, Pose, Scan
+from stages.scans.scan import Camera, Frame, Pose, Scan
 
 # No scan is that far from its origin.
 _FARTHEST_M = 1e9

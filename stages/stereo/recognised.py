@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.sift import Keypoints, matches
+from stages.registration.sift import Keypoints, matches
 from stages.stereo.epipolar import fundamental, off_line
 from stages.stereo.posed_views import PosedView
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scan import Camera, StereoRig
+from stages.scans.scan import Camera, StereoRig
 
 # The lengths of distortion OpenCV knows: k1 k2 p1 p2, + k3, + k4–k6, + thin prism, + tilt.
 _DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from stages.errors import InputError
-from stages.images import read_color, require_size
-from stages.scan import ColorImage, Frame, Packed, scaled
+from stages.scans.images import read_color, require_size
+from stages.scans.scan import ColorImage, Frame, Packed, scaled
 
 
 def reduced(frame: Frame, longest: int) -> Frame:

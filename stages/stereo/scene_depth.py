@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scan import Scan
+from stages.scans.depth_range import Range
+from stages.scans.scan import Scan
 from stages.stereo.posed_views import PosedView
-
-Range = tuple[float, float]
 
 # A stated box is tight, and poses are off by a little: it is widened by this share of its diagonal.
 _BOX_MARGIN = 0.02
@@ -28,25 +27,6 @@ _BOX_MARGIN = 0.02
 _LEAST_SPREAD = math.sin(math.radians(3)) ** 2
 # What is nearer than this share of the distance to the scene's middle is not looked for.
 _NEAREST = 0.1
-# Fewer points of a view say little of its depth. Of more, this share (%) at either end may be false.
-_ENOUGH = 20
-_NEAREST_M = 1e-9
-_FALSE = 2.0
-# The scene goes on beyond the others by this share of what they span in disparity, and of their nearest.
-_BEYOND = 0.25
-_BEYOND_NEAREST = 0.02
-# What has no points, far behind them, is looked for up to so many times as far away as the farthest.
-_FARTHEST = 2.0
-
-
-def range_of_points(depth: NDArray[np.float64]) -> Range | None:
-    """Return the range of depth of a view from the depths (n,) of points, metres; None if they are few."""
-    before = depth[depth > _NEAREST_M]
-    if len(before) < _ENOUGH:
-        return None
-    near, far = np.percentile(before, [_FALSE, 100 - _FALSE])
-    beyond = _BEYOND * (1 / near - 1 / far) + _BEYOND_NEAREST / near
-    return float(1 / (1 / near + beyond)), float(1 / max(1 / far - beyond, 1 / (_FARTHEST * far)))
 
 
 def stated_ranges(scan: Scan, views: Sequence[PosedView]) -> list[Range | None]:

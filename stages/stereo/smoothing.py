@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stages.scan import ColorImage
+from stages.scans.scan import ColorImage
 from stages.stereo.matching import Disparity16
 
 

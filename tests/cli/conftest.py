@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from cli.app import run_command
-from stages.formats.ply import write_ply
-from stages.layouts import write_scan_json
-from stages.mesh import Mesh
-from stages.scan import Camera, Frame
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Camera, Frame
+from stages.surface.formats.ply import write_ply
+from stages.surface.mesh import Mesh
 
 CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=47.5, cy=35.5)
 WALL, CENTRE, RADIUS = 1.2, np.array([0.0, 0.0, 1.0]), 0.25

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from stages.mesh_files import read_mesh
+from stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from stages.formats.ply import write_ply
-from stages.mesh import Mesh
-from stages.mesh_files import read_mesh
 from stages.progress import Progress
+from stages.surface.formats.ply import write_ply
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 
@@ -337,7 +337,7 @@ def test_an_unforeseen_error_is_a_sentence_too(
     def fail(*_: object, **__: object) -> None:
         raise KeyError("oops")
 
-    monkeypatch.setattr("stages.clean", fail)
+    monkeypatch.setattr("stages.cleaning.clean", fail)
     ran = scanloom("clean", ball, tmp_path / "out.ply", "--json")
     assert ran.exit_code == 1
     assert "bug in scanloom" in json.loads(ran.stdout)["error"]

@@ -12,10 +12,10 @@ import pytest
 import trimesh
 
 from cli.app import run_command
-from stages.formats.ply import read_vertex_values, write_ply
-from stages.mesh import Mesh
-from stages.mesh_files import read_mesh
-from stages.normal_mesh import decode
+from stages.normal_meshes.normal_mesh import decode
+from stages.surface.formats.ply import read_vertex_values, write_ply
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
 
 Run = Callable[..., Any]
 SMALL = ("--levels", 2, "--base-triangles", 80)

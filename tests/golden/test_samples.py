@@ -15,11 +15,11 @@ import pytest
 from pipeline.config import Config
 from pipeline.report import ReportParams
 from pipeline.run import run
-from stages.compare import CompareParams, compare
-from stages.formats.ply import read_ply, write_ply_cloud
-from stages.mesh import Mesh
-from stages.raycasting import Surface, bounding_box, interpolated
-from stages.topology import topology
+from stages.comparing.compare import CompareParams, compare
+from stages.surface.formats.ply import read_ply, write_ply_cloud
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface, bounding_box, interpolated
+from stages.surface.topology import topology
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 GOLDEN = Path(__file__).resolve().parent

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from stages.mesh import Mesh
-from stages.topology import topology
+from stages.surface.mesh import Mesh
+from stages.surface.topology import topology
 
 
 def sheet(n: int = 40, noise: float = 0.001, height: float = 0.1) -> Mesh:

@@ -7,10 +7,10 @@ import trimesh
 from coloured_meshes import assert_same_topology
 from numpy.typing import NDArray
 
-from stages.mesh import Mesh
-from stages.normal_mesh import NormalMesh
-from stages.raycasting import Surface
-from stages.topology import topology
+from stages.normal_meshes.normal_mesh import NormalMesh
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface
+from stages.surface.topology import topology
 
 # So that made meshes of some thousand triangles are remeshed in no time.
 SMALL = {"levels": 2, "base_triangles": 120}

@@ -11,9 +11,9 @@ import numpy as np
 from recordings import COLOR, DEPTH, Image, Recording, Stream, made, stamped, transform
 
 from stages.errors import InputError
-from stages.images import read_color, read_depth
-from stages.layouts import read_scan
-from stages.scan import Scan
+from stages.scans.images import read_color, read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Scan
 
 START = 1_700_000_000_000_000_000
 INTERVAL = 33_000_000

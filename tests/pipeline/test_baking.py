@@ -8,11 +8,11 @@ from coloured_meshes import sheet
 from pipeline.baking import BakeSection, make
 from pipeline.config import Config
 from pipeline.graph import left_out, plan_for
-from stages.compare import compare
-from stages.mesh_files import read_mesh
+from stages.comparing.compare import compare
 from stages.progress import silent
-from stages.scan import Scan
-from stages.simplify import simplify
+from stages.scans.scan import Scan
+from stages.simplification.simplify import simplify
+from stages.surface.mesh_files import read_mesh
 
 
 def scan() -> Scan:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pipeline.digest import canonical, digest, file_digest, scan_digest
 from stages.errors import StageError
-from stages.scan import Camera, Frame, Scan, StereoRig
+from stages.scans.scan import Camera, Frame, Scan, StereoRig
 
 CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 json_values = st.recursive(

@@ -13,9 +13,9 @@ import pytest
 from pipeline.config import Config
 from pipeline.run import run
 from stages.errors import InputError, UsageError
-from stages.formats.ply import read_ply
-from stages.formats.trajectories import read_tum
-from stages.layouts import read_scan
+from stages.scans.formats.trajectories import read_tum
+from stages.scans.read import read_scan
+from stages.surface.formats.ply import read_ply
 
 SAMPLE = Path(__file__).parents[2] / "samples" / "rgbd"
 QUICK = (

@@ -11,14 +11,14 @@ from coloured_meshes import MESHES
 from pipeline.config import Config
 from pipeline.remeshing import RemeshSection, make, read_levels, report
 from pipeline.run import CACHE_VARIABLE, run
-from stages.compare import CompareParams
-from stages.formats.ply import read_ply
-from stages.layouts import write_scan_json
-from stages.normal_mesh import decode
+from stages.comparing.compare import CompareParams
+from stages.normal_meshes.normal_mesh import decode
+from stages.normal_meshes.remesh import remesh
+from stages.picturing.viewpoints import viewpoints
 from stages.progress import silent
-from stages.remesh import remesh
-from stages.scan import Camera, Frame
-from stages.viewpoints import viewpoints
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Camera, Frame
+from stages.surface.formats.ply import read_ply
 
 QUICK = (
     "fuse.voxel_size=0.03",

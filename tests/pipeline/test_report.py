@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from pipeline.report import ReportParams, make
-from stages.compare import CompareParams, compare
+from stages.comparing.compare import CompareParams, compare
 from stages.errors import InputError
-from stages.mesh import Mesh
+from stages.surface.mesh import Mesh
 
 SQUARE = Mesh(
     np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)

@@ -21,12 +21,13 @@ from pipeline.graph import STAGES
 from pipeline.report import edge_figures
 from pipeline.run import CACHE_VARIABLE, run
 from stages.errors import InputError, UsageError
-from stages.formats.ply import read_ply
-from stages.images import read_color, read_depth
-from stages.layouts import read_scan, write_scan_json
-from stages.mesh import Mesh
 from stages.params import described
-from stages.scan import Camera, Frame
+from stages.scans.images import read_color, read_depth
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)

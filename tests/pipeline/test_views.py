@@ -14,11 +14,11 @@ from typer.testing import CliRunner
 from cli.app import app
 from pipeline.config import Config
 from pipeline.run import CACHE_VARIABLE, run
-from stages.formats.ply import read_ply
-from stages.formats.trajectories import inverted
-from stages.layouts import read_scan
-from stages.scan import Scan
-from stages.views import views_depth
+from stages.scans.formats.trajectories import inverted
+from stages.scans.read import read_scan
+from stages.scans.scan import Scan
+from stages.stereo.views_depth import views_depth
+from stages.surface.formats.ply import read_ply
 
 QUICK = ("report.views=1", "report.width=64", "compare.samples=1000")
 

@@ -19,7 +19,7 @@ from pipeline.engine import Engine, Job, Outcome, Source, Stage
 from pipeline.events import Events, unwatched
 from pipeline.sections import Sections
 from stages.params import check, param
-from stages.scan import Camera, Frame, Scan
+from stages.scans.scan import Camera, Frame, Scan
 
 
 @dataclass(frozen=True, kw_only=True)

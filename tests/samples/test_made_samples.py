@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.formats.ply import read_ply
-from stages.images import read_color, read_depth, read_right
-from stages.layouts import read_scan
-from stages.raycasting import Surface
+from stages.scans.images import read_color, read_depth, read_right
+from stages.scans.read import read_scan
+from stages.surface.formats.ply import read_ply
+from stages.surface.raycasting import Surface
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 

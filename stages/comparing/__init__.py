@@ -1,0 +1,1 @@
+"""How far two meshes are apart: measured at samples, proven at every point, painted."""

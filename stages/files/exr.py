@@ -1,0 +1,164 @@
+"""Read depth from OpenEXR files: one channel of numbers, as phones and renderers write it.
+
+The header is read here, and what it promises is checked before the library allocates it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.image_bytes import MAX_PIXELS
+
+_HEADER_BYTES = 1 << 19
+_START = b"v/1\x01"
+# Flags of the version: tiles, deep pixels, several parts.
+_UNREAD = 0x200 | 0x800 | 0x1000
+# Rows of pixels a chunk, by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB.
+_ROWS = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
+# What depth is called, the surest first; a lone channel may have any name.
+_NAMES = ("Z", "Depth.Z", "depth.Z", "depth", "Depth", "D", "Y", "V")
+# The library reports faults of a file with print(), which has one destination for all threads.
+_printing = threading.Lock()
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What is needed of a header; `end` is where the table of chunks begins."""
+
+    width: int
+    height: int
+    channels: int
+    compression: int
+    end: int
+
+
+def exr_size(path: Path) -> tuple[int, int]:
+    """Return (width, height) in pixels, from the header alone.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, or its header is damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            header = _header(file.read(_HEADER_BYTES), path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"the image cannot be opened ({error}).", path) from error
+    return header.width, header.height
+
+
+def read_exr(path: Path) -> NDArray[Any]:
+    """Return the depth of an OpenEXR file, (h, w) float16, float32 or uint32, in the file's own unit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged or cut short, or which of its channels is depth cannot be told.
+    """
+    import OpenEXR
+
+    try:
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(f"the image cannot be opened ({error}).", path) from error
+    header = _header(data, path)
+    if _is_cut_short(data, header):
+        raise InputError("the image is cut short; copy it again or leave the frame out.", path)
+    try:
+        with _printing, contextlib.redirect_stdout(sys.stderr):
+            file = OpenEXR.File(str(path), separate_channels=True)
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except (RuntimeError, ValueError, IndexError, MemoryError) as error:
+        raise InputError("the image does not decode; it is damaged.", path) from error
+    depth = _depth_of(channels)
+    if depth is None:
+        names = ", ".join(sorted(channels))[:80]
+        raise InputError(
+            f"which channel is depth cannot be told: it holds {names}. Write one channel, Z.", path
+        )
+    return depth
+
+
+def _depth_of(channels: Mapping[str, NDArray[Any]]) -> NDArray[Any] | None:
+    name = next((name for name in _NAMES if name in channels), None)
+    if len(channels) == 1 or name is not None:
+        return channels[name or next(iter(channels))]
+    colors = [channels[name] for name in "RGB" if name in channels]
+    # Depth that was saved as a grey colour image.
+    if len(colors) == 3 and all(colors[0].tobytes() == other.tobytes() for other in colors[1:]):
+        return colors[0]
+    return None
+
+
+def _header(data: bytes, path: Path) -> _Header:
+    """Return the header of an OpenEXR file whose size is one that can be."""
+    if data[:4] != _START or len(data) < 8:
+        raise InputError("this is no OpenEXR image, or its start is damaged.", path)
+    if int.from_bytes(data[4:8], "little") & _UNREAD:
+        raise InputError(
+            "OpenEXR with tiles, several parts or deep pixels is not read; write scan lines.", path
+        )
+    try:
+        attributes, end = _attributes(data)
+        left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"])
+        channels = _channel_count(attributes[b"channels"])
+        compression = attributes[b"compression"][0]
+    except (KeyError, ValueError, IndexError, struct.error) as error:
+        raise InputError("the header of the image is damaged.", path) from error
+    if compression >= len(_ROWS):
+        raise InputError("its kind of compression is not read; write it with ZIP.", path)
+    width, height = right - left + 1, bottom - top + 1
+    if not (width > 0 and height > 0 and channels > 0 and width * height * channels <= MAX_PIXELS):
+        raise InputError(
+            f"the image claims to be {width}×{height} pixels of {channels} channels; its header is damaged.",
+            path,
+        )
+    return _Header(width, height, channels, compression, end)
+
+
+def _attributes(data: bytes) -> tuple[dict[bytes, bytes], int]:
+    """Return the attributes by name, and where the header ends; raise ValueError where it does not."""
+    found: dict[bytes, bytes] = {}
+    at = 8
+    while data[at] != 0:
+        name_end = data.index(0, at)
+        type_end = data.index(0, name_end + 1)
+        size = int.from_bytes(data[type_end + 1 : type_end + 5], "little")
+        start = type_end + 5
+        if start + size >= len(data):
+            raise ValueError("an attribute goes beyond the file")
+        found[data[at:name_end]] = data[start : start + size]
+        at = start + size
+    return found, at + 1
+
+
+def _channel_count(table: bytes) -> int:
+    """Return how many channels a list holds: a name each, its end, and 16 bytes about it."""
+    count = at = 0
+    while table[at] != 0:
+        at = table.index(0, at) + 17
+        count += 1
+    return count
+
+
+def _is_cut_short(data: bytes, header: _Header) -> bool:
+    """Say whether a chunk that the table of chunks names is not all there."""
+    count = -(-header.height // _ROWS[header.compression])
+    if header.end + 8 * count > len(data):
+        return True
+    for (offset,) in struct.iter_unpack("<Q", data[header.end : header.end + 8 * count]):
+        size = int.from_bytes(data[offset + 4 : offset + 8], "little")
+        if offset < header.end or offset + 8 + size > len(data):
+            return True
+    return False

@@ -1,1 +1,0 @@
-"""Files from outside, read without trusting them: meshes, calibrations, trajectories."""

@@ -1,0 +1,216 @@
+"""Fuse posed depth maps into one coloured mesh: a truncated signed distance field, then its zero surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages._open3d import open3d
+from stages.errors import InputError, UsageError
+from stages.fusion.params import FuseParams
+from stages.fusion.plan import make_plan
+from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
+from stages.fusion.survey import Noise
+from stages.fusion.voxels import Layer, Volume
+from stages.params import resolve
+from stages.progress import Progress, silent
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
+from stages.surface.mesh import Mesh
+
+VERSION = 2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fused:
+    """A fused mesh, and how it came about.
+
+    Attributes
+    ----------
+    mesh : with uint8 vertex colours where the frames have colour.
+    voxel_size, truncation, max_depth : metres, as given or derived.
+    min_weight : frames, as given or derived.
+    noise : depth noise measured between neighbouring frames.
+    frames : how many frames were fused.
+    skipped : which were not, and why.
+    pixels_valid : share of the fused frames' pixels that had a depth.
+    pixels_used : share of them that went into the volume.
+    volume_bytes : memory of the volume at its end.
+    device : "CPU:0" or "CUDA:0".
+    """
+
+    mesh: Mesh
+    voxel_size: float
+    truncation: float
+    max_depth: float
+    min_weight: int
+    noise: Noise
+    frames: int
+    skipped: tuple[SkippedFrame, ...]
+    pixels_valid: float
+    pixels_used: float
+    volume_bytes: int
+    device: str
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures for a report, JSON-able, units in the names."""
+        return {
+            "voxel_size_m": self.voxel_size,
+            "truncation_m": self.truncation,
+            "max_depth_m": self.max_depth,
+            "min_weight_frames": self.min_weight,
+            "depth_noise_constant_m": self.noise.constant,
+            "depth_noise_quadratic_per_m": self.noise.quadratic,
+            "frames_used": self.frames,
+            "frames_used_share": self.frames / (self.frames + len(self.skipped)),
+            "frames_skipped": [{"frame": s.name, "reason": s.reason} for s in self.skipped],
+            "pixels_valid_share": self.pixels_valid,
+            "pixels_used_share": self.pixels_used,
+            "volume_mb": self.volume_bytes / 1e6,
+            "device": self.device,
+            "vertices": len(self.mesh.vertices),
+            "triangles": len(self.mesh.triangles),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """A frame ready to be integrated."""
+
+    view: PosedDepth
+    parts: list[Layer]
+    color: ColorImage | None
+
+
+def fuse(
+    scan: Scan | Iterable[Frame],
+    params: FuseParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Any,
+) -> Fused:
+    """Fuse frames with depth and poses into a mesh.
+
+    Some frames are looked at first: depth noise is measured by comparing neighbouring frames, and whatever
+    parameter is left open follows from it and from the spacing of the pixels. Then frames are read and
+    filtered in threads, a few ahead, while one after the other goes into the volume. A frame that cannot be
+    used is skipped and reported. Equal input gives a bit-identical mesh on one machine, whatever the number
+    of threads.
+
+    Parameters
+    ----------
+    scan : a scan, or frames, with depth; stereo pairs go through `depth` first.
+    params, **changes : see FuseParams.
+    progress : called after each frame.
+
+    Raises
+    ------
+    InputError
+        If no frame has a pose or depth, or more than `max_bad_share` of the frames cannot be used.
+    UsageError
+        For a parameter out of its range, or a CUDA device that is not there.
+    StageError
+        If the volume outgrows its memory.
+
+    References
+    ----------
+    Curless and Levoy 1996; the volume is Open3D's VoxelBlockGrid (see stages.fusion.voxels).
+    """
+    params = resolve(FuseParams, params, changes)
+    device = _device(params.device)
+    frames = list(scan.frames if isinstance(scan, Scan) else scan)
+    where = scan.folder if isinstance(scan, Scan) else None
+    _require_usable(frames, where)
+    threads = workers()
+    plan = make_plan(frames, params, where, threads)
+    color = params.color and any(frame.color is not None for frame in frames)
+    volume = Volume(
+        plan.voxel_size,
+        plan.truncation,
+        plan.limits.max_depth,
+        color=color,
+        blocks=plan.blocks,
+        max_bytes=params.memory * 1e6,
+        device=device,
+    )
+
+    def prepare(frame: Frame) -> _Prepared | SkippedFrame:
+        try:
+            view = read_posed_depth(frame, plan.limits)
+            image = read_matching_color(frame, view.surface.depth) if color else None
+        except InputError as error:
+            return SkippedFrame(frame.name, str(error))
+        return _Prepared(view, plan.layers(view), image)
+
+    skipped: list[SkippedFrame] = []
+    pixels = valid = used = 0
+    for done, item in enumerate(read_ahead(prepare, frames, threads=threads, ahead=threads + 2), 1):
+        if isinstance(item, SkippedFrame):
+            skipped.append(item)
+            _require_share(skipped, len(frames), params.max_bad_share, where)
+        else:
+            view = item.view
+            volume.integrate(item.parts, view.camera, plan.local(view.pose), item.color)
+            pixels += view.surface.depth.size
+            valid += view.valid
+            used += int(np.count_nonzero(view.surface.depth))
+        progress(done, len(frames))
+
+    min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 2), 1, 3))
+    mesh = volume.mesh(min_weight)
+    if len(mesh.triangles) == 0:
+        raise InputError(
+            f"no surface came out of {len(frames) - len(skipped)} frames at voxels of {plan.voxel_size:g} m: "
+            f"none was seen by {min_weight} of them. Check poses and depth scale, or lower min_weight.",
+            where,
+        )
+    return Fused(
+        mesh=mesh.with_(vertices=mesh.vertices + plan.origin),
+        voxel_size=plan.voxel_size,
+        truncation=plan.truncation,
+        max_depth=plan.limits.max_depth,
+        min_weight=min_weight,
+        noise=plan.noise,
+        frames=len(frames) - len(skipped),
+        skipped=tuple(skipped),
+        pixels_valid=valid / pixels,
+        pixels_used=used / pixels,
+        volume_bytes=volume.bytes,
+        device=device,
+    )
+
+
+def _device(wanted: str) -> str:
+    if wanted != "cpu" and open3d().core.cuda.is_available():
+        return "CUDA:0"
+    if wanted == "cuda":
+        raise UsageError("device is 'cuda', but Open3D finds no CUDA device; choose cpu or auto.")
+    return "CPU:0"
+
+
+def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
+    if not frames:
+        raise InputError("there are no frames to fuse.", where)
+    if all(frame.world_from_camera is None for frame in frames):
+        raise InputError(
+            f"none of the {len(frames)} frames has a camera pose; fusion needs the pose of each "
+            "(world_from_camera).",
+            where,
+        )
+    if all(frame.depth is None for frame in frames):
+        raise InputError(
+            f"none of the {len(frames)} frames has a depth map; compute depth from stereo pairs first.", where
+        )
+
+
+def _require_share(skipped: Sequence[SkippedFrame], count: int, share: float, where: Path | None) -> None:
+    if len(skipped) > share * count:
+        raise InputError(
+            f"{len(skipped)} of {count} frames cannot be used; at most {share:.0%} may be bad "
+            f"(max_bad_share). The first: {skipped[0].reason}",
+            where,
+        )

@@ -1,0 +1,73 @@
+"""How frames are fused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stages.params import check, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class FuseParams:
+    """Parameters of `fuse`."""
+
+    voxel_size: float | None = param(
+        None,
+        "Edge of a voxel. Derived: twice the spacing of depth pixels at median depth, twice the measured "
+        "depth noise there, or what keeps the mesh near 2 million triangles, whichever is largest.",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    truncation: float | None = param(
+        None,
+        "Distance from the surface, along its normal, at which the field is cut off. Derived: three times "
+        "the measured noise of far depth, but 3 to 5 voxels (more if the voxels are finer than the noise).",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    min_depth: float = param(0.0, "Nearer depth is ignored.", unit="m", low=0)
+    max_depth: float | None = param(
+        None,
+        "Farther depth is ignored. Derived: where the measured noise reaches a third of the truncation.",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    max_jump: float = param(
+        0.05,
+        "Where depth changes by more than this share of itself from one pixel to the next, both are dropped: "
+        "sensors put false depth beside such discontinuities.",
+        low=0,
+        low_open=True,
+    )
+    max_angle: float = param(
+        87.0,
+        "Pixels that see the surface at a larger angle to its normal are dropped.",
+        unit="degrees",
+        low=0,
+        high=89,
+    )
+    min_weight: int | None = param(
+        None,
+        "How many frames must have seen a voxel for the surface to pass through it. Derived: half of what "
+        "the median voxel was seen, from 1 to 3.",
+        unit="frames",
+        low=1,
+    )
+    color: bool = param(True, "Give the mesh vertex colours, when the frames have colour.")
+    max_bad_share: float = param(
+        0.2, "Share of frames that may be unusable (damaged, without pose or depth).", low=0, high=1
+    )
+    memory: float = param(
+        4000.0, "The volume may not outgrow this; fusion then stops.", unit="MB", low=1, invalidates=False
+    )
+    device: str = param(
+        "cpu",
+        "Where to fuse: auto takes a CUDA device when Open3D finds one, cuda insists on it.",
+        choices=("cpu", "cuda", "auto"),
+    )
+
+    def __post_init__(self) -> None:
+        check(self)

@@ -1,0 +1,1 @@
+"""What a scan holds and what is odd about it, before any work."""

@@ -1,0 +1,52 @@
+"""What fusing a scan will take, before it is begun: estimated from the frames that fusion looks at first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.fusion.params import FuseParams
+from stages.fusion.plan import make_plan
+from stages.fusion.voxels import block_bytes
+from stages.scans.prefetch import workers
+from stages.scans.scan import Frame
+
+# What a run leaves behind for each triangle that is fused: meshes after each stage, records, pictures.
+_DISK_BYTES = 130
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What a run with the default parameters will need; good to a factor of about two.
+
+    Attributes
+    ----------
+    voxel_size_m : metres, as fusion derives it.
+    volume_mb : memory of the voxels at the end of fusion; fusion stops where it outgrows `fuse.memory`.
+    triangles : of the fused mesh.
+    disk_mb : of all results and the cache.
+    """
+
+    voxel_size_m: float
+    volume_mb: float
+    triangles: int
+    disk_mb: float
+
+
+def outlook(frames: Sequence[Frame], folder: Path | None) -> Outlook:
+    """Estimate what fusing frames with depth and poses takes.
+
+    Raises
+    ------
+    InputError
+        If none of the frames looked at can be used.
+    """
+    plan = make_plan(frames, FuseParams(), folder, workers())
+    color = any(frame.color is not None for frame in frames)
+    return Outlook(
+        voxel_size_m=plan.voxel_size,
+        volume_mb=plan.blocks * block_bytes(color=color) / 1e6,
+        triangles=plan.triangles,
+        disk_mb=plan.triangles * _DISK_BYTES / 1e6,
+    )

@@ -1,0 +1,139 @@
+"""A picture of what a scan holds: where its cameras stand, and one frame's depth over its colour."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.fusion.posed_depth import read_matching_color
+from stages.scans.images import read_color, read_depth, read_right
+from stages.scans.scan import ColorImage, Frame, Scan
+
+_HEIGHT = 480
+_MARGIN = 48
+_INK, _FAINT, _PAPER = (32, 32, 40), (170, 170, 178), (248, 248, 250)
+_FIRST, _LAST = np.array((40.0, 90.0, 200.0)), np.array((220.0, 80.0, 30.0))
+# A camera's optical axis is drawn this long, as a share of the path's extent.
+_AXIS = 0.08
+
+
+def inspection_picture(scan: Scan) -> ColorImage:
+    """Draw the cameras from above and from the side, and the middle frame: depth over colour, or a pair.
+
+    Parameters
+    ----------
+    scan : as read, with or without poses.
+
+    Returns
+    -------
+    (h, w, 3) uint8 RGB. Paths go from blue to red, each camera with the direction it looks in; "above" and
+    "side" look along the axes in which the path extends least. Near depth is yellow, far depth is purple, and
+    where there is none the colour shows.
+
+    Raises
+    ------
+    InputError
+        If the frame's images cannot be read.
+    """
+    frame = scan.frames[len(scan.frames) // 2]
+    panels = [*_paths(scan), _frame_panel(frame)]
+    gap = np.full((_HEIGHT, 8, 3), _FAINT, np.uint8)
+    row: list[NDArray[np.uint8]] = []
+    for panel in panels:
+        row += [panel, gap]
+    return np.concatenate(row[:-1], axis=1)
+
+
+def _paths(scan: Scan) -> list[NDArray[np.uint8]]:
+    poses = np.array([f.world_from_camera for f in scan.frames if f.world_from_camera is not None])
+    if len(poses) == 0:
+        panel = np.full((_HEIGHT, _HEIGHT, 3), _PAPER, np.uint8)
+        _write(panel, "no poses", (_MARGIN, _HEIGHT // 2))
+        return [panel]
+    centres = poses[:, :3, 3]
+    _, _, axes = np.linalg.svd(centres - centres.mean(axis=0), full_matrices=True)
+    return [_path(poses, axes[[0, 1]], "above"), _path(poses, axes[[0, 2]], "side")]
+
+
+def _path(poses: NDArray[np.float64], axes: NDArray[np.float64], name: str) -> NDArray[np.uint8]:
+    import cv2
+
+    panel = np.full((_HEIGHT, _HEIGHT, 3), _PAPER, np.uint8)
+    flat = poses[:, :3, 3] @ axes.T
+    middle = (flat.max(axis=0) + flat.min(axis=0)) / 2
+    # Both panels have one scale: that of the whole path.
+    extent = max(float(np.ptp(poses[:, :3, 3], axis=0).max()), 1e-6)
+    unit = (_HEIGHT - 2 * _MARGIN) / (1.2 * extent)
+
+    def pixel(point: NDArray[np.float64]) -> tuple[int, int]:
+        x, y = (point - middle) * unit
+        return round(_HEIGHT / 2 + x), round(_HEIGHT / 2 - y)
+
+    for i, pose in enumerate(poses):
+        share = i / max(len(poses) - 1, 1)
+        color = tuple(int(c) for c in (1 - share) * _FIRST + share * _LAST)
+        here = pixel(flat[i])
+        ahead = pixel(flat[i] + _AXIS * extent * (axes @ pose[:3, 2]))
+        if i:
+            cv2.line(panel, pixel(flat[i - 1]), here, color, 1, cv2.LINE_AA)
+        cv2.line(panel, here, ahead, color, 1, cv2.LINE_AA)
+        cv2.circle(panel, here, 2, color, -1, cv2.LINE_AA)
+    _write(panel, f"{len(poses)} cameras, {name}", (12, 22))
+    bar = 10.0 ** np.floor(np.log10(extent))
+    length = round(bar * unit)
+    cv2.line(panel, (12, _HEIGHT - 16), (12 + length, _HEIGHT - 16), _INK, 2)
+    _write(panel, f"{bar:g} m", (18 + length, _HEIGHT - 11))
+    return panel
+
+
+def _frame_panel(frame: Frame) -> NDArray[np.uint8]:
+    depth = read_depth(frame)
+    if depth is None:
+        sides = [image for image in (read_color(frame), read_right(frame)) if image is not None]
+        if not sides:
+            raise InputError("there is neither colour nor depth.", f"frame {frame.name}")
+        panel = np.concatenate([_sized(image) for image in sides], axis=1)
+        _write(panel, frame.name, (12, 22))
+        return panel
+    color = None if frame.color is None else read_matching_color(frame, depth)
+    panel = _sized(_over(depth, color))
+    seen = depth[depth > 0]
+    span = f", {seen.min():.2f} to {seen.max():.2f} m" if seen.size else ", no depth"
+    _write(panel, f"{frame.name}{span}", (12, 22))
+    return panel
+
+
+def _over(depth: NDArray[np.float32], color: ColorImage | None) -> NDArray[np.uint8]:
+    """Return the depth in colours, with the edges of the colour image seen through it."""
+    import cv2
+
+    valid = depth > 0
+    near, far = np.percentile(depth[valid], (2, 98)) if valid.any() else (0.0, 1.0)
+    level = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
+    painted = cv2.cvtColor(
+        cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB
+    )
+    base = np.full((*depth.shape, 3), 255, np.uint8) if color is None else color
+    grey = cv2.cvtColor(cv2.cvtColor(base, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    mixed = (0.55 * np.asarray(painted, np.float32) + 0.45 * np.asarray(grey, np.float32)).astype(np.uint8)
+    return np.where(valid[..., None], mixed, base)
+
+
+def _sized(image: NDArray[Any]) -> NDArray[np.uint8]:
+    import cv2
+
+    width = round(image.shape[1] * _HEIGHT / image.shape[0])
+    return np.asarray(cv2.resize(image, (width, _HEIGHT), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _write(panel: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
+    import cv2
+
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    (width, height), below = cv2.getTextSize(text, font, size, 1)
+    corners = (at[0] - 4, at[1] - height - 4), (at[0] + width + 4, at[1] + below + 2)
+    cv2.rectangle(panel, *corners, _PAPER, -1)
+    cv2.putText(panel, text, at, font, size, _INK, 1, cv2.LINE_AA)

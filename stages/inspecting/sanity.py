@@ -1,0 +1,238 @@
+"""Do the images agree with what the folder says of them? Cheap tests on a few frames.
+
+Each returns sentences about what is odd. They catch the mistakes that give a blurred or mirrored mesh and no
+error: poses taken the wrong way round, a wrong axis, colour beside depth, left and right exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_depth
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
+
+_DECLARED = "as given"
+_COUPLES = 8
+# Of the points of one frame, the share that must fall on depth of the other for the two to be compared.
+_LEAST_OVERLAP = 0.1
+_LARGEST_SHIFT = 8
+# Edges of depth lie beside the objects: in recordings that are registered they meet those of colour best up
+# to two pixels off their place, in every frame alike. Below this no camera offset can be told from that.
+_NOTED_SHIFT = 3
+_LEAST_CORRELATION = 0.08
+# Depth of one frame meets another's to half a per cent with sound poses; beyond 3 % nothing fits.
+_SOUND_SHARE = 0.005
+_FITTING_SHARE = 0.03
+_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+
+
+def require_poses(scan: Scan) -> list[str]:
+    """Stop when another reading of the poses clearly fits the depth better; return what is only suspected.
+
+    Raises
+    ------
+    InputError
+        With the comparison of `check_poses`. Where frames do not overlap with the poses as given, there is
+        nothing to compare, and a warning is returned.
+    """
+    errors, warnings = check_poses(scan.frames)
+    if warnings and _DECLARED in errors:
+        compared = "; ".join(f"{error * 1000:.0f} mm {name}" for name, error in errors.items())
+        raise InputError(
+            f"{warnings[0]} (compared: {compared}). Give camera-to-world poses with x right, y down, "
+            "z forward, or use these as they are with --no-check-poses (in a config file: check_poses = "
+            "false under [scan]).",
+            scan.folder,
+        )
+    return warnings
+
+
+def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
+    """Reproject depth from frame to frame with the poses as given, inverted, with flipped axes, and both.
+
+    Parameters
+    ----------
+    frames : with depth and poses.
+
+    Returns
+    -------
+    The median depth error in metres of each way (those that overlap enough), and a warning when another way
+    fits, with less than half the error of the declared one, and that one does not.
+    """
+    errors: dict[str, list[NDArray[np.float64]]] = {}
+    distances = []
+    for first, second in _couples(frames):
+        points = _points(first[1], first[0].camera)
+        distances.append(points[:, 2])
+        ways = _ways(_pose(first[0]), _pose(second[0]))
+        for name, second_from_first in ways.items():
+            found = _depth_errors(points, second_from_first, second[1], second[0].camera)
+            if found.size > _LEAST_OVERLAP * len(points):
+                errors.setdefault(name, []).append(found)
+    medians = {name: float(np.median(np.concatenate(found))) for name, found in errors.items()}
+    if not medians:
+        return {}, []
+    distance = float(np.median(np.concatenate(distances)))
+    declared = medians.get(_DECLARED)
+    best = min(medians, key=lambda name: medians[name])
+    is_sound = declared is not None and declared < max(2 * medians[best], _SOUND_SHARE * distance)
+    if is_sound or medians[best] > _FITTING_SHARE * distance:
+        return medians, []
+    was = "no overlap" if declared is None else f"{declared * 1000:.0f} mm"
+    return medians, [
+        f"the poses are probably {best}: so taken, the depth of one frame meets another's to "
+        f"{medians[best] * 1000:.0f} mm, as given to {was}"
+    ]
+
+
+def check_registration(pairs: Sequence[tuple[ColorImage | None, DepthImage | None]]) -> list[str]:
+    """Shift depth edges over colour edges by up to 8 px; warn when they clearly meet best off their place.
+
+    A peak must stand out: on smooth walls, or where the two cameras differ by more than a shift, the
+    correlation is flat and says nothing.
+    """
+    import cv2
+
+    border = _LARGEST_SHIFT
+    maps = []
+    for color, depth in pairs:
+        if color is None or depth is None or min(depth.shape) < 8 * border:
+            continue
+        small = cv2.resize(color, depth.shape[::-1], interpolation=cv2.INTER_AREA)
+        edges = _edges(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float32))
+        jumps = _depth_jumps(depth)[border:-border, border:-border]
+        if np.count_nonzero(jumps) > 200:
+            maps.append(cv2.matchTemplate(np.minimum(edges, 200), jumps, cv2.TM_CCOEFF_NORMED))
+    if not maps:
+        return []
+    match = np.mean(maps, axis=0)
+    peak, centre = float(match.max()), float(match[border, border])
+    row, column = np.unravel_index(int(match.argmax()), match.shape)
+    down, right = int(row) - border, int(column) - border
+    stands_out = peak > max(_LEAST_CORRELATION, 1.5 * float(np.median(match)), 1.2 * centre)
+    shift = max(abs(down), abs(right))
+    if not stands_out or not _NOTED_SHIFT <= shift < border:
+        return []
+    across = f"{abs(right)} px {'right' if right > 0 else 'left'}"
+    along = f"{abs(down)} px {'below' if down > 0 else 'above'}"
+    return [f"colour is not registered to depth: its edges lie about {across} and {along}"]
+
+
+def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], rig: StereoRig) -> list[str]:
+    """Match features of left and right: they must lie on the same row if rectified, and left must be left."""
+    moves = [_feature_moves(left, right) for left, right in pairs if left is not None and right is not None]
+    found = np.concatenate(moves) if moves else np.empty((0, 2))
+    if len(found) < 50:
+        return []
+    # With an offset between the centres, disparity may rightly be negative.
+    disparity = float(np.median(found[:, 0])) + rig.right.cx - rig.left.cx
+    row = float(np.median(np.abs(found[:, 1])))
+    warnings = []
+    if disparity < 0:
+        warnings.append(f"left and right seem exchanged: the median disparity is {disparity:.1f} px")
+    if rig.rectified and row > 0.5:
+        warnings.append(f"the pairs are said to be rectified, but matched features differ by {row:.1f} rows")
+    return warnings
+
+
+def _couples(frames: Sequence[Frame]) -> list[tuple[tuple[Frame, DepthImage], tuple[Frame, DepthImage]]]:
+    """Read a few couples of frames some way apart, so that the camera has moved between them."""
+    step = max(1, len(frames) // 25)
+    last = len(frames) - 1 - step
+    if last < 0:
+        return []
+    starts = np.unique(np.linspace(0, last, _COUPLES).round().astype(int))
+    couples = []
+    for i in starts:
+        first, second = frames[i], frames[i + step]
+        depths = [_depth_or_none(frame) for frame in (first, second)]
+        if depths[0] is not None and depths[1] is not None:
+            couples.append(((first, depths[0]), (second, depths[1])))
+    return couples
+
+
+def _depth_or_none(frame: Frame) -> DepthImage | None:
+    try:
+        return read_depth(frame)
+    except InputError:
+        return None
+
+
+def _pose(frame: Frame) -> Pose:
+    return np.eye(4) if frame.world_from_camera is None else frame.world_from_camera
+
+
+def _ways(first: Pose, second: Pose) -> dict[str, Pose]:
+    """Return second_from_first as each way to take the two poses gives it."""
+    given = inverted(second) @ first
+    turned = second @ inverted(first)
+    return {
+        _DECLARED: given,
+        "world-to-camera": turned,
+        "of a camera with y up and z back": _FLIP @ given @ _FLIP,
+        "world-to-camera, with y up and z back": _FLIP @ turned @ _FLIP,
+    }
+
+
+def _points(depth: DepthImage, camera: Camera) -> NDArray[np.float64]:
+    """Return (n, 3) points in the camera's axes from every eighth pixel that has depth."""
+    rows, columns = np.mgrid[4 : depth.shape[0] : 8, 4 : depth.shape[1] : 8]
+    z = depth[rows, columns].astype(np.float64)
+    x = (columns - camera.cx) / camera.fx * z
+    y = (rows - camera.cy) / camera.fy * z
+    points: NDArray[np.float64] = np.stack([x, y, z], axis=-1)[z > 0]
+    return points
+
+
+def _depth_errors(
+    points: NDArray[np.float64], second_from_first: Pose, depth: DepthImage, camera: Camera
+) -> NDArray[np.float64]:
+    """Return how far the depth map lies from each point that falls on it, in metres."""
+    moved = points @ second_from_first[:3, :3].T + second_from_first[:3, 3]
+    moved = moved[moved[:, 2] > 0.05]
+    columns = np.rint(moved[:, 0] / moved[:, 2] * camera.fx + camera.cx)
+    rows = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy)
+    inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height)
+    seen = depth[rows[inside].astype(int), columns[inside].astype(int)]
+    errors: NDArray[np.float64] = np.abs(moved[inside, 2] - seen)[seen > 0]
+    return errors
+
+
+def _depth_jumps(depth: DepthImage) -> NDArray[np.float32]:
+    """Return how much depth jumps, 0 where it is smooth; what is missing beside an object is background."""
+    import cv2
+
+    filled = np.where(depth > 0, depth, cv2.dilate(depth, np.ones((15, 15), np.uint8)))
+    known = cv2.erode((filled > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    jumps = _edges(np.log(np.maximum(filled, 0.01)))
+    return np.where(known, np.clip(jumps - 0.1, 0, 0.4), 0).astype(np.float32)
+
+
+def _edges(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    import cv2
+
+    across, down = cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1)
+    return np.asarray(cv2.magnitude(across, down), np.float32)
+
+
+def _feature_moves(left: ColorImage, right: ColorImage) -> NDArray[np.float64]:
+    """Return (n, 2) left minus right positions of features that match both ways, in pixels."""
+    import cv2
+
+    finder = cv2.ORB.create(1000)
+    points_left, words_left = finder.detectAndCompute(left, None)
+    points_right, words_right = finder.detectAndCompute(right, None)
+    if not points_left or not points_right:
+        return np.empty((0, 2))
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(words_left, words_right)
+    moves = [
+        np.subtract(points_left[one.queryIdx].pt, points_right[one.trainIdx].pt)
+        for one in matches
+        if one.distance < 40
+    ]
+    return np.reshape(np.array(moves, np.float64), (-1, 2))

@@ -1,0 +1,1 @@
+"""Normal meshes (LI02): remeshing, and the file of their levels."""

@@ -1,0 +1,286 @@
+"""Remeshing: any manifold mesh becomes a normal mesh, even triangles at several levels of detail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stages import _kernels
+from stages.cleaning.traced import Traced
+from stages.errors import MeshError
+from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
+from stages.params import check, param, resolve
+from stages.progress import Progress, silent
+from stages.simplification.kernel_input import attributes_of
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.edges import edges_of, fans, neighbours
+from stages.surface.mesh import Mesh
+from stages.surface.topology import repeats_vertex, require_area
+
+VERSION = 1
+
+# A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
+_FAR_FROM_WANTED = 1.5
+
+# Of a base that is made without saying how many levels it will get.
+_MOST_LEVELS = 4
+
+_HOW_FAR = "How far"
+_HOW = "How"
+_FILE = "What the file keeps"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemeshParams:
+    """How many levels a normal mesh gets, of what base, and how exactly they are kept."""
+
+    levels: int | None = param(
+        None,
+        "Refinements of the base mesh; each makes four triangles of one. Default: as many, from 1 to 4, as "
+        "give the finest level about as many triangles as the input; with max_error at most 4.",
+        group=_HOW_FAR,
+        low=0,
+        high=10,
+    )
+    base_triangles: int | None = param(
+        None,
+        "Triangles of the base mesh; more are left only where fewer could not be refined. Default, unless "
+        "base_error is given: so many that the finest level has about as many as the input, or more, where "
+        "fewer would be far from it.",
+        group=_HOW_FAR,
+        low=1,
+    )
+    base_error: float | None = param(
+        None,
+        "The base mesh is made as long as no collapse adds more than this to the distance from the input; "
+        "with base_triangles, whichever comes first.",
+        group=_HOW_FAR,
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    max_error: float | None = param(
+        None,
+        "Stop at the first level whose largest distance from the input, both ways, is found to be no more "
+        "than this; at the last if none is.",
+        group=_HOW_FAR,
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    scheme: str = param(
+        "linear",
+        "Where new vertices are predicted: in the middle of their edge, or by the modified butterfly, which "
+        "makes offsets smaller on smooth shapes.",
+        group=_HOW,
+        choices=("linear", "butterfly"),
+    )
+    relaxations: int = param(
+        1,
+        "How often new vertices move towards the middle of their neighbours, along the surface, before they "
+        "get their offsets: evens the triangles out.",
+        group=_HOW,
+        low=0,
+        high=100,
+    )
+    threads: int | None = param(
+        None,
+        "Processors to use, with the same result; all if not given.",
+        group=_HOW,
+        low=1,
+        high=256,
+        invalidates=False,
+    )
+    tolerance: float = param(
+        5e-8,
+        "How far rounding may take a vertex from the surface of the input, as a share of the bounding box's "
+        "diagonal. The default is the precision of 32-bit floats; 1e-4 to 1e-3 make small files.",
+        group=_FILE,
+        low=1e-9,
+        high=0.01,
+    )
+    color_tolerance: float = param(
+        2.0,
+        "How much rounding may change a channel of a vertex's colour.",
+        group=_FILE,
+        unit="8-bit levels",
+        low=0,
+        high=64,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def wanted_base(self, triangles: int) -> int:
+        """Return how many base triangles are wanted for an input of so many; 0 if `base_error` decides."""
+        if self.base_triangles is not None:
+            return self.base_triangles
+        levels = _MOST_LEVELS if self.levels is None else self.levels
+        return 0 if self.base_error is not None else max(round(triangles / 4**levels), 1)
+
+
+def remesh(
+    mesh: MeshLike,
+    params: RemeshParams | None = None,
+    *,
+    confidence: ArrayLike | None = None,
+    progress: Progress = silent,
+    **changes: Any,
+) -> NormalMesh:
+    """Make a normal mesh: a base mesh of original vertices, refined to lie on the original surface.
+
+    Edges collapse into one of their ends until the base mesh is left. Then each level puts a vertex on every
+    edge, predicts where it is, and moves it along the normal to the surface: one number a vertex. Where no
+    number leads there, and on boundaries, a vector stands instead. What is returned is what `decode` returns
+    of its `data`, to the bit: numbers are rounded before they are used.
+
+    Genus, pieces, boundary loops and orientation are those of the input at every level. Equal input gives
+    equal bytes, on any number of threads.
+
+    Parameters
+    ----------
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold,
+        but for pinched vertices: where fans of triangles touch at a vertex without sharing an edge, each fan
+        gets a vertex of its own, and a warning says so. Vertices without triangles and triangles that name a
+        vertex twice are left out.
+    params : RemeshParams; single fields can be given by name instead.
+    confidence : (n,) finite numbers, carried along as colours are, with 8 bits between the least and the
+        greatest.
+    progress : called about ten times a second with the levels that are done, those of bases that are only
+        tried among them, and those to do at most; raising from it stops the work.
+
+    Returns
+    -------
+    NormalMesh
+        With colours if the input has. Texture and normals are not carried, and a note of the meshes says so.
+        Its sources are in terms of the input, split or not.
+
+    Raises
+    ------
+    MeshError
+        For an edge with more than two triangles or inconsistent orientation, which `clean` repairs; the
+        message names them. For a mesh without a surface, and for confidence that is not one finite number a
+        vertex.
+    UsageError
+        For a parameter out of range.
+
+    References
+    ----------
+    Li, Li, Xu and Li, "Normal mesh generation based on Laplacian operator", 2002; Guskov, Vidimče, Sweldens
+    and Schröder, "Normal meshes", 2000; for the other prediction Zorin, Schröder and Sweldens, "Interpolating
+    subdivision for meshes with arbitrary topology", 1996.
+    """
+    params = resolve(RemeshParams, params, changes)
+    mesh = as_mesh(mesh)
+    values = _confidence(confidence, len(mesh.vertices))
+    require_area(mesh, "mesh")
+    wanted = params.wanted_base(len(mesh.triangles))
+    traced = Traced.start(mesh.with_(texture=None, normals=None))
+    try:
+        found = _remeshed(traced, values, params, wanted, progress)
+    except _kernels.InvalidMeshError as error:
+        # Few meshes have pinched vertices: to look for them only where a mesh is refused saves the others
+        # the time.
+        traced = _taken_apart(mesh)
+        try:
+            found = _remeshed(traced, values, params, wanted, progress)
+        except _kernels.InvalidMeshError:
+            # The first message, since it names vertices as the caller knows them.
+            raise MeshError(f"{error}; run clean first.", "mesh") from error
+    split = len(np.unique(traced.vertex_source[len(mesh.vertices) :]))
+    triangle_source = tuple(
+        traced.triangle_source[found.hit_triangle(level)].astype(np.int32)
+        for level in range(found.levels + 1)
+    )
+    return normal_mesh_of(
+        found,
+        level_notes=mesh.notes + _left_out(mesh),
+        base_source=traced.vertex_source[found.base_source].astype(np.int32),
+        triangle_source=triangle_source,
+        max_distances_m=tuple(found.reached),
+        warnings=tuple(_warnings(found, params, wanted, split)),
+    )
+
+
+def _remeshed(
+    traced: Traced,
+    confidence: NDArray[np.float64],
+    params: RemeshParams,
+    wanted_base: int,
+    progress: Progress,
+) -> _kernels.NormalMesh:
+    mesh = traced.mesh
+    return _kernels.remesh(
+        mesh.vertices,
+        attributes_of(mesh),
+        confidence[traced.vertex_source] if len(confidence) else confidence,
+        mesh.triangles,
+        levels=params.levels,
+        base_triangles=wanted_base,
+        base_error=np.inf if params.base_error is None else params.base_error,
+        at_any_price=params.base_triangles is not None or params.base_error is not None,
+        max_error=params.max_error or 0.0,
+        butterfly=params.scheme == "butterfly",
+        relaxations=params.relaxations,
+        tolerance=params.tolerance,
+        color_tolerance=params.color_tolerance,
+        threads=params.threads or 0,
+        progress=progress,
+    )
+
+
+def _taken_apart(mesh: Mesh) -> Traced:
+    """Return the mesh with a vertex of its own for each fan of triangles around a vertex."""
+    traced = Traced.start(mesh.with_(texture=None, normals=None)).keep(~repeats_vertex(mesh.triangles))
+    triangles = traced.mesh.triangles
+    edges = edges_of(triangles, len(mesh.vertices))
+    return traced.split(fans(triangles, *neighbours(edges, edges.count > 1)))
+
+
+def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
+    if values is None:
+        return np.zeros(0)
+    array = np.asarray(values)
+    if array.shape != (count,) or array.dtype.kind not in "biuf" or not np.isfinite(array).all():
+        raise MeshError(
+            f"confidence is {array.dtype} of shape {array.shape}; a finite number for each of the "
+            f"{count} vertices is expected.",
+            "mesh",
+        )
+    return array.astype(np.float64)
+
+
+def _left_out(mesh: Mesh) -> tuple[str, ...]:
+    has_normals = mesh.normals is not None or mesh.corner_normals is not None
+    lost = {"texture": mesh.texture, "normals": has_normals or None, "parts": mesh.part_ids}
+    names = " and ".join(name for name, value in lost.items() if value is not None)
+    return (f"remesh left out: {names}; it carries vertex colours and confidence.",) * bool(names)
+
+
+def _warnings(
+    found: _kernels.NormalMesh, params: RemeshParams, wanted_base: int, split: int
+) -> Iterator[str]:
+    if split:
+        yield (
+            f"{split:,} pinched {'vertex was' if split == 1 else 'vertices were'} split, so that each fan of "
+            "triangles that touched there has its own."
+        )
+    base = len(found.triangles(0))
+    asked = params.base_triangles is not None or params.levels is not None
+    if asked and wanted_base and base > _FAR_FROM_WANTED * wanted_base:
+        yield (
+            f"the base mesh has {base:,} triangles, not {wanted_base:,}: what is left stands for pieces, "
+            "holes and handles, which all stay, or could not be refined well with fewer. "
+            f"The finest level has {len(found.triangles(found.levels)):,}; fewer levels have fewer."
+        )
+    if found.folded:
+        yield f"{found.folded:,} triangles of the finest level are turned over or have no area."
+    if params.max_error is not None and found.reached and found.reached[-1] > params.max_error:
+        yield (
+            f"the finest level is up to {found.reached[-1]:.4g} m from the input, more than max_error "
+            f"({params.max_error:g} m); give more levels or a finer base."
+        )

@@ -1,0 +1,345 @@
+"""Registration: poses for frames that have none, from what they show."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.params import check, param, resolve
+from stages.progress import Progress, silent
+from stages.registration.chain import Chain, key_edges, make_chain
+from stages.registration.graph import Edge, pieces
+from stages.registration.loops import loops
+from stages.registration.motion import Motion, NoMotion, angle
+from stages.registration.odometry import one_thread_each
+from stages.registration.placing import placed_pieces
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_depth
+from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
+
+VERSION = 2
+
+# Depth is used up to so many times its median in so many frames.
+_MEDIANS, _SAMPLED = 2.5, 7
+_STILL_M, _STILL_RAD = 0.005, np.radians(0.5)
+_DARK = 8.0
+
+_HOW = "How"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegisterParams:
+    """How poses are found for frames that have none."""
+
+    enabled: bool | None = param(
+        None,
+        "Find poses: by default only where the scan has none; true finds them anew, false refuses such "
+        "a scan.",
+    )
+    max_depth: float | None = param(
+        None,
+        "Depth beyond this is not used to find poses. Default: 2.5 times the median depth of the scan.",
+        group=_HOW,
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    refine: bool = param(
+        False, "Begin from the poses the scan has, and make them better; its world stays where it is."
+    )
+    piece: int = param(
+        1,
+        "Which piece of a scan that falls apart is used: 1 for the one of the most frames, 2 for the next.",
+        low=1,
+    )
+    loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Poses of a scan's frames.
+
+    Attributes
+    ----------
+    frames : those of the piece that is used, each with a pose. The world is the first one's camera, or that
+        of the poses that were refined.
+    places : of these frames in the scan.
+    skipped : all others, and why.
+    pieces : names of the frames of each piece, the largest first: poses of different pieces say nothing
+        about each other.
+    apart : the other pieces by their numbers from 1: frames by their places, with poses in their own world.
+    edges : motions that were used or found wrong: source, target (places in the scan), fitness, rmse_m (None
+        where recognised points alone tell the motion), points, is_loop, is_used.
+    breaks : where a frame could not be placed to the one before: its name, and why.
+    key_frames : places in the scan.
+    warnings : what is odd.
+    seconds : of the work.
+    """
+
+    frames: tuple[Frame, ...]
+    places: tuple[int, ...]
+    skipped: tuple[SkippedFrame, ...]
+    pieces: tuple[tuple[str, ...], ...]
+    apart: dict[int, dict[int, Frame]]
+    edges: tuple[dict[str, Any], ...]
+    breaks: tuple[SkippedFrame, ...]
+    key_frames: tuple[int, ...]
+    warnings: tuple[str, ...]
+    seconds: float
+
+    def figures(self) -> dict[str, Any]:
+        """Return what a report says of it, as JSON values."""
+        used = [edge for edge in self.edges if edge["is_used"]]
+        centres = np.array(
+            [pose[:3, 3] for frame in self.frames if (pose := frame.world_from_camera) is not None]
+        )
+        return {
+            "frames": len(self.frames),
+            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "pieces": [len(piece) for piece in self.pieces],
+            "key_frames": len(self.key_frames),
+            "edges": len(used),
+            "loops": sum(edge["is_loop"] for edge in used),
+            "loops_refused": sum(not edge["is_used"] for edge in self.edges),
+            "median_fitness": _median([edge["fitness"] for edge in used]),
+            "median_rmse_m": _median([edge["rmse_m"] for edge in used if edge["rmse_m"] is not None]),
+            "path_m": float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()) if len(centres) else 0.0,
+            "breaks": [{"frame": one.name, "reason": one.reason} for one in self.breaks],
+            "warnings": list(self.warnings),
+        }
+
+
+def register(
+    scan: Scan | Sequence[Frame],
+    params: RegisterParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Any,
+) -> Registration:
+    """Find the poses of frames with depth from what they show; poses they have are used to refine them only.
+
+    Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
+    Key frames that may show the same place, because their poses or their looks say so, are placed to each
+    other, and a robust pose graph makes all agree. Frames that cannot be joined are pieces of their own.
+    Equal input gives equal bits, on any number of threads.
+
+    Parameters
+    ----------
+    scan : frames in the order they were taken, with depth; colour helps.
+    params : RegisterParams; single fields can be given by name instead.
+    progress : called with the frames that are done and their number, and then with the couples of key frames
+        among them that were looked at for loops.
+
+    Raises
+    ------
+    InputError
+        If fewer than two frames can be used, no two of them can be placed to each other, there are fewer
+        pieces than `piece`, or `refine` finds no poses.
+
+    References
+    ----------
+    Choi, Zhou and Koltun, "Robust reconstruction of indoor scenes", 2015; odometry and pose graph are
+    Open3D's, features and perspective-n-point OpenCV's.
+    """
+    params = resolve(RegisterParams, params, changes)
+    frames = list(scan.frames if isinstance(scan, Scan) else scan)
+    where = scan.folder if isinstance(scan, Scan) else None
+    began = time.perf_counter()
+    given = _given(frames) if params.refine else {}
+    if params.refine and not given:
+        raise InputError("no frame has a pose that could be refined.", where)
+    max_depth = params.max_depth or _max_depth(frames)
+    with one_thread_each():
+        chain = make_chain(frames, max_depth, progress, given)
+        if len(chain.seen) < 2:
+            first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
+            raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
+        edges = list(key_edges(chain, max_depth))
+        if params.loops:
+            edges += loops(chain, max_depth, given, progress)
+    groups = pieces(len(chain.keys), edges)
+    poses, used, wrong = placed_pieces(chain, groups, edges)
+    return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
+
+
+def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
+    return {
+        place: pose
+        for place, frame in enumerate(frames)
+        if (pose := frame.world_from_camera) is not None and np.isfinite(pose).all()
+    }
+
+
+def _max_depth(frames: Sequence[Frame]) -> float:
+    """Return how far depth is used: what is far is measured worse, and tells less of the motion."""
+    medians = []
+    for i in np.unique(np.linspace(0, len(frames) - 1, _SAMPLED).round().astype(int)) if frames else ():
+        try:
+            depth = read_depth(frames[i])
+        except InputError:
+            continue
+        if depth is not None and depth.any():
+            medians.append(float(np.median(depth[depth > 0])))
+    return _MEDIANS * float(np.median(medians)) if medians else np.inf
+
+
+def _result(
+    frames: Sequence[Frame],
+    chain: Chain,
+    groups: Sequence[Sequence[int]],
+    poses: dict[int, Pose],
+    used: Sequence[Edge],
+    wrong: Sequence[Edge],
+    began: float,
+    where: Path | None,
+    given: Mapping[int, Pose],
+    piece: int,
+) -> Registration:
+    keys, numbers = chain.keys, list(chain.seen)
+    piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
+    piece_of = {n: piece_of_key[keys[bisect_right(keys, n) - 1]] for n in numbers}
+    sizes: list[list[int]] = [[] for _ in groups]
+    for n in numbers:
+        sizes[piece_of[n]].append(n)
+    order = sorted(range(len(groups)), key=lambda piece: (-len(sizes[piece]), piece))
+    breaks = tuple(
+        SkippedFrame(frames[after].name, motion.reason)
+        for after, motion in zip(numbers[1:], chain.motions.values(), strict=True)
+        if isinstance(motion, NoMotion)
+    )
+    usable = sum(len(size) > 1 for size in sizes)
+    if not usable:
+        raise InputError(
+            f"no two of its {len(numbers)} frames can be placed to each other (frame {breaks[0].name}: "
+            f"{breaks[0].reason}). If poses are known, name them with scan.poses=FILE.",
+            where,
+        )
+    if piece > usable:
+        raise InputError(f"there is no piece {piece} of two frames or more; there are {usable}.", where)
+    rank = {index: i for i, index in enumerate(order, 1)}
+    left_out = [
+        SkippedFrame(
+            frames[n].name,
+            f"it is in piece {rank[piece_of[n]]} of {len(order)}, which could not be joined to piece {piece}",
+        )
+        for n in numbers
+        if rank[piece_of[n]] != piece
+    ]
+    placed = {
+        rank[index]: _in_their_world(frames, members, poses, given) for index, members in enumerate(sizes)
+    }
+    return Registration(
+        frames=tuple(placed[piece].values()),
+        places=tuple(placed[piece]),
+        skipped=(*chain.skipped, *left_out),
+        pieces=tuple(tuple(frames[n].name for n in sizes[index]) for index in order),
+        apart={number: placed[number] for number in sorted(placed) if number != piece},
+        edges=tuple(
+            _edge(edge, keys, is_used) for edges, is_used in ((used, True), (wrong, False)) for edge in edges
+        ),
+        breaks=breaks,
+        key_frames=tuple(keys),
+        warnings=(
+            *_said_of_pieces(len(order), usable, piece, breaks),
+            *_warnings(frames, chain, [poses[n] for n in placed[piece]], used, wrong),
+        ),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _in_their_world(
+    frames: Sequence[Frame], members: Sequence[int], poses: Mapping[int, Pose], given: Mapping[int, Pose]
+) -> dict[int, Frame]:
+    """Return the frames of a piece by their places, in the world of the first, or of the poses given."""
+    known = [n for n in members if n in given]
+    into = inverted(poses[members[0]])
+    if known:
+        into = _nearest([poses[n] for n in known], [given[n] for n in known])
+    return {n: replace(frames[n], world_from_camera=into @ poses[n]) for n in members}
+
+
+def _nearest(poses: Sequence[Pose], given: Sequence[Pose]) -> Pose:
+    """Return the rigid motion that brings cameras to others: the mean of their turns, then their centres."""
+    from scipy.spatial.transform import Rotation
+
+    turns = [other[:3, :3] @ pose[:3, :3].T for pose, other in zip(poses, given, strict=True)]
+    into = np.eye(4)
+    into[:3, :3] = Rotation.from_matrix(np.stack(turns)).mean().as_matrix()
+    centres, others = (np.mean([pose[:3, 3] for pose in some], axis=0) for some in (poses, given))
+    into[:3, 3] = others - into[:3, :3] @ centres
+    return into
+
+
+def _edge(edge: Edge, keys: Sequence[int], is_used: bool) -> dict[str, Any]:
+    return {
+        "source": keys[edge.source],
+        "target": keys[edge.target],
+        "fitness": edge.motion.fitness,
+        "rmse_m": edge.motion.rmse_m,
+        "points": edge.motion.points,
+        "is_loop": not edge.is_certain,
+        "is_used": is_used,
+    }
+
+
+def _said_of_pieces(count: int, usable: int, piece: int, breaks: Sequence[SkippedFrame]) -> Iterator[str]:
+    if count > 1:
+        another = f" (register.piece={1 if piece > 1 else 2} for another)" if usable > 1 else ""
+        more = f" and {len(breaks) - 1} more" if len(breaks) > 1 else ""
+        yield (
+            f"the frames fall into {count} pieces that could not be joined; piece {piece} is used{another}. "
+            f"The chain broke at {breaks[0].name}{more}: {breaks[0].reason}"
+        )
+
+
+def _warnings(
+    frames: Sequence[Frame],
+    chain: Chain,
+    poses: Sequence[Pose],
+    used: Sequence[Edge],
+    wrong: Sequence[Edge],
+) -> Iterator[str]:
+    motions = [motion for motion in chain.motions.values() if isinstance(motion, Motion)]
+    split = [motion for motion in motions if motion.is_split]
+    if len(split) > 0.1 * max(len(motions), 1):
+        yield (
+            f"in {len(split)} of {len(motions)} steps parts of the view move differently: something moves on "
+            "its own (a person, a turntable), or colour and depth do not belong together. What most of the "
+            "surface does was taken for the camera's motion"
+        )
+    loops = [edge for edge in (*used, *wrong) if not edge.is_certain]
+    if len(wrong) > max(0.5 * len(loops), 3):
+        yield (
+            f"{len(wrong)} of {len(loops)} places that look as if they were seen before do not fit the path: "
+            "it is bent, or the scene holds things that look the same; see path.ply"
+        )
+    if poses and all(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3]) < _STILL_M for pose in poses):
+        turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
+        if turned < _STILL_RAD:
+            yield (
+                "the camera does not move: all frames show the scene from one place; if a thing was turned "
+                "in front of it, leave the background out with register.max_depth"
+            )
+    dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
+    if dark:
+        yield f"{len(dark)} colour images are black, the first is that of frame {frames[dark[0]].name}"
+    same = sum(
+        np.linalg.norm(m.target_from_source[:3, 3]) < 1e-5 and angle(m.target_from_source) < 1e-5
+        for m in motions
+    )
+    if same:
+        yield f"{same} frames are the same as the one before"
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if len(values) else 0.0

@@ -1,0 +1,459 @@
+"""Read trajectory files into rigid camera-to-world poses (metres, OpenCV camera axes).
+
+Every form that scan folders use is here; what a pose means in the file (its direction, its quaternion order,
+row- or column-major) is undone once, by the reader of that form.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.scan import Pose
+
+# How far a rotation may be from orthonormal: files round to about six digits.
+RIGID_TOLERANCE = 1e-3
+# Metres or radians; nobody carries a camera so far.
+_LARGEST_VALUE = 1e9
+
+# From a camera with y up and z back (OpenGL) to one with y down and z forward.
+_FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses in the order of their file.
+
+    Attributes
+    ----------
+    poses : (4, 4) float64 world-from-camera (or -body, where the file says so); None where tracking was lost.
+    timestamps : (n,) int64 nanoseconds, or None when the form has none.
+    """
+
+    poses: Sequence[Pose | None]
+    timestamps: NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read a trajectory file of any known form, told apart by its suffix and its first line of numbers.
+
+    KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), Redwood
+    and Open3D `.log`, Open3D `.json` (world-to-camera, column-major), EuRoC `.csv`, ARKitScenes `.traj`, and
+    nested rows in JSON.
+
+    Raises
+    ------
+    InputError
+        If the form is unknown or a pose is not rigid; the message names the file and the line.
+    """
+    if path.suffix == ".json":
+        return read_json(path)
+    if path.suffix == ".csv":
+        return read_euroc(path)
+    if path.suffix == ".traj":
+        return read_traj(path)
+    first = next(_number_lines(path), None)
+    if first is None:
+        raise InputError("the trajectory file holds no poses.", path)
+    count = len(first[1])
+    if count == 3:
+        return read_log(path)
+    if count == 8:
+        return read_tum(path)
+    if count in (12, 16):
+        return read_matrices(path)
+    if count == 4:
+        return Trajectory([read_pose(path)])
+    raise InputError(
+        f"line {first[0]} holds {count} numbers. Expected are 12 or 16 (a matrix), "
+        "8 (t tx ty tz qx qy qz qw) or 3 (a .log header).",
+        path,
+    )
+
+
+def read_timed(path: Path) -> Trajectory:
+    """Read a trajectory whose poses have timestamps, and put it in the order of time.
+
+    Raises
+    ------
+    InputError
+        If its form has none, or it cannot be read.
+    """
+    trajectory = read_trajectory(path)
+    if trajectory.timestamps is None:
+        raise InputError("its poses have no timestamps, which are needed to find a frame's pose.", path)
+    return in_order(trajectory)
+
+
+def read_pose(path: Path) -> Pose | None:
+    """Read one pose from a file with a 4x4 (or 3x4) matrix in rows; None when it marks lost tracking."""
+    values = [value for _, row in _number_lines(path) for value in row]
+    if len(values) not in (12, 16):
+        raise InputError(f"a pose of 4 rows of 4 numbers is expected; it holds {len(values)} numbers.", path)
+    return rigid(np.reshape(values, (-1, 4)), path)
+
+
+def read_matrices(path: Path) -> Trajectory:
+    """Read lines of 12 (KITTI, 3x4) or 16 (4x4) row-major numbers, camera-to-world."""
+    poses = []
+    for number, row in _number_lines(path):
+        if len(row) not in (12, 16):
+            raise InputError(f"line {number} holds {len(row)} numbers; a pose needs 12 or 16.", path)
+        poses.append(rigid(np.reshape(row, (-1, 4)), path, f"line {number}"))
+    return Trajectory(poses)
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read TUM lines: seconds, translation, quaternion with the scalar last; camera-to-world.
+
+    A widely used writer forgets to end its header `# …>`, so that the first pose stands in the comment; it is
+    taken from there.
+    """
+    poses, times = [], []
+    swallowed = re.match(
+        r"#[^\n]*>[ \t]*([-+.\deE]+(?:[ \t]+[-+.\deE]+){7})[ \t]*\n", documents.read_text(path)
+    )
+    first = [(1, _floats(swallowed[1], 1, path))] if swallowed else []
+    for number, row in (*first, *_number_lines(path)):
+        if len(row) != 8:
+            raise InputError(
+                f"line {number} holds {len(row)} numbers; 8 (t tx ty tz qx qy qz qw) are expected.", path
+            )
+        times.append(nanoseconds(row[0], path, number))
+        poses.append(pose_from_quaternion(row[1:4], row[4:8], path, f"line {number}"))
+    return Trajectory(poses, np.array(times, np.int64))
+
+
+def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> None:
+    """Write TUM lines, as `read_tum` reads them: times in seconds, camera-to-world poses in metres."""
+    from scipy.spatial.transform import Rotation
+
+    lines = ["# seconds tx ty tz qx qy qz qw"]
+    for time, pose in zip(seconds, poses, strict=True):
+        turn = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        lines.append(" ".join([f"{time:.9f}", *(f"{value:.9f}" for value in (*pose[:3, 3], *turn))]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_log(path: Path) -> Trajectory:
+    """Read a Redwood or Open3D `.log`: a header of three integers, then four rows; camera-to-world."""
+    content = list(_number_lines(path))
+    poses = []
+    for at in range(0, len(content), 5):
+        number, header = content[at]
+        rows = [row for _, row in content[at + 1 : at + 5]]
+        if len(header) != 3 or len(rows) != 4 or any(len(row) != 4 for row in rows):
+            raise InputError(
+                f"the entry at line {number} is not a header of 3 numbers and 4 rows of 4 numbers.", path
+            )
+        poses.append(rigid(np.array(rows), path, f"entry at line {number}"))
+    return Trajectory(poses)
+
+
+def read_stacked(path: Path) -> Trajectory:
+    """Read three rows of four numbers a pose (SUN3D), one after the other without a mark; camera-to-world."""
+    rows = list(_number_lines(path))
+    for number, row in rows:
+        if len(row) != 4:
+            raise InputError(f"line {number} holds {len(row)} numbers; rows of 4 are expected.", path)
+    if not rows or len(rows) % 3:
+        raise InputError(f"it holds {len(rows)} rows of numbers; a pose needs 3.", path)
+    poses = [
+        rigid(np.array([row for _, row in rows[at : at + 3]]), path, f"pose at line {rows[at][0]}")
+        for at in range(0, len(rows), 3)
+    ]
+    return Trajectory(poses)
+
+
+def read_json(path: Path) -> Trajectory:
+    """Read poses from JSON: Open3D's camera trajectory or pose graph, or a list of row-major 4x4 matrices.
+
+    Open3D writes 16 numbers column-major; its camera trajectory holds *world-to-camera* extrinsics, its pose
+    graph camera-to-world poses.
+    """
+    document = documents.read_json(path)
+    if isinstance(document, dict) and isinstance(document.get("parameters"), list):
+        entries, key, inverse = document["parameters"], "extrinsic", True
+    elif isinstance(document, dict) and isinstance(document.get("nodes"), list):
+        entries, key, inverse = document["nodes"], "pose", False
+    else:
+        entries = document.get("poses") if isinstance(document, dict) else document
+        if not isinstance(entries, list):
+            raise InputError("it holds none of `parameters`, `nodes` or `poses`, so no trajectory.", path)
+        return Trajectory(
+            [rigid(matrix_of(entry, path, f"pose {i}"), path, f"pose {i}") for i, entry in enumerate(entries)]
+        )
+    poses = []
+    for i, entry in enumerate(entries):
+        flat = entry.get(key) if isinstance(entry, dict) else None
+        pose = rigid(matrix_of(flat, path, f"{key} {i}").T, path, f"{key} {i}")
+        poses.append(inverted(pose) if inverse and pose is not None else pose)
+    return Trajectory(poses)
+
+
+def read_euroc(path: Path) -> Trajectory:
+    """Read EuRoC ground truth: nanoseconds, position, quaternion with the scalar *first*; body-to-world."""
+    poses, times = [], []
+    for number, text in documents.lines(path):
+        fields = text.split(",")
+        try:
+            # An int: a float64 cannot hold nanoseconds since 1970 exactly.
+            time, row = int(fields[0]), [float(value) for value in fields[1:8]]
+        except ValueError as error:
+            raise InputError(f"line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.", path) from error
+        if len(row) != 7 or abs(time) >= 1 << 62:
+            raise InputError(f"line {number} is not `ns, px, py, pz, qw, qx, qy, qz, …`.", path)
+        times.append(time)
+        poses.append(pose_from_quaternion(row[:3], [*row[4:], row[3]], path, f"line {number}"))
+    return Trajectory(poses, np.array(times, np.int64))
+
+
+def read_traj(path: Path) -> Trajectory:
+    """Read ARKitScenes lines: seconds, rotation vector (radians), translation; *world-to-camera*."""
+    from scipy.spatial.transform import Rotation
+
+    poses: list[Pose | None] = []
+    times = []
+    for number, row in _number_lines(path):
+        if len(row) != 7:
+            raise InputError(
+                f"line {number} holds {len(row)} numbers; 7 (t rx ry rz tx ty tz) are expected.", path
+            )
+        times.append(nanoseconds(row[0], path, number))
+        values = np.array(row[1:])
+        if not np.isfinite(values).all():
+            poses.append(None)
+            continue
+        if np.abs(values).max() > _LARGEST_VALUE:
+            raise InputError(f"line {number}: a value of {np.abs(values).max():g} cannot be right.", path)
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = Rotation.from_rotvec(values[:3]).as_matrix()
+        camera_from_world[:3, 3] = values[3:]
+        poses.append(inverted(camera_from_world))
+    if not poses:
+        raise InputError("the trajectory file holds no poses.", path)
+    return Trajectory(poses, np.array(times, np.int64))
+
+
+def read_translation_first(path: Path) -> Trajectory:
+    """Read TartanAir lines: translation, quaternion with the scalar last; no times, axes as in the file."""
+    poses = []
+    for number, row in _number_lines(path):
+        if len(row) != 7:
+            raise InputError(
+                f"line {number} holds {len(row)} numbers; 7 (tx ty tz qx qy qz qw) are expected.", path
+            )
+        poses.append(pose_from_quaternion(row[:3], row[3:], path, f"line {number}"))
+    return Trajectory(poses)
+
+
+def interpolate(trajectory: Trajectory, time: int, tolerance: int) -> Pose | None:
+    """Return the pose at a moment, between its two neighbours; None if no pose is within `tolerance`.
+
+    Translation is interpolated linearly, rotation on the shortest arc.
+
+    Parameters
+    ----------
+    trajectory : with rising timestamps, as `in_order` returns it.
+    time, tolerance : nanoseconds.
+    """
+    times = trajectory.timestamps
+    if times is None or not len(times):
+        return None
+    after = int(np.searchsorted(times, time))
+    before = max(after - 1, 0)
+    after = min(after, len(times) - 1)
+    first, second = trajectory.poses[before], trajectory.poses[after]
+    gaps = abs(time - int(times[before])), abs(int(times[after]) - time)
+    if min(gaps) > tolerance or first is None or second is None:
+        return None
+    if before == after or max(gaps) > 2 * tolerance:
+        # Beside a hole in the trajectory the near pose is better than a line across the hole.
+        return first if gaps[0] <= gaps[1] else second
+    from scipy.spatial.transform import Rotation
+
+    share = gaps[0] / (gaps[0] + gaps[1])
+    turn = Rotation.from_matrix(first[:3, :3].T @ second[:3, :3]).as_rotvec() * share
+    pose = np.eye(4)
+    pose[:3, :3] = first[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    pose[:3, 3] = first[:3, 3] * (1 - share) + second[:3, 3] * share
+    return pose
+
+
+def in_order(trajectory: Trajectory) -> Trajectory:
+    """Return the trajectory sorted by time, lost poses and second poses of one moment left out."""
+    if trajectory.timestamps is None:
+        return trajectory
+    tracked = [i for i, pose in enumerate(trajectory.poses) if pose is not None]
+    times, first = np.unique(trajectory.timestamps[tracked], return_index=True)
+    return Trajectory([trajectory.poses[tracked[i]] for i in first], times)
+
+
+def match(trajectory: Trajectory, names: Sequence[str], path: Path) -> list[Pose | None]:
+    """Return the pose of each frame of a form without times: the n-th, or the one its number counts to."""
+    return by_number(trajectory.poses, names, path, "poses")
+
+
+def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) -> list[T]:
+    """Return the value of each frame name: in order when the counts agree, else by the number in the name.
+
+    Raises
+    ------
+    InputError
+        If there are fewer values than frames, or more and the names are not their positions.
+    """
+    if len(values) == len(names):
+        return list(values)
+    last = [int((re.findall(r"\d+", name) or ["-1"])[-1]) for name in names]
+    if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
+        return [values[number] for number in last]
+    raise InputError(
+        f"it holds {len(values)} {what}, but the scan has {len(names)} frames. "
+        "Give one for each frame, or remove the frames without.",
+        path,
+    )
+
+
+def inverted(pose: Pose) -> Pose:
+    """Return the inverse of a rigid (4, 4) pose: the other direction of the same relation."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return inverse
+
+
+def from_opengl(pose: Pose) -> Pose:
+    """Return the world_from_camera of a camera whose own axes were OpenGL's: x right, y up, z back."""
+    return np.asarray(pose @ _FLIP)
+
+
+def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | None:
+    """Return a valid 4x4 rigid pose from a 3x4 or 4x4 matrix; None when all of it is infinite or NaN (lost).
+
+    Raises
+    ------
+    InputError
+        If only some values are not finite, the rotation is not orthonormal to 1e-3 or mirrors (det -1), or
+        the last row is not 0 0 0 1.
+    """
+    at = f"{where}: " if where else ""
+    top = np.asarray(matrix, np.float64)[:3]
+    finite = np.isfinite(top)
+    if not finite.any():
+        return None
+    if not finite.all():
+        raise InputError(
+            f"{at}the pose holds a value that is not finite; correct it or remove its frame.", path
+        )
+    if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=RIGID_TOLERANCE):
+        raise InputError(
+            f"{at}the last row of the pose is {_words(matrix[3])}, not 0 0 0 1; is it stored column-major?",
+            path,
+        )
+    rotation = top[:, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    # Numbers that overflow leave NaN, which is not within the tolerance either.
+    if not deviation <= RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        kind = "mirrors (determinant -1)" if deviation <= RIGID_TOLERANCE else "is not a rotation"
+        raise InputError(
+            f"{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} where 0.001 is allowed.",
+            path,
+        )
+    pose = np.eye(4)
+    pose[:3] = top
+    return pose
+
+
+def pose_from_quaternion(
+    translation: Sequence[float], quaternion: Sequence[float], path: Path, where: str
+) -> Pose | None:
+    """Return the pose of a translation and a quaternion x y z w of any length near 1; None when lost."""
+    x, y, z, w = quaternion
+    if not any(math.isfinite(value) for value in (*translation, *quaternion)):
+        return None
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    # Real files round to four digits and more; far from unit length it is no rotation.
+    if not 0.99 < length < 1.01:
+        raise InputError(f"{where}: the quaternion has length {length:.4g}, not 1.", path)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), translation[0]],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), translation[1]],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), translation[2]],
+    ]
+    return rigid(np.array(rotation), path, where)
+
+
+def matrix_of(value: object, path: Path, where: str) -> NDArray[np.float64]:
+    """Return a (4, 4) float64 matrix from nested rows or 16 numbers in a row."""
+    try:
+        matrix = np.asarray(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.empty(0)
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, (0, 0, 0, 1)])
+    if matrix.size != 16:
+        raise InputError(f"{where} is not a 4x4 matrix.", path)
+    return matrix.reshape(4, 4)
+
+
+def read_times(path: Path, names: Sequence[str]) -> list[int | None]:
+    """Return the nanoseconds of each frame from a file of seconds, one a line; None without the file."""
+    if not path.exists():
+        return [None] * len(names)
+    times = [nanoseconds(row[0], path, number) for number, row in _number_lines(path)]
+    return list(by_number(times, names, path, "times"))
+
+
+def nanoseconds(seconds: float, path: Path, line: int) -> int:
+    """Return seconds as whole nanoseconds."""
+    if not abs(seconds) < 1 << 32:
+        raise InputError(f"line {line}: the time {seconds:g} s cannot be right.", path)
+    return round(seconds * 1e9)
+
+
+def stamp(word: str, path: Path, line: int) -> int:
+    """Return the nanoseconds of a time that is written in seconds.
+
+    Raises
+    ------
+    InputError
+        If it is no number, or none that can be a time.
+    """
+    try:
+        seconds = float(word)
+    except ValueError as error:
+        raise InputError(f"line {line}: {word[:40]!r} is no time in seconds.", path) from error
+    return nanoseconds(seconds, path, line)
+
+
+def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
+    """Yield line numbers (from 1) and the numbers on them, without comments and empty lines."""
+    for number, text in documents.lines(path):
+        yield number, _floats(text, number, path)
+
+
+def _floats(text: str, number: int, path: Path) -> list[float]:
+    try:
+        return [float(word) for word in re.split(r"[,\s]+", text)]
+    except ValueError as error:
+        raise InputError(f"line {number} holds something that is not a number.", path) from error
+
+
+def _words(values: NDArray[np.float64]) -> str:
+    return " ".join(f"{value:g}" for value in values)

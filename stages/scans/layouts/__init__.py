@@ -1,0 +1,1 @@
+"""Readers for scan folders: one module a layout, and nothing else."""

@@ -1,0 +1,135 @@
+"""ARKitScenes, its low resolution: colour and LiDAR depth of 256×192, a camera and a confidence a frame.
+
+    lowres_wide/<id>_<seconds>.png   lowres_depth/   confidence/            the same name in each
+    lowres_wide_intrinsics/<id>_<seconds>.pincam                            width height fx fy cx cy
+    lowres_wide.traj                                                        world-to-camera
+
+Times in names are rounded to a millisecond, not always to the same one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import IMAGES, common_size, has
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.phones import least_confidence
+from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+
+_UNITS_PER_METRE = 1000.0
+_MILLISECOND = 1_000_000
+_POSE_TOLERANCE = 5 * _MILLISECOND
+_TIME = re.compile(r"(?:.*_)?(\d{1,9})(?:\.(\d{1,9}))?")
+_LARGEST_SIDE = 1 << 16
+# 0, 1 and 2 are low, medium and high.
+_LEVELS = (0, 1, 2)
+
+
+def _matches(folder: Path) -> str | None:
+    if not has(folder, "lowres_depth"):
+        return None
+    return next(
+        (
+            f"lowres_depth/ and {name}"
+            for name in ("lowres_wide.traj", "lowres_wide_intrinsics", "lowres_wide")
+            if has(folder, name)
+        ),
+        None,
+    )
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    depths = _by_time(folder / "lowres_depth", IMAGES)
+    if not depths:
+        raise InputError("no images named like 41069021_305.377.png in lowres_depth/.", folder)
+    colors = _by_time(folder / "lowres_wide", IMAGES)
+    cameras = _by_time(folder / "lowres_wide_intrinsics", (".pincam",))
+    confidences = _by_time(folder / "confidence", IMAGES)
+    path = options.file("poses", folder) or folder / "lowres_wide.traj"
+    trajectory = trajectories.read_timed(path) if path.exists() or options.poses else None
+    size = common_size(list(depths.values()))
+    stated = stated_camera(options, folder, *size)
+    warnings = []
+    if stated is None and not cameras:
+        stated, guessed = guessed_camera(*size)
+        warnings.append(guessed)
+    least, said = least_confidence(options, _LEVELS, folder)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for time, depth in sorted(depths.items()):
+        moment = time * _MILLISECOND
+        color, pincam = _beside(colors, time), _beside(cameras, time)
+        camera = stated or (None if pincam is None else _camera(pincam, size))
+        pose = None
+        if trajectory is not None:
+            pose = trajectories.interpolate(trajectory, moment, _POSE_TOLERANCE)
+            if pose is None:
+                skipped.append(SkippedFrame(depth.stem, "no pose within 0.005 s"))
+                continue
+        if camera is None or (color is None and colors):
+            lacking = ".pincam" if camera is None else "colour image"
+            skipped.append(SkippedFrame(depth.stem, f"its {lacking} is missing"))
+            continue
+        frames.append(
+            Frame(
+                name=depth.stem,
+                camera=camera,
+                color=color,
+                depth=depth,
+                depth_scale=options.depth_scale or _UNITS_PER_METRE,
+                world_from_camera=pose,
+                timestamp=moment,
+                confidence=_beside(confidences, time),
+                least_confidence=least,
+            )
+        )
+    lacking = "poses: lowres_wide.traj is missing; name a trajectory with scan.poses=FILE"
+    missing = (lacking,) if trajectory is None else ()
+    if confidences:
+        warnings.append(said)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _by_time(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
+    """Return the files of a folder by the milliseconds in their names; none where there is no folder."""
+    if not folder.is_dir():
+        return {}
+    found = {}
+    for path in folder.iterdir():
+        time = _TIME.fullmatch(path.stem)
+        if path.suffix.lower() in suffixes and time is not None:
+            found[round(float(f"{time[1]}.{time[2] or 0}") * 1000)] = path
+    return found
+
+
+def _beside(files: Mapping[int, Path], time: int) -> Path | None:
+    """Return the file of a moment, in milliseconds, that may be rounded to the one before or after."""
+    return next((files[near] for near in (time, time - 1, time + 1) if near in files), None)
+
+
+def _camera(path: Path, size: tuple[int, int]) -> Camera:
+    """Read `width height fx fy cx cy`, and return the camera for images of this size."""
+    try:
+        width, height, *matrix = (float(word) for word in documents.read_text(path).split())
+        fx, fy, cx, cy = matrix
+    except ValueError as error:
+        raise InputError("it is not `width height fx fy cx cy`.", path) from error
+    if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
+        raise InputError(f"it is for images of {width:g}×{height:g} pixels, which cannot be right.", path)
+    camera = calibration.checked(Camera(int(width), int(height), fx, fy, cx, cy), path)
+    return scaled(camera, *size)
+
+
+LAYOUT = Layout(
+    name="arkitscenes",
+    text="lowres_wide/, lowres_depth/, lowres_wide_intrinsics/, lowres_wide.traj (ARKitScenes)",
+    matches=_matches,
+    read=_read,
+)

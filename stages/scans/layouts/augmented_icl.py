@@ -1,0 +1,88 @@
+"""Augmented ICL-NUIM, as Redwood published it: colour as .jpg and depth as .png under one number, and a .log.
+
+Unpacked into one folder, or as it comes: x-color/00000.jpg, x-depth-clean/00000.png, x-traj.txt.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.reading.files import common_size, images, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import stated_camera
+from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
+
+_CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+_UNITS_PER_METRE = 1000.0
+_NUMBER = re.compile(r"\d{5}")
+# Of the two kinds of depth, the one without made noise goes first.
+_DEPTHS = ("*-depth-clean", "*-depth-simulated", "*-depth")
+_TRAJECTORIES = ("*.log", "*-traj.txt")
+
+
+def _matches(folder: Path) -> str | None:
+    streams = _streams(folder)
+    if streams is None or _trajectory(folder) is None:
+        return None
+    depth, color = streams
+    if depth == color:
+        return "pairs like 00000.jpg and 00000.png with a .log"
+    return f"{color.name}/ and {depth.name}/"
+
+
+def _streams(folder: Path) -> tuple[Path, Path] | None:
+    """Return the folders of depth and of colour, which may be one."""
+    if any(
+        _NUMBER.fullmatch(path.stem) and path.with_suffix(".png").exists() for path in folder.glob("*.jpg")
+    ):
+        return folder, folder
+    colors = [path for path in folder.glob("*-color") if path.is_dir()]
+    depths = [path for kind in _DEPTHS for path in folder.glob(kind) if path.is_dir()]
+    return (depths[0], colors[0]) if len(colors) == 1 and depths else None
+
+
+def _trajectory(folder: Path) -> Path | None:
+    found = [path for kind in _TRAJECTORIES for path in folder.glob(kind)]
+    return found[0] if len(found) == 1 else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    streams = _streams(folder)
+    if streams is None:
+        raise InputError("images named like 00000.jpg (colour) and 00000.png (depth) are needed.", folder)
+    depths, colors = images(streams[0], (".png",)), images(streams[1], (".jpg",))
+    pairs, skipped = pair(depths, colors, "depth (.png)", "colour (.jpg)", folder)
+    names = [depth.stem for depth, _ in pairs]
+    path = options.file("poses", folder) or _trajectory(folder)
+    poses: list[Pose | None] = [None] * len(names)
+    missing: tuple[str, ...] = ()
+    if path is None:
+        missing = ("poses: there is no one .log or *-traj.txt; name a trajectory with scan.poses=FILE",)
+    else:
+        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+    size = common_size([depth for depth, _ in pairs])
+    camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
+    frames = [
+        Frame(
+            name=name,
+            camera=camera,
+            color=color,
+            depth=depth,
+            depth_scale=options.depth_scale or _UNITS_PER_METRE,
+            world_from_camera=pose,
+        )
+        for name, (depth, color), pose in zip(names, pairs, poses, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing)
+
+
+LAYOUT = Layout(
+    name="augmented-icl",
+    text="00000.jpg, 00000.png and one .log, or *-color/, *-depth-clean/, *-traj.txt (Augmented ICL-NUIM)",
+    matches=_matches,
+    read=_read,
+)

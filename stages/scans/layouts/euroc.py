@@ -1,0 +1,180 @@
+"""EuRoC MAV (ASL): an unrectified pair, each camera with its place on the body, poses of the body.
+
+TUM-VI packs its sequences alike, but for its fisheye cameras, which stand in dso/camchain.yaml (Kalibr's
+form), and for its images, which have 16 bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.images import read_stored
+from stages.scans.reading.files import common_size, first_existing, has
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
+
+# Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
+_TOLERANCE = 30_000_000
+_CAMCHAIN = "dso/camchain.yaml"
+_GROUND_TRUTH = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "vicon0/data.csv")
+
+
+def _mav(folder: Path) -> Path:
+    return folder / "mav0" if (folder / "mav0").is_dir() else folder
+
+
+def _matches(folder: Path) -> str | None:
+    mav = _mav(folder)
+    if (mav / "cam0" / "sensor.yaml").exists():
+        return (mav / "cam0" / "sensor.yaml").relative_to(folder).as_posix()
+    is_chained = (mav / "cam0" / "data.csv").exists() and (folder / _CAMCHAIN).exists()
+    return f"cam0/data.csv and {_CAMCHAIN}" if is_chained else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    mav = _mav(folder)
+    streams = [_stream(mav / name) for name in ("cam0", "cam1")]
+    size = common_size(list(streams[0].values()))
+    chain = options.file("calibration", folder) or first_existing(folder, _CAMCHAIN)
+    if chain is not None and (options.calibration or not has(mav, "cam0/sensor.yaml")):
+        (rig, warnings), body_from_left = _chained(chain, size, options)
+    else:
+        (rig, body_from_left), warnings = _rig(mav, size, options), []
+    path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
+    trajectory = None if path is None else trajectories.read_timed(path)
+
+    frames: list[Frame] = []
+    skipped = [
+        SkippedFrame(str(time), f"cam{1 - side} has no image of this moment")
+        for side in (0, 1)
+        for time in sorted(streams[side].keys() - streams[1 - side].keys())
+    ]
+    is_wide = _is_wide(list(streams[0].values()))
+    for time in sorted(streams[0].keys() & streams[1].keys()):
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
+        if pose is None and trajectory is not None:
+            skipped.append(SkippedFrame(str(time), "no pose within 0.03 s"))
+            continue
+        frames.append(
+            Frame(
+                name=str(time),
+                camera=rig.left,
+                color=_narrowed(streams[0][time]) if is_wide else streams[0][time],
+                right=_narrowed(streams[1][time]) if is_wide else streams[1][time],
+                world_from_camera=None if pose is None else pose @ body_from_left,
+                timestamp=time,
+            )
+        )
+    lacking = f"poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE"
+    missing = (lacking,) if trajectory is None else ()
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _stream(camera: Path) -> dict[int, Path]:
+    """Return the images of a camera by their time in nanoseconds, from data.csv."""
+    path = camera / "data.csv"
+    found: dict[int, Path] = {}
+    for number, text in documents.lines(path):
+        time, _, name = text.partition(",")
+        if not time.strip().isdigit() or not name.strip() or int(time) >= 1 << 62:
+            raise InputError(f"line {number} is not `nanoseconds,file`.", path)
+        found[int(time)] = camera / "data" / name.strip()
+    if not found:
+        raise InputError("it lists no images.", path)
+    return found
+
+
+def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
+    """Return the rig, and where its left camera sits on the body."""
+    cameras, body_from_camera = [], []
+    for name in ("cam0", "cam1"):
+        path = mav / name / "sensor.yaml"
+        document = documents.read_document(path)
+        cameras.append(_camera(document, size, options, path))
+        body_from_camera.append(_mounting(document, path))
+    right_from_left = trajectories.inverted(body_from_camera[1]) @ body_from_camera[0]
+    if options.baseline is not None:
+        right_from_left = calibration.with_baseline(right_from_left, options.baseline)
+    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
+
+
+def _is_wide(files: Sequence[Path]) -> bool:
+    """Say whether the images have 16 bits, by the first that is there."""
+    first = next((path for path in files if path.exists()), None)
+    try:
+        return first is not None and read_stored(first).dtype == np.uint16
+    except InputError:
+        return False
+
+
+def _narrowed(path: Path) -> Packed:
+    return Packed(path, "image", partial(_high_bytes, path))
+
+
+def _high_bytes(path: Path) -> NDArray[np.uint8]:
+    image = read_stored(path)
+    if image.ndim != 2 or image.dtype != np.uint16:
+        raise InputError("a grey image of 16 bits is expected, as the others are.", path)
+    return (image >> 8).astype(np.uint8)
+
+
+def _chained(
+    path: Path, size: tuple[int, int], options: ReadingParams
+) -> tuple[tuple[StereoRig, list[str]], Pose]:
+    """Return the rig of Kalibr's file, what is odd about it, and where its left camera sits on the body."""
+    document = documents.read_document(path)
+    rig, warnings = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    stated = options.camera(*size)
+    if stated is not None:
+        rig = replace(rig, left=stated, right=stated)
+    return (rig, warnings), trajectories.inverted(calibration.camera_from_body(document, "cam0", path))
+
+
+def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path) -> Camera:
+    if document.get("camera_model", "pinhole") != "pinhole":
+        raise InputError(f"camera_model {document['camera_model']} is not supported; pinhole is.", path)
+    fisheye = calibration.is_fisheye(document.get("distortion_model"), path)
+    if document.get("resolution", list(size)) != list(size):
+        raise InputError(
+            f"it is for images of {document['resolution']}, but these are {size[0]}×{size[1]}.", path
+        )
+    fx, fy, cx, cy = _four(document, "intrinsics", path)
+    distortion = _four(document, "distortion_coefficients", path)
+    camera = Camera(*size, fx, fy, cx, cy, distortion, fisheye)
+    return options.camera(*size) or calibration.checked(camera, path)
+
+
+def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
+    row = calibration.number_row(document.get(key), key, path)
+    if len(row) != 4:
+        raise InputError(f"{key} must be 4 numbers.", path)
+    return row
+
+
+def _mounting(document: dict[str, Any], path: Path) -> Pose:
+    """Return T_BS: camera to body, row-major."""
+    matrix = document.get("T_BS")
+    data = matrix.get("data") if isinstance(matrix, dict) else matrix
+    pose = trajectories.rigid(trajectories.matrix_of(data, path, "T_BS"), path, "T_BS")
+    if pose is None:
+        raise InputError("T_BS is not finite.", path)
+    return pose
+
+
+LAYOUT = Layout(
+    name="euroc",
+    text="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, TUM-VI)",
+    matches=_matches,
+    read=_read,
+)

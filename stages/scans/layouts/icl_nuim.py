@@ -1,0 +1,86 @@
+"""ICL-NUIM in TUM packing: a rendered room whose camera, and world, have y up.
+
+Its published camera matrix has a focal length of -480 for that. Here y is turned over once, in the camera and
+in the world: turned over in the camera alone, the room would be its own mirror image.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.formats.trajectories import Trajectory
+from stages.scans.reading.associations import read_associations
+from stages.scans.reading.files import common_size
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import stated_camera
+from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+
+_CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
+_UNITS_PER_METRE = 5000.0
+_TOLERANCE = 20_000_000
+_POSES = "*.gt.freiburg"
+_Y_OVER = np.diag((1.0, -1.0, 1.0, 1.0))
+
+
+def _matches(folder: Path) -> str | None:
+    found = next((path.name for path in sorted(folder.glob(_POSES))), None)
+    return f"associations.txt and {found}" if found and (folder / "associations.txt").is_file() else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    listed = read_associations(folder / "associations.txt")
+    path = options.file("poses", folder) or _pose_file(folder)
+    trajectory = None if path is None else _trajectory(path)
+    size = common_size([one.depth for one in listed])
+    camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for one in listed:
+        # The number of a frame stands where other recordings have its time.
+        number = one.depth_time
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, number, _TOLERANCE)
+        if pose is None and trajectory is not None:
+            skipped.append(SkippedFrame(one.depth.stem, "no pose of its number"))
+            continue
+        frames.append(
+            Frame(
+                name=one.depth.stem,
+                camera=camera,
+                color=one.color,
+                depth=one.depth,
+                depth_scale=options.depth_scale or _UNITS_PER_METRE,
+                world_from_camera=pose,
+            )
+        )
+    missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing if trajectory is None else ())
+
+
+def _pose_file(folder: Path) -> Path | None:
+    found = sorted(folder.glob(_POSES))
+    if len(found) > 1:
+        names = ", ".join(path.name for path in found)
+        raise InputError(f"there are several trajectories ({names}); name one with scan.poses=FILE.", folder)
+    return found[0] if found else None
+
+
+def _trajectory(path: Path) -> Trajectory:
+    """Return the trajectory with y down; one that is not the data set's own has it so already."""
+    trajectory = trajectories.read_timed(path)
+    if not path.match(_POSES):
+        return trajectory
+    poses = [None if pose is None else _Y_OVER @ pose @ _Y_OVER for pose in trajectory.poses]
+    return Trajectory(poses, trajectory.timestamps)
+
+
+LAYOUT = Layout(
+    name="icl-nuim",
+    text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM packing)",
+    matches=_matches,
+    read=_read,
+)

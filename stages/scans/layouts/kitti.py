@@ -1,0 +1,136 @@
+"""KITTI odometry: rectified pairs in numbered folders, calib.txt with projection matrices, a pose a line.
+
+The raw recordings have the same pairs in image_02/data/ and image_03/data/, calib_cam_to_cam.txt in the
+folder above, and poses of the car in oxts/.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import trajectories
+from stages.scans.reading.files import about_order, common_size, first_existing, has, images, pair
+from stages.scans.reading.kitti_oxts import unit_poses
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.projections import projected_rig, read_projections, require_rectified_size
+from stages.scans.reading.rigs import uncalibrated
+from stages.scans.scan import Frame, Pose, Scan
+
+# Left folder, right folder, the number of the left projection matrix. Colour is preferred.
+_CAMERAS = (
+    ("image_2", "image_3", 2),
+    ("image_02/data", "image_03/data", 2),
+    ("image_0", "image_1", 0),
+    ("image_00/data", "image_01/data", 0),
+    ("image_l", "image_r", 0),
+)
+# The raw recordings keep one calibration for all drives of a day.
+_CALIBRATIONS = ("calib.txt", "calib_cam_to_cam.txt", "../calib_cam_to_cam.txt")
+
+
+def _matches(folder: Path) -> str | None:
+    for left, right, _ in _CAMERAS:
+        if has(folder, left, right) and (left != "image_l" or has(folder, "calib.txt")):
+            calib = first_existing(folder, *_CALIBRATIONS)
+            return f"{left}/ and {right}/" + (f" with {calib.name}" if calib else "")
+    return None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    calib = options.file("calibration", folder) or first_existing(folder, *_CALIBRATIONS)
+    projections = {} if calib is None else read_projections(calib)
+    left, right, at = next(
+        (
+            names
+            for names in _CAMERAS
+            if has(folder, *names[:2]) and (calib is None or {names[2], names[2] + 1} <= projections.keys())
+        ),
+        (None, None, 0),
+    )
+    if left is None or right is None:
+        raise InputError("it states no two projection matrices for a pair of image folders.", calib or folder)
+    pairs, skipped = pair(images(folder / left), images(folder / right), f"{left}/", f"{right}/", folder)
+    names = [one.stem for one, _ in pairs]
+    size = common_size([one for one, _ in pairs])
+    missing: tuple[str, ...] = ()
+    rig, left_from_cam0 = uncalibrated(size), np.eye(4)
+    if calib is None:
+        lacking = "calib.txt (the projection matrices P0 to P3) is missing"
+        missing = (f"calibration: {lacking}; name one with scan.calibration=FILE",)
+    else:
+        require_rectified_size(calib, size)
+        rig, left_from_cam0 = projected_rig(projections[at], projections[at + 1], size, options, calib)
+    world_from_cam0: list[Pose | None] = [None] * len(names)
+    path = options.file("poses", folder) or _pose_file(folder)
+    if path is not None:
+        world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
+    elif left.endswith("/data") and calib is not None:
+        found, lacking = unit_poses(folder, names, calib)
+        world_from_cam0 = world_from_cam0 if found is None else found
+        if found is None:
+            missing = (f"poses: {lacking}; name a trajectory of camera 0 with scan.poses=FILE",)
+    else:
+        lacking = f"poses.txt (or ../../poses/{folder.resolve().name}.txt) is missing"
+        missing = (*missing, f"poses: {lacking}; name one with scan.poses=FILE")
+    times = _times(folder, left, names)
+    cam0_from_left = np.linalg.inv(left_from_cam0)
+    frames = [
+        Frame(
+            name=one.stem,
+            camera=rig.left,
+            color=one,
+            right=other,
+            world_from_camera=None if pose is None else pose @ cam0_from_left,
+            timestamp=time,
+        )
+        for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
+    ]
+    said = about_order(pairs, f"{left}/", f"{right}/")
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), missing)
+
+
+def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:
+    """Return the nanoseconds of each frame: times.txt in seconds, or the raw recordings' dates."""
+    dates = folder / Path(left).parent / "timestamps.txt"
+    if left.endswith("/data") and dates.exists():
+        moments = [_nanoseconds(text, number, dates) for number, text in documents.lines(dates)]
+        return list(trajectories.by_number(moments, names, dates, "times"))
+    return trajectories.read_times(folder / "times.txt", names)
+
+
+def _nanoseconds(text: str, number: int, path: Path) -> int:
+    """Return the time of a line such as `2011-09-26 13:02:25.964389445`."""
+    whole, _, fraction = text.partition(".")
+    try:
+        moment = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=timezone.utc)
+        return int(moment.timestamp()) * 10**9 + int(fraction[:9].ljust(9, "0"))
+    except ValueError as error:
+        raise InputError(f"line {number} is no date and time.", path) from error
+
+
+def _pose_file(folder: Path) -> Path | None:
+    """Return the poses: poses.txt in the sequence, or poses/NN.txt as the data set packs them."""
+    number = folder.resolve().name
+    return first_existing(
+        folder,
+        "poses.txt",
+        f"poses/{number}.txt",
+        f"{number}.txt",
+        f"../poses/{number}.txt",
+        f"../../poses/{number}.txt",
+    )
+
+
+LAYOUT = Layout(
+    name="kitti",
+    text="image_0/ image_1/ (or image_2/ image_3/, raw: image_02/data/ image_03/data/), calib.txt, poses.txt "
+    "(KITTI odometry)",
+    matches=_matches,
+    read=_read,
+)

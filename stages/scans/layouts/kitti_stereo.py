@@ -1,0 +1,80 @@
+"""KITTI stereo 2012 and 2015: many scenes of two moments each, every scene with its own calibration.
+
+2015: image_2/000000_10.png  image_3/  calib_cam_to_cam/000000.txt
+2012: image_0/000000_10.png  image_1/  (or colored_0/, colored_1/)  calib/000000.txt
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.images import image_size
+from stages.scans.reading.files import has, images, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.projections import projected_rig, read_projections, require_rectified_size
+from stages.scans.scan import Frame, Scan
+
+_CAMERAS = (
+    ("image_2", "image_3", 2),
+    ("colored_0", "colored_1", 2),
+    ("image_0", "image_1", 0),
+)
+_CALIBRATIONS = ("calib_cam_to_cam", "calib")
+_NAME = re.compile(r"(\d{6})_\d\d")
+
+
+def _matches(folder: Path) -> str | None:
+    calibrations = next((name for name in _CALIBRATIONS if (folder / name).is_dir()), None)
+    left = next((left for left, right, _ in _CAMERAS if has(folder, left, right)), None)
+    if calibrations is None or left is None:
+        return None
+    named = any(_NAME.fullmatch(path.stem) for path in images(folder / left))
+    return f"{left}/ with scenes like 000000_10.png, and {calibrations}/" if named else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    found = next((names for names in _CAMERAS if has(folder, *names[:2])), None)
+    if found is None:
+        raise InputError("two folders image_2/ and image_3/ (or image_0/, image_1/) are needed.", folder)
+    left, right, at = found
+    lefts, rights = (
+        [path for path in images(folder / name) if _NAME.fullmatch(path.stem)] for name in (left, right)
+    )
+    pairs, skipped = pair(lefts, rights, f"{left}/", f"{right}/", folder)
+    end = None if options.last is None else options.last + 1
+    scenes = sorted({one.stem[:6] for one, _ in pairs[options.first : end : options.every]})
+    if len(scenes) != 1:
+        raise InputError(
+            f"it holds {len(scenes)} scenes of one or two pairs each; choose one, such as "
+            f"{pairs[0][0].stem} with scan.first=0 and scan.last=0.",
+            folder,
+        )
+    (scene,) = scenes
+    calib = options.file("calibration", folder) or next(
+        (path for name in _CALIBRATIONS if (path := folder / name / f"{scene}.txt").exists()), None
+    )
+    if calib is None:
+        raise InputError(
+            f"calib_cam_to_cam/{scene}.txt is missing; name one with scan.calibration=FILE.", folder
+        )
+    projections = read_projections(calib)
+    if not {at, at + 1} <= projections.keys():
+        raise InputError(f"it states no projection matrices {at} and {at + 1}.", calib)
+    size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
+    require_rectified_size(calib, size)
+    rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib)
+    # Those of other scenes fall away when the person's choice is applied.
+    frames = [Frame(name=one.stem, camera=rig.left, color=one, right=other) for one, other in pairs]
+    missing = ("poses: the data set has none; name a trajectory with scan.poses=FILE",)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+
+
+LAYOUT = Layout(
+    name="kitti-stereo",
+    text="image_2/000000_10.png, image_3/, calib_cam_to_cam/000000.txt (KITTI stereo 2012, 2015)",
+    matches=_matches,
+    read=_read,
+)

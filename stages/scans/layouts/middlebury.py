@@ -1,0 +1,86 @@
+"""Middlebury 2014 and 2021, and ETH3D two-view: one rectified pair with calib.txt."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import trajectories
+from stages.scans.formats.calibration import checked
+from stages.scans.images import image_size
+from stages.scans.reading.files import first_existing, has
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, Frame, Pose, Scan, StereoRig
+
+
+def _matches(folder: Path) -> str | None:
+    return "im0.png, im1.png and calib.txt" if has(folder, "im0.png", "im1.png", "calib.txt") else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    left, right, calib = folder / "im0.png", folder / "im1.png", folder / "calib.txt"
+    rig, warnings = _rig(calib, image_size(left), options)
+    pose = _pose(folder, options)
+    frame = Frame(name="im0", camera=rig.left, color=left, right=right, world_from_camera=pose)
+    missing = () if pose is not None else ("poses: pose.txt is missing; name one with scan.poses=FILE",)
+    return Scan(LAYOUT.name, [frame], rig, folder, (), tuple(warnings), missing)
+
+
+def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, list[str]]:
+    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(calib), re.MULTILINE))
+    try:
+        left, right = (_camera(values[key], size, calib) for key in ("cam0", "cam1"))
+        stated = int(values.get("width", size[0])), int(values.get("height", size[1]))
+        doffs = float(values["doffs"]) if "doffs" in values else right.cx - left.cx
+        baseline = float(values["baseline"])
+        disparities = int(values["ndisp"]) if "ndisp" in values else None
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"cam0, cam1 and baseline are needed; {error} is missing or no number.", calib
+        ) from error
+    if stated != size:
+        raise InputError(
+            f"it is for images of {stated[0]}×{stated[1]}, but im0.png is {size[0]}×{size[1]}; "
+            "give the calibration of this size.",
+            calib,
+        )
+    if not (0 < baseline < 1e5 and abs(doffs) < size[0]):
+        raise InputError(f"baseline={baseline:g} mm or doffs={doffs:g} px cannot be right.", calib)
+    warnings = []
+    if baseline < 5:
+        warnings.append(f"calib.txt states a baseline of {baseline:g}, taken as metres (Middlebury's are mm)")
+        baseline *= 1000
+    given = options.camera(*size)
+    if given is not None:
+        left = given
+    # One focal length for both, and the disparity offset as a shifted centre: z = f b / (d + doffs).
+    right = Camera(*size, left.fx, left.fy, left.cx + doffs, left.cy)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -(options.baseline or baseline / 1000)
+    return StereoRig(left, right, right_from_left, True, disparities), warnings
+
+
+def _camera(text: str, size: tuple[int, int], calib: Path) -> Camera:
+    rows = [[float(word) for word in row.split()] for row in text.strip("[] ").split(";")]
+    if [len(row) for row in rows] != [3, 3, 3]:
+        raise ValueError("a 3x3 camera matrix")
+    return checked(Camera(*size, rows[0][0], rows[1][1], rows[0][2], rows[1][2]), calib)
+
+
+def _pose(folder: Path, options: ReadingParams) -> Pose | None:
+    """Return the pose of the one frame, or None without a file of it."""
+    path = options.file("poses", folder) or first_existing(folder, "pose.txt")
+    return None if path is None else trajectories.match(trajectories.read_trajectory(path), ["im0"], path)[0]
+
+
+LAYOUT = Layout(
+    name="middlebury",
+    text="im0.png, im1.png, calib.txt (Middlebury 2014/2021, ETH3D two-view)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,117 @@
+"""Middlebury multi-view: single images of an object with poses, without depth (templeRing, dinoRing, …)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import trajectories
+from stages.scans.formats.calibration import matrix_camera
+from stages.scans.reading.files import common_size
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, Frame, Pose, Scan
+
+_NUMBERS = 21  # K and R, row by row, and t
+# A camera matrix is in pixels: a shear of less moves no point by a visible share of one.
+_SKEW_TOLERANCE = 0.1
+_TRIPLE = r"\(([^()]{5,200})\)"
+_BOX = re.compile(rf"bounding box[^()]{{0,200}}{_TRIPLE}\s*{_TRIPLE}", re.IGNORECASE)
+_MAX_NOTES_BYTES = 1 << 20
+_FARTHEST_M = 1e6
+
+
+def _matches(folder: Path) -> str | None:
+    found = sorted(folder.glob("*_par.txt"))
+    return found[0].name if found else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    par = _par_file(folder)
+    rows = _rows(par)
+    names = [Path(name).stem for name, _ in rows]
+    size = common_size([folder / name for name, _ in rows])
+    stated = options.camera(*size)
+    path = options.file("poses", folder)
+    given = None if path is None else trajectories.match(trajectories.read_trajectory(path), names, path)
+    frames = []
+    for number, (name, values) in enumerate(rows):
+        camera = stated or _camera(values[:9].reshape(3, 3), size, par, name)
+        pose = _world_from_camera(values, par, name) if given is None else given[number]
+        frames.append(Frame(names[number], camera, color=folder / name, world_from_camera=pose))
+    return Scan(LAYOUT.name, frames, None, folder, box=_box(folder))
+
+
+def _par_file(folder: Path) -> Path:
+    found = sorted(folder.glob("*_par.txt"))
+    if len(found) != 1:
+        raise InputError(f"one camera file NAME_par.txt is needed; there are {len(found)}.", folder)
+    return found[0]
+
+
+def _rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return image names and their numbers; the file's own count of them, where it has one, must hold."""
+    stated: int | None = None
+    rows: list[tuple[str, NDArray[np.float64]]] = []
+    for number, text in documents.lines(par):
+        name, *words = text.split()
+        if not rows and stated is None and not words and name.isdecimal():
+            stated = int(name[:9])
+            continue
+        if Path(name).name != name:
+            raise InputError(f"line {number}: {name!r} is not the name of an image beside the file.", par)
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            values = np.empty(0)
+        if values.size != _NUMBERS:
+            raise InputError(
+                f"line {number} ({name}) is not a name and {_NUMBERS} numbers (K, R and t).", par
+            )
+        rows.append((name, values))
+    if not rows:
+        raise InputError("it lists no images.", par)
+    if stated is not None and stated != len(rows):
+        raise InputError(f"it promises {stated} images and lists {len(rows)}; copy it again.", par)
+    return rows
+
+
+def _camera(matrix: NDArray[np.float64], size: tuple[int, int], par: Path, name: str) -> Camera:
+    if np.isfinite(matrix).all() and abs(matrix[0, 1]) > _SKEW_TOLERANCE:
+        raise InputError(f"the camera of {name} is sheared (k12 is not 0), which no camera here can be.", par)
+    return matrix_camera(matrix, (), *size, par)
+
+
+def _world_from_camera(values: NDArray[np.float64], par: Path, name: str) -> Pose | None:
+    camera_from_world = np.column_stack([values[9:18].reshape(3, 3), values[18:]])
+    pose = trajectories.rigid(camera_from_world, par, name)
+    return None if pose is None else trajectories.inverted(pose)
+
+
+def _box(folder: Path) -> NDArray[np.float64] | None:
+    """Return the bounding box that the notes beside the images state, (2, 3) lowest and highest corner."""
+    for notes in sorted(folder.glob("README*")):
+        try:
+            text = documents.read_text(notes) if notes.stat().st_size < _MAX_NOTES_BYTES else ""
+            found = _BOX.search(text)
+            triples = found.groups() if found else ()
+            corners = [[float(word) for word in triple.replace(",", " ").split()] for triple in triples]
+        except (InputError, OSError, ValueError):
+            continue  # Notes are for people; without a box, the views themselves tell where the object is.
+        box = np.array(corners) if [len(corner) for corner in corners] == [3, 3] else np.empty((0, 3))
+        if len(box) and (np.abs(box) < _FARTHEST_M).all() and (box[0] < box[1]).all():
+            return box
+    return None
+
+
+LAYOUT = Layout(
+    name="middlebury-mview",
+    text="NAME_par.txt with K, R and t of each image beside it (Middlebury multi-view)",
+    matches=_matches,
+    read=_read,
+)

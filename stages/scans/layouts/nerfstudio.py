@@ -1,0 +1,351 @@
+"""nerfstudio, instant-ngp and Blender: `transforms.json` lists views, cameras, poses and perhaps depth maps.
+
+Cameras have OpenGL's axes (y up, z back). `applied_transform` A and `applied_scale` s say how the world
+of the file was made, p_file = s · A p; the world p, in which depth is metric, is what comes out. Where no
+frame has a depth map, all are single views. Masks (`mask_path`) and transparency say where nothing is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.images import has_alpha, read_alpha
+from stages.scans.reading.files import IMAGES, common_size, inside, numbers
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.phones import seen_in
+from stages.scans.reading.stated import stated_camera
+from stages.scans.reading.views import NOT_METRES, in_metres, single_view
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+
+_PREFERRED = ("transforms.json", "transforms_train.json")
+_SIZE = ("w", "h")
+_BENT = ("k1", "k2", "p1", "p2", "k3")
+# What is given for the whole file or for every frame of it, never for both.
+_CAMERA_KEYS = (
+    *_SIZE,
+    *("fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y"),
+    *_BENT,
+    *("k4", "camera_model", "is_fisheye"),
+)
+_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+# Names of OpenCV's fisheye model, whose k1 … k4 are of powers of the angle.
+_FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_BENT_FISHEYE = ("k1", "k2", "k3", "k4")
+# nerfstudio's name of a frame's depth map, and instant-ngp's.
+_DEPTH_KEYS = ("depth_file_path", "depth_path")
+
+
+def _matches(folder: Path) -> str | None:
+    found = _list_of_views(folder)
+    return None if found is None else found.name
+
+
+def _list_of_views(folder: Path) -> Path | None:
+    found = sorted(folder.glob("transforms*.json"))
+    preferred = [folder / name for name in _PREFERRED if folder / name in found]
+    return next(iter(preferred + found), None)
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    path = _list_of_views(folder)
+    if path is None:
+        raise InputError("there is no transforms.json.", folder)
+    document = documents.read_json(path)
+    entries = document.get("frames") if isinstance(document, dict) else None
+    if not isinstance(document, dict) or not isinstance(entries, list) or not entries:
+        raise InputError("it holds no list of frames.", path)
+    entries = _in_order(entries, path)
+    _require_unmixed(document, entries, path)
+    used = [entry for entry in entries if _depth_path(entry) is not None] or entries
+    colors = [_color_file(folder, entry, path) for entry in used]
+    depths = [
+        inside(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path)
+        for entry in used
+        if _depth_path(entry) is not None
+    ]
+    masks = [_mask(folder, entry, color, path) for entry, color in zip(used, colors, strict=True)]
+    cameras = _cameras(folder, options, [document | entry for entry in used], colors, path)
+    given = options.file("poses", folder)
+    if given is None:
+        poses = _poses(document, used, path)
+    else:
+        names = [_name(entry) for entry in used]
+        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+    warnings = _warnings(folder, path)
+    if not depths:
+        if given is None:
+            # There are no depth maps whose unit it could be.
+            poses = [in_metres(pose, options.depth_scale) for pose in poses]
+            warnings += [NOT_METRES] if options.depth_scale is None else []
+        views = [_view(*one) for one in zip(used, cameras, colors, masks, poses, strict=True)]
+        frames = [one for one in views if isinstance(one, Frame)]
+        skipped = [one for one in views if isinstance(one, SkippedFrame)]
+    else:
+        scale = options.depth_scale or _depth_scale(document, path)
+        frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
+        skipped = [
+            SkippedFrame(_name(entry), "it has no depth_file_path")
+            for entry in entries
+            if _depth_path(entry) is None
+        ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _view(
+    entry: dict[str, Any], camera: Camera, color: Path, mask: Path | Packed | None, pose: Pose | None
+) -> Frame | SkippedFrame:
+    try:
+        return single_view(_name(entry), camera, color, pose, mask=mask)
+    except InputError as error:
+        return SkippedFrame(_name(entry), str(error))
+
+
+def _frames(
+    entries: Sequence[dict[str, Any]],
+    cameras: Sequence[Camera],
+    colors: Sequence[Path],
+    masks: Sequence[Path | Packed | None],
+    depths: Sequence[Path],
+    poses: Sequence[Pose | None],
+    scale: float | None,
+    path: Path,
+) -> list[Frame]:
+    """Return frames with depth."""
+    depth_cameras = _depth_cameras(cameras, depths, path)
+    return [
+        Frame(
+            name=_name(entry),
+            camera=depth_camera,
+            color=color,
+            depth=depth,
+            # OpenEXR is written by renderers, in the unit of the world.
+            depth_scale=scale or (1.0 if depth.suffix.lower() == ".exr" else 1000.0),
+            world_from_camera=pose,
+            color_camera=None if camera == depth_camera else camera,
+            mask=mask,
+        )
+        for entry, camera, depth_camera, color, mask, depth, pose in zip(
+            entries, cameras, depth_cameras, colors, masks, depths, poses, strict=True
+        )
+    ]
+
+
+def _warnings(folder: Path, path: Path) -> list[str]:
+    others = [other.name for other in sorted(folder.glob("transforms*.json")) if other != path]
+    return [f"only {path.name} is read, not {', '.join(others)}"] if others else []
+
+
+def _in_order(entries: list[Any], path: Path) -> list[dict[str, Any]]:
+    """Return the frames by the numbers in their names: reconstructions list them in any order."""
+    for position, entry in enumerate(entries):
+        if (
+            not isinstance(entry, dict)
+            or not isinstance(entry.get("file_path"), str)
+            or not entry["file_path"]
+        ):
+            raise InputError(f"frame {position} is not a table with a file_path.", path)
+    return sorted(entries, key=lambda entry: (numbers(_name(entry)), entry["file_path"]))
+
+
+def _name(entry: dict[str, Any]) -> str:
+    # No .stem: Blender's names have no extension, and may hold a dot.
+    name = entry["file_path"].replace("\\", "/").rsplit("/", 1)[-1]
+    suffix = next((suffix for suffix in IMAGES if name.lower().endswith(suffix)), "")
+    return str(name[: len(name) - len(suffix)])
+
+
+def _depth_path(entry: dict[str, Any]) -> object:
+    return next((entry[key] for key in _DEPTH_KEYS if entry.get(key) is not None), None)
+
+
+def _color_file(folder: Path, entry: dict[str, Any], path: Path) -> Path:
+    """Return the image of a frame; Blender leaves the extension out."""
+    file = inside(folder, entry["file_path"], f"frame {_name(entry)}: file_path", path)
+    if file.is_file():
+        return file
+    return next((one for s in IMAGES if (one := file.with_name(file.name + s)).is_file()), file)
+
+
+def _mask(folder: Path, entry: dict[str, Any], color: Path, path: Path) -> Path | Packed | None:
+    """Return what says where the image shows nothing: a mask of its own, or its transparency (Blender)."""
+    if entry.get("mask_path") is not None:
+        return inside(folder, entry["mask_path"], f"frame {_name(entry)}: mask_path", path)
+    return Packed(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
+
+
+def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> None:
+    for key in _CAMERA_KEYS:
+        having = [entry for entry in entries if key in entry]
+        if having and (key in document or len(having) < len(entries)):
+            where = "for the whole file" if key in document else "by other frames"
+            lacking = "and also" if key in document else "but not"
+            raise InputError(
+                f"{key} is given by frame {_name(having[0])} {lacking} {where}. "
+                "Give it once for the whole file, or in every frame.",
+                path,
+            )
+
+
+def _cameras(
+    folder: Path,
+    options: ReadingParams,
+    tables: Sequence[dict[str, Any]],
+    colors: Sequence[Path],
+    path: Path,
+) -> list[Camera]:
+    """Return the camera of each colour image."""
+    sizes: list[tuple[int, int]] = []
+    for table in tables:
+        width, height = (table.get(key) for key in _SIZE)
+        if width is None or height is None:
+            sizes = [common_size(colors)] * len(tables)
+            break
+        sizes.append((_pixels(width, "w", path), _pixels(height, "h", path)))
+    stated = {size: stated_camera(options, folder, *size) for size in set(sizes)}
+    return [_stated(stated[size], table, size, path) for table, size in zip(tables, sizes, strict=True)]
+
+
+def _stated(stated: Camera | None, table: dict[str, Any], size: tuple[int, int], path: Path) -> Camera:
+    """Return the camera of a frame with the numbers that are stated; a lens that is a fisheye's stays one."""
+    is_fisheye = _is_fisheye(table, path)
+    if stated is None:
+        return _camera(table, *size, path)
+    if stated.fisheye or not is_fisheye:
+        return stated
+    return replace(stated, distortion=_bent(table, _BENT_FISHEYE, path), fisheye=True)
+
+
+def _is_fisheye(table: dict[str, Any], path: Path) -> bool:
+    """Say whether a lens is a fisheye. Raises InputError if it is neither that nor a pinhole camera's."""
+    model = table.get("camera_model", "OPENCV")
+    if model in _FISHEYES:
+        return True
+    if model not in _MODELS:
+        raise InputError(
+            f"camera_model {str(model)[:40]!r} is neither a pinhole camera's with OpenCV's distortion nor "
+            "OpenCV's fisheye, which can be read. Rectify the images and depth maps to PINHOLE first.",
+            path,
+        )
+    return bool(table.get("is_fisheye"))
+
+
+def _bent(table: dict[str, Any], keys: Sequence[str], path: Path) -> tuple[float, ...]:
+    return tuple(_number(table, key, path, 0.0) for key in keys)
+
+
+def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camera:
+    is_fisheye = _is_fisheye(table, path)
+    if not is_fisheye and _number(table, "k4", path, 0.0):
+        raise InputError(
+            "k4 is not 0, and OpenCV's model of the lens has no such term. Undistort the images first.", path
+        )
+    fx = _focal_length(table, "x", width, path)
+    fy = _focal_length(table, "y", height, path) or fx
+    fx = fx or fy
+    if fx is None or fy is None:
+        raise InputError("no focal length: neither fl_x nor camera_angle_x is there.", path)
+    # Counted from the corner of the top left pixel, as COLMAP does, from which most files come.
+    cx = _number(table, "cx", path, width / 2) - 0.5
+    cy = _number(table, "cy", path, height / 2) - 0.5
+    if is_fisheye:
+        bent = _bent(table, _BENT_FISHEYE, path)
+    else:
+        bent = bent if any(bent := _bent(table, _BENT, path)) else ()
+    return calibration.checked(Camera(width, height, fx, fy, cx, cy, bent, is_fisheye), path)
+
+
+def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> float | None:
+    """Return fl_x or fl_y, or what the angle of view in radians makes it; None without either."""
+    if table.get(f"fl_{axis}") is not None:
+        return _number(table, f"fl_{axis}", path, math.nan)
+    key = f"camera_angle_{axis}"
+    if table.get(key) is None:
+        return None
+    angle = _number(table, key, path, math.nan)
+    if not 0 < angle < math.pi:
+        raise InputError(f"{key} is {angle:g}; it must be an angle in radians between 0 and π.", path)
+    return 0.5 * pixels / math.tan(0.5 * angle)
+
+
+def _number(table: dict[str, Any], key: str, path: Path, default: float) -> float:
+    value = table.get(key)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e12:
+        raise InputError(f"{key} is {str(value)[:40]!r}; a number is expected.", path)
+    return float(value)
+
+
+def _pixels(value: object, key: str, path: Path) -> int:
+    # Some writers hold every number as a float.
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1 << 16:
+        raise InputError(f"{key} is {str(value)[:40]!r}; a number of pixels is expected.", path)
+    if value != int(value):
+        raise InputError(f"{key} is {value}; a whole number of pixels is expected.", path)
+    return int(value)
+
+
+def _depth_cameras(cameras: Sequence[Camera], depths: Sequence[Path], path: Path) -> list[Camera]:
+    """Return the camera of each depth map: the colour camera, in the size of the depth maps of its kind."""
+    files: dict[tuple[int, int], list[Path]] = {}
+    for camera, depth in zip(cameras, depths, strict=True):
+        files.setdefault((camera.width, camera.height), []).append(depth)
+    sizes = {size: common_size(group) for size, group in files.items()}
+    return [
+        camera
+        if (size := sizes[camera.width, camera.height]) == (camera.width, camera.height)
+        else seen_in(camera, size, "the depth maps", path)
+        for camera in cameras
+    ]
+
+
+def _poses(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> list[Pose | None]:
+    """Return the poses in the original world, with OpenCV's axes."""
+    applied = trajectories.rigid(
+        trajectories.matrix_of(document.get("applied_transform", np.eye(4)), path, "applied_transform"),
+        path,
+        "applied_transform",
+    )
+    scale = _number(document, "applied_scale", path, 1.0)
+    if applied is None or scale <= 0:
+        raise InputError("applied_transform and applied_scale must be finite, the scale positive.", path)
+    original = trajectories.inverted(applied)
+    poses: list[Pose | None] = []
+    for entry in entries:
+        where = f"frame {_name(entry)}"
+        matrix = trajectories.matrix_of(entry.get("transform_matrix"), path, f"{where}: transform_matrix")
+        pose = trajectories.rigid(matrix, path, where)
+        if pose is not None:
+            pose[:3, 3] /= scale
+            pose = trajectories.from_opengl(original @ pose)
+        poses.append(pose)
+    return poses
+
+
+def _depth_scale(document: dict[str, Any], path: Path) -> float | None:
+    """Return one over instant-ngp's `integer_depth_scale`, world units of one step; None without it."""
+    if document.get("integer_depth_scale") is None:
+        return None
+    step = _number(document, "integer_depth_scale", path, math.nan)
+    if step < 1e-12:
+        raise InputError(f"integer_depth_scale is {step:g}; it must be positive.", path)
+    return 1 / step
+
+
+LAYOUT = Layout(
+    name="nerfstudio",
+    text="transforms.json, with depth_file_path or of single views (nerfstudio, instant-ngp, Blender)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,136 @@
+"""NYU Depth V2, raw: Kinect colour as .ppm and disparities as .pgm with swapped bytes, without poses.
+
+    r-1294886363.011060-3118787619.ppm   colour;  its time in seconds, then the device's own clock
+    d-1294886362.793814-3139264120.pgm   depth, with a time of its own
+
+A disparity v of the sensor is 351.3 / (1092.5 - v) metres. All numbers are those of the data set's toolbox.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.images import read_raw_depth
+from stages.scans.reading.files import common_size
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.moments import nearest_in_time
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import stated_camera
+from stages.scans.scan import Camera, Frame, Packed, Scan, SkippedFrame, scaled
+
+_FILE = re.compile(r"([rd])-(\d{1,10}\.\d+)-\d+\.p[pg]m")
+# Both streams run at 30 Hz at most, and not in step.
+_TOLERANCE = 50_000_000
+_DEPTH_CAMERA = Camera(
+    640,
+    480,
+    582.624481677379,
+    582.691032709886,
+    313.044758708047,
+    238.443896266203,
+    (-0.099897236553, 0.390653246027, 0.001929059287, -0.001942202247, -0.510317250534),
+)
+_COLOR_CAMERA = Camera(
+    640,
+    480,
+    518.857901174501,
+    519.469611121274,
+    325.582449411190,
+    253.736166334004,
+    (0.207966153188, -0.586138251639, 0.000722313631, 0.001047962719, 0.498569866847),
+)
+# The toolbox states -R and +t, which project as R and -t do: the colour camera is 25 mm right of the other.
+_COLOR_FROM_DEPTH = np.array(
+    [
+        [0.999977989408, -0.005035991948, -0.004319662492, -0.025031875059],
+        [0.005051841938, 0.999980518611, 0.003666236574, 0.000293423129],
+        [0.004301115201, -0.003687978130, 0.999983949483, -0.000662387470],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+# Disparities below cannot be (the sensor starts at 0.7 m); beyond ten metres one step is half a metre.
+_LEAST_DISPARITY = 600
+_LARGEST_DEPTH = 10.0
+
+
+def _matches(folder: Path) -> str | None:
+    names: dict[str, str] = {}
+    for path in folder.glob("*.p[pg]m"):
+        if match := _FILE.fullmatch(path.name):
+            names.setdefault(match[1], path.name)
+    return f"files named like {names['d']} and {names['r']}" if len(names) == 2 else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    depths, colors = _stream(folder, "d", ".pgm"), _stream(folder, "r", ".ppm")
+    if not depths or not colors:
+        raise InputError(
+            "files named like d-1294886362.79-313.pgm and r-1294886363.01-311.ppm are needed.", folder
+        )
+    size = common_size([path for _, path in depths])
+    camera = stated_camera(options, folder, *size) or scaled(_DEPTH_CAMERA, *size)
+    given = options.file("poses", folder)
+    trajectory = None if given is None else trajectories.read_timed(given)
+    depth_times, color_times = (
+        np.array([time for time, _ in stream], np.int64) for stream in (depths, colors)
+    )
+    partners = nearest_in_time(depth_times, color_times, _TOLERANCE)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for (time, depth), partner in zip(depths, partners.tolist(), strict=True):
+        if partner < 0:
+            skipped.append(SkippedFrame(depth.stem, "no colour image within 0.05 s"))
+            continue
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
+        frames.append(
+            Frame(
+                name=depth.stem,
+                camera=camera,
+                color=colors[partner][1],
+                depth=Packed(depth, "depth", partial(_metres, depth)),
+                depth_scale=options.depth_scale or 1.0,
+                world_from_camera=pose,
+                timestamp=time,
+                color_camera=_COLOR_CAMERA,
+                color_from_depth=_COLOR_FROM_DEPTH,
+            )
+        )
+    lacking = "poses: the data set has none; name a trajectory with scan.poses=FILE"
+    missing = (lacking,) if trajectory is None else ()
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing)
+
+
+def _stream(folder: Path, letter: str, suffix: str) -> list[tuple[int, Path]]:
+    """Return the times in nanoseconds and the files of a stream, in the order of time."""
+    found = [
+        (round(float(match[2]) * 1e9), path)
+        for path in folder.iterdir()
+        if path.suffix == suffix and (match := _FILE.fullmatch(path.name)) and match[1] == letter
+    ]
+    return sorted(found)
+
+
+def _metres(path: Path) -> NDArray[np.float32]:
+    """Return the depth map of a file of disparities, 0 where there is none."""
+    raw = read_raw_depth(path)
+    if raw.dtype != np.uint16:
+        raise InputError("disparities of 16 bits are expected.", path)
+    disparity = raw.byteswap().astype(np.float32)
+    gap = 1092.5 - disparity
+    known = (disparity >= _LEAST_DISPARITY) & (gap > 351.3 / _LARGEST_DEPTH)
+    return np.where(known, 351.3 / np.where(known, gap, 1), 0).astype(np.float32)
+
+
+LAYOUT = Layout(
+    name="nyu",
+    text="r-SECONDS-CLOCK.ppm and d-SECONDS-CLOCK.pgm (NYU Depth V2, raw)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,116 @@
+"""Our own plain layout for stereo rigs: left/, right/, a calibration file and poses of the left camera.
+
+    left/000000.png  right/000000.png  …
+    left01.png  right01.png  …                    the same in one folder
+    calibration.json | .toml | .yaml | .xml       see stages.scans.formats.calibration.read_rig
+    poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
+
+Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.reading.files import about_order, common_size, first_existing, has, images, numbers, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.rigs import rig_of
+from stages.scans.scan import Frame, Pose, Scan
+
+_SIDES = (
+    ("left", "right"),
+    ("image_left", "image_right"),
+    ("image_l", "image_r"),
+    ("cam0", "cam1"),
+    ("L", "R"),
+)
+_CALIBRATIONS = tuple(
+    f"{stem}.{suffix}"
+    for stem in ("calibration", "calib", "stereo", "rig", "camchain")
+    for suffix in ("json", "toml", "yaml", "yml", "xml")
+)
+_TRAJECTORIES = (
+    "poses.txt",
+    "poses.tum",
+    "trajectory.tum",
+    "trajectory.log",
+    "trajectory.txt",
+    "poses.json",
+    "trajectory.json",
+)
+_TOLERANCE = 20_000_000
+
+
+def _sides(folder: Path) -> tuple[str, str] | None:
+    return next((names for names in _SIDES if has(folder, *names)), None)
+
+
+def _side_by_side(folder: Path) -> list[list[Path]]:
+    """Return the left and the right images that lie in one folder, told apart by their names."""
+    files = [path for path in images(folder) if numbers(path.stem)]
+    return [[path for path in files if path.stem.lower().startswith(side)] for side in ("left", "right")]
+
+
+def _matches(folder: Path) -> str | None:
+    sides = _sides(folder)
+    if sides is not None:
+        return f"{sides[0]}/ and {sides[1]}/"
+    left, right = _side_by_side(folder)
+    return f"files named like {left[0].name} and {right[0].name}" if left and right else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    sides = _sides(folder)
+    if sides is None:
+        left, right = _side_by_side(folder)
+        named = "the images named left", "the images named right"
+    else:
+        left, right = (images(folder / name) for name in sides)
+        named = f"{sides[0]}/", f"{sides[1]}/"
+    if sides is None and not (left and right):
+        raise InputError(
+            "two folders left/ and right/, or images left01.png and right01.png, are needed.", folder
+        )
+    pairs, skipped = pair(left, right, *named, folder)
+    size = common_size([one for one, _ in pairs])
+    rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
+    names = [one.stem for one, _ in pairs]
+    times = trajectories.read_times(folder / "times.txt", names)
+    path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
+    poses: list[Pose | None]
+    if path is not None:
+        poses = _poses(path, names, times)
+    else:
+        poses = [None] * len(pairs)
+        lacking = (
+            f"poses: none of {', '.join(_TRAJECTORIES)} is there; name a trajectory with scan.poses=FILE"
+        )
+        missing = (*missing, lacking)
+    frames = [
+        Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose, timestamp=time)
+        for name, (one, other), pose, time in zip(names, pairs, poses, times, strict=True)
+    ]
+    return Scan(
+        LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
+    )
+
+
+def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose | None]:
+    trajectory = trajectories.read_trajectory(path)
+    moments = [time for time in times if time is not None]
+    if trajectory.timestamps is None or len(moments) < len(names):
+        return trajectories.match(trajectory, names, path)
+    ordered = trajectories.in_order(trajectory)
+    return [trajectories.interpolate(ordered, time, _TOLERANCE) for time in moments]
+
+
+LAYOUT = Layout(
+    name="plain-stereo",
+    text="left/, right/ (or left01.png and right01.png side by side), calibration.json|toml|yaml, "
+    "poses.txt|tum|log|json (our own)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,149 @@
+"""Polycam's raw data: `keyframes/` with a JSON of camera and pose for each image, depth and confidence.
+
+Poses are camera-to-world, in metres, with OpenGL's camera axes (y up, z back). Phones without a LiDAR write
+no depth: these are single views. Corrected images have black borders, which are left out with their depth.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.black_border import border_mask
+from stages.scans.reading.files import IMAGES, common_size, images, numbers
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.phones import least_confidence, seen_in
+from stages.scans.reading.stated import stated_camera
+from stages.scans.reading.views import single_view
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+
+_LEVELS = (0, 127, 255)
+# Optimised and undistorted, the first is the better one; long captures lack it.
+_CORRECTED = "corrected_images"
+_SETS = (("corrected_cameras", _CORRECTED), ("cameras", "images"))
+
+
+def _matches(folder: Path) -> str | None:
+    keyframes = folder / "keyframes"
+    found = next((cameras for cameras, _ in _SETS if (keyframes / cameras).is_dir()), None)
+    return None if found is None else f"keyframes/{found}/"
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    keyframes = folder / "keyframes"
+    camera_files, colors, warnings = _chosen(folder)
+    depths = _by_stem(keyframes / "depth")
+    trusts = _by_stem(keyframes / "confidence")
+    least = 0
+    if trusts and depths:
+        least, said = least_confidence(options, _LEVELS, folder)
+        warnings.append(said)
+    size = common_size(list(depths.values())) if depths else None
+    color_size = common_size(list(colors.values()))
+    stems = [file.stem for file in camera_files]
+    masks = {
+        stem: Packed(color, "border", partial(border_mask, color))
+        for stem, color in colors.items()
+        if color.parent.name == _CORRECTED
+    }
+    given = options.file("poses", folder)
+    poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), stems, given)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for position, (stem, file) in enumerate(zip(stems, camera_files, strict=True)):
+        needed = (("image", colors), ("depth map", depths)) if depths else (("image", colors),)
+        lacking = next((what for what, held in needed if stem not in held), None)
+        if lacking is not None:
+            skipped.append(SkippedFrame(stem, f"its {lacking} is missing"))
+            continue
+        try:
+            table = documents.read_document(file)
+            color_camera = _camera(table, file, options, folder, color_size)
+            pose = _pose(table, file) if poses is None else poses[position]
+            if size is None:
+                frames.append(single_view(stem, color_camera, colors[stem], pose, mask=masks.get(stem)))
+                continue
+            frames.append(
+                Frame(
+                    name=stem,
+                    camera=seen_in(color_camera, size, "the depth maps", file),
+                    color=colors[stem],
+                    depth=depths[stem],
+                    depth_scale=options.depth_scale or 1000.0,
+                    world_from_camera=pose,
+                    timestamp=_nanoseconds(stem),
+                    color_camera=color_camera,
+                    confidence=trusts.get(stem),
+                    least_confidence=least,
+                    mask=masks.get(stem),
+                )
+            )
+        except InputError as error:
+            skipped.append(SkippedFrame(stem, str(error)))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _chosen(folder: Path) -> tuple[list[Path], dict[str, Path], list[str]]:
+    """Return the camera files in order, the images by name, and what is to be said about them."""
+    keyframes = folder / "keyframes"
+    for cameras, pictures in _SETS:
+        if not (keyframes / cameras).is_dir() or not (keyframes / pictures).is_dir():
+            continue
+        files, colors = images(keyframes / cameras, (".json",)), _by_stem(keyframes / pictures)
+        if files and colors:
+            said = (
+                "keyframes/corrected_cameras/ and corrected_images/ are missing or empty: the poses are as "
+                "they were tracked, they drift, and the images are slightly distorted"
+            )
+            return files, colors, [] if cameras == _SETS[0][0] else [said]
+    raise InputError(
+        "keyframes/ holds neither corrected_cameras/ with corrected_images/ nor cameras/ with images/.",
+        folder,
+    )
+
+
+def _by_stem(folder: Path) -> dict[str, Path]:
+    return {file.stem: file for file in images(folder, IMAGES)} if folder.is_dir() else {}
+
+
+def _camera(
+    table: dict[str, Any], file: Path, options: ReadingParams, folder: Path, color_size: tuple[int, int]
+) -> Camera:
+    """Return the camera of the colour image, for the size that its file states."""
+    width, height = table.get("width"), table.get("height")
+    if not isinstance(width, (int, float)) or not isinstance(height, (int, float)):
+        raise InputError("the camera needs its width and height in pixels.", file)
+    if not (1 <= width < 1 << 16 and 1 <= height < 1 << 16):
+        raise InputError(f"the camera's size of {width}×{height} pixels cannot be right.", file)
+    table = table | {"width": int(width), "height": int(height)}
+    camera = stated_camera(options, folder, int(width), int(height)) or calibration.camera_from_table(
+        table, int(width), int(height), file
+    )
+    seen_in(camera, color_size, "the images", file)
+    return camera
+
+
+def _pose(table: dict[str, Any], file: Path) -> Pose | None:
+    rows = [[table.get(f"t_{row}{column}") for column in range(4)] for row in range(3)]
+    if any(value is None for row in rows for value in row):
+        raise InputError("it lacks some of t_00 to t_23, the rows of the pose.", file)
+    pose = trajectories.rigid(trajectories.matrix_of(rows, file, "t_00 to t_23"), file)
+    return None if pose is None else trajectories.from_opengl(pose)
+
+
+def _nanoseconds(stem: str) -> int | None:
+    """Return the time of a frame that is named by its microseconds."""
+    return numbers(stem)[0] * 1000 if stem.isdecimal() and len(stem) < 17 else None
+
+
+LAYOUT = Layout(
+    name="polycam",
+    text="keyframes/ with corrected_cameras/ or cameras/, images and perhaps depth/ (Polycam's raw data)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,132 @@
+"""Open3D and Redwood style: colour and depth in a folder each, a trajectory, perhaps an intrinsic.json.
+
+Small recordings often hold the same in one folder, side by side: rgb_0.png, depth_0.png.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import (
+    COLOR_FOLDERS,
+    DEPTH_FOLDERS,
+    DEPTHS,
+    about_order,
+    common_size,
+    first_existing,
+    images,
+    numbers,
+    pair,
+)
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import guessed_camera
+from stages.scans.scan import Camera, Frame, Pose, Scan
+
+_INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_primesense.json")
+_COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
+_TRAJECTORIES = ("trajectory.log", "trajectory.json", "trajectory.txt", "poses.txt")
+
+
+def _matches(folder: Path) -> str | None:
+    folders = _folders(folder)
+    if folders is not None:
+        return f"{folders[1].name}/ and {folders[0].name}/"
+    depths, colors = _side_by_side(folder)
+    # Without a number it is a frame only when it is the only one.
+    is_scan = depths and colors and (len(depths) == 1 or all(numbers(path.stem) for path in depths))
+    return f"files named like {colors[0].name} and {depths[0].name}" if is_scan else None
+
+
+def _folders(folder: Path) -> tuple[Path, Path] | None:
+    """Return the folders of depth and of colour where both are there."""
+    depth, color = first_existing(folder, *DEPTH_FOLDERS), first_existing(folder, *COLOR_FOLDERS)
+    return (depth, color) if depth and color and depth.is_dir() and color.is_dir() else None
+
+
+def _side_by_side(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the depth maps and the colour images that lie in one folder, told apart by their names."""
+    files = images(folder, DEPTHS)
+    depths = [path for path in files if "depth" in path.stem.lower()]
+    colors = [path for path in files if path not in depths and _COLOR.search(path.stem)]
+    return depths, colors
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    folders = _folders(folder)
+    if folders is None:
+        depths, colors = _side_by_side(folder)
+        named = "the images named depth", "the images named color or rgb"
+    else:
+        depths, colors = images(folders[0], DEPTHS), images(folders[1])
+        named = f"{folders[0].name}/", f"{folders[1].name}/"
+    if not depths or not colors:
+        raise InputError("a folder color/ (or rgb/, image/) and a folder depth/ are needed.", folder)
+    pairs, skipped = pair(depths, colors, *named, folder)
+    names = [depth.stem for depth, _ in pairs]
+    path = options.file("poses", folder) or _trajectory(folder)
+    poses: list[Pose | None] = [None] * len(pairs)
+    missing: tuple[str, ...] = ()
+    if path is not None:
+        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+    else:
+        missing = ("poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE",)
+    camera, scale, warnings = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+    frames = [
+        Frame(
+            name=depth.stem,
+            camera=camera,
+            color=image,
+            depth=depth,
+            depth_scale=scale,
+            world_from_camera=pose,
+        )
+        for (depth, image), pose in zip(pairs, poses, strict=True)
+    ]
+    return Scan(
+        LAYOUT.name, frames, None, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
+    )
+
+
+def _trajectory(folder: Path) -> Path | None:
+    """Return the trajectory: by its usual name or as the only file that looks like one.
+
+    It is looked for beside the images, where Open3D's reconstruction leaves it, and in the folder above.
+    """
+    for place in (folder, folder / "scene", folder.resolve().parent):
+        others = [*place.glob("*traj*.log"), *place.glob("*traj*.txt")]
+        found = first_existing(place, *_TRAJECTORIES) or (others[0] if len(others) == 1 else None)
+        if found is not None:
+            return found
+    return None
+
+
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+    """Return the camera, the depth scale and what is to be said about them."""
+    # Open3D's own examples keep one camera file beside several scans.
+    path = options.file("calibration", folder) or first_existing(
+        folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
+    )
+    stated = options.camera(width, height)
+    scale = options.depth_scale or (1000.0 if path is None else calibration.read_depth_scale(path))
+    if stated is not None:
+        return stated, scale, []
+    if path is None:
+        camera, guessed = guessed_camera(width, height)
+        return camera, scale, [guessed]
+    said = (
+        [] if path.parent.samefile(folder) else [f"the intrinsics come from {path.name} in the folder above"]
+    )
+    return calibration.read_camera(path, width, height), scale, said
+
+
+LAYOUT = Layout(
+    name="redwood",
+    text="color/ (or rgb/, image/), depth/, trajectory.log|json, intrinsic.json (Open3D, Redwood), or "
+    "rgb_0.png and depth_0.png side by side",
+    matches=_matches,
+    read=_read,
+)

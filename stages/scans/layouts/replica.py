@@ -1,0 +1,92 @@
+"""Replica as it is rendered for mapping: results/ with colour and depth, a pose a line in traj.txt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
+
+# What every room of the data set is rendered with.
+_CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
+_UNITS_PER_METRE = 6553.5
+_POSES = "traj.txt"
+
+
+def _matches(folder: Path) -> str | None:
+    is_there = (folder / _POSES).is_file() and (folder / "results").is_dir()
+    return f"{_POSES} and results/" if is_there else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    results = folder / "results"
+    if not results.is_dir():
+        raise InputError("a folder results/ with frame000000.jpg and depth000000.png is needed.", folder)
+    depths = [path for path in images(results, DEPTHS) if path.stem.startswith("depth")]
+    colors = [path for path in images(results) if path.stem.startswith("frame")]
+    pairs, skipped = pair(depths, colors, "results/depth*", "results/frame*", folder)
+    names = [depth.stem.removeprefix("depth") for depth, _ in pairs]
+    path = options.file("poses", folder) or first_existing(folder, _POSES)
+    poses: list[Pose | None] = [None] * len(names)
+    missing: tuple[str, ...] = ()
+    if path is None:
+        missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
+    else:
+        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+    camera, scale, warnings = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+    frames = [
+        Frame(
+            name=name,
+            camera=camera,
+            color=color,
+            depth=depth,
+            depth_scale=options.depth_scale or scale,
+            world_from_camera=pose,
+        )
+        for name, (depth, color), pose in zip(names, pairs, poses, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+    """Return the camera, the depth scale and what is to be said about them."""
+    stated, given = options.camera(width, height), options.file("calibration", folder)
+    # One file serves all rooms.
+    path = given or first_existing(folder, "cam_params.json", "../cam_params.json")
+    if path is None:
+        said = (
+            f"there is no cam_params.json: the data set's camera and {_UNITS_PER_METRE} units a metre "
+            "are used"
+        )
+        return stated or scaled(_CAMERA, width, height), _UNITS_PER_METRE, [] if stated else [said]
+    table = documents.read_document(path) if path.suffix != ".txt" else {}
+    entry = table.get("camera", table)
+    scale = _scale(entry, path) if isinstance(entry, dict) else _UNITS_PER_METRE
+    if stated is not None:
+        return stated, scale, []
+    if path.suffix == ".txt" or not isinstance(entry, dict):
+        return calibration.read_camera(path, width, height), scale, []
+    longer = {"w": "width", "h": "height"}
+    sized = {longer.get(key) or key: value for key, value in entry.items()}
+    return calibration.camera_from_table(sized, width, height, path), scale, []
+
+
+def _scale(entry: dict[str, Any], path: Path) -> float:
+    value = entry.get("scale", _UNITS_PER_METRE)
+    if not isinstance(value, (int, float)) or not 0 < value < 1e12:
+        raise InputError(f"scale is {str(value)[:40]!r}; it must be a positive number.", path)
+    return float(value)
+
+
+LAYOUT = Layout(
+    name="replica",
+    text="results/frame000000.jpg, results/depth000000.png, traj.txt (Replica, rendered)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,248 @@
+"""Our own plain RGB-D layout: `scan.json` beside images, everything a reader must know stated in it.
+
+    {
+      "version": 1,
+      "camera": {"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240, "distortion": []},
+      "depth_scale": 1000,            units of a depth file a metre
+      "depth_missing": [65535],       raw values that mark a missing depth, beside 0
+      "frames": [
+        {
+          "name": "000000",
+          "color": "color/000000.png",   8 bits a channel; optional
+          "depth": "depth/000000.png",   16-bit, or .npy float; optional
+          "world_from_camera": [[r, r, r, x], [r, r, r, y], [r, r, r, z], [0, 0, 0, 1]],   metres; null: lost
+          "timestamp": 33000000,         nanoseconds; optional
+          "camera": {…},                 optional: this frame's own camera
+          "color_camera": {…},           of the colour image, where it has one of its own; optional
+          "color_from_depth": [[…], …],  4x4, metres: from the depth camera to that of the colour; optional
+          "confidence": "confidence/000000.png",   8-bit, of the depth map; optional, and then
+          "least_confidence": 1,         depth of less is missing
+          "mask": "mask/000000.png",     8-bit; 0 where the image shows nothing of the scene; optional
+          "depth_range": [0.5, 4.0]      metres, where to look for depth that is not there; optional
+        }
+      ]
+    }
+
+A camera of `"distortion_model": "equidistant"` is a fisheye (OpenCV's model, four coefficients).
+Paths are relative to the file. Axes are OpenCV's (x right, y down, z forward); the pixel centre of the top
+left pixel is (0, 0); depth is along the optical axis. The depth stage leaves its result in this form too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import inside
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, Frame, Pose, Scan
+
+VERSION = 1
+FILE = "scan.json"
+_IMAGES = ("color", "depth", "confidence", "mask")
+_FARTHEST_M = 1e9
+
+
+def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
+    """Write `folder/scan.json` for frames whose images are files inside the folder; return its path.
+
+    Parameters
+    ----------
+    folder : an existing folder.
+    frames : with all images as paths under `folder` (or None), sharing one depth scale and markers.
+
+    Raises
+    ------
+    ValueError
+        If there are no frames, an image is not a file under the folder, or the depth scales differ.
+    """
+    if not frames:
+        raise ValueError("no frames to write")
+    first = frames[0]
+    if any((f.depth_scale, f.depth_missing) != (first.depth_scale, first.depth_missing) for f in frames):
+        raise ValueError("all frames of a scan.json share one depth scale and missing values")
+    document = {
+        "version": VERSION,
+        "camera": _camera_table(first.camera),
+        "depth_scale": first.depth_scale,
+        "depth_missing": list(first.depth_missing),
+        "frames": [_frame_table(frame, folder, first.camera) for frame in frames],
+    }
+    path = folder / FILE
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
+    pose = frame.world_from_camera
+    table: dict[str, Any] = {"name": frame.name}
+    for key in _IMAGES:
+        image = getattr(frame, key)
+        if image is None:
+            continue
+        if not isinstance(image, Path):
+            raise ValueError(f"frame {frame.name}: {key} is not a file")
+        table[key] = image.relative_to(folder).as_posix()
+    table["world_from_camera"] = None if pose is None else pose.tolist()
+    if frame.timestamp is not None:
+        table["timestamp"] = frame.timestamp
+    if frame.camera != camera:
+        table["camera"] = _camera_table(frame.camera)
+    if frame.color_camera is not None:
+        table["color_camera"] = _camera_table(frame.color_camera)
+    if frame.color_from_depth is not None:
+        table["color_from_depth"] = frame.color_from_depth.tolist()
+    if frame.confidence is not None:
+        table["least_confidence"] = frame.least_confidence
+    if frame.depth_range is not None:
+        table["depth_range"] = list(frame.depth_range)
+    return table
+
+
+def _camera_table(camera: Camera) -> dict[str, Any]:
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "fx": camera.fx,
+        "fy": camera.fy,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        "distortion": list(camera.distortion),
+        **({"distortion_model": "equidistant"} if camera.fisheye else {}),
+    }
+
+
+def _matches(folder: Path) -> str | None:
+    return FILE if (folder / FILE).is_file() else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    path = folder / FILE
+    document = documents.read_json(path)
+    if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
+        raise InputError("it holds no list of frames.", path)
+    if document.get("version") != VERSION:
+        raise InputError(f"its version is {document.get('version')!r}; this program reads {VERSION}.", path)
+    given = options.file("poses", folder)
+    entries = document["frames"]
+    names = [_name(entry, i, path) for i, entry in enumerate(entries)]
+    poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), names, given)
+    scale = options.depth_scale or _positive(document.get("depth_scale", 1000.0), path)
+    missing = _integers(document.get("depth_missing", []), path)
+    shared = _camera(document["camera"], options, path) if document.get("camera") is not None else None
+    frames: list[Frame] = []
+    for i, (name, entry) in enumerate(zip(names, entries, strict=True)):
+        camera = _camera(entry["camera"], options, path) if entry.get("camera") is not None else shared
+        if camera is None:
+            raise InputError(f"frame {name} has no camera, and neither has the scan.", path)
+        pose = _pose(entry, "world_from_camera", name, path) if poses is None else poses[i]
+        own = entry.get("color_camera")
+        images = {key: _image(entry, key, name, path) for key in _IMAGES}
+        frames.append(
+            Frame(
+                name=name,
+                camera=camera,
+                color=images["color"],
+                depth=images["depth"],
+                depth_scale=scale,
+                depth_missing=missing,
+                world_from_camera=pose,
+                timestamp=_timestamp(entry, name, path),
+                color_camera=None if own is None else _camera(own, None, path),
+                color_from_depth=_pose(entry, "color_from_depth", name, path),
+                confidence=images["confidence"],
+                least_confidence=_least_confidence(entry, options, name, path),
+                mask=images["mask"],
+                depth_range=_depth_range(entry, name, path),
+            )
+        )
+    posed = any(frame.world_from_camera is not None for frame in frames)
+    lacking = (
+        () if posed or not frames else ("poses: no frame has one; name a trajectory with scan.poses=FILE",)
+    )
+    return Scan(LAYOUT.name, frames, None, folder, missing=lacking)
+
+
+def _name(entry: object, position: int, path: Path) -> str:
+    name = entry.get("name", f"{position:06d}") if isinstance(entry, dict) else None
+    if not isinstance(name, str):
+        raise InputError(f"frame {position} is not a table with a name.", path)
+    return name
+
+
+def _image(entry: dict[str, Any], key: str, name: str, path: Path) -> Path | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    return inside(path.parent, value, f"frame {name}: {key}", path)
+
+
+def _pose(entry: dict[str, Any], key: str, name: str, path: Path) -> Pose | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    where = f"frame {name}" if key == "world_from_camera" else f"frame {name}: {key}"
+    return trajectories.rigid(trajectories.matrix_of(value, path, where), path, where)
+
+
+def _least_confidence(entry: dict[str, Any], options: ReadingParams, name: str, path: Path) -> int:
+    value = entry.get("least_confidence", 0) if options.least_confidence is None else options.least_confidence
+    if not isinstance(value, int) or not 0 <= value <= 255:
+        raise InputError(f"frame {name}: least_confidence is no whole number from 0 to 255.", path)
+    return value
+
+
+def _depth_range(entry: dict[str, Any], name: str, path: Path) -> tuple[float, float] | None:
+    value = entry.get("depth_range")
+    if value is None:
+        return None
+    numbers = value if isinstance(value, list) and all(isinstance(one, (int, float)) for one in value) else []
+    if len(numbers) != 2 or not 0 < numbers[0] < numbers[1] < _FARTHEST_M:
+        raise InputError(
+            f"frame {name}: depth_range is not the nearest and the farthest depth, metres.", path
+        )
+    return float(numbers[0]), float(numbers[1])
+
+
+def _timestamp(entry: dict[str, Any], name: str, path: Path) -> int | None:
+    value = entry.get("timestamp")
+    if value is not None and (not isinstance(value, int) or abs(value) >= 1 << 62):
+        raise InputError(f"frame {name}: timestamp is not a whole number of nanoseconds.", path)
+    return value
+
+
+def _camera(table: object, options: ReadingParams | None, path: Path) -> Camera:
+    """Return the camera of a table, or what `options` state in its place."""
+    if not isinstance(table, dict):
+        raise InputError("a camera must be a table of names and values.", path)
+    width, height = table.get("width"), table.get("height")
+    if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
+        raise InputError("a camera needs its width and height in pixels.", path)
+    stated = None if options is None else options.camera(width, height)
+    return stated or calibration.camera_from_table(table, width, height, path)
+
+
+def _positive(value: object, path: Path) -> float:
+    if not isinstance(value, (int, float)) or not 0 < value < 1e12:
+        raise InputError(f"depth_scale is {value!r}; it must be a positive number.", path)
+    return float(value)
+
+
+def _integers(values: object, path: Path) -> tuple[int, ...]:
+    if not isinstance(values, list) or not all(isinstance(value, int) for value in values):
+        raise InputError("depth_missing must be a list of whole numbers.", path)
+    return tuple(values)
+
+
+LAYOUT = Layout(
+    name="plain-rgbd",
+    text="scan.json, color/, depth/ (our own; see stages/layouts/scan_json.py)",
+    matches=_matches,
+    read=_read,
+)

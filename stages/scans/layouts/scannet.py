@@ -1,0 +1,153 @@
+"""ScanNet, extracted: color/, depth/, pose/ and intrinsic/, a file a frame; colour is larger than depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import (
+    COLOR_FOLDERS,
+    DEPTHS,
+    about_order,
+    common_size,
+    first_existing,
+    images,
+    pair,
+)
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
+
+_UNITS_PER_METRE = 1000.0
+# The colour camera of the data set: its intrinsics stay for this size where images were made smaller.
+_COLOR_SIZE = (1296, 968)
+_LARGEST_OFFSET = 0.2
+# Where one of these states camera or poses, pose/ is something else's.
+_OF_OTHERS = ("intrinsic.json", "camera_intrinsic.json", "trajectory.log", "trajectory.json")
+
+
+def _matches(folder: Path) -> str | None:
+    color = _color_folder(folder)
+    if color is None:
+        return None
+    if (folder / "intrinsic").is_dir():
+        return f"{color.name}/, depth/, pose/ and intrinsic/"
+    path = _intrinsics(folder, "depth")
+    if path is not None:
+        return f"{color.name}/, depth/, pose/ and {path.name}"
+    is_alone = any((folder / "pose").glob("*.txt")) and first_existing(folder, *_OF_OTHERS) is None
+    return f"{color.name}/, depth/ and pose/" if is_alone else None
+
+
+def _color_folder(folder: Path) -> Path | None:
+    """Return the folder of colour images where there is one, and one of depth and of poses."""
+    color = first_existing(folder, *COLOR_FOLDERS)
+    return (
+        color if color and all(path.is_dir() for path in (color, folder / "depth", folder / "pose")) else None
+    )
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    color_folder = _color_folder(folder)
+    if color_folder is None:
+        raise InputError("the folders color/, depth/ and pose/ are needed.", folder)
+    depths, colors = images(folder / "depth", DEPTHS), images(color_folder)
+    pairs, skipped = pair(depths, colors, "depth/", f"{color_folder.name}/", folder)
+    camera, color_camera, warnings = _cameras(folder, options, pairs)
+    warnings += about_order(pairs, "depth/", f"{color_folder.name}/")
+    names = [depth.stem for depth, _ in pairs]
+    poses, missing = _poses(folder, options, names)
+    skipped += [
+        SkippedFrame(name, f"pose/{name}.txt is missing")
+        for name in names
+        if name not in poses and not missing
+    ]
+    frames = [
+        Frame(
+            name=depth.stem,
+            camera=camera,
+            color=color,
+            depth=depth,
+            depth_scale=options.depth_scale or _UNITS_PER_METRE,
+            world_from_camera=poses.get(depth.stem),
+            color_camera=color_camera,
+        )
+        for depth, color in pairs
+        if depth.stem in poses or missing
+    ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _poses(
+    folder: Path, options: ReadingParams, names: Sequence[str]
+) -> tuple[dict[str, Pose | None], tuple[str, ...]]:
+    """Return the poses by frame name, None where tracking was lost, and what is missing."""
+    given = options.file("poses", folder)
+    if given is not None:
+        matched = trajectories.match(trajectories.read_trajectory(given), names, given)
+        return dict(zip(names, matched, strict=True)), ()
+    files = {name: folder / "pose" / f"{name}.txt" for name in names}
+    poses = {name: trajectories.read_pose(path) for name, path in files.items() if path.exists()}
+    lacking = f"poses: files like pose/{names[0]}.txt are missing; name a trajectory with scan.poses=FILE"
+    return poses, () if poses else (lacking,)
+
+
+def _cameras(
+    folder: Path, options: ReadingParams, pairs: Sequence[tuple[Path, Path]]
+) -> tuple[Camera, Camera | None, list[str]]:
+    """Return the depth camera, the colour camera where it is known, and what is to be said about them."""
+    size = common_size([depth for depth, _ in pairs])
+    warnings: list[str] = []
+    camera, path = stated_camera(options, folder, *size), _intrinsics(folder, "depth")
+    if camera is None and path is not None:
+        camera = calibration.read_camera(path, *size)
+    if camera is None:
+        camera, guessed = guessed_camera(*size)
+        warnings.append(guessed)
+    color_path = _intrinsics(folder, "color")
+    turned = [
+        name
+        for name in ("extrinsic_color.txt", "extrinsic_depth.txt")
+        if (folder / "intrinsic" / name).exists() and not _is_identity(folder / "intrinsic" / name)
+    ]
+    warnings += [f"intrinsic/{name} is not the identity; it is left aside" for name in turned]
+    if color_path is None:
+        said = "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
+        return camera, None, [*warnings, said]
+    color_size = common_size([color for _, color in pairs])
+    original = calibration.read_camera(color_path, *_COLOR_SIZE)
+    if abs(original.cx - color_size[0] / 2) <= _LARGEST_OFFSET * color_size[0]:
+        return camera, replace(original, width=color_size[0], height=color_size[1]), warnings
+    said = (
+        f"{color_path.name} is not for colour images of {color_size[0]}×{color_size[1]}; "
+        f"it is taken for the data set's {_COLOR_SIZE[0]}×{_COLOR_SIZE[1]} and scaled"
+    )
+    return camera, scaled(original, *color_size), [*warnings, said]
+
+
+def _intrinsics(folder: Path, stream: str) -> Path | None:
+    names = (f"intrinsic_{stream}.txt", f"intrinsics_{stream}.txt")
+    return first_existing(folder, *(f"intrinsic/{name}" for name in names), *names)
+
+
+def _is_identity(path: Path) -> bool:
+    try:
+        values = [float(word) for word in documents.read_text(path).split()]
+    except ValueError:
+        return False
+    return len(values) == 16 and bool(np.allclose(values, np.eye(4).ravel(), atol=1e-4))
+
+
+LAYOUT = Layout(
+    name="scannet",
+    text="color/, depth/, pose/, intrinsic/ (ScanNet, extracted)",
+    matches=_matches,
+    read=_read,
+)

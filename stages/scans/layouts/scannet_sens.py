@@ -1,0 +1,122 @@
+"""ScanNet, packed: one `.sens` file with the images, poses and cameras of a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.formats import calibration, sens, trajectories
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.recordings import one_recording
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+
+
+def _matches(folder: Path) -> str | None:
+    return next((path.name for path in sorted(folder.glob("*.sens"))), None)
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    recording = sens.read_sens(one_recording(folder, ".sens"))
+    camera, color_camera = _cameras(recording, folder, options)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for number, (entry, pose) in enumerate(
+        zip(recording.frames, _poses(recording, folder, options), strict=True)
+    ):
+        name, color = _name(number), None
+        if isinstance(pose, SkippedFrame):
+            skipped.append(pose)
+            continue
+        if color_camera is not None:
+            if not entry.color.size:
+                skipped.append(SkippedFrame(name, "its colour image is missing"))
+                continue
+            color = _packed(recording, entry.color, f"colour {name}", sens.read_color)
+        frames.append(
+            Frame(
+                name=name,
+                camera=camera,
+                color=color,
+                depth=_packed(recording, entry.depth, f"depth {name}", sens.read_depth),
+                depth_scale=options.depth_scale or recording.depth_scale,
+                world_from_camera=pose,
+                color_camera=color_camera,
+            )
+        )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(_warnings(recording)))
+
+
+def _warnings(recording: sens.Sens) -> list[str]:
+    warnings = []
+    if len(recording.frames) < recording.promised:
+        warnings.append(
+            f"{recording.path.name} is cut short or damaged: {len(recording.frames)} of the "
+            f"{recording.promised} frames it promises can be read"
+        )
+    extrinsics = (recording.color_extrinsic, recording.depth_extrinsic)
+    if not all(np.allclose(matrix, np.eye(4), atol=1e-4) for matrix in extrinsics):
+        warnings.append("the extrinsics of its cameras are not the identity; they are left aside")
+    return warnings
+
+
+def _cameras(recording: sens.Sens, folder: Path, options: ReadingParams) -> tuple[Camera, Camera | None]:
+    """Return the depth camera, and the colour camera where there is colour."""
+    size, path = recording.depth_size, recording.path
+    stated, given = options.camera(*size), options.file("calibration", folder)
+    if stated is not None:
+        camera = stated
+    elif given is not None:
+        camera = calibration.read_camera(given, *size)
+    else:
+        camera = calibration.matrix_camera(recording.depth_matrix, (), *size, path)
+    if not any(frame.color.size for frame in recording.frames):
+        return camera, None
+    return camera, calibration.matrix_camera(recording.color_matrix, (), *recording.color_size, path)
+
+
+def _poses(
+    recording: sens.Sens, folder: Path, options: ReadingParams
+) -> Sequence[Pose | SkippedFrame | None]:
+    """Return the pose of each frame, None where tracking was lost, or why the frame has to be left out."""
+    given = options.file("poses", folder)
+    if given is None:
+        return [_pose(frame, number, recording.path) for number, frame in enumerate(recording.frames)]
+    names = [_name(number) for number in range(len(recording.frames))]
+    return trajectories.match(trajectories.read_trajectory(given), names, given)
+
+
+def _pose(frame: sens.SensFrame, number: int, path: Path) -> Pose | SkippedFrame | None:
+    # Nobody can correct one pose in a packed file.
+    try:
+        return trajectories.rigid(frame.pose, path, f"frame {number}")
+    except InputError as error:
+        return SkippedFrame(_name(number), str(error))
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"
+
+
+def _packed(
+    recording: sens.Sens,
+    blob: sens.Blob,
+    name: str,
+    read: Callable[[sens.Sens, sens.Blob, str], NDArray[Any]],
+) -> Packed:
+    return Packed(recording.path, name, partial(read, recording, blob, name))
+
+
+LAYOUT = Layout(
+    name="scannet-sens",
+    text=".sens (ScanNet, packed)",
+    matches=_matches,
+    read=_read,
+    suffixes=(".sens",),
+)

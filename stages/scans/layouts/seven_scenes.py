@@ -1,0 +1,159 @@
+"""7-Scenes and BundleFusion naming: colour, depth and pose of a frame side by side, one file each."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.files.image_bytes import MAX_PIXELS
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import common_size, first_existing
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
+
+_NAME = re.compile(r"frame-(\d+)\.depth\.png")
+# The Kinect of the data set, as its page states; BundleFusion and others bring a file.
+_DEFAULT = (585.0, 585.0, 320.0, 240.0)
+# BundleFusion's own, and what ScanNet's tool writes of a .sens file.
+_INFOS = ("info.txt", "_info.txt")
+_INTRINSICS = ("camera-intrinsics.txt", "intrinsics.K.txt", "intrinsics.txt", "camera_intrinsics.txt")
+
+
+def _matches(folder: Path) -> str | None:
+    found = next((p.name for p in folder.glob("frame-*.depth.png") if _NAME.fullmatch(p.name)), None)
+    return f"files named like {found}" if found else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    depths = sorted(
+        (int(match[1]), path) for path in folder.iterdir() if (match := _NAME.fullmatch(path.name))
+    )
+    if not depths:
+        raise InputError("no depth images named like frame-000000.depth.png.", folder)
+    camera, scale, warnings = _camera(folder, options, *common_size([path for _, path in depths]))
+    color_camera = _color_camera(folder, options, camera)
+    given = options.file("poses", folder)
+    stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
+    poses: list[Pose | None] | None = None
+    missing: tuple[str, ...] = ()
+    if given is not None:
+        poses = trajectories.match(trajectories.read_trajectory(given), stems, given)
+    elif not any(folder.glob("frame-*.pose.txt")):
+        poses = [None] * len(stems)
+        missing = (
+            "poses: files like frame-000000.pose.txt are missing; name a trajectory with scan.poses=FILE",
+        )
+
+    colors = [first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg") for stem in stems]
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for position, ((_, depth), stem, color) in enumerate(zip(depths, stems, colors, strict=True)):
+        pose_file = folder / f"{stem}.pose.txt"
+        if poses is None and not pose_file.exists():
+            skipped.append(SkippedFrame(stem, f"{pose_file.name} is missing"))
+            continue
+        if color is None and any(colors):
+            skipped.append(SkippedFrame(stem, "its colour image is missing"))
+            continue
+        pose = trajectories.read_pose(pose_file) if poses is None else poses[position]
+        frames.append(
+            Frame(
+                name=stem,
+                camera=camera,
+                color=color,
+                depth=depth,
+                depth_scale=options.depth_scale or scale,
+                depth_missing=(65535,),
+                world_from_camera=pose,
+                color_camera=None if color is None else color_camera,
+            )
+        )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+    """Return the depth camera, the depth scale and what is to be said about them."""
+    unregistered = (
+        "depth and colour of 7-Scenes come from two cameras and are not registered: "
+        "colour is off by a few pixels"
+    )
+    stated = options.camera(width, height)
+    if stated is not None:
+        return stated, 1000.0, []
+    info = first_existing(folder, *_INFOS)
+    if options.calibration is None and info is not None:
+        return *_bundle_fusion(info, width, height), []
+    # 3DMatch keeps one file for all the sequences of a scene.
+    path = options.file("calibration", folder) or first_existing(
+        folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
+    )
+    if path is not None:
+        camera = calibration.read_camera(path, width, height)
+        is_default = (camera.fx, camera.fy, camera.cx, camera.cy) == _DEFAULT
+        return camera, 1000.0, [unregistered] if is_default else []
+    return (
+        Camera(width, height, *_DEFAULT),
+        1000.0,
+        [
+            "the folder has no camera-intrinsics.txt: the 7-Scenes default 585,585,320,240 is used; "
+            "if another camera made it, set scan.intrinsics=fx,fy,cx,cy",
+            unregistered,
+        ],
+    )
+
+
+def _bundle_fusion(info: Path, width: int, height: int) -> tuple[Camera, float]:
+    """Read BundleFusion's info.txt: `m_calibrationDepthIntrinsic = 16 numbers`, `m_depthShift = 1000`."""
+    values = _settings(info)
+    try:
+        scale = float(values.get("m_depthShift", 1000))
+        camera = _matrix_of(values["m_calibrationDepthIntrinsic"], width, height, info)
+    except (KeyError, ValueError, IndexError) as error:
+        raise InputError(
+            "it holds no readable m_calibrationDepthIntrinsic and m_depthShift.", info
+        ) from error
+    if not 0 < scale < 1e12:
+        raise InputError(f"m_depthShift is {scale:g}; it must be positive.", info)
+    return camera, scale
+
+
+def _color_camera(folder: Path, options: ReadingParams, camera: Camera) -> Camera | None:
+    """Return the colour camera that info.txt states, where it is another than that of depth."""
+    info = first_existing(folder, *_INFOS)
+    if info is None or options.calibration is not None or options.intrinsics is not None:
+        return None
+    values = _settings(info)
+    try:
+        width, height = int(values["m_colorWidth"]), int(values["m_colorHeight"])
+        matrix = values["m_calibrationColorIntrinsic"]
+        if not 0 < width * height <= MAX_PIXELS or float(matrix.split()[0]) == 0:
+            return None
+        color_camera = _matrix_of(matrix, width, height, info)
+    except KeyError:
+        return None
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            "it holds no readable m_colorWidth, m_colorHeight and m_calibrationColorIntrinsic.", info
+        ) from error
+    return None if color_camera == camera else color_camera
+
+
+def _settings(info: Path) -> dict[str, str]:
+    return dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(info), re.MULTILINE))
+
+
+def _matrix_of(text: str, width: int, height: int, info: Path) -> Camera:
+    """Return the camera of the 16 numbers of a matrix, row by row."""
+    row = [float(word) for word in text.split()]
+    return calibration.checked(Camera(width, height, row[0], row[5], row[2], row[6]), info)
+
+
+LAYOUT = Layout(
+    name="7scenes",
+    text="frame-000000.color.png|jpg, .depth.png, .pose.txt (7-Scenes, BundleFusion)",
+    matches=_matches,
+    read=_read,
+)

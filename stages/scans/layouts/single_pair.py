@@ -1,0 +1,103 @@
+"""One rectified pair without calibration (Middlebury 2001 to 2006): the person's, or the one published."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import trajectories
+from stages.scans.formats.calibration import with_baseline
+from stages.scans.images import image_size
+from stages.scans.reading.files import first_existing
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.rigs import rig_of
+from stages.scans.scan import Camera, Frame, Scan, StereoRig
+
+_PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"))
+_SUFFIXES = (".png", ".ppm", ".pgm")
+
+
+# Of the sets of 2005 and 2006, for views 1 and 5 at full size: pixels and metres.
+_FOCAL_LENGTH, _BASELINE, _FULL_HEIGHT = 3740.0, 0.16, 1110
+_PUBLISHED = (
+    "the calibration is the one published for Middlebury 2005 and 2006 (3740 px at full size, 0.16 m, "
+    "dmin.txt), with the centre of the image as principal point; for another set "
+    "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES"
+)
+
+
+def _published(folder: Path, size: tuple[int, int]) -> StereoRig | None:
+    """Return the data set's rig for images of one of its sizes (full, half, third), or None.
+
+    The images were cropped, so that dmin.txt, in pixels at full size, is to be added to each disparity.
+    """
+    path = folder / "dmin.txt"
+    if not path.exists() or size[1] not in (_FULL_HEIGHT, _FULL_HEIGHT // 2, _FULL_HEIGHT // 3):
+        return None
+    share = size[1] / _FULL_HEIGHT
+    focal = _FOCAL_LENGTH * share
+    left = Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+    right = replace(left, cx=left.cx + _least_disparity(path) * share)
+    return StereoRig(left, right, with_baseline(np.eye(4), _BASELINE), rectified=True)
+
+
+def _least_disparity(path: Path) -> float:
+    try:
+        value = float(documents.read_text(path).strip())
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e4:
+        raise InputError("one number, the disparity of what was cropped, is expected.", path)
+    return value
+
+
+def _pair(folder: Path) -> tuple[Path, Path] | None:
+    for names in _PAIRS:
+        left, right = (first_existing(folder, *(name + suffix for suffix in _SUFFIXES)) for name in names)
+        if left is not None and right is not None:
+            return left, right
+    return None
+
+
+def _matches(folder: Path) -> str | None:
+    found = _pair(folder)
+    return f"{found[0].name} and {found[1].name}" if found else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    found = _pair(folder)
+    if found is None:
+        raise InputError("a pair im2.png and im6.png (or view1, view5) is needed.", folder)
+    size = image_size(found[0])
+    rig, warnings, missing = rig_of(folder, options, size, ("calibration.json", "calibration.toml"))
+    published = None
+    if missing and options.intrinsics is None and found[0].stem == "view1":
+        published = _published(folder, size)
+    if published is not None:
+        rig, warnings, missing = published, [_PUBLISHED], ()
+        if options.baseline is not None:
+            beside = with_baseline(rig.right_from_left, options.baseline)
+            rig = replace(rig, right_from_left=beside)
+    path = options.file("poses", folder)
+    poses = [None] if path is None else trajectories.match(trajectories.read_trajectory(path), ["0"], path)
+    frame = Frame(
+        name=found[0].stem, camera=rig.left, color=found[0], right=found[1], world_from_camera=poses[0]
+    )
+    lacking = "poses: a single pair has none; name one with scan.poses=FILE"
+    if path is None:
+        missing = (*missing, lacking)
+    return Scan(LAYOUT.name, [frame], rig, folder, (), tuple(warnings), missing)
+
+
+LAYOUT = Layout(
+    name="pair",
+    text="im2 and im6, or view1 and view5 with dmin.txt, .png or .ppm (Middlebury 2001 to 2006)",
+    matches=_matches,
+    read=_read,
+)

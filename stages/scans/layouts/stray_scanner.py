@@ -1,0 +1,149 @@
+"""Stray Scanner: a video, a row of `odometry.csv` for each frame of it, depth and confidence by number.
+
+Poses are camera-to-world, with OpenCV's camera axes; the world has y up. The camera matrix is the video's.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import DEPTHS, IMAGES, common_size, images, numbers
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.phones import least_confidence, seen_in
+from stages.scans.reading.stated import stated_camera
+from stages.scans.reading.views import without_depth
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.video import Video
+
+_LEVELS = (0, 1, 2)
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_INTRINSICS = ("fx", "fy", "cx", "cy")
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A line of odometry.csv; `number` is what depth and confidence are called by."""
+
+    number: int
+    pose: Pose | None
+    timestamp: int | None
+    intrinsics: tuple[float, float, float, float] | None
+
+
+def _matches(folder: Path) -> str | None:
+    found = all((folder / name).is_file() for name in ("odometry.csv", "camera_matrix.csv"))
+    return "odometry.csv and camera_matrix.csv" if found else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    rows = _rows(folder / "odometry.csv")
+    depths = _by_number(folder / "depth", DEPTHS)
+    trusts = _by_number(folder / "confidence", IMAGES)
+    if not depths:
+        raise without_depth(folder, "Stray Scanner keeps it in depth/ when the phone has a LiDAR.")
+    if not (folder / "rgb.mp4").exists():
+        raise InputError(
+            "rgb.mp4 is missing: camera_matrix.csv is for its size, which must be known.", folder
+        )
+    video = Video(folder / "rgb.mp4")
+    stated = stated_camera(options, folder, video.width, video.height)
+    shared = stated or calibration.read_camera(folder / "camera_matrix.csv", video.width, video.height)
+    warnings: list[str] = []
+    least = 0
+    if trusts:
+        least, said = least_confidence(options, _LEVELS, folder)
+        warnings.append(said)
+    if video.frames and video.frames != len(rows):
+        warnings.append(
+            f"rgb.mp4 has {video.frames} frames and odometry.csv {len(rows)} rows: paired from the first on"
+        )
+    size = common_size(list(depths.values()))
+    given = options.file("poses", folder)
+    names = [f"{row.number:06d}" for row in rows]
+    poses = [row.pose for row in rows]
+    if given is not None:
+        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for position, (row, name, pose) in enumerate(zip(rows, names, poses, strict=True)):
+        if row.number not in depths:
+            skipped.append(SkippedFrame(name, "its depth map is missing"))
+        elif video.frames and position >= video.frames:
+            skipped.append(SkippedFrame(name, f"the video has only {video.frames} frames"))
+        else:
+            color_camera = stated or _own_camera(row, shared, folder / "odometry.csv")
+            frames.append(
+                Frame(
+                    name=name,
+                    camera=seen_in(color_camera, size, "the depth maps", folder),
+                    color=Packed(video.path, f"frame {position}", functools.partial(video.frame, position)),
+                    depth=depths[row.number],
+                    depth_scale=options.depth_scale or 1000.0,
+                    world_from_camera=pose,
+                    timestamp=row.timestamp,
+                    color_camera=color_camera,
+                    confidence=trusts.get(row.number),
+                    least_confidence=least,
+                )
+            )
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+
+
+def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, Path]:
+    files = images(folder, suffixes) if folder.is_dir() else []
+    return {found[-1]: file for file in files if (found := numbers(file.stem))}
+
+
+def _rows(path: Path) -> list[_Row]:
+    """Read odometry.csv by the names in its first line: versions of the app have other columns."""
+    lines = list(documents.lines(path))
+    header = [name.strip().lower() for name in lines[0][1].split(",")] if lines else []
+    if lacking := [name for name in _POSE if name not in header]:
+        raise InputError(f"its first line names no column {', '.join(lacking)}.", path)
+    rows: list[_Row] = []
+    for number, text in lines[1:]:
+        fields = text.split(",")
+        try:
+            row = {name: float(field) for name, field in zip(header, fields, strict=True)}
+        except ValueError as error:
+            raise InputError(f"line {number} does not hold {len(header)} numbers.", path) from error
+        rows.append(_row(row, len(rows), number, path))
+    if not rows:
+        raise InputError("it holds no poses.", path)
+    return rows
+
+
+def _row(row: dict[str, float], position: int, line: int, path: Path) -> _Row:
+    x, y, z, *quaternion = (row[name] for name in _POSE)
+    number = row.get("frame", position)
+    if not 0 <= number < 1 << 31:
+        raise InputError(f"line {line}: the frame number {number:g} cannot be right.", path)
+    has_own = all(name in row for name in _INTRINSICS)
+    time = row.get("timestamp")
+    return _Row(
+        int(number),
+        trajectories.pose_from_quaternion((x, y, z), quaternion, path, f"line {line}"),
+        None if time is None else trajectories.nanoseconds(time, path, line),
+        (row["fx"], row["fy"], row["cx"], row["cy"]) if has_own else None,
+    )
+
+
+def _own_camera(row: _Row, shared: Camera, path: Path) -> Camera:
+    """Return the camera of a frame of the video as its row gives it, or the scan's."""
+    if row.intrinsics is None:
+        return shared
+    return calibration.checked(Camera(shared.width, shared.height, *row.intrinsics), path)
+
+
+LAYOUT = Layout(
+    name="stray-scanner",
+    text="rgb.mp4, odometry.csv, camera_matrix.csv, depth/, confidence/ (Stray Scanner)",
+    matches=_matches,
+    read=_read,
+)

@@ -1,0 +1,152 @@
+"""SUN RGB-D and SUN3D: image/, depth/ and intrinsics.txt; the bits of a depth value are rotated by three.
+
+    image/0000103.jpg   depth/0000103.png   intrinsics.txt   extrinsics/20150118235401.txt
+
+A folder of SUN RGB-D holds one frame. SUN3D's hold sequences with the same files, and extrinsics/ then has
+three rows of four numbers a frame, camera-to-world; the three rows of SUN RGB-D are only the camera's tilt.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.formats import calibration, trajectories
+from stages.scans.images import read_raw_depth
+from stages.scans.reading.files import common_size, images, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.moments import nearest_in_time
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+
+_UNITS_PER_METRE = 1000.0
+# SUN3D: the number of the frame in its stream, then its time in microseconds.
+_STAMPED = re.compile(r"\d+-\d{1,15}")
+_TOLERANCE = 50_000_000
+# What the data set's folders hold beside, and other programs' exports do not.
+_BESIDE = ("extrinsics", "depth_bfx", "fullres", "scene.txt", "annotation", "annotation2Dfinal")
+# Of rotated values the lowest three bits are 0 below 8 m, 1 to 16 m; of plain ones they are anything.
+_PLAIN_BITS = 0b110
+_LARGEST_PLAIN_SHARE = 0.1
+
+
+def _matches(folder: Path) -> str | None:
+    if not all((folder / name).is_dir() for name in ("image", "depth")):
+        return None
+    beside = next((name for name in _BESIDE if (folder / name).exists()), None)
+    if beside is None or not (folder / "intrinsics.txt").is_file():
+        return None
+    return f"image/, depth/, intrinsics.txt and {beside}"
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    if not all((folder / name).is_dir() for name in ("image", "depth")):
+        raise InputError("the folders image/ and depth/ are needed.", folder)
+    depths, colors = images(folder / "depth"), images(folder / "image")
+    if len(colors) > 1 and all(_STAMPED.fullmatch(path.stem) for path in (*depths, *colors)):
+        pairs, skipped = _paired_by_time(depths, colors)
+    else:
+        pairs, skipped = pair(depths, colors, "depth/", "image/", folder)
+    if not pairs:
+        raise InputError("no image in image/ has a depth map of its moment in depth/.", folder)
+    size = common_size([depth for depth, _ in pairs])
+    camera, warnings = _camera(folder, options, *size)
+    poses, missing = _poses(folder, options, [color for _, color in pairs], colors)
+    rotated = _is_rotated([depth for depth, _ in pairs])
+    if not rotated:
+        warnings.append("the bits of depth/ are not rotated as SUN RGB-D's are: it is read as plain values")
+    frames = [
+        Frame(
+            name=depth.stem,
+            camera=camera,
+            color=color,
+            depth=Packed(depth, "depth", partial(_turned_back, depth)) if rotated else depth,
+            depth_scale=options.depth_scale or _UNITS_PER_METRE,
+            world_from_camera=pose,
+        )
+        for (depth, color), pose in zip(pairs, poses, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, list[str]]:
+    """Return the camera and what is to be said about it."""
+    stated, path = stated_camera(options, folder, width, height), folder / "intrinsics.txt"
+    if stated is None and not path.exists():
+        guess, guessed = guessed_camera(width, height)
+        return guess, [guessed]
+    return stated or calibration.read_camera(path, width, height), []
+
+
+def _paired_by_time(
+    depths: Sequence[Path], colors: Sequence[Path]
+) -> tuple[list[tuple[Path, Path]], list[SkippedFrame]]:
+    """Return the depth map of each image's moment: both streams are numbered for themselves."""
+    times = [
+        np.array([int(path.stem.rpartition("-")[2]) * 1000 for path in files], np.int64)
+        for files in (colors, depths)
+    ]
+    partners = nearest_in_time(times[0], times[1], _TOLERANCE).tolist()
+    pairs = [(depths[at], color) for color, at in zip(colors, partners, strict=True) if at >= 0]
+    alone = [
+        SkippedFrame(color.stem, "no depth map within 0.05 s")
+        for color, at in zip(colors, partners, strict=True)
+        if at < 0
+    ]
+    return pairs, alone
+
+
+def _poses(
+    folder: Path, options: ReadingParams, colors: Sequence[Path], all_colors: Sequence[Path]
+) -> tuple[list[Pose | None], tuple[str, ...]]:
+    """Return a pose for each image that is a frame, and what is missing; files hold one for all images."""
+    path = options.file("poses", folder)
+    # The data set's tools take the latest of several optimisations.
+    found = sorted((folder / "extrinsics").glob("*.txt"))
+    if path is not None:
+        trajectory = trajectories.read_trajectory(path)
+    elif found and len(all_colors) > 1:
+        path = found[-1]
+        trajectory = trajectories.read_stacked(path)
+    else:
+        lacking = "poses: a file of them in extrinsics/ is missing; name a trajectory with scan.poses=FILE"
+        return [None] * len(colors), (lacking,)
+    names = [color.stem for color in all_colors]
+    by_image = dict(zip(names, trajectories.match(trajectory, names, path), strict=True))
+    return [by_image[color.stem] for color in colors], ()
+
+
+def _is_rotated(depths: Sequence[Path]) -> bool:
+    for path in depths[:: max(1, len(depths) // 4)]:
+        try:
+            raw = read_raw_depth(path)
+        except InputError:
+            continue
+        if raw.dtype != np.uint16:
+            return False
+        known = raw[raw > 0]
+        if known.size:
+            return bool(np.count_nonzero(known & _PLAIN_BITS) <= _LARGEST_PLAIN_SHARE * known.size)
+    return True
+
+
+def _turned_back(path: Path) -> NDArray[np.uint16]:
+    raw = read_raw_depth(path)
+    if raw.dtype != np.uint16:
+        raise InputError("depth of 16 bits is expected.", path)
+    return np.asarray((raw >> 3) | (raw << 13), np.uint16)
+
+
+LAYOUT = Layout(
+    name="sun-rgbd",
+    text="image/, depth/, intrinsics.txt, extrinsics/ (SUN RGB-D, SUN3D)",
+    matches=_matches,
+    read=_read,
+)

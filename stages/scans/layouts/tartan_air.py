@@ -1,0 +1,147 @@
+"""TartanAir: rendered pairs of images, depth of the left one as .npy, poses in axes of an aircraft (NED).
+
+image_left/000000_left.png   depth_left/000000_left_depth.npy   pose_left.txt
+image_right/000000_right.png                                     used where there is no depth
+
+Its second version looks six ways, and packs the four bytes of a depth in the four channels of an image:
+
+image_lcam_front/000000_lcam_front.png   depth_lcam_front/000000_lcam_front_depth.png   pose_lcam_front.txt
+image_rcam_front/000000_rcam_front.png
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.formats import calibration, trajectories
+from stages.scans.images import read_raw_depth, read_stored
+from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import stated_camera
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
+
+
+@dataclass(frozen=True)
+class _View:
+    """The folders of a stream of views and its file of poses; the camera of the data set."""
+
+    left: str
+    right: str
+    depth: str
+    poses: str
+    camera: Camera
+
+
+_FIRST = _View(
+    "image_left", "image_right", "depth_left", "pose_left.txt", Camera(640, 480, 320.0, 320.0, 320.0, 240.0)
+)
+# Of several directions the one ahead is read.
+_VIEWS = (
+    _FIRST,
+    *(
+        _View(
+            f"image_lcam_{way}",
+            f"image_rcam_{way}",
+            f"depth_lcam_{way}",
+            f"pose_lcam_{way}.txt",
+            # 90 degrees across, as the data set's reader has it: the centre is between the middle pixels.
+            Camera(640, 640, 320.0, 320.0, 319.5, 319.5),
+        )
+        for way in ("front", "left", "right", "back", "top", "bottom")
+    ),
+)
+_BASELINE = 0.25
+# Metres; the sky is put at some very large distance, which differs from scene to scene.
+_SKY = 1000.0
+# Camera axes of the data set are x forward, y right, z down.
+_NED_FROM_CAMERA = np.array([[0.0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+def _matches(folder: Path) -> str | None:
+    found = (view for view in _VIEWS if (folder / view.poses).is_file() and (folder / view.left).is_dir())
+    return next((f"{view.poses} and {view.left}/" for view in found), None)
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    view = next((one for one in _VIEWS if (folder / one.left).is_dir()), None)
+    if view is None:
+        raise InputError("a folder image_left/ (or image_lcam_front/) is needed.", folder)
+    lefts = images(folder / view.left)
+    has_depth = (folder / view.depth).is_dir()
+    if has_depth:
+        others, name = images(folder / view.depth, DEPTHS), f"{view.depth}/"
+    elif (folder / view.right).is_dir():
+        others, name = images(folder / view.right), f"{view.right}/"
+    else:
+        raise InputError(f"it has neither {view.depth}/ nor {view.right}/; one of them is needed.", folder)
+    pairs, skipped = pair(lefts, others, f"{view.left}/", name, folder)
+    names = [left.stem for left, _ in pairs]
+    poses, missing = _poses(folder, options, view, names)
+    size = common_size([left for left, _ in pairs])
+    camera = stated_camera(options, folder, *size) or scaled(view.camera, *size)
+    rig = None if has_depth else _rig(camera, options)
+    frames = [
+        Frame(
+            name=frame_name,
+            camera=camera,
+            color=left,
+            right=None if has_depth else other,
+            depth=Packed(other, "depth", partial(_depth, other)) if has_depth else None,
+            depth_scale=options.depth_scale or 1.0,
+            world_from_camera=pose,
+        )
+        for frame_name, (left, other), pose in zip(names, pairs, poses, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
+
+
+def _poses(
+    folder: Path, options: ReadingParams, view: _View, names: Sequence[str]
+) -> tuple[list[Pose | None], tuple[str, ...]]:
+    """Return a pose a frame, in OpenCV axes of the camera, and what is missing."""
+    given = options.file("poses", folder)
+    path = given or first_existing(folder, view.poses)
+    if path is None:
+        lacking = f"poses: {view.poses} is missing; name a trajectory with scan.poses=FILE"
+        return [None] * len(names), (lacking,)
+    if given is not None and given.name != view.poses:
+        return trajectories.match(trajectories.read_trajectory(given), names, given), ()
+    trajectory = trajectories.read_translation_first(path)
+    poses = trajectories.match(trajectory, names, path)
+    return [None if pose is None else pose @ _NED_FROM_CAMERA for pose in poses], ()
+
+
+def _depth(path: Path) -> NDArray[Any]:
+    """Return a depth map as stored, without the sky."""
+    raw = _unpacked(path) if path.suffix == ".png" else read_raw_depth(path)
+    return np.where(raw < _SKY, raw, 0)
+
+
+def _unpacked(path: Path) -> NDArray[np.float32]:
+    """Return the float32 values whose bytes, the lowest first, are blue, green, red and alpha of an image."""
+    channels = read_stored(path)
+    if channels.dtype != np.uint8 or channels.ndim != 3 or channels.shape[2] != 4:
+        raise InputError("a depth map packed in four channels of 8 bits is expected.", path)
+    return np.ascontiguousarray(channels).view("<f4")[:, :, 0]
+
+
+def _rig(camera: Camera, options: ReadingParams) -> StereoRig:
+    beside = calibration.with_baseline(np.eye(4), options.baseline or _BASELINE)
+    return StereoRig(camera, camera, beside, rectified=True)
+
+
+LAYOUT = Layout(
+    name="tartanair",
+    text="image_left/ (or image_lcam_front/), depth_left/ or image_right/, pose_left.txt (TartanAir)",
+    matches=_matches,
+    read=_read,
+)

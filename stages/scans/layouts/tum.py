@@ -1,0 +1,191 @@
+"""TUM RGB-D: colour and depth as two streams with their own clocks, motion capture as the trajectory."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.associations import read_associations
+from stages.scans.reading.files import (
+    COLOR_FOLDERS,
+    DEPTH_FOLDERS,
+    DEPTHS,
+    IMAGES,
+    common_size,
+    first_existing,
+    has,
+    images,
+)
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.moments import nearest_in_time
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import guessed_camera
+from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+
+# The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
+_TOLERANCE = 20_000_000
+_UNITS_PER_METRE = 5000.0
+# The folder holds no intrinsics; its name tells the camera: fx fy cx cy, then k1 k2 p1 p2 k3.
+_CAMERAS = {
+    "freiburg1": ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
+    "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
+}
+_ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
+# How images are named when their lists are lost.
+_STAMPED = re.compile(r"\d+\.\d+")
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """The images of a stream, in the order they are listed: times in nanoseconds, and files."""
+
+    times: NDArray[np.int64]
+    files: list[Path]
+
+
+def _matches(folder: Path) -> str | None:
+    if has(folder, "rgb.txt", "depth.txt"):
+        found = "rgb.txt and depth.txt"
+    elif has(folder, "rgb") and (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
+        found = f"rgb/ and {listed.name}"
+    elif (stamped := _stamped(folder)) is not None:
+        color, depth = (stream.files[0].parent.name for stream in stamped)
+        found = f"{color}/ and {depth}/ with times for names"
+    else:
+        return None
+    return found + (" with groundtruth.txt" if has(folder, "groundtruth.txt") else "")
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
+    trajectory = None if path is None else trajectories.read_timed(path)
+    color_stream, depth_stream, warnings = _streams(folder)
+    colors, depths = color_stream.files, depth_stream.files
+    camera, about_camera = _camera(folder, options, *common_size(depths))
+    warnings += about_camera
+
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE)
+    for color, time, partner in zip(colors, color_stream.times.tolist(), partners.tolist(), strict=True):
+        if partner < 0:
+            skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))
+            continue
+        # The surface is where the depth camera saw it from, so its moment decides.
+        moment = int(depth_stream.times[partner])
+        pose = None if trajectory is None else trajectories.interpolate(trajectory, moment, _TOLERANCE)
+        if pose is None and trajectory is not None:
+            skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
+            continue
+        frames.append(
+            Frame(
+                name=color.stem,
+                camera=camera,
+                color=color,
+                depth=depths[partner],
+                depth_scale=options.depth_scale or _UNITS_PER_METRE,
+                world_from_camera=pose,
+                timestamp=time,
+            )
+        )
+    lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
+    missing = (lacking,) if trajectory is None else ()
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _streams(folder: Path) -> tuple[_Stream, _Stream, list[str]]:
+    """Return colour and depth, and what is to be said about them."""
+    if has(folder, "rgb.txt", "depth.txt"):
+        color, depth = (_listed(folder / name) for name in ("rgb.txt", "depth.txt"))
+    elif (listed := first_existing(folder, *_ASSOCIATIONS)) is not None:
+        couples = read_associations(listed)
+        color = _Stream(np.array([one.color_time for one in couples]), [one.color for one in couples])
+        depth = _Stream(np.array([one.depth_time for one in couples]), [one.depth for one in couples])
+    elif (stamped := _stamped(folder)) is not None:
+        said = "there are no lists rgb.txt and depth.txt: the images are paired by the times in their names"
+        return *stamped, [said]
+    else:
+        raise InputError("rgb.txt and depth.txt, or images named by their times, are needed.", folder)
+    colors, about_colors = _where_they_are(color.files, folder)
+    depths, about_depths = _where_they_are(depth.files, folder)
+    return replace(color, files=colors), replace(depth, files=depths), about_colors + about_depths
+
+
+def _listed(path: Path) -> _Stream:
+    """Return a stream from lines `seconds file`."""
+    times, files = [], []
+    for number, text in documents.lines(path):
+        words = text.split(maxsplit=1)
+        if len(words) != 2:
+            raise InputError(f"line {number} is not `seconds file`.", path)
+        times.append(trajectories.stamp(words[0], path, number))
+        files.append(path.parent / documents.require_inside(words[1], path, f"line {number}"))
+    if not files:
+        raise InputError("it lists no images.", path)
+    return _Stream(np.array(times, np.int64), files)
+
+
+def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:
+    """Return the streams of two folders whose images are named by their times in seconds."""
+    streams = []
+    for names, suffixes in ((COLOR_FOLDERS, IMAGES), (DEPTH_FOLDERS, DEPTHS)):
+        place = first_existing(folder, *names)
+        files = images(place, suffixes) if place is not None and place.is_dir() else []
+        if not files or not all(_STAMPED.fullmatch(path.stem) for path in files):
+            return None
+        times = [trajectories.stamp(path.stem, path, 1) for path in files]
+        streams.append(_Stream(np.array(times, np.int64), files))
+    return streams[0], streams[1]
+
+
+def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
+    """Return the files of a stream and what is to be said: their folder may have another name than listed."""
+    listed = files[0].parent
+    if listed.exists():
+        return files, []
+    holders = [place for place in folder.iterdir() if any((place / path.name).is_file() for path in files)]
+    if len(holders) != 1:
+        return files, []
+    found = holders[0]
+    said = f"there is no folder {listed.name}/, but {found.name}/ has the images listed in it: they are used"
+    return [found / path.name for path in files], [said]
+
+
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, list[str]]:
+    """Return the camera, and what is to be said about it and about the scale of its depth."""
+    named = re.search(r"(?<![a-z])(?:freiburg|fr)_?([123])(?!\d)", folder.resolve().name, re.IGNORECASE)
+    warnings = []
+    if named is None and options.depth_scale is None:
+        warnings.append(
+            f"depth is taken as TUM's {_UNITS_PER_METRE:g} units a metre; where it is in millimetres set "
+            "scan.depth_scale=1000"
+        )
+    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
+    stated = options.camera(width, height)
+    if stated is None and path is not None:
+        stated = calibration.read_camera(path, width, height)
+    if stated is not None:
+        return stated, warnings
+    if named is None:
+        camera, guessed = guessed_camera(width, height)
+        return camera, [guessed, *warnings]
+    matrix, distortion = _CAMERAS[f"freiburg{named[1]}"]
+    camera = scaled(Camera(640, 480, *matrix, distortion), width, height)
+    return camera, [f"the camera is freiburg{named[1]}'s, by the folder's name"]
+
+
+LAYOUT = Layout(
+    name="tum",
+    text="rgb.txt and depth.txt (or associations.txt, or images named by their times), groundtruth.txt "
+    "(TUM RGB-D)",
+    matches=_matches,
+    read=_read,
+)

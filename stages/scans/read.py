@@ -1,0 +1,217 @@
+"""Recognise a scan folder and read it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError, UsageError
+from stages.scans.layouts.refused import Refused, refused
+from stages.scans.params import ScanParams
+from stages.scans.reading.axis_alignment import aligned
+from stages.scans.reading.files import common_size
+from stages.scans.reading.layout import Layout
+from stages.scans.scan import Frame, Scan, SkippedFrame
+from stages.scans.table import DISTINCT, GENERIC, LAYOUTS
+
+
+def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
+    """Read a scan folder: frames in order, in metres and OpenCV axes, images left on disk until asked for.
+
+    Parameters
+    ----------
+    folder : the folder that holds the scan, or the file that is one.
+    options : what to use in place of what the folder says.
+    complete : refuse a scan without poses or calibration; else its `missing` says what it lacks.
+
+    Raises
+    ------
+    InputError
+        If the folder is of no known layout, or something a scan needs is missing or wrong.
+    """
+    folder = Path(folder)
+    options = options or ScanParams()
+    layout = next((one for one in LAYOUTS if one.name == options.layout), None)
+    if layout is None:
+        layout = recognise(folder)[0]
+    else:
+        _require_place(folder, layout.suffixes)
+    scan = _without_lost(_without_absent(_without_still_poses(layout.read(folder, options))), folder)
+    if options.align_axes:
+        scan = aligned(scan, folder)
+    warnings = (*scan.warnings, *_time_warnings(scan.frames))
+    scan = replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    if len(scan.frames) == 1:
+        scan = _at_origin(scan)
+    if complete:
+        require_complete(scan, folder)
+    _require_equal_sides(scan.frames, folder)
+    return scan
+
+
+def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:
+    """Raise InputError if a scan lacks what a mesh needs; poses only if it has to be `posed`."""
+    lacking = [what for what in scan.missing if posed or not what.startswith("poses:")]
+    if lacking:
+        raise InputError("; and ".join(f"no {what}" for what in lacking) + ".", folder)
+
+
+def recognise(folder: Path) -> tuple[Layout, str]:
+    """Return the layout of a folder, or of a file that is a scan by itself, and why it is taken for it.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder, it is empty, or of no layout that can be read.
+    """
+    _require_place(folder, [suffix for one in LAYOUTS for suffix in one.suffixes])
+    if folder.is_file():
+        return next((one, folder.name) for one in LAYOUTS if folder.suffix.lower() in one.suffixes)
+    found = _first_match(DISTINCT, folder)
+    if found is None and (known := refused(folder)) is not None:
+        raise InputError(f"{_refusal(known)} If it is another layout, name it with scan.layout=NAME.", folder)
+    found = found or _first_match(GENERIC, folder)
+    if found is None:
+        raise InputError(_unknown(folder), folder)
+    return found
+
+
+def _require_place(folder: Path, suffixes: Collection[str]) -> None:
+    """Raise InputError unless this is a folder that can be listed, or a file of these suffixes."""
+    if folder.is_file() and folder.suffix.lower() in suffixes:
+        return
+    if folder.is_file() and (known := refused(folder)) is not None:
+        raise InputError(_refusal(known), folder)
+    if not folder.is_dir():
+        problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
+        raise InputError(problem, folder)
+    try:
+        next(folder.iterdir(), None)
+    except OSError as error:
+        raise InputError(f"the folder cannot be listed ({error.strerror}).", folder) from error
+
+
+def _refusal(known: Refused) -> str:
+    return f"this looks like {known.name}, which cannot be read yet. {known.advice}"
+
+
+def _first_match(layouts: Sequence[Layout], folder: Path) -> tuple[Layout, str] | None:
+    return next(((one, reason) for one in layouts if (reason := one.matches(folder)) is not None), None)
+
+
+def _unknown(folder: Path) -> str:
+    """Say what was found and what would have been recognised."""
+    content = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
+    if not content:
+        return "the folder is empty."
+    for child in sorted(path for path in folder.iterdir() if path.is_dir()):
+        inside = _first_match(LAYOUTS, child)
+        if inside is not None:
+            return f"no scan here, but its folder {child.name}/ looks like one ({inside[0].name}); give that."
+    shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
+    known = "".join(f"\n  {one.name}: {one.text}" for one in LAYOUTS)
+    return f"unknown layout. The folder holds {shown}. Layouts that can be read are:{known}"
+
+
+def _selected(frames: Sequence[Frame], options: ScanParams) -> Sequence[Frame]:
+    end = None if options.last is None else options.last + 1
+    chosen = frames[options.first : end : options.every]
+    if not chosen:
+        raise UsageError(
+            f"first={options.first}, last={options.last} leaves no frame of the scan's {len(frames)}."
+        )
+    return chosen
+
+
+def _without_still_poses(scan: Scan) -> Scan:
+    """Take constant poses for none: recorders without tracking write the same one for every frame."""
+    poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
+    if len(poses) < 2 or any(not np.array_equal(poses[0], pose) for pose in poses[1:]):
+        return scan
+    return replace(
+        scan,
+        frames=[replace(frame, world_from_camera=None) for frame in scan.frames],
+        missing=(
+            *scan.missing,
+            f"poses: all {len(poses)} frames have the same one; give a trajectory with scan.poses=FILE",
+        ),
+    )
+
+
+def _at_origin(scan: Scan) -> Scan:
+    """Take the camera of a single frame without a pose for the world."""
+    (frame,) = scan.frames
+    if frame.world_from_camera is not None:
+        return scan
+    said = "a single frame without a pose: its camera is the origin of the mesh"
+    return replace(
+        scan,
+        frames=[replace(frame, world_from_camera=np.eye(4))],
+        warnings=(*scan.warnings, said),
+        missing=tuple(what for what in scan.missing if not what.startswith("poses:")),
+    )
+
+
+def _without_absent(scan: Scan) -> Scan:
+    """Leave out the frames an image of which is not there: excerpts often keep the lists of the whole."""
+    frames, absent = [], []
+    for frame in scan.frames:
+        held = (frame.color, frame.right, frame.depth, frame.confidence, frame.mask)
+        files = [path for path in held if isinstance(path, Path)]
+        lacking = next((path for path in files if not path.exists()), None)
+        if lacking is None:
+            frames.append(frame)
+        else:
+            absent.append(SkippedFrame(frame.name, f"{lacking.name} is missing"))
+    return replace(scan, frames=frames, skipped=(*scan.skipped, *absent))
+
+
+def _without_lost(scan: Scan, folder: Path) -> Scan:
+    """Leave out the frames whose pose is lost, unless the scan has no poses at all and says so."""
+    frames = [frame for frame in scan.frames if frame.world_from_camera is not None]
+    if not frames and scan.missing and scan.frames:
+        return scan
+    lost = [
+        SkippedFrame(frame.name, "tracking was lost: it has no pose")
+        for frame in scan.frames
+        if frame.world_from_camera is None
+    ]
+    skipped = (*scan.skipped, *lost)
+    if not frames:
+        reason = f" (frame {skipped[0].name}: {skipped[0].reason})" if skipped else ""
+        raise InputError(f"none of its {len(skipped)} frames can be used{reason}.", folder)
+    return replace(scan, frames=frames, skipped=skipped)
+
+
+def _require_equal_sides(frames: Sequence[Frame], folder: Path) -> None:
+    lefts = [frame.color for frame in frames if isinstance(frame.color, Path)]
+    rights = [frame.right for frame in frames if isinstance(frame.right, Path)]
+    if not rights:
+        return
+    left, right = common_size(lefts), common_size(rights)
+    if left != right:
+        raise InputError(
+            f"left images are {left[0]}×{left[1]} and right images {right[0]}×{right[1]}; "
+            "both cameras of a pair must give one size.",
+            folder,
+        )
+
+
+def _time_warnings(frames: Sequence[Frame]) -> list[str]:
+    times = [frame.timestamp for frame in frames if frame.timestamp is not None]
+    steps = np.diff(np.array(times, np.float64))
+    warnings = []
+    if (steps == 0).any():
+        warnings.append(f"{np.count_nonzero(steps == 0)} timestamps are repeated")
+    if (steps < 0).any():
+        earlier = np.count_nonzero(steps < 0)
+        warnings.append(
+            f"{earlier} timestamps are earlier than the one before: frames stay in the order of their files"
+        )
+    gaps = np.count_nonzero(steps > 5 * max(float(np.median(steps)), 1.0)) if len(steps) else 0
+    if gaps:
+        warnings.append(f"{gaps} gaps in time are longer than five frames")
+    return warnings

@@ -1,0 +1,1 @@
+"""What readers of scan folders share: files, parameters, streams, rigs, views, axes."""

@@ -1,0 +1,57 @@
+"""ScanNet's axisAlignment: a turn about the vertical that lets the walls of a room run along the axes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import trajectories
+from stages.scans.scan import Pose, Scan
+
+_LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
+
+
+def aligned(scan: Scan, folder: Path) -> Scan:
+    """Return a scan whose world is turned as scene*.txt beside it says, and that says so.
+
+    Raises
+    ------
+    InputError
+        If no such file is there, or its matrix is not rigid.
+    """
+    if not scan.has_poses:
+        said = "axisAlignment is left aside: it is for the data set's own poses, and there are none"
+        return replace(scan, warnings=(*scan.warnings, said))
+    path, alignment = _alignment(folder)
+    frames = [
+        frame
+        if frame.world_from_camera is None
+        else replace(frame, world_from_camera=alignment @ frame.world_from_camera)
+        for frame in scan.frames
+    ]
+    said = f"the world is turned by the axisAlignment of {path.name}"
+    return replace(scan, frames=frames, warnings=(*scan.warnings, said))
+
+
+def _alignment(folder: Path) -> tuple[Path, Pose]:
+    beside = folder.parent if folder.is_file() else folder
+    for path in sorted(beside.glob("scene*.txt")):
+        found = _LINE.search(documents.read_text(path))
+        if found is None:
+            continue
+        try:
+            values = [float(word) for word in found[1].split()]
+        except ValueError:
+            values = []
+        if len(values) != 16:
+            raise InputError("its axisAlignment is not 16 numbers.", path)
+        pose = trajectories.rigid(np.reshape(values, (4, 4)), path, "axisAlignment")
+        if pose is None:
+            raise InputError("its axisAlignment is not finite.", path)
+        return path, pose
+    raise InputError("there is no scene*.txt with an axisAlignment; leave scan.align_axes out.", folder)

@@ -1,0 +1,31 @@
+"""What a layout is, and what its reader returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Scan
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One way of packing a scan into a folder.
+
+    Attributes
+    ----------
+    name : what `--set scan.layout=` takes.
+    text : one line: the files that make it up.
+    matches : returns why a folder is of this layout, in a few words, or None.
+    read : returns every frame of the folder in order; what is odd goes into the scan's warnings,
+        and poses or a calibration that are not there into `missing`: who reads decides what to make of it.
+    suffixes : of files that are a scan by themselves; `read` takes these as well as folders.
+    """
+
+    name: str
+    text: str
+    matches: Callable[[Path], str | None]
+    read: Callable[[Path, ReadingParams], Scan]
+    suffixes: tuple[str, ...] = ()

@@ -1,0 +1,94 @@
+"""What a person may say about a scan folder that the folder itself does not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from stages.errors import UsageError
+from stages.params import check, param
+from stages.scans.scan import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingParams:
+    """What every layout's reader may be told; everything is found in the folder when not given."""
+
+    intrinsics: str | None = param(
+        None,
+        "Camera matrix as `fx,fy,cx,cy` (of both cameras of a pair), in place of the folder's.",
+        unit="px",
+    )
+    baseline: float | None = param(
+        None,
+        "Distance between the two cameras of a pair, in place of the calibration's.",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    calibration: str | None = param(
+        None,
+        "Calibration file (JSON, TOML, OpenCV YAML or XML, Kalibr or ROS YAML), in place of the folder's.",
+    )
+    poses: str | None = param(
+        None,
+        "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
+        "camera-to-world, but for a .traj.",
+    )
+    depth_scale: float | None = param(
+        None,
+        "Value of a depth file that is one metre (1000 for millimetres); by default the layout's own.",
+        unit="per m",
+        low=0,
+        low_open=True,
+    )
+    least_confidence: int | None = param(
+        None,
+        "Depth of less confidence is left out: Polycam has 0, 127 and 255, other phones 0, 1 and 2. "
+        "By default only the lowest is left out.",
+        low=0,
+        high=255,
+    )
+    align_axes: bool = param(
+        False,
+        "Turn the world as the axisAlignment in ScanNet's scene*.txt says, so that walls run along its axes.",
+    )
+    check_poses: bool = param(
+        True,
+        "Stop when the depth of the frames fits together clearly better under another reading of the poses: "
+        "world-to-camera, or of a camera with y up.",
+        invalidates=False,
+    )
+    first: int = param(0, "Position of the first frame to use, counted from 0.", unit="frames", low=0)
+    last: int | None = param(
+        None, "Position of the last frame to use; by default the scan's last.", unit="frames", low=0
+    )
+    every: int = param(1, "Use every n-th frame.", unit="frames", low=1)
+
+    def __post_init__(self) -> None:
+        check(self)
+        self.camera(1, 1)
+
+    def camera(self, width: int, height: int) -> Camera | None:
+        """Return the camera that `intrinsics` states, for images of this size; None if not given."""
+        if self.intrinsics is None:
+            return None
+        try:
+            fx, fy, cx, cy = (float(word) for word in self.intrinsics.replace(",", " ").split())
+        except ValueError:
+            fx = fy = cx = cy = math.nan
+        if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
+            raise UsageError(
+                f"intrinsics is {self.intrinsics!r}; it must be fx,fy,cx,cy in pixels, "
+                "for example 525,525,319.5,239.5."
+            )
+        return Camera(width, height, fx, fy, cx, cy)
+
+    def file(self, name: str, folder: Path) -> Path | None:
+        """Return the file that `calibration` or `poses` names: as it stands, or inside the scan folder."""
+        value = getattr(self, name)
+        if value is None:
+            return None
+        path = Path(value)
+        return folder / path if not path.exists() and (folder / path).exists() else path

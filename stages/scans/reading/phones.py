@@ -1,0 +1,62 @@
+"""What phones share: a small depth map and a large image of one optical centre, and depth's confidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera, scaled
+
+# 1920×1440 and 256×192 agree exactly; 4032×3024 cropped to 16:9 does not.
+_SAME_SHAPE = 0.02
+
+
+def seen_in(camera: Camera, size: tuple[int, int], what: str, path: Path) -> Camera:
+    """Return the camera of the same view in another size, (width, height) in pixels.
+
+    Raises
+    ------
+    InputError
+        If the size has another shape: the images are then cropped or turned, and their camera is another.
+    """
+    width, height = size
+    if abs(width * camera.height / (height * camera.width) - 1) > _SAME_SHAPE:
+        turned = (
+            " They are turned by 90°: turn them back."
+            if (width < height) != (camera.width < camera.height)
+            else " Export them again without cropping."
+        )
+        raise InputError(
+            f"{what} are {width}×{height}, which is not the shape of the camera's "
+            f"{camera.width}×{camera.height}.{turned}",
+            path,
+        )
+    return scaled(camera, width, height)
+
+
+def least_confidence(options: ReadingParams, levels: Sequence[int], folder: Path) -> tuple[int, str]:
+    """Return the confidence that depth must have, and a warning that says what is kept.
+
+    Parameters
+    ----------
+    levels : that the layout knows: low, medium and high.
+
+    Raises
+    ------
+    InputError
+        If more than the highest is asked for, which would leave nothing.
+    """
+    least = levels[1] if options.least_confidence is None else options.least_confidence
+    if least > levels[-1]:
+        raise InputError(
+            f"least_confidence is {least}, but this layout knows {', '.join(map(str, levels))} only; "
+            f"scan.least_confidence={levels[-1]} keeps the best.",
+            folder,
+        )
+    return least, (
+        f"depth of confidence {least} and more (of {', '.join(map(str, levels))}) is kept: "
+        f"scan.least_confidence={levels[-1]} keeps the best only, scan.least_confidence={levels[0]} all; "
+        "a phone's depth past 5 m is a guess, which fuse.max_depth=5 leaves out"
+    )

@@ -1,0 +1,93 @@
+"""KITTI's calibration files: a projection matrix for each camera, of rectified images."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats.calibration import matrix_camera, with_baseline
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import StereoRig
+
+
+def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
+    """Return the 3x4 projection matrices by number: rows `P0: …` or `P_rect_00: …`, or bare ones in order.
+
+    Raises
+    ------
+    InputError
+        If such a row is not 12 finite numbers.
+    """
+    found: dict[int, NDArray[np.float64]] = {}
+    bare = 0
+    for number, line in enumerate(documents.read_text(calib).splitlines(), 1):
+        key, _, text = line.rpartition(":")
+        if not text.strip():
+            continue
+        if not key:
+            key, bare = f"P{bare}", bare + 1
+        named = re.fullmatch(r"P(?:_rect_0)?([0-3])", key.strip())
+        if named is None:
+            continue
+        try:
+            row = np.array([float(word) for word in text.split()])
+        except ValueError:
+            row = np.empty(0)
+        if row.size != 12 or not np.isfinite(row).all():
+            raise InputError(f"line {number} ({key}) is not 12 numbers.", calib)
+        found[int(named[1])] = row.reshape(3, 4)
+    return found
+
+
+def require_rectified_size(calib: Path, size: tuple[int, int]) -> None:
+    """Raise InputError if the file states another size of rectified images: these are then not rectified."""
+    stated = re.findall(r"^S_rect_0\d:\s*(\S+)\s+(\S+)\s*$", documents.read_text(calib), re.MULTILINE)
+    try:
+        sizes = [(round(float(width)), round(float(height))) for width, height in stated]
+    except (ValueError, OverflowError) as error:
+        raise InputError("S_rect is not two numbers.", calib) from error
+    if sizes and size not in sizes:
+        raise InputError(
+            f"it is for rectified images of {sizes[0][0]}×{sizes[0][1]}, but these are {size[0]}×{size[1]}: "
+            "they are not rectified. Give the synchronised and rectified ones.",
+            calib,
+        )
+
+
+def projected_rig(
+    left: NDArray[np.float64],
+    right: NDArray[np.float64],
+    size: tuple[int, int],
+    options: ReadingParams,
+    calib: Path,
+) -> tuple[StereoRig, NDArray[np.float64]]:
+    """Return the rig and left_from_cam0: in a projection K [I | t], t takes camera 0 to its camera.
+
+    Raises
+    ------
+    InputError
+        If a matrix is singular, or the second camera does not stand right of the first.
+    """
+    cameras, offsets = [], []
+    for matrix in (left, right):
+        k = matrix[:, :3]
+        cameras.append(options.camera(*size) or matrix_camera(k, (), *size, calib))
+        if abs(np.linalg.det(k)) < 1e-9:
+            raise InputError("a projection matrix is singular.", calib)
+        offset = np.eye(4)
+        offset[:3, 3] = np.linalg.solve(k, matrix[:, 3])
+        offsets.append(offset)
+    right_from_left = offsets[1] @ np.linalg.inv(offsets[0])
+    if right_from_left[0, 3] >= 0:
+        raise InputError(
+            "the second camera is not right of the first (its P[0,3] must be smaller); are the rows swapped?",
+            calib,
+        )
+    if options.baseline is not None:
+        right_from_left = with_baseline(right_from_left, options.baseline)
+    return StereoRig(cameras[0], cameras[1], right_from_left, rectified=True), offsets[0]

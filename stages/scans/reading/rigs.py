@@ -1,0 +1,91 @@
+"""The rig of a pair layout: from its calibration file, or from what the person states."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.files import documents
+from stages.scans.formats import calibration
+from stages.scans.reading.files import first_existing, has
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.streams import Images
+from stages.scans.scan import Camera, StereoRig
+
+# ROS's calibrator writes a file a camera.
+_ROS_FILES = (
+    ("left.yaml", "right.yaml"),
+    ("left_camera_info.yaml", "right_camera_info.yaml"),
+    ("camera_info_left.yaml", "camera_info_right.yaml"),
+)
+
+
+def rig_of(
+    folder: Path, options: ReadingParams, size: tuple[int, int], names: Sequence[str]
+) -> tuple[StereoRig, list[str], tuple[str, ...]]:
+    """Return the rig, what is odd about its calibration, and what is missing.
+
+    Parameters
+    ----------
+    folder, options : of the scan.
+    size : of the images, (width, height) in pixels.
+    names : calibration files to look for in the folder, the preferred first.
+
+    Raises
+    ------
+    InputError
+        If the calibration cannot be read.
+    """
+    stated = options.camera(*size)
+    path = options.file("calibration", folder) or first_existing(folder, *names)
+    if path is not None:
+        rig, warnings = calibration.read_rig(path, *size, baseline=options.baseline)
+    elif stated is not None and options.baseline is not None:
+        beside = calibration.with_baseline(np.eye(4), options.baseline)
+        return StereoRig(stated, stated, beside, rectified=True), [], ()
+    elif has(folder, "intrinsics.yml", "extrinsics.yml"):
+        # OpenCV's stereo sample writes the two halves as two files.
+        halves = [documents.read_document(folder / name) for name in ("intrinsics.yml", "extrinsics.yml")]
+        rig, warnings = calibration.read_rig(
+            folder / "extrinsics.yml", *size, document=halves[0] | halves[1], baseline=options.baseline
+        )
+    elif (halves_of := next((pair for pair in _ROS_FILES if has(folder, *pair)), None)) is not None:
+        sides = dict(
+            zip(("left", "right"), map(documents.read_document, map(folder.joinpath, halves_of)), strict=True)
+        )
+        rig, warnings = calibration.read_rig(
+            folder / halves_of[1], *size, document=sides, baseline=options.baseline
+        )
+    else:
+        half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
+        lacking = (
+            f"calibration: {names[0]} is missing{half}; name one with scan.calibration=FILE, or set "
+            "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair"
+        )
+        return uncalibrated(size), [], (lacking,)
+    return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
+
+
+def stated_rig(left: Images, folder: Path, options: ReadingParams) -> tuple[StereoRig, list[str]] | None:
+    """Return the rig of a recorded pair that the person states, and what is odd about it; None if not.
+
+    Raises
+    ------
+    InputError
+        If the calibration file cannot be read, or the first left image, whose size it is for.
+    """
+    if options.calibration is None and (options.intrinsics is None or options.baseline is None):
+        return None
+    height, width = left.color(0).shape[:2]
+    rig, warnings, _ = rig_of(folder, options, (width, height), ())
+    return rig, warnings
+
+
+def uncalibrated(size: tuple[int, int]) -> StereoRig:
+    """Return the rig of pairs of which only the size is known: every other number is NaN."""
+    camera = Camera(*size, math.nan, math.nan, math.nan, math.nan)
+    return StereoRig(camera, camera, np.full((4, 4), math.nan), rectified=False)

@@ -1,0 +1,36 @@
+"""The camera of a folder that holds none: what the person states, or a guess that is told.
+
+One rule for every layout. A folder of loose files whose camera file is missing gets the guess below, with a
+warning that names the options. Pairs get none, since focal length times baseline is the scale of all they
+show: the calibration is asked for. A file that holds its frames and their camera in one (scan.json, .sens,
+transforms.json, Record3D's metadata.json) is damaged without it, and refused.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stages.scans.formats import calibration
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Camera
+
+# A PrimeSense or Kinect sees 62.7 degrees across; it is what Open3D falls back to, and near to a RealSense's.
+_FOCAL_LENGTH = 525 / 640
+
+
+def stated_camera(options: ReadingParams, folder: Path, width: int, height: int) -> Camera | None:
+    """Return the camera that the person states for images of this size, in numbers or as a file, or None."""
+    path = options.file("calibration", folder)
+    stated = options.camera(width, height)
+    return calibration.read_camera(path, width, height) if stated is None and path is not None else stated
+
+
+def guessed_camera(width: int, height: int) -> tuple[Camera, str]:
+    """Return the camera to take for depth maps of this size when nothing is known, and what is to be said."""
+    focal = width * _FOCAL_LENGTH
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    return camera, (
+        f"the folder has no intrinsics: {camera.fx:g},{camera.fy:g},{camera.cx:g},{camera.cy:g} is guessed, "
+        "a Kinect's view; for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
+        "scan.calibration=FILE"
+    )

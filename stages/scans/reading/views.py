@@ -1,0 +1,73 @@
+"""Posed views without depth: what of a folder becomes a frame, and in which layouts it cannot yet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.depth_range import range_of_points
+from stages.scans.images import image_size
+from stages.scans.reading.phones import seen_in
+from stages.scans.scan import Camera, Frame, Packed, Pose
+
+NOT_METRES = (
+    "poses that were found from images alone are not in metres, but one unit is taken for one: all lengths "
+    "may be off by one unknown factor; set scan.depth_scale to the number of units a metre if it is known"
+)
+
+
+def single_view(
+    name: str,
+    camera: Camera,
+    color: Path,
+    pose: Pose | None,
+    *,
+    points: NDArray[np.float64] | None = None,
+    mask: Path | Packed | None = None,
+) -> Frame:
+    """Return the frame of a view without depth.
+
+    Parameters
+    ----------
+    camera : of the image in any size: images are often made smaller after their cameras were found.
+    pose : world-from-camera, metres.
+    points : (n, 3) metres, world, that a reconstruction found in the view.
+    mask : as of a Frame.
+
+    Raises
+    ------
+    InputError
+        If the image is missing or damaged, or not of the shape of its camera.
+    """
+    size = image_size(color)
+    if size != (camera.width, camera.height):
+        camera = seen_in(camera, size, "the image", color)
+    depth_range = None
+    if points is not None and pose is not None:
+        depth_range = range_of_points((points - pose[:3, 3]) @ pose[:3, 2])
+    return Frame(name, camera, color=color, world_from_camera=pose, mask=mask, depth_range=depth_range)
+
+
+def in_metres(pose: Pose | None, units: float | None) -> Pose | None:
+    """Return a pose in metres, of one in a world of so many `units` a metre (1 if not known)."""
+    if pose is None or units is None:
+        return pose
+    metric: Pose = pose.copy()
+    metric[:3, 3] /= units
+    return metric
+
+
+def without_depth(place: Path, advice: str) -> InputError:
+    """Return the error for a folder (or its list of frames) whose posed views have no depth maps.
+
+    Parameters
+    ----------
+    place : what the message names.
+    advice : a sentence: where this layout would keep its depth.
+    """
+    return InputError(
+        f"its views have no depth, and views of this layout alone cannot be read yet. {advice}", place
+    )

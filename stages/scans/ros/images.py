@@ -1,0 +1,40 @@
+"""The images of a topic of a ROS recording, plain or compressed."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from numpy.typing import NDArray
+
+from stages.scans.reading.streams import Images
+from stages.scans.ros.messages import STAMP_BYTES, read_stamp
+from stages.scans.ros.pixels import color_in, depth_in
+from stages.scans.ros.recording import Messages
+from stages.scans.scan import ColorImage
+
+
+def ros_images(name: str, topic: Messages) -> Images:
+    """Return the images of a topic, to be read when asked for; `name` stands in messages."""
+    return Images(
+        name,
+        topic.times,
+        partial(_stamp, topic),
+        partial(_color, name, topic),
+        partial(_depth, name, topic),
+        topic.file,
+    )
+
+
+def _stamp(topic: Messages, number: int) -> int:
+    return read_stamp(topic.read(number, STAMP_BYTES), topic.file(number), is_cdr=topic.is_cdr)
+
+
+def _color(name: str, topic: Messages, number: int) -> ColorImage:
+    source = f"{topic.file(number)}: {name} {number:06d}"
+    return color_in(topic.read(number, None), topic.kind, source, is_cdr=topic.is_cdr)
+
+
+def _depth(name: str, topic: Messages, number: int) -> NDArray[Any]:
+    source = f"{topic.file(number)}: {name} {number:06d}"
+    return depth_in(topic.read(number, None), topic.kind, source, is_cdr=topic.is_cdr)

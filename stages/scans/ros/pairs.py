@@ -1,0 +1,102 @@
+"""The pair of an ordinary ROS recording without depth: a left and a right topic of images.
+
+Rectified images (`image_rect`) have the projections P of their `camera_info`; others K and D, with R and the
+right camera's P for how the two stand. Drivers that leave the baseline out of P send it by `/tf_static`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.scans.formats import calibration
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.rigs import stated_rig
+from stages.scans.reading.streams import Pair
+from stages.scans.ros.images import ros_images
+from stages.scans.ros.messages import CameraMessage
+from stages.scans.ros.pixels import is_color
+from stages.scans.ros.recording import RosRecording
+from stages.scans.ros.topics import ImageTopic, between, camera_message, image_topics
+from stages.scans.scan import StereoRig
+
+# RealSense numbers its infrared cameras; the left one is the first.
+_SIDES = (("left", "right"), ("infra1", "infra2"), ("infrared1", "infrared2"), ("cam0", "cam1"))
+
+
+def ros_pair(recording: RosRecording, options: ReadingParams) -> Pair | None:
+    """Return the pair of a ROS recording; None where no two topics are left and right.
+
+    Raises
+    ------
+    InputError
+        If what it says of its cameras is missing or wrong.
+    """
+    couples = _couples(image_topics(recording))
+    if not couples:
+        return None
+    left, right = min(couples, key=_unlikeness)
+    warnings = [] if len(couples) == 1 else [f"of {len(couples)} pairs of topics, {left.name} is used"]
+    first, second = (ros_images(one.name, one.topic) for one in (left, right))
+    stated = stated_rig(first, recording.path.parent, options)
+    rig, said = stated or (_rig(recording, left, right, options), [])
+    return Pair(first, second, rig, (*warnings, *said))
+
+
+def _couples(found: Sequence[ImageTopic]) -> list[tuple[ImageTopic, ImageTopic]]:
+    grey = {one.name: one for one in found if is_color(one.encoding)}
+    couples = []
+    for name, one in grey.items():
+        others = (name.replace(left, right) for left, right in _SIDES if left in name)
+        other = next((grey[word] for word in others if word in grey), None)
+        if other is not None:
+            couples.append((one, other))
+    return couples
+
+
+def _unlikeness(couple: tuple[ImageTopic, ImageTopic]) -> tuple[bool, bool, bool]:
+    """Return by what pairs are ordered, the best first."""
+    left, _ = couple
+    return not left.is_rectified, left.is_compressed, "gray" in left.name
+
+
+def _rig(recording: RosRecording, left: ImageTopic, right: ImageTopic, options: ReadingParams) -> StereoRig:
+    first, second = (camera_message(recording, one) for one in (left, right))
+    sides = {"left": first, "right": second}
+    is_rectified = left.is_rectified and bool(first.projection.any() and second.projection.any())
+    document: dict[str, Any] = {"unit": "m"}
+    if not second.projection[0, 3]:
+        right_from_left = between(recording, left, right)
+        if right_from_left is None or not right_from_left[:3, 3].any():
+            right_from_left = np.eye(4)
+            if options.baseline is None:
+                raise InputError(
+                    f"how far apart {left.name} and {right.name} are is neither in the right one's "
+                    "camera_info (P[0,3]) nor in /tf_static; set scan.baseline=METRES.",
+                    recording.path,
+                )
+        tables = {side: _table(one, is_rectified=is_rectified) for side, one in sides.items()}
+        document |= {**tables, "R": right_from_left[:3, :3], "T": right_from_left[:3, 3]}
+    elif is_rectified:
+        document |= {"P1": first.projection, "P2": second.projection}
+    else:
+        stands = {side: {"R": one.rectification, "P": one.projection} for side, one in sides.items()}
+        document |= {side: _table(one) | stands[side] for side, one in sides.items()}
+    rig, _ = calibration.read_rig(
+        recording.path, first.width, first.height, document=document, baseline=options.baseline
+    )
+    return rig
+
+
+def _table(message: CameraMessage, *, is_rectified: bool = False) -> dict[str, Any]:
+    """Return a camera under the names that calibration files have."""
+    return {
+        "width": message.width,
+        "height": message.height,
+        "distortion_model": None if is_rectified else message.model or None,
+        "K": message.projection[:, :3] if is_rectified else message.matrix,
+        "D": None if is_rectified else message.distortion,
+    }

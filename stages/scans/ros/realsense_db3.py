@@ -1,0 +1,139 @@
+"""What a RealSense `.db3` says, which the maker's library writes since version 2.58.
+
+Topics are called as in its `.bag` files. But what describes a camera is text, `name=value;name=value`, and
+when an image was taken stands in such a text recorded together with it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.reading.streams import Images
+from stages.scans.ros.db3 import Db3, Db3Topic, read_row
+from stages.scans.ros.messages import CameraMessage, read_text
+from stages.scans.ros.pixels import color_in, depth_in
+from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
+from stages.scans.scan import ColorImage, Pose
+
+_IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data(/compressed|/compressedDepth)?")
+
+
+def realsense_db3(recording: Db3) -> RealSense | None:
+    """Return what a RealSense recording says; None if the file has no images of one."""
+    streams = {}
+    for name, topic in recording.topics.items():
+        matched = _IMAGES.fullmatch(name)
+        if matched is not None:
+            stream, sensor, kind, _ = matched.groups()
+            images = Images(
+                stream,
+                topic.times,
+                partial(_stamp, recording, stream, topic),
+                partial(_color, recording, stream, topic),
+                partial(_depth, recording, stream, topic),
+                lambda _: recording.path,
+            )
+            streams[stream] = RealSenseStream(kind.lower(), sensor, images)
+    if not streams:
+        return None
+    return RealSense(
+        recording.path,
+        streams,
+        partial(_camera, recording),
+        partial(_units, recording),
+        partial(_places, recording),
+    )
+
+
+def _stamp(recording: Db3, name: str, topic: Db3Topic, number: int) -> int:
+    """Return when an image was taken: the text recorded at the same time says it, in milliseconds."""
+    texts = recording.topics.get(f"{name}/image/metadata")
+    at = -1 if texts is None else int(np.searchsorted(texts.times, topic.times[number]))
+    if texts is None or at >= len(texts.times) or texts.times[at] != topic.times[number]:
+        raise InputError(f"nothing says when image {number} of {name} was taken.", recording.path)
+    said = _values(recording, texts, at)
+    (milliseconds,) = _numbers(said, "timestamp", 1, recording.path)
+    if not abs(milliseconds) < 1 << 42:
+        raise InputError(
+            f"image {number} of {name}: the time {milliseconds:g} ms cannot be right.", recording.path
+        )
+    return round(milliseconds * 1e6)
+
+
+def _color(recording: Db3, name: str, topic: Db3Topic, number: int) -> ColorImage:
+    data = read_row(recording, int(topic.rows[number]))
+    return color_in(data, topic.kind, f"{recording.path}: {name} {number:06d}", is_cdr=True)
+
+
+def _depth(recording: Db3, name: str, topic: Db3Topic, number: int) -> NDArray[Any]:
+    data = read_row(recording, int(topic.rows[number]))
+    return depth_in(data, topic.kind, f"{recording.path}: {name} {number:06d}", is_cdr=True)
+
+
+def _camera(recording: Db3, name: str) -> CameraMessage | None:
+    topic = recording.topics.get(f"{name}/camera_info")
+    if topic is None:
+        return None
+    path, said = recording.path, _values(recording, topic, 0)
+    width, height, fx, fy, cx, cy = (
+        _numbers(said, key, 1, path)[0] for key in ("width", "height", "fx", "fy", "ppx", "ppy")
+    )
+    if not (width.is_integer() and height.is_integer()):
+        raise InputError(f"the images of {name} are said to be {width:g}×{height:g} pixels.", path)
+    distortion = _numbers(said, "coeffs", 5, path)
+    matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    return CameraMessage(
+        int(width), int(height), said.get("model", ""), tuple(distortion), matrix, np.eye(3), np.zeros((3, 4))
+    )
+
+
+def _units(recording: Db3, stream: RealSenseStream) -> list[float]:
+    option = recording.topics.get(f"{stream.sensor}/option/Depth_Units/value")
+    if option is None:
+        return []
+    words = [_text(recording, option, number) for number in range(min(len(option.rows), MOST_OPTIONS))]
+    return [_numbers({"Depth_Units": word}, "Depth_Units", 1, recording.path)[0] for word in words]
+
+
+def _places(recording: Db3, name: str) -> dict[str, Pose]:
+    start = f"{name}/tf/"
+    found = {}
+    for topic in recording.topics:
+        if topic.startswith(start):
+            said = _values(recording, recording.topics[topic], 0)
+            # Column by column, as the maker's library has it.
+            turn = np.reshape(_numbers(said, "rotation", 9, recording.path), (3, 3)).T
+            shift = np.reshape(_numbers(said, "translation", 3, recording.path), (3, 1))
+            pose = trajectories.rigid(np.hstack([turn, shift]), recording.path, topic)
+            assert pose is not None
+            found[topic.removeprefix(start)] = pose
+    return found
+
+
+def _values(recording: Db3, topic: Db3Topic, number: int) -> dict[str, str]:
+    entries = (entry.partition("=") for entry in _text(recording, topic, number).split(";"))
+    return {name: value for name, _, value in entries}
+
+
+def _text(recording: Db3, topic: Db3Topic, number: int) -> str:
+    return read_text(read_row(recording, int(topic.rows[number])), recording.path)
+
+
+def _numbers(said: dict[str, str], key: str, count: int, path: Path) -> list[float]:
+    """Return the numbers of a value, all finite."""
+    try:
+        values = [float(word) for word in said.get(key, "").split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise InputError(f"{key} is {said.get(key, '')[:40]!r} where {count} numbers are expected.", path)
+    return values

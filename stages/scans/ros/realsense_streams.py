@@ -1,0 +1,179 @@
+"""Which streams of a RealSense recording make up the scan, and how its cameras stand: the file says it all.
+
+The maker's library has written two kinds of file, with the same names for the same things.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.scans.formats import calibration
+from stages.scans.formats.trajectories import inverted
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.rigs import stated_rig
+from stages.scans.reading.streams import Images, Pair, Stream, Streams, stated_depth_camera, unknown_place
+from stages.scans.ros.messages import CameraMessage
+from stages.scans.scan import Camera, Pose
+
+# A person changes an option now and then, a damaged file a million times: so many values are read.
+MOST_OPTIONS = 100
+# Whatever the name says, the maker's own library projects all three like this, to thousandths of a pixel.
+_LIKE_OPENCV = ("brown conrady", "inverse brown conrady", "modified brown conrady", "plumb_bob")
+# Millimetres are by far the most frequent, but not what every model records.
+_USUAL_UNITS = 0.001
+# Metres; a unit of less than a nanometre or more than a kilometre is damaged.
+_UNITS = (1e-9, 1e3)
+
+
+@dataclass(frozen=True, eq=False)
+class RealSenseStream:
+    """A stream of images in a recording.
+
+    Attributes
+    ----------
+    kind : `depth`, `color`, `infrared`, ….
+    sensor : the part of the topics' names that streams of one sensor share.
+    """
+
+    kind: str
+    sensor: str
+    images: Images
+
+
+@dataclass(frozen=True, eq=False)
+class RealSense:
+    """What a recording says, in whichever kind of file; all of it raises InputError where it is damaged.
+
+    Attributes
+    ----------
+    streams : by name.
+    camera : returns that of a stream, or None.
+    units : returns the depth units, in metres, that a stream's sensor had one after the other; or none.
+    places : returns what takes points of a reference to a stream's camera, by the reference's name.
+    """
+
+    path: Path
+    streams: Mapping[str, RealSenseStream]
+    camera: Callable[[str], CameraMessage | None]
+    units: Callable[[RealSenseStream], Sequence[float]]
+    places: Callable[[str], Mapping[str, Pose]]
+
+
+def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams | Pair:
+    """Return depth and colour of a recording, or its infrared pair if it holds no depth.
+
+    Raises
+    ------
+    InputError
+        If it holds neither, or what it says of its cameras is missing or wrong.
+    """
+    streams = [recording.streams[name] for name in sorted(recording.streams)]
+    depth = next((one for one in streams if one.kind == "depth"), None)
+    if depth is None:
+        return _infrared_pair(recording, streams, options)
+    name, folder = depth.images.name, recording.path.parent
+    stated = stated_depth_camera(depth.images, folder, options)
+    seen = Stream(depth.images, stated or _recorded_camera(recording, name))
+    scale, warnings = _depth_scale(recording, depth, options)
+    # The left infrared camera is the one that depth is seen from.
+    grey = [one for one in streams if one.kind == "infrared" and one.sensor == depth.sensor]
+    color = next((one for one in (*(one for one in streams if one.kind == "color"), *grey)), None)
+    if color is None:
+        return Streams(seen, None, scale, None, tuple(warnings))
+    if color.kind != "color":
+        warnings.append("there is no colour stream: the infrared camera's images stand for it")
+    color_from_depth = _between(recording, name, color.images.name)
+    if color_from_depth is None:
+        warnings.append(unknown_place(name, color.images.name))
+    color_camera = _recorded_camera(recording, color.images.name)
+    return Streams(seen, Stream(color.images, color_camera), scale, color_from_depth, tuple(warnings))
+
+
+def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], options: ReadingParams) -> Pair:
+    """Return the images that the maker's depth is computed from; the left camera's come first by name."""
+    grey = [one for one in streams if one.kind == "infrared"]
+    if len(grey) < 2 or grey[0].sensor != grey[1].sensor:
+        names = ", ".join(one.images.name for one in streams)
+        raise InputError(
+            f"the recording holds no depth, only {names}. Record the depth stream too.", recording.path
+        )
+    left, right = (one.images for one in grey[:2])
+    stated = stated_rig(left, recording.path.parent, options)
+    if stated is not None:
+        return Pair(left, right, stated[0], tuple(stated[1]))
+    cameras = [_recorded_camera(recording, one.name) for one in (left, right)]
+    right_from_left = _between(recording, left.name, right.name)
+    if right_from_left is None and options.baseline is None:
+        raise InputError(
+            f"how {left.name} and {right.name} stand to each other is not in it; set scan.baseline=METRES.",
+            recording.path,
+        )
+    stands = np.eye(4) if right_from_left is None else right_from_left
+    document: dict[str, Any] = {"unit": "m", "R": stands[:3, :3], "T": stands[:3, 3]}
+    for side, camera in zip(("1", "2"), cameras, strict=True):
+        document |= {f"K{side}": camera.matrix, f"D{side}": camera.distortion}
+    rig, warnings = calibration.read_rig(
+        recording.path, cameras[0].width, cameras[0].height, document=document, baseline=options.baseline
+    )
+    return Pair(left, right, rig, tuple(warnings))
+
+
+def _recorded_camera(recording: RealSense, name: str) -> Camera:
+    """Return the camera of a stream as the recording states it."""
+    said = recording.camera(name)
+    if said is None:
+        raise InputError(
+            f"the recording does not say what camera {name} is of (no camera_info); set "
+            "scan.intrinsics=fx,fy,cx,cy.",
+            recording.path,
+        )
+    distortion = said.distortion[:5] if any(said.distortion) else ()
+    if distortion and said.model.lower() not in _LIKE_OPENCV:
+        raise InputError(
+            f"the lens of {name} is described as {said.model[:40]!r}, which is not known; Brown-Conrady's "
+            "models are.",
+            recording.path,
+        )
+    return calibration.matrix_camera(said.matrix, distortion, said.width, said.height, recording.path)
+
+
+def _depth_scale(
+    recording: RealSense, depth: RealSenseStream, options: ReadingParams
+) -> tuple[float, list[str]]:
+    """Return the depth units a metre, as stated or as recorded, and what is to be said of it."""
+    if options.depth_scale is not None:
+        return options.depth_scale, []
+    units = recording.units(depth)
+    warnings = []
+    if not units or not units[-1]:
+        units = [_USUAL_UNITS]
+        warnings.append(
+            "the recording does not say its depth unit: millimetres are assumed; scan.depth_scale=VALUE "
+            "states how many units are one metre"
+        )
+    last = units[-1]
+    if len(set(units)) > 1:
+        warnings.append(
+            f"the depth unit changes within the recording; the last, {last:g} m, is used for all of it. "
+            "scan.depth_scale=VALUE states another, in units a metre"
+        )
+    if not _UNITS[0] <= last <= _UNITS[1]:
+        raise InputError(
+            f"its depth unit is {last:g} m, which cannot be right; scan.depth_scale=VALUE states how many "
+            "units are one metre.",
+            recording.path,
+        )
+    return 1 / last, warnings
+
+
+def _between(recording: RealSense, depth: str, color: str) -> Pose | None:
+    """Return color_from_depth, by the reference that both streams state their place to; None without one."""
+    of_depth, of_color = recording.places(depth), recording.places(color)
+    shared = min(of_depth.keys() & of_color.keys(), default=None)
+    return None if shared is None else np.asarray(of_color[shared] @ inverted(of_depth[shared]))

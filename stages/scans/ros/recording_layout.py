@@ -1,0 +1,247 @@
+"""A recording whose streams have clocks of their own: RealSense's, or one of ROS 1 or 2.
+
+Depth and colour, or the two sides of a pair, are paired by when each image was taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.moments import nearest_in_time
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.streams import Images, Pair, Streams
+from stages.scans.ros.bag import read_bag
+from stages.scans.ros.db3 import read_db3
+from stages.scans.ros.files import SUFFIXES, recording_files, recordings
+from stages.scans.ros.mcap import read_mcap
+from stages.scans.ros.pairs import ros_pair
+from stages.scans.ros.realsense_bag import realsense_bag
+from stages.scans.ros.realsense_db3 import realsense_db3
+from stages.scans.ros.realsense_streams import RealSense, realsense_streams
+from stages.scans.ros.recording import RosRecording, joined, of_bag, of_db3, of_mcap
+from stages.scans.ros.streams import ros_streams
+from stages.scans.scan import Frame, Packed, Pose, Scan, SkippedFrame
+
+# Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
+_TOLERANCE = 0.6
+# Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
+_FALLBACK_TOLERANCE = 20_000_000
+
+
+def _matches(folder: Path) -> str | None:
+    return next((file.name for file in recordings(folder)), None)
+
+
+def _read(place: Path, options: ReadingParams) -> Scan:
+    streams, fault = _streams(place, options)
+    warnings = list(streams.warnings)
+    if fault is not None:
+        warnings.append(f"the recording was not closed or is damaged ({fault}): what comes before is used")
+    first: Images
+    second: Images | None
+    if isinstance(streams, Pair):
+        first, second, called = streams.left, streams.right, ("left images", "right images")
+    else:
+        first, second = streams.depth.images, None if streams.color is None else streams.color.images
+        called = "depth maps", "colour images"
+    couples, skipped, said = _couples(first, second, called)
+    if not couples:
+        why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
+        raise InputError(f"no {called[0][:-1]} and {called[1][:-1]} in it are of one moment{why}.", place)
+    poses, missing = _poses(options, place, [(number, time) for number, time, _ in couples])
+    frames = [
+        _pair_frame(streams, *couple, pose)
+        if isinstance(streams, Pair)
+        else _depth_frame(streams, *couple, pose)
+        for couple, pose in zip(couples, poses, strict=True)
+    ]
+    rig = streams.rig if isinstance(streams, Pair) else None
+    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), (*warnings, *said), missing)
+
+
+def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str | None]:
+    """Return the streams of a recording, and why a part of it could not be read, if so."""
+    recording, camera = _recording(recording_files(place), place)
+    if camera is not None:
+        return realsense_streams(camera, options), recording.fault
+    streams = ros_streams(recording, options) or ros_pair(recording, options)
+    if streams is None:
+        raise InputError(_without_images(recording), place)
+    return streams, recording.fault
+
+
+def _recording(files: Sequence[Path], place: Path) -> tuple[RosRecording, RealSense | None]:
+    """Return what a recording holds, and what it says as one of the maker's library of RealSense cameras."""
+    parts: list[RosRecording] = []
+    for file in files:
+        suffix = file.suffix.lower()
+        if suffix == ".db3":
+            db3 = read_db3(file)
+            if len(files) == 1 and (camera := realsense_db3(db3)) is not None:
+                return of_db3(db3), camera
+            parts.append(of_db3(db3))
+        else:
+            parts.append(of_mcap(read_mcap(file)) if suffix == ".mcap" else of_bag(read_bag(file)))
+    recording = parts[0] if len(parts) == 1 else joined(place, parts)
+    return recording, realsense_bag(recording) if files[0].suffix.lower() == ".bag" else None
+
+
+def _without_images(recording: RosRecording) -> str:
+    """Say what a recording without depth and without a pair holds."""
+    if not recording.topics:
+        why = f" ({recording.fault})" if recording.fault else ""
+        return f"not one message in it can be read{why}; copy it again, or record it anew."
+    shown = ", ".join(sorted(recording.topics)[:8]) + (", …" if len(recording.topics) > 8 else "")
+    return (
+        "there are no depth images in it (sensor_msgs/Image of 16UC1 or 32FC1, `depth` in the topic's name), "
+        f"and no left/ and right/, only {shown}. Record the depth topic too."
+    )
+
+
+def _couples(
+    first: Images, second: Images | None, called: tuple[str, str]
+) -> tuple[list[tuple[int, int, int | None]], list[SkippedFrame], list[str]]:
+    """Return number, time and partner of the images that are of one moment, what is left out, and warnings.
+
+    Parameters
+    ----------
+    called : what messages call the images of both streams.
+    """
+    times, skipped = _stamps(first)
+    if second is None:
+        alone = sorted(times.items(), key=lambda entry: entry[1])
+        return [(number, time, None) for number, time in alone], skipped, []
+    others, damaged = _stamps(second)
+    skipped += damaged
+    warnings = []
+    if _have_other_clocks(times, others):
+        times = {number: int(first.recorded[number]) for number in times}
+        others = {number: int(second.recorded[number]) for number in others}
+        warnings.append(
+            f"the clocks of {called[0]} and {called[1]} do not agree at all: images are paired by when they "
+            "were recorded"
+        )
+    couples = _of_one_moment(times, others)
+    if len(couples) < max(len(times), len(others)):
+        warnings.append(
+            f"{len(couples)} of {len(times)} {called[0]} and of {len(others)} {called[1]} are of one moment: "
+            "the others are left out"
+        )
+    couples.sort(key=lambda couple: times[couple[0]])
+    return [(number, times[number], partner) for number, partner in couples], skipped, warnings
+
+
+def _depth_frame(streams: Streams, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
+    color = streams.color
+    return Frame(
+        name=_name(number),
+        camera=streams.depth.camera,
+        color=None if color is None or partner is None else _color(color.images, partner),
+        depth=_depth(streams.depth.images, number),
+        depth_scale=streams.depth_scale,
+        world_from_camera=pose,
+        timestamp=time,
+        color_camera=None if color is None else color.camera,
+        color_from_depth=streams.color_from_depth,
+    )
+
+
+def _pair_frame(pair: Pair, number: int, time: int, partner: int | None, pose: Pose | None) -> Frame:
+    return Frame(
+        name=_name(number),
+        camera=pair.rig.left,
+        color=_color(pair.left, number),
+        right=None if partner is None else _color(pair.right, partner),
+        world_from_camera=pose,
+        timestamp=time,
+    )
+
+
+def _stamps(images: Images) -> tuple[dict[int, int], list[SkippedFrame]]:
+    """Return when each image was taken, nanoseconds by its number in the stream, and which are damaged."""
+    times: dict[int, int] = {}
+    damaged = []
+    for number in range(len(images.recorded)):
+        time = _stamp_or_fault(images, number)
+        if isinstance(time, InputError):
+            damaged.append(SkippedFrame(f"{images.name} {_name(number)}", str(time)))
+        else:
+            times[number] = time
+    return times, damaged
+
+
+def _stamp_or_fault(images: Images, number: int) -> int | InputError:
+    try:
+        return images.stamp(number)
+    except InputError as error:
+        return error
+
+
+def _have_other_clocks(first: Mapping[int, int], second: Mapping[int, int]) -> bool:
+    """Say whether two streams that were recorded together claim to be of times that do not overlap at all."""
+    if not first or not second:
+        return False
+    apart = max(min(first.values()), min(second.values())) - min(max(first.values()), max(second.values()))
+    return apart > _tolerance(first, second)
+
+
+def _tolerance(*streams: Mapping[int, int]) -> int:
+    intervals = [np.median(np.diff(sorted(times.values()))) for times in streams if len(times) > 1]
+    return round(_TOLERANCE * min(intervals)) if intervals else _FALLBACK_TOLERANCE
+
+
+def _of_one_moment(first: Mapping[int, int], second: Mapping[int, int]) -> list[tuple[int, int]]:
+    """Return the numbers of the images of two streams that are of one moment."""
+    numbers, others = list(first), list(second)
+    times, other_times = (np.fromiter(one.values(), np.int64, len(one)) for one in (first, second))
+    partners = nearest_in_time(other_times, times, _tolerance(first, second))
+    return [(numbers[partner], others[at]) for at, partner in enumerate(partners.tolist()) if partner >= 0]
+
+
+def _poses(
+    options: ReadingParams, place: Path, moments: Sequence[tuple[int, int]]
+) -> tuple[Sequence[Pose | None], tuple[str, ...]]:
+    """Return the pose of each frame, given by its number and time, and what is missing."""
+    given = options.file("poses", place.parent if place.is_file() else place)
+    if given is None:
+        return [None] * len(moments), ("poses: a recording has none; name a trajectory with scan.poses=FILE",)
+    trajectory = trajectories.in_order(trajectories.read_trajectory(given))
+    if trajectory.timestamps is None:
+        return trajectories.match(trajectory, [_name(number) for number, _ in moments], given), ()
+    poses = [trajectories.interpolate(trajectory, time, _FALLBACK_TOLERANCE) for _, time in moments]
+    if all(pose is None for pose in poses):
+        start, end = moments[0][1] / 1e9, moments[-1][1] / 1e9
+        raise InputError(
+            f"none of its poses is within 0.02 s of a frame; the recording is of {start:.3f} to {end:.3f} s.",
+            given,
+        )
+    return poses, ()
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"
+
+
+def _color(images: Images, number: int) -> Packed:
+    return Packed(images.file(number), f"{images.name} {_name(number)}", partial(images.color, number))
+
+
+def _depth(images: Images, number: int) -> Packed:
+    return Packed(images.file(number), f"{images.name} {_name(number)}", partial(images.depth, number))
+
+
+LAYOUT = Layout(
+    name="ros-bag",
+    text="one .bag, .db3 or .mcap file, or a folder with one (RealSense; ROS 1 or 2 with camera_info and "
+    "depth, or left and right)",
+    matches=_matches,
+    read=_read,
+    suffixes=SUFFIXES,
+)

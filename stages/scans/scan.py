@@ -1,0 +1,206 @@
+"""What a scan folder holds, once a reader has understood it: metres, OpenCV camera axes, row-major poses.
+
+Camera axes are x right, y down, z forward. Pixel centres are at whole numbers: the top left one at (0, 0).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pose = NDArray[np.float64]
+ColorImage = NDArray[np.uint8]
+DepthImage = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with OpenCV's distortion, or a fisheye camera.
+
+    Attributes
+    ----------
+    width, height : pixels.
+    fx, fy, cx, cy : pixels, for exactly this image size; NaN where the scan has no calibration.
+    distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
+    fisheye : the lens maps equal angles to equal lengths, and `distortion` is k1 k2 k3 k4 of OpenCV's fisheye
+        model (Kannala and Brandt's, Kalibr's equidistant).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Return whether anything is known of the camera beside its image size."""
+        return not math.isnan(self.fx)
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the (3, 3) camera matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+
+def scaled(camera: Camera, width: int, height: int) -> Camera:
+    """Return the camera of the same images in another size; pixel centres stay at whole numbers."""
+    sx, sy = width / camera.width, height / camera.height
+    return Camera(
+        width,
+        height,
+        camera.fx * sx,
+        camera.fy * sy,
+        (camera.cx + 0.5) * sx - 0.5,
+        (camera.cy + 0.5) * sy - 0.5,
+        camera.distortion,
+        camera.fisheye,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class StereoRig:
+    """Two cameras fixed to each other.
+
+    Attributes
+    ----------
+    right_from_left : (4, 4) float64, metres: takes left-camera points to the right camera.
+    rectified : rows of both images already correspond; the baseline is then -right_from_left[0, 3].
+    disparities : the number of disparities the calibration file itself states, or None.
+    """
+
+    left: Camera
+    right: Camera
+    right_from_left: Pose
+    rectified: bool
+    disparities: int | None = None
+
+    @property
+    def baseline(self) -> float:
+        """Return the distance between the camera centres, in metres."""
+        return float(np.linalg.norm(self.right_from_left[:3, 3]))
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """An image inside a file that holds more: a frame of a video, an entry of an archive.
+
+    Attributes
+    ----------
+    file : what holds it; another content of it is another image.
+    name : of the image in the file, for messages and so that images of one file differ.
+    load : returns it, (h, w, 3) uint8 RGB for colour, (h, w) uint16 or float in the unit of `depth_scale` for
+        depth, (h, w) uint8 for confidence and masks; raises InputError. Any thread may call it, any number of
+        times.
+    """
+
+    file: Path
+    name: str
+    load: Callable[[], NDArray[Any]]
+
+    def __str__(self) -> str:
+        """Return how messages call the image."""
+        return f"{self.file}: {self.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One moment of a scan: a colour image and either a right image or a depth map.
+
+    Images are files or parts of files, read when asked for (see stages.scans.images), or arrays in memory.
+
+    Attributes
+    ----------
+    name : how messages call the frame: its file's stem, or its number.
+    camera : of the depth map, or of the left image.
+    color : file or (h, w, 3) uint8 RGB; the left image of a pair.
+    right : as `color`, for stereo.
+    depth : file, or (h, w) float32 metres along the optical axis, 0 where missing.
+    depth_scale : what one metre is in the depth file's units (1000 for millimetres).
+    depth_missing : raw values that mark a missing depth, beside 0.
+    world_from_camera : (4, 4) float64 rigid, metres; None where the scan has no pose for the frame.
+    timestamp : nanoseconds, or None.
+    color_camera : of the colour image of an RGB-D frame, for any of its sizes; None where that image shows
+        what the depth map shows, in whatever size.
+    color_from_depth : (4, 4) float64, metres: takes points of the depth camera to the colour camera; None
+        where both stand in one place.
+    confidence : how far each depth is to be trusted, (h, w) of the depth map's size or of another; higher is
+        better.
+    least_confidence : depth of less is missing.
+    mask : 0 where the image shows nothing of the scene (a backdrop, a border, what moves), (h, w) of its size
+        or of another; such pixels get no depth.
+    depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
+        single views are searched for depth in between.
+    """
+
+    name: str
+    camera: Camera
+    color: Path | Packed | ColorImage | None = None
+    right: Path | Packed | ColorImage | None = None
+    depth: Path | Packed | DepthImage | None = None
+    depth_scale: float = 1000.0
+    depth_missing: tuple[int, ...] = ()
+    world_from_camera: Pose | None = None
+    timestamp: int | None = None
+    color_camera: Camera | None = None
+    color_from_depth: Pose | None = None
+    confidence: Path | Packed | NDArray[np.uint8] | None = None
+    least_confidence: int = 0
+    mask: Path | Packed | NDArray[np.uint8] | None = None
+    depth_range: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class SkippedFrame:
+    """A frame that cannot be used, and why."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A lazy, ordered sequence of frames.
+
+    Attributes
+    ----------
+    layout : the name of the recognised layout.
+    rig : set for stereo pairs, None for RGB-D and for single views.
+    skipped : frames the reader had to leave out (a pose that is lost, a file that is missing).
+    warnings : what is odd, in plain sentences.
+    missing : what the scan lacks to become a mesh, such as `poses: … is missing; name one with …`.
+    box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
+    """
+
+    layout: str
+    frames: Sequence[Frame]
+    rig: StereoRig | None = None
+    folder: Path | None = None
+    skipped: tuple[SkippedFrame, ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+    missing: tuple[str, ...] = ()
+    box: NDArray[np.float64] | None = None
+
+    @property
+    def has_poses(self) -> bool:
+        """Return whether any frame has a pose."""
+        return any(frame.world_from_camera is not None for frame in self.frames)
+
+    @property
+    def is_stereo(self) -> bool:
+        """Return whether depth must still be computed from pairs."""
+        return self.rig is not None
+
+    @property
+    def is_views(self) -> bool:
+        """Return whether depth must still be computed from single images with poses, without a rig."""
+        return self.rig is None and not any(frame.depth is not None for frame in self.frames)

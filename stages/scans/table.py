@@ -1,0 +1,69 @@
+"""The layouts that can be read, in the order they are tried: a new one is one module and one row here."""
+
+from __future__ import annotations
+
+from stages.scans.layouts import (
+    arkit_scenes,
+    augmented_icl,
+    colmap,
+    euroc,
+    icl_nuim,
+    kitti,
+    kitti_stereo,
+    middlebury,
+    middlebury_mview,
+    nerfstudio,
+    nyu,
+    plain_stereo,
+    polycam,
+    record3d,
+    redwood,
+    replica,
+    scan_json,
+    scannet,
+    scannet_sens,
+    seven_scenes,
+    single_pair,
+    stray_scanner,
+    sun_rgbd,
+    tartan_air,
+    tum,
+)
+from stages.scans.reading.layout import Layout
+from stages.scans.ros import recording_layout as ros_bag
+
+# Known by files that only they have.
+DISTINCT: tuple[Layout, ...] = (
+    scan_json.LAYOUT,
+    # Its folders often hold TUM's lists too.
+    icl_nuim.LAYOUT,
+    tum.LAYOUT,
+    seven_scenes.LAYOUT,
+    scannet.LAYOUT,
+    scannet_sens.LAYOUT,
+    euroc.LAYOUT,
+    # Its folders have the names of the sequences'.
+    kitti_stereo.LAYOUT,
+    kitti.LAYOUT,
+    middlebury.LAYOUT,
+    nerfstudio.LAYOUT,
+    polycam.LAYOUT,
+    record3d.LAYOUT,
+    stray_scanner.LAYOUT,
+    arkit_scenes.LAYOUT,
+    replica.LAYOUT,
+    tartan_air.LAYOUT,
+    colmap.LAYOUT,
+    augmented_icl.LAYOUT,
+    middlebury_mview.LAYOUT,
+    nyu.LAYOUT,
+    sun_rgbd.LAYOUT,
+    ros_bag.LAYOUT,
+)
+# Known by the names of folders that other layouts use too: tried after all those.
+GENERIC: tuple[Layout, ...] = (
+    plain_stereo.LAYOUT,
+    single_pair.LAYOUT,
+    redwood.LAYOUT,
+)
+LAYOUTS: tuple[Layout, ...] = DISTINCT + GENERIC

@@ -1,0 +1,1 @@
+"""Simplification: one folder a method, and what all methods share."""

@@ -1,0 +1,1 @@
+"""Method `certified`: bounds that are proven at every point of both surfaces."""

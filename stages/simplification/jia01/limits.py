@@ -1,0 +1,94 @@
+"""The three limits of JIA01, and what they are where the user leaves them open."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.surface.mesh import Mesh
+
+# The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see `simplify`).
+EDGES_PER_RESOLUTION = 36.0  # wanted edge length / mean edge length of the input
+SHAPE_PER_RESOLUTION = 0.1  # the paper's choice
+SHAPE_PER_DIAGONAL = 0.005  # a mesh of few large triangles must not lose its shape
+MAX_TEXTURE = 400.0  # 8-bit levels, summed over the collapses around an edge
+
+# By default, splitting may add this share of the triangles: a few long edges must not decide for all others.
+_SPLIT_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Limits:
+    """L, S_max, T_max: as bounds (infinite for none) and as what the order of collapses is relative to."""
+
+    bounds: tuple[float, float, float]
+    scales: tuple[float, float, float]
+    max_texture: float
+    attribute_scale: float
+
+
+def limits_of(
+    mesh: Mesh,
+    resolution: float | None,
+    max_shape: float | None,
+    max_texture: float | None,
+    attribute_scale: float | None,
+    *,
+    only_given: bool,
+    threads: int,
+) -> Limits:
+    """Complete what was given (None for open); with `only_given`, defaults are no bounds.
+
+    Lengths in metres, `max_texture` in 8-bit levels, `attribute_scale` in metres a level; 0 threads for all
+    cores.
+    """
+    given = (resolution, max_shape, max_texture)
+    if resolution is None:
+        resolution = _default_resolution(mesh, threads)
+    if max_shape is None:
+        max_shape = _default_shape(mesh, resolution)
+    if max_texture is None:
+        max_texture = MAX_TEXTURE
+    # No texture change at all is a fair wish; it then needs another unit in the order.
+    texture_scale = max_texture or 1.0
+    if attribute_scale is None:
+        attribute_scale = max_shape / texture_scale
+    bounds = (
+        math.inf if only_given and wanted is None else value
+        for value, wanted in zip((resolution, max_shape, max_texture), given, strict=True)
+    )
+    return Limits(
+        bounds=(next(bounds), next(bounds), next(bounds)),
+        scales=(resolution, max_shape, texture_scale),
+        max_texture=max_texture,
+        attribute_scale=attribute_scale,
+    )
+
+
+def _default_shape(mesh: Mesh, resolution: float) -> float:
+    # A column at a time: reducing over rows of three is several times slower.
+    extent = [np.ptp(column) for column in mesh.vertices.T] if len(mesh.vertices) else [0.0]
+    diagonal = float(np.linalg.norm(extent))
+    share = SHAPE_PER_RESOLUTION * resolution
+    return min(share, SHAPE_PER_DIAGONAL * diagonal) if diagonal > 0 else share
+
+
+def _default_resolution(mesh: Mesh, threads: int) -> float:
+    """So many mean edge lengths, or more if that would split too many edges."""
+    lengths = _kernels.side_lengths(mesh.vertices, mesh.triangles, wanted_threads=threads).ravel()
+    resolution = EDGES_PER_RESOLUTION * float(lengths.mean()) if len(lengths) else 0.0
+    if not resolution > 0:
+        return 1.0  # no edge has a length; any will do
+    while _split_triangles(lengths, resolution) > _SPLIT_SHARE * len(mesh.triangles):
+        resolution *= 1.1
+    return resolution
+
+
+def _split_triangles(lengths: NDArray[np.float64], resolution: float) -> float:
+    """Triangles that splitting adds at least: sides are halved until short enough, each cut adds one."""
+    pieces = np.exp2(np.ceil(np.log2(lengths[lengths > resolution] / resolution)))
+    return float((pieces - 1).sum())

@@ -1,0 +1,121 @@
+"""A mesh as the kernels of `simplify` take it, and their results as meshes again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.progress import Progress
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import bounding_box
+
+Floats = NDArray[np.float64]
+Ids = NDArray[np.int32]
+Levels = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Centred:
+    """A mesh about the middle of its bounding box: far from the origin, products of coordinates lose digits.
+
+    Attributes
+    ----------
+    mesh : as it was given.
+    origin : (3,) float64, metres, the middle of its bounding box.
+    vertices : (n, 3) float64, metres, from there.
+    attributes : (n, 3) uint8, colours; (n, 0) without colours.
+    """
+
+    mesh: Mesh
+    origin: Floats
+    vertices: Floats
+    attributes: Levels
+
+    def placed_back(self, points: Floats, source: Ids) -> Floats:
+        """Return points (p, 3) from `origin` in the mesh's own coordinates.
+
+        A point that is still where its `source` vertex (p,) was gets that vertex's coordinates to the bit.
+        """
+        moved = (points != self.vertices.take(source, axis=0)).any(axis=1, keepdims=True)
+        return np.where(moved, points + self.origin, self.mesh.vertices.take(source, axis=0))
+
+
+def centred(mesh: Mesh) -> Centred:
+    """Return the mesh about the middle of its bounding box."""
+    if len(mesh.triangles):
+        low, high = bounding_box(mesh)
+        origin = 0.5 * low + 0.5 * high
+    else:
+        origin = np.zeros(3)
+    return Centred(mesh, origin, mesh.vertices - origin, attributes_of(mesh))
+
+
+def attributes_of(mesh: Mesh) -> Levels:
+    """Return the colours of a mesh, (n, 3); (n, 0) if it has none."""
+    return np.zeros((len(mesh.vertices), 0), np.uint8) if mesh.colors is None else mesh.colors
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What is left of a mesh.
+
+    Attributes
+    ----------
+    vertices : (p, 3) float64, metres.
+    attributes : (p, k) float64.
+    triangles : (q, 3) int32.
+    vertex_source : (p,) int32, the vertex of the input that each one was.
+    became : (n,) int32, the vertex here that each vertex of the input became part of; −1 for none.
+    """
+
+    vertices: Floats
+    attributes: Floats
+    triangles: Ids
+    vertex_source: Ids
+    became: Ids
+
+
+def fitted(
+    light: Light, given: Centred, lock: NDArray[np.bool_], threads: int, progress: Progress
+) -> tuple[Floats, Floats]:
+    """Return vertices and attributes of `light`, moved to fit the mesh it was made from by least squares.
+
+    Parameters
+    ----------
+    lock : (n,) bool, vertices of the input that stay as they are.
+    threads : 0 for one a core.
+    progress : raising from it stops the work.
+    """
+    vertices, attributes = _kernels.fit(
+        light.vertices - given.origin,
+        light.attributes,
+        light.triangles,
+        lock[light.vertex_source],
+        given.vertices,
+        given.attributes,
+        given.mesh.triangles,
+        light.became,
+        threads=threads,
+        progress=progress,
+    )
+    return given.placed_back(vertices, light.vertex_source), attributes
+
+
+def as_result(
+    mesh: Mesh, vertices: Floats, attributes: Floats, triangles: Ids, vertex_source: Ids, who: str
+) -> Mesh:
+    """Return what `mesh` has become, with what can follow of its attributes; `who` is named in a note."""
+    colors = None
+    if mesh.colors is not None:
+        # The best colour at a place can lie outside the range of colours a little.
+        colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
+    normals = None if mesh.normals is None else mesh.normals[vertex_source]
+    notes = mesh.notes
+    lost = {"texture": mesh.texture, "parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
+    names = [name for name, value in lost.items() if value is not None]
+    if names:
+        notes += (f"{who} left out: {', '.join(names)}; method seams carries them.",)
+    return Mesh(vertices, triangles, colors=colors, normals=normals, notes=notes)

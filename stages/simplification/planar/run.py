@@ -1,0 +1,250 @@
+"""Simplification by near-planar patches: for walls, floors and machined parts.
+
+Chen and Qin, "3-D surface reduction new algorithm": patches grow over the surface while normals stay alike,
+their borders are traced and straightened, and they are triangulated anew. Every vertex of the result is a
+vertex of the input, so that all it carries stays with it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import UsageError
+from stages.params import resolve
+from stages.progress import Progress, silent
+from stages.simplification.kernel_input import as_result, centred
+from stages.simplification.planar.params import MAX_TEXTURE, PatchParams
+from stages.simplification.planar.patches import Patches
+from stages.simplification.result import Simplified
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import bounding_box
+from stages.surface.sheets import Sheets, taken_apart
+
+VERSION = 2
+
+# Vertices, their attributes, triangles and their labels.
+_Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
+
+_SHAPE_PER_DIAGONAL = 0.005
+_FARTHEST_COLORS = 255 * math.sqrt(3)
+
+
+def planar_patches(
+    mesh: MeshLike, params: PatchParams | None = None, *, progress: Progress = silent, **changes: Any
+) -> Patches:
+    """Find the near-planar patches of a mesh: each triangle is in one, and each is in one piece.
+
+    `simplify` triangulates these anew, but that it divides a patch that lies over itself, seen along its
+    normal.
+
+    A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
+    `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
+    of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8
+    of `max_shape` apart, and its colours within 0.4 of `max_texture` of a linear function; and triangles
+    left over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
+    Triangles of different materials or parts are in different patches.
+
+    Parameters
+    ----------
+    mesh : in metres. Where more than two triangles meet at an edge, or differ in orientation, patches end.
+    params : PatchParams; single fields can be given by name instead.
+    progress : called about ten times a second; raising from it stops the work.
+
+    Returns
+    -------
+    Patches
+        Numbered by area, largest first.
+
+    Raises
+    ------
+    MeshError
+        For an index out of range or a value that is not finite.
+    UsageError
+        For a parameter out of range, or a bound on colours for a mesh without.
+    """
+    params = resolve(PatchParams, params, changes)
+    mesh = as_mesh(mesh)
+    given = centred(mesh)
+    cosines, bounds, threads = _cosines(params), _bounds(mesh, params), params.threads or 0
+
+    def found(surface: _Surface) -> _kernels.PlanarPatches:
+        return _kernels.planar_patches(
+            *surface, cosines=cosines, bounds=bounds, threads=threads, progress=progress
+        )
+
+    whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
+    try:
+        return _patches(found(whole), given.origin)
+    except _kernels.InvalidMeshError:
+        sheets = _sheets(mesh)
+        in_sheets = found(_in_sheets(whole, sheets))
+        return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
+
+
+def by_patches(
+    mesh: Mesh,
+    params: PatchParams,
+    lock: NDArray[np.bool_],
+    *,
+    partial: bool = False,
+    progress: Progress = silent,
+) -> Simplified:
+    """Simplify with method `planar`; see `simplify`.
+
+    Parameters
+    ----------
+    lock : (n,) bool, vertices that stay, and with them the triangles around.
+    partial : on Ctrl-C leave the rest as it is, instead of raising.
+
+    Raises
+    ------
+    UsageError
+        For a bound on colours for a mesh without.
+    """
+    given = centred(mesh)
+    shape, color = _bounds(mesh, params)
+    cosines, threads = _cosines(params), params.threads or 0
+
+    def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> _kernels.ByPatches:
+        return _kernels.simplify_planar(
+            *surface,
+            lock,
+            cosines=cosines,
+            bounds=(shape, color),
+            threads=threads,
+            partial=partial,
+            progress=progress,
+        )
+
+    whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
+    try:
+        result = simplified(whole, lock)
+        triangles, source, triangle_source = result.triangles, result.vertex_source, result.triangle_source
+        input_patch = result.input_patch
+    except _kernels.InvalidMeshError:
+        sheets = _sheets(mesh)
+        of_sheets = sheets.vertex_source
+        # Where sheets touch, all triangles stay, and with them what touches.
+        result = simplified(_in_sheets(whole, sheets), lock[of_sheets] | sheets.is_tied)
+        source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
+        triangles = one.reshape(-1).astype(np.int32)[result.triangles]
+        triangle_source = sheets.triangle_source[result.triangle_source]
+        input_patch = _of_triangles(mesh, sheets, result.input_patch)
+    colors = given.attributes[source].astype(np.float64)
+    plain = mesh.with_(part_ids=None, part_names=())
+    if mesh.texture is not None and not mesh.texture.has_uvs().any():
+        plain = plain.with_(texture=None)
+    light = as_result(plain, mesh.vertices[source], colors, triangles, source, "simplify")
+    light = _carried(light, mesh, triangle_source)
+    # The bounds hold in exact arithmetic; coordinates are rounded a few times on the way.
+    slack = 1e-14 * float(np.abs(given.vertices).max(initial=0))
+    bounds = result.bounds.reshape(-1, 2)[result.triangle_patch]
+    shape_bound = np.where(bounds[:, 0] > 0, bounds[:, 0] + slack, 0)
+    # No two colours are farther apart.
+    color_bound = np.minimum(bounds[:, 1], _FARTHEST_COLORS)
+    with_color = mesh.colors is not None
+    return Simplified(
+        mesh=light,
+        vertex_source=source,
+        triangle_source=triangle_source,
+        method="planar",
+        stopped_by="request" if result.is_partial else "bounds",
+        refused=result.refused,
+        attribute_scale_m_per_level=0.0,
+        splits=0,
+        collapses=0,
+        attempts=0,
+        triangles_before=len(mesh.triangles),
+        shape_bound=shape_bound,
+        color_bound=color_bound if with_color else None,
+        shape_bound_m=float(shape_bound.max(initial=0)),
+        color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
+        iterations=result.rounds,
+        max_shape_m=shape,
+        max_texture_levels=color if with_color else None,
+        patches=_patches(result, given.origin, input_patch),
+        triangle_patch=result.triangle_patch,
+        kept_patches=int(result.kept.sum()),
+    )
+
+
+def _labels(mesh: Mesh) -> NDArray[np.int32]:
+    """Return a number (m,) for the material and part of each triangle; (0,) where all are alike."""
+    key = np.zeros(len(mesh.triangles), np.int64)
+    for ids in (None if mesh.texture is None else mesh.texture.material_ids, mesh.part_ids):
+        if ids is not None:
+            key = key << 32 | (ids.astype(np.int64) + 1)
+    kinds, number = np.unique(key, return_inverse=True)
+    return number.astype(np.int32) if len(kinds) > 1 else np.zeros(0, np.int32)
+
+
+def _carried(light: Mesh, mesh: Mesh, triangle_source: NDArray[np.int32]) -> Mesh:
+    """Give triangles the part they come from, and the material where it needs no texture coordinates."""
+    if mesh.part_ids is not None:
+        light = light.with_(part_ids=mesh.part_ids[triangle_source], part_names=mesh.part_names)
+    if mesh.texture is None or mesh.texture.has_uvs().any():
+        return light
+    return light.with_(texture=mesh.texture.rows(triangle_source))
+
+
+def _sheets(mesh: Mesh) -> Sheets:
+    return taken_apart(mesh.triangles, np.arange(len(mesh.vertices)))
+
+
+def _in_sheets(whole: _Surface, sheets: Sheets) -> _Surface:
+    vertices, attributes, _, labels = whole
+    of_sheets = sheets.vertex_source
+    own = labels[sheets.triangle_source] if len(labels) else labels
+    return vertices[of_sheets], attributes[of_sheets], sheets.triangles, own
+
+
+def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the patch of each triangle of the mesh from that of each triangle of its sheets."""
+    result = np.full(len(mesh.triangles), -1, np.int32)
+    result[sheets.triangle_source] = patch
+    return result
+
+
+def _cosines(params: PatchParams) -> tuple[float, float, float]:
+    """Return the least cosines; above 1 for noise that is not to be taken in."""
+    fidelity, detail, noise = (
+        math.cos(math.radians(angle))
+        for angle in (params.patch_angle, params.crease_angle, params.noise_angle)
+    )
+    # The cosine of 90° is not quite 0.
+    return max(fidelity, 0.0), max(detail, 0.0), noise if params.noise_angle > 0 else 2.0
+
+
+def _bounds(mesh: Mesh, params: PatchParams) -> tuple[float, float]:
+    if params.max_texture is not None and mesh.colors is None:
+        raise UsageError("max_texture is given, but the mesh has no vertex colours; leave it out.")
+    shape = params.max_shape
+    if shape is None:
+        low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+        # A mesh without extent has nothing to bound.
+        shape = _SHAPE_PER_DIAGONAL * float(np.linalg.norm(high - low)) or 1.0
+    if mesh.colors is None:
+        return shape, math.inf
+    return shape, MAX_TEXTURE if params.max_texture is None else params.max_texture
+
+
+def _patches(
+    found: _kernels.PlanarPatches,
+    origin: NDArray[np.float64],
+    triangle_patch: NDArray[np.int32] | None = None,
+) -> Patches:
+    return Patches(
+        triangle_patch=found.input_patch if triangle_patch is None else triangle_patch,
+        normals=found.normals,
+        origins=found.origins + origin,
+        areas=found.areas,
+        triangles=found.faces,
+        thickness=found.thickness,
+        looks=found.looks,
+    )

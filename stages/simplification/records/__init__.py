@@ -1,0 +1,1 @@
+"""Collapses kept, so that every mesh on the way can be had again."""

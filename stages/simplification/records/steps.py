@@ -1,0 +1,161 @@
+"""Numbers of collapses and of triangles: what every record of collapses has in common."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import UsageError
+from stages.params import check, param
+from stages.surface.mesh import Mesh, Triangles
+from stages.surface.topology import repeats_vertex
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayParams:
+    """How far a record is replayed; one of the three numbers, or to its end."""
+
+    triangles: int | None = param(None, "Replay until at most this many triangles are left.", low=1)
+    ratio: float | None = param(
+        None,
+        "Replay until at most this share of the input's triangles is left.",
+        low=0,
+        high=1,
+        low_open=True,
+    )
+    collapses: int | None = param(None, "Replay this many collapses.", low=0)
+    fit: bool = param(
+        False, "Move vertices and colours to fit the input by least squares at the end, as simplify does."
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        given = [name for name in ("triangles", "ratio", "collapses") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise UsageError(f"{' and '.join(given)} are given; give one of them.")
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """A mesh on the way, and where its parts came from.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    vertex_source : (p,) int32, for each vertex an input vertex that became part of it.
+    triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
+    collapses : how many were replayed.
+    """
+
+    mesh: Mesh
+    vertex_source: NDArray[np.int32]
+    triangle_source: NDArray[np.int32]
+    collapses: int
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Triangles, and the collapses they vanish in.
+
+    Attributes
+    ----------
+    triangles : (t, 3) int32, those of the input.
+    vertices : how many vertices they are of.
+    removed, survivor : (m,) int32, for each collapse the vertex that vanished and the one it went into.
+    """
+
+    triangles: Triangles
+    vertices: int
+    removed: NDArray[np.int32]
+    survivor: NDArray[np.int32]
+
+    @cached_property
+    def ends(self) -> NDArray[np.int64]:
+        """For each triangle the number of the collapse that it vanishes in; `len(removed)` if it stays.
+
+        Triangles that repeat a vertex in the input count as gone before the first, −1.
+        """
+        last = len(self.removed)
+        parent = np.arange(self.vertices)
+        parent[self.removed] = self.survivor
+        when = np.full(self.vertices, last)
+        when[self.removed] = np.arange(last)
+        ends = np.full(len(self.triangles), last)
+        for side in range(3):
+            a, b = self.triangles[:, side], self.triangles[:, (side + 1) % 3]
+            np.minimum(ends, _meeting(a, b, parent, when, last), out=ends)
+        ends[repeats_vertex(self.triangles)] = -1
+        return ends
+
+    @cached_property
+    def _sorted_ends(self) -> NDArray[np.int64]:
+        return np.sort(self.ends)
+
+    def triangles_after(self, collapses: int) -> int:
+        """Return how many triangles are left after so many collapses."""
+        return len(self.ends) - int(np.searchsorted(self._sorted_ends, collapses))
+
+    def wanted(self, params: ReplayParams) -> int:
+        """Return how many collapses lead to what is asked for.
+
+        Raises
+        ------
+        UsageError
+            For fewer triangles or more collapses than there are.
+        """
+        most = len(self.removed)
+        if params.collapses is not None:
+            if params.collapses > most:
+                raise UsageError(f"collapses is {params.collapses}, but the record holds only {most}.")
+            return params.collapses
+        wanted = params.triangles
+        if params.ratio is not None:
+            wanted = math.floor(params.ratio * len(self.triangles))
+        if wanted is None:
+            return most
+        least = self.triangles_after(most)
+        if wanted < least:
+            name = "triangles" if params.ratio is None else "ratio"
+            raise UsageError(f"{name} asks for {wanted} triangles, but the record ends at {least}.")
+        # As many triangles as have to go are gone after the collapse that the last of them vanishes in.
+        going = len(self.ends) - wanted
+        return 0 if going <= 0 else max(int(self._sorted_ends[going - 1]) + 1, 0)
+
+
+def roots(count: int, removed: NDArray[np.int32], survivor: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return which of `count` elements each is part of after `removed` went into `survivor`, in order."""
+    root = np.arange(count)
+    root[removed] = survivor
+    while (root[root] != root).any():
+        root = root[root]
+    return root
+
+
+def _meeting(
+    a: NDArray[np.int32],
+    b: NDArray[np.int32],
+    parent: NDArray[np.int64],
+    when: NDArray[np.int64],
+    never: int,
+) -> NDArray[np.int64]:
+    """Return for each pair of vertices the number of the collapse that makes them one; `never` for none.
+
+    Whichever of the two is removed first goes on to its survivor, until both are the same.
+    """
+    met = np.full(len(a), never)
+    pairs = np.flatnonzero(a != b)
+    first, second = a[pairs].astype(np.int64), b[pairs].astype(np.int64)
+    while len(pairs):
+        in_order = when[first] < when[second]
+        first, second = np.where(in_order, first, second), np.where(in_order, second, first)
+        step = when[first]
+        first = parent[first]
+        same = first == second
+        met[pairs[same]] = step[same]
+        open_still = ~same & (step < never)
+        pairs, first, second = pairs[open_still], first[open_still], second[open_still]
+    return met

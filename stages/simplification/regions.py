@@ -1,0 +1,200 @@
+"""Where a simplifier takes more care or changes nothing: values a vertex, and regions that stand for them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stages.errors import UsageError
+from stages.surface.mesh import Mesh
+
+_FORMS = '"sphere x y z radius ..." or "box x y z x y z ...", with an importance, "lock" or both at the end'
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Region:
+    importance: float | None = None
+    lock: bool = False
+
+    def _check_effect(self) -> None:
+        if self.importance is None and not self.lock:
+            raise UsageError(f"{self} has no effect; give it an importance, or lock it.")
+        if self.importance is not None and not (0 < self.importance < math.inf):
+            raise UsageError(f"{self}: an importance must be above 0 and finite.")
+
+
+@dataclass(frozen=True)
+class Sphere(_Region):
+    """All vertices within a ball.
+
+    Attributes
+    ----------
+    center : (x, y, z), metres.
+    radius : metres.
+    importance : factor of the squared error around its vertices; 1 is everywhere else.
+    lock : its vertices stay as they are.
+    """
+
+    center: tuple[float, float, float]
+    radius: float
+
+    def __post_init__(self) -> None:
+        _check_point(self, self.center)
+        if not 0 < self.radius < math.inf:
+            raise UsageError(f"{self}: the radius must be above 0 and finite.")
+        self._check_effect()
+
+    def __str__(self) -> str:
+        return f"sphere about {_words(self.center)} of radius {self.radius:g} m"
+
+    def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which of the points (n, 3), in metres, lie within it: (n,)."""
+        away = points - np.asarray(self.center)
+        return np.asarray(np.einsum("ij,ij->i", away, away) <= self.radius**2)
+
+
+@dataclass(frozen=True)
+class Box(_Region):
+    """All vertices within a box whose sides are parallel to the axes.
+
+    Attributes
+    ----------
+    low, high : (x, y, z), metres, its lowest and its highest corner.
+    importance : factor of the squared error around its vertices; 1 is everywhere else.
+    lock : its vertices stay as they are.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        _check_point(self, self.low)
+        _check_point(self, self.high)
+        if not all(low <= high for low, high in zip(self.low, self.high, strict=True)):
+            raise UsageError(f"{self}: the first corner must be the lowest one, the second the highest.")
+        self._check_effect()
+
+    def __str__(self) -> str:
+        return f"box from {_words(self.low)} to {_words(self.high)}"
+
+    def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which of the points (n, 3), in metres, lie within it: (n,)."""
+        inside = (points >= np.asarray(self.low)) & (points <= np.asarray(self.high))
+        return np.asarray(inside.all(axis=1))
+
+
+Region = Sphere | Box
+
+
+def _check_point(region: Region, point: Sequence[float]) -> None:
+    if len(point) != 3 or not all(map(math.isfinite, point)):
+        raise UsageError(f"{type(region).__name__} at {point!r}: a place is three finite numbers, in metres.")
+
+
+def _words(point: Sequence[float]) -> str:
+    return f"({', '.join(f'{x:g}' for x in point)})"
+
+
+def parse_region(text: str) -> Region:
+    """Read a region: `sphere x y z radius` or `box x y z x y z`, then an importance, `lock` or both.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, or its numbers make no region.
+    """
+
+    def refuse(why: str) -> NoReturn:
+        raise UsageError(f"region {text!r}: {why}; write {_FORMS}.")
+
+    shape, *words = text.replace(",", " ").split() or [""]
+    sizes = {"sphere": 4, "box": 6}
+    if shape not in sizes:
+        refuse("it starts with neither sphere nor box")
+    lock = words[-1:] == ["lock"]
+    try:
+        numbers = [float(word) for word in words[: len(words) - lock]]
+    except ValueError as error:
+        refuse(str(error))
+    count = sizes[shape]
+    if not count <= len(numbers) <= count + 1:
+        refuse(f"a {shape} has {count} numbers and at most one importance, not {len(numbers)} numbers in all")
+    effect: dict[str, Any] = {"lock": lock, "importance": numbers[count] if numbers[count:] else None}
+    first = (numbers[0], numbers[1], numbers[2])
+    if shape == "sphere":
+        return Sphere(first, numbers[3], **effect)
+    return Box(first, (numbers[3], numbers[4], numbers[5]), **effect)
+
+
+def resolve_control(
+    mesh: Mesh, lock: ArrayLike | None, importance: ArrayLike | None, regions: Sequence[Region]
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Turn what the user says of places into values a vertex.
+
+    Parameters
+    ----------
+    lock : (n,) bool, or indices of vertices; None for no vertex.
+    importance : (n,) numbers above 0; None for 1 everywhere.
+    regions : add their locks; of several factors for a vertex, theirs and its own, the largest counts.
+
+    Returns
+    -------
+    tuple of (n,) bool and (n,) float64, the latter (0,) where all importance is 1
+
+    Raises
+    ------
+    UsageError
+        For a wrong shape or value, and for a region without a vertex.
+    """
+    count = len(mesh.vertices)
+    locked = np.zeros(count, bool) if lock is None else _locked(np.asarray(lock), count)
+    own = None if importance is None else _factors(np.asarray(importance), count)
+    largest = np.zeros(count)
+    for region in regions:
+        inside = region.holds(mesh.vertices)
+        if not inside.any():
+            raise UsageError(f"{region} holds no vertex of the mesh; places are in metres.")
+        if region.lock:
+            locked |= inside
+        if region.importance is not None:
+            largest[inside] = np.maximum(largest[inside], region.importance)
+    factors = np.where(largest > 0, largest, 1.0) if own is None else np.maximum(own, largest)
+    return locked, factors if (factors != 1).any() else np.zeros(0)
+
+
+def _locked(lock: NDArray[Any], count: int) -> NDArray[np.bool_]:
+    if lock.dtype == bool:
+        if lock.shape != (count,):
+            raise UsageError(
+                f"lock has shape {lock.shape}; one value for each of {count} vertices is expected."
+            )
+        return np.array(lock, bool)
+    locked = np.zeros(count, bool)
+    if lock.size == 0:
+        return locked
+    if lock.ndim != 1 or lock.dtype.kind not in "iu":
+        raise UsageError("lock must be one bool a vertex, or a list of vertex indices.")
+    if lock.min() < 0 or lock.max() >= count:
+        wrong = next(int(v) for v in lock if not 0 <= v < count)
+        raise UsageError(f"lock names vertex {wrong}, but there are only {count}.")
+    locked[lock] = True
+    return locked
+
+
+def _factors(importance: NDArray[Any], count: int) -> NDArray[np.float64]:
+    if importance.shape != (count,) or importance.dtype.kind not in "iuf":
+        raise UsageError(
+            f"importance has shape {importance.shape} and type {importance.dtype}; "
+            f"one number for each of {count} vertices is expected."
+        )
+    bad = np.flatnonzero(~((importance > 0) & np.isfinite(importance)))
+    if len(bad):
+        raise UsageError(
+            f"importance of vertex {bad[0]} is {importance[bad[0]]}; it must be above 0 and finite."
+        )
+    return importance.astype(np.float64)

@@ -1,0 +1,201 @@
+"""Simplification of textured meshes, along their seams."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.progress import Progress
+from stages.simplification.color_weight import color_weight
+from stages.simplification.kernel_input import attributes_of
+from stages.simplification.params import SimplifyParams
+from stages.simplification.records.seam_record import LOGGED, SeamRecord
+from stages.simplification.reordered import reordered
+from stages.simplification.result import Simplified
+from stages.simplification.seams import defaults
+from stages.simplification.seams.attributes import SeamAttributes, SeamState
+from stages.simplification.seams.similar import joinable_sets, similar_sets
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import bounding_box
+from stages.surface.spatial_order import is_scattered
+from stages.surface.texture import signed_areas
+from stages.surface.topology import areas
+
+Floats = NDArray[np.float64]
+
+
+def by_seams(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: Floats,
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    """Simplify with method `seams`; see `simplify`.
+
+    Parameters
+    ----------
+    lock : (n,) bool, vertices that stay.
+    importance : (n,) above 0, or (0,) for 1 everywhere.
+    running : up to how many triangles, with a record or not, and what Ctrl-C does.
+    """
+    # A record names the corners of the input all along.
+    if running.record or not is_scattered(mesh):
+        return _as_it_is(mesh, params, lock, importance, running, progress)
+
+    def simplified(own: Mesh, vertices: NDArray[np.integer[Any]]) -> Simplified:
+        factors = importance[vertices] if len(importance) else importance
+        return _as_it_is(own, params, lock[vertices], factors, running, progress)
+
+    return reordered(mesh, simplified)
+
+
+def _as_it_is(
+    mesh: Mesh,
+    params: SimplifyParams,
+    lock: NDArray[np.bool_],
+    importance: Floats,
+    running: _kernels.Running,
+    progress: Progress,
+) -> Simplified:
+    low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+    origin = 0.5 * low + 0.5 * high
+    distance = params.similar_distance
+    if distance is None:
+        distance = defaults.SIMILAR_DISTANCE * float(np.linalg.norm(high - low))
+        sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
+        lock = lock | apart
+    else:
+        sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
+    attributes = _attributes(mesh, positions, origin, params, running)
+    texture = mesh.texture
+    count = len(mesh.triangles)
+    has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
+    found = _kernels.simplify_seams(
+        positions - origin,
+        sets,
+        mesh.triangles,
+        attributes.columns,
+        has_uvs,
+        np.full(count, -1, np.int32) if texture is None else texture.material_ids,
+        np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
+        importance[mesh.triangles].mean(axis=1) if len(importance) else importance,
+        lock,
+        knobs=_knobs(params, attributes.uv_scale),
+        fit=params.fit,
+        running=running,
+        progress=progress,
+    )
+    left = SeamState(
+        places=found.vertices,
+        triangles=found.triangles,
+        corners=found.corners,
+        corner_source=found.corner_source,
+        vertex_source=found.vertex_source,
+        triangle_source=found.triangle_source,
+    )
+    light, vertex_source = attributes.as_mesh(mesh, left)
+    record = None
+    if found.log is not None:
+        record = SeamRecord(mesh, attributes, **{name: getattr(found.log, name) for name in LOGGED})
+    return Simplified(
+        mesh=light,
+        vertex_source=vertex_source,
+        triangle_source=found.triangle_source,
+        method="seams",
+        stopped_by=found.stopped_by,
+        refused=found.standing,
+        attribute_scale_m_per_level=attributes.color_scale,
+        splits=0,
+        collapses=found.collapses,
+        attempts=found.attempts,
+        triangles_before=count,
+        fitted=found.fitted,
+        record=record,
+        similar_distance_m=distance,
+        joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
+        texture_scale_m=attributes.uv_scale,
+        seam_drift=found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0,
+    )
+
+
+def _attributes(
+    mesh: Mesh, positions: Floats, origin: Floats, params: SimplifyParams, running: _kernels.Running
+) -> SeamAttributes:
+    """Return what the corners carry, each attribute in metres by its weight."""
+    corners = mesh.triangles.reshape(-1)
+    columns: list[NDArray[np.floating[Any]]] = []
+    uv_scale = color_scale = normal_scale = 0.0
+    texture = mesh.texture
+    if texture is not None and texture.has_uvs().any():
+        weight = _given(params.texture_weight, defaults.TEXTURE_WEIGHT)
+        # A weight of 0 would leave no place for the coordinates.
+        uv_scale = max(weight, 1e-9) * _metres_per_image(mesh, positions)
+        columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
+    else:
+        columns.append(np.zeros((len(corners), 2)))
+    if mesh.colors is not None:
+        color_scale = params.attribute_scale or 0.0
+        if params.attribute_scale is None:
+            color_scale = color_weight(mesh, running.target_triangles, running.threads)
+        color_scale = max(color_scale, 1e-12)
+        columns.append(attributes_of(mesh)[corners] * color_scale)
+    normals = mesh.corner_normals.reshape(-1, 3) if mesh.corner_normals is not None else None
+    if normals is None and mesh.normals is not None:
+        normals = mesh.normals[corners]
+    if normals is not None:
+        weight = _given(params.normal_weight, defaults.NORMAL_WEIGHT)
+        normal_scale = max(weight * _metres_per_normal(mesh, positions, running.target_triangles), 1e-12)
+        columns.append(normals * normal_scale)
+    return SeamAttributes(
+        origin=origin,
+        positions=positions,
+        columns=np.ascontiguousarray(np.hstack(columns)),
+        uv_scale=uv_scale,
+        color_scale=color_scale,
+        normal_scale=normal_scale,
+        has_uvs=uv_scale > 0,
+        has_colors=mesh.colors is not None,
+        has_normals=normals is not None,
+    )
+
+
+def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
+    """Return the length on the surface that the image's side covers, in the mean over the surface's area."""
+    assert mesh.texture is not None
+    in_image = np.abs(signed_areas(mesh.texture.uvs))
+    seen = in_image > 0
+    if not seen.any():
+        # Every triangle has one texel: a palette. Any other colour is far away.
+        return float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
+    return float(np.sqrt(areas(positions, mesh.triangles)[seen].sum() / in_image[seen].sum())) or 1.0
+
+
+def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
+    """Return the length that weighs as much as a difference of 1 of normals.
+
+    On a round surface of radius r, an edge of length e is e² / 8r off in its middle, and the normals of its
+    ends are e / r apart: an eighth of the length of the edges that will be left balances the two.
+    """
+    area = areas(positions, mesh.triangles).sum()
+    return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
+
+
+def _knobs(params: SimplifyParams, uv_scale: float) -> _kernels.SeamKnobs:
+    drift = params.max_seam_drift
+    return _kernels.SeamKnobs(
+        across_materials=_given(params.across_textures, defaults.ACROSS_TEXTURES),
+        across_parts=_given(params.across_parts, defaults.ACROSS_PARTS),
+        valence=_given(params.valence_penalty, defaults.VALENCE_PENALTY),
+        wedges=_given(params.set_penalty, defaults.SET_PENALTY),
+        shape=_given(params.shape_weight, defaults.SHAPE_WEIGHT),
+        seam_drift=np.inf if drift is None else drift * uv_scale,
+    )
+
+
+def _given(value: float | None, default: float) -> float:
+    return default if value is None else value

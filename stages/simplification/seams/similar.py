@@ -1,0 +1,151 @@
+"""Geometrically similar vertices: copies that files make of one, and parts that touch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import UsageError
+from stages.surface.mesh import Triangles, Vertices
+from stages.surface.sheets import taken_apart
+
+# Pairs a vertex may have on average before `similar_distance` is taken for a mistake.
+_MOST_PAIRS = 64
+# Vertices that are asked how many there are, before all are.
+_ASKED = 4096
+
+
+def similar_sets(
+    vertices: Vertices, triangles: Triangles, distance: float
+) -> tuple[NDArray[np.int32], Vertices]:
+    """Find the sets of similar vertices (Feng, Ni and Luo 2012, section 2.1).
+
+    Two vertices are similar if they are closer than `distance`, or a chain of such steps leads from one to
+    the other. The ends of an edge are not similar for being close.
+
+    Parameters
+    ----------
+    distance : metres, at least 0; 0 for equal positions.
+
+    Returns
+    -------
+    sets : (n,) int32, the set of each vertex, numbered from 0 in the order of their first vertices.
+    positions : (n, 3) float64, the mean position of each vertex's set; where all are equal, that to the bit.
+
+    Raises
+    ------
+    UsageError
+        If `distance` is so large that most of the mesh would be one.
+    """
+    equal, first = _equal(vertices)
+    sets = _similar(vertices[first], equal, triangles, distance)
+    return sets, _means(vertices, sets) if sets is not equal else vertices[first][sets]
+
+
+def joinable_sets(
+    vertices: Vertices, triangles: Triangles, distance: float
+) -> tuple[NDArray[np.int32], Vertices, NDArray[np.bool_]]:
+    """Find similar sets as `similar_sets` does, but join vertices of different positions to a surface only.
+
+    Where triangles would meet that cannot be joined, as where a part stands on another or sheets lie on each
+    other, vertices keep the positions they have.
+
+    Returns
+    -------
+    sets, positions : as of `similar_sets`.
+    apart : (n,) bool, vertices that are similar to others and nevertheless not in one set with them. Surfaces
+        touch there, and come apart where only one of them moves.
+    """
+    equal, first = _equal(vertices)
+    sets = _similar(vertices[first], equal, triangles, distance)
+    apart = np.zeros(len(sets), bool)
+    if sets is equal:
+        return sets, vertices[first][sets], apart
+    # What is taken apart may leave its neighbours in a set that cannot be joined any more.
+    while True:
+        is_uneven = np.bincount(sets[first], minlength=len(first))[sets] > 1
+        sheets = taken_apart(triangles, sets)
+        is_tied = np.zeros(len(sets), bool)
+        is_tied[sets[sheets.vertex_source[sheets.is_tied]]] = True
+        taken = is_uneven & is_tied[sets]
+        if not taken.any():
+            return sets, _means(vertices, sets), apart
+        apart |= taken
+        sets = _ranked(np.where(taken, len(sets) + equal, sets))
+
+
+def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:
+    """Return the set of equal vertices each one is in, and the first vertex of each set."""
+    # Adding 0 makes −0 equal to 0 to the bit.
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+        key = (mixed ^ (mixed >> np.uint64(29))).sum(axis=1)
+    sets = _ranked(key)
+    first = _firsts(sets)
+    if not np.array_equal(vertices[first][sets], vertices):
+        # Two positions with the same key.
+        sets = _ranked(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
+        first = _firsts(sets)
+    return sets, first
+
+
+def _ranked(labels: NDArray[Any]) -> NDArray[np.int32]:
+    """Return labels numbered from 0 in the order they first occur."""
+    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), np.int32)
+    rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
+    return rank[inverse.reshape(-1)]
+
+
+def _firsts(sets: NDArray[np.int32]) -> NDArray[Any]:
+    """Return the first member of each set."""
+    first = np.empty(int(sets.max(initial=-1)) + 1, np.int64)
+    first[sets[::-1]] = np.arange(len(sets))[::-1]
+    return first
+
+
+def _similar(
+    positions: Vertices, equal: NDArray[np.int32], triangles: Triangles, distance: float
+) -> NDArray[np.int32]:
+    """Return the set of similar vertices each one is in; `equal` itself if no `positions` of its sets are."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    count = len(positions)
+    if distance == 0 or count < 2:
+        return equal
+    tree = cKDTree(positions)
+    # Counting all pairs takes three times as long as listing the few there should be.
+    some = positions[:: max(count // _ASKED, 1)]
+    if tree.query_ball_point(some, distance, return_length=True).mean() > _MOST_PAIRS / 2:
+        pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
+        if pairs_in_all > _MOST_PAIRS * count:
+            raise UsageError(
+                f"similar_distance {distance:g} m is far more than the distance between vertices: "
+                f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
+            )
+    pairs = tree.query_pairs(distance, output_type="ndarray")
+    if not len(pairs):
+        return equal
+    close = np.zeros(count, bool)
+    close[pairs] = True
+    edges = equal[triangles][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    edges = np.sort(edges[close[edges].all(axis=1)], axis=1)
+    pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
+    links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return _ranked(connected_components(links, directed=False)[1][equal])
+
+
+def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
+    size = np.bincount(sets)
+    total = np.stack([np.bincount(sets, vertices[:, axis]) for axis in range(3)], axis=1)
+    mean = (total / np.maximum(size, 1)[:, None])[sets]
+    one = vertices[_firsts(sets)]
+    # A set of equal vertices keeps their position to the bit, which a mean need not.
+    uneven = np.zeros(len(size), bool)
+    np.logical_or.at(uneven, sets, (vertices != one[sets]).any(axis=1))
+    return np.where(uneven[sets][:, None], mean, one[sets])

@@ -1,0 +1,356 @@
+"""The depth stage: a pair of images to metric depth with a confidence a pixel."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError, UsageError
+from stages.params import resolve
+from stages.progress import Progress, silent
+from stages.scans import images
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.stereo.confidence import confidence
+from stages.stereo.matching import (
+    LARGEST_DISPARITY,
+    SUBPIXELS,
+    Matcher,
+    SearchRange,
+    consistency,
+    matched_pixels,
+    narrowed,
+    projected,
+    textured,
+)
+from stages.stereo.pairs import pair_warnings, require_pair
+from stages.stereo.params import DepthParams
+from stages.stereo.rectify import RectifiedRig, rectified_rig
+from stages.stereo.smoothing import smoothed
+from stages.stereo.subpixel import refined
+
+__all__ = ["VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
+
+VERSION = 3
+
+# Disparities that are looked for when nothing says how near the scene is, as a share of the width.
+_WIDEST = 0.25
+# From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
+_SEVERAL = 3
+# Least confidence and uniqueness (%) where a pair stands alone, and where others look at the same surface:
+# there, grass and foliage that match less surely are worth having.
+_ALONE = (128, 20)
+_AMONG_OTHERS = (16, 5)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth of a rectified left image.
+
+    Attributes
+    ----------
+    depth : (h, w) float32 metres along the optical axis; 0 where there is none to be trusted.
+    confidence : (h, w) uint8, 0 (no measurement) to 255.
+    disparity : (h, w) float32 pixels, x of the left less x of the right image; NaN where there is none.
+    color : (h, w, 3) uint8 RGB, the rectified left image.
+    camera : of the rectified left image.
+    rectified_from_left : (3, 3) float64, the turn from the calibrated camera's axes to the rectified ones'.
+    search : the disparities that were tried.
+    min_depth, max_depth : metres, the range that could be measured: of the disparities that were tried, or
+        up to where the expected error or the parameter ends it.
+    warnings : what is odd about the pair, in plain sentences.
+    """
+
+    depth: DepthImage
+    confidence: NDArray[np.uint8]
+    disparity: NDArray[np.float32]
+    color: ColorImage
+    camera: Camera
+    rectified_from_left: NDArray[np.float64]
+    search: SearchRange
+    min_depth: float
+    max_depth: float
+    warnings: tuple[str, ...] = ()
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was derived and what came out, for reports."""
+        used = self.depth > 0
+        return {
+            "width_px": self.camera.width,
+            "height_px": self.camera.height,
+            "lowest_disparity_px": self.search.lowest,
+            "disparities_px": self.search.count,
+            "min_depth_m": self.min_depth,
+            "max_depth_m": self.max_depth,
+            "matched_share": float(np.count_nonzero(self.confidence) / self.confidence.size),
+            "used_share": float(np.count_nonzero(used) / used.size),
+            "median_depth_m": float(np.median(self.depth[used])) if used.any() else None,
+        }
+
+
+def depth(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    rig: StereoRig,
+    params: DepthParams | None = None,
+    **changes: Any,
+) -> DepthMap:
+    """Measure depth from one calibrated pair.
+
+    The pair is rectified if it is not, matched semi-globally and checked left against right; every pixel gets
+    a confidence. What is below `min_confidence`, or beyond the range of the allowed depth error, has no
+    depth.
+
+    Parameters
+    ----------
+    left, right : (h, w, 3) RGB or (h, w) grey uint8, of the size the rig is calibrated for.
+    rig : the calibration; `rig.rectified` says whether rows correspond already.
+    params, changes : the parameters, and changes to them by name.
+
+    Raises
+    ------
+    InputError
+        If images and calibration do not belong together, or left and right are swapped.
+    UsageError
+        If a parameter is out of its range.
+    StageError
+        If the matcher runs out of memory.
+
+    References
+    ----------
+    Hirschmüller 2008 (semi-global matching); Min et al. 2014 (the optional smoothing).
+    """
+    params = resolve(DepthParams, params, changes)
+    stage = PairStage(rectified_rig(rig), params, pairs=1, stated=rig.disparities)
+    pair = stage.rectified(left, right)
+    return stage.measure(*pair, stage.warnings(*pair))
+
+
+def depth_scan(
+    scan: Scan, params: DepthParams | None = None, progress: Progress = silent, **changes: Any
+) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
+    """Measure the depth of every pair of a scan, on all cores, in the order of its frames.
+
+    Each frame comes with its depth map in place of the right image, the camera of the rectified left image
+    and a pose turned alike; or unchanged, with the reason why it had to be skipped. Frames are matched
+    ahead of the caller, a few at a time. Results do not depend on the number of threads.
+
+    Raises
+    ------
+    InputError
+        If the scan has no pairs, they are swapped, or more than `max_skipped` of its frames cannot be used.
+    """
+    params = resolve(DepthParams, params, changes)
+    if scan.rig is None:
+        raise InputError("the scan has no stereo pairs; its depth maps need no matching.", scan.folder)
+    stage = PairStage(rectified_rig(scan.rig), params, pairs=len(scan.frames), stated=scan.rig.disparities)
+    warnings = _first_warnings(stage, scan)
+    threads = params.threads or os.cpu_count() or 1
+    total = len(scan.frames)
+    skipped = 0
+    results = read_ahead(
+        partial(_measure_frame, stage, warnings), scan.frames, threads=threads, ahead=threads + 2
+    )
+    for done, (frame, result) in enumerate(results, 1):
+        if isinstance(result, SkippedFrame):
+            skipped += 1
+            if skipped > params.max_skipped * total:
+                raise InputError(
+                    f"{skipped} of the scan's {total} pairs cannot be used, more than the share of "
+                    f"{params.max_skipped:g} that max_skipped allows; the last of them: {result.reason}",
+                    scan.folder,
+                )
+        progress(done, total)
+        yield frame, result
+
+
+def _first_warnings(stage: PairStage, scan: Scan) -> tuple[str, ...]:
+    """Return what is odd about the first pair that can be read: swapped folders show in any."""
+    for frame in scan.frames:
+        try:
+            pair = _read_pair(stage, frame)
+        except InputError:
+            continue  # Reported when its turn comes.
+        try:
+            return stage.warnings(*pair)
+        except InputError as error:
+            raise InputError(str(error), scan.folder) from error
+    return ()
+
+
+def _read_pair(stage: PairStage, frame: Frame) -> tuple[NDArray[Any], NDArray[Any]]:
+    left, right = images.read_color(frame), images.read_right(frame)
+    if left is None or right is None:
+        raise InputError(f"frame {frame.name} has no {'left' if left is None else 'right'} image.")
+    files = [source if isinstance(source, Path) else None for source in (frame.color, frame.right)]
+    return stage.rectified(left, right, (files[0], files[1]))
+
+
+def _measure_frame(
+    stage: PairStage, warnings: tuple[str, ...], frame: Frame
+) -> tuple[Frame, DepthMap | SkippedFrame]:
+    try:
+        pair = _read_pair(stage, frame)
+    except InputError as error:
+        return frame, SkippedFrame(frame.name, str(error))
+    result = stage.measure(*pair, warnings)
+    world_from_camera = frame.world_from_camera
+    if world_from_camera is not None:
+        left_from_rectified = np.eye(4)
+        left_from_rectified[:3, :3] = result.rectified_from_left.T
+        world_from_camera = world_from_camera @ left_from_rectified
+    measured = replace(
+        frame,
+        camera=result.camera,
+        color=result.color,
+        right=None,
+        depth=result.depth,
+        world_from_camera=world_from_camera,
+    )
+    return measured, result
+
+
+class PairStage:
+    """What all pairs of a rig share: rectification, search range, matcher, the bound of depth.
+
+    Parameters
+    ----------
+    pairs : how many measurements look at a surface: from three on, each may be less sure.
+    stated : the number of disparities that the calibration itself states, or None.
+    """
+
+    def __init__(self, rig: RectifiedRig, params: DepthParams, pairs: int, stated: int | None = None) -> None:
+        self.params = params
+        derived = _AMONG_OTHERS if pairs >= _SEVERAL else _ALONE
+        given = params.min_confidence, params.uniqueness
+        least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
+        # Confidence 0 says that nothing was measured.
+        self.least_confidence = max(least, 1)
+        self.rig = rig
+        self.matcher = Matcher(
+            params.matcher, params.block_size, *params.penalties, params.prefilter_cap, uniqueness
+        )
+        self.search = _search_range(rig, params, stated)
+        self.narrow = params.min_depth is None and params.disparities is None and stated is None
+        self.max_depth = _depth_bound(rig, params)
+
+    def rectified(
+        self,
+        left: NDArray[np.uint8],
+        right: NDArray[np.uint8],
+        files: tuple[Path | None, Path | None] = (None, None),
+    ) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return the pair with common rows, once it is known to fit the calibration."""
+        require_pair(left, right, self.rig.left, files)
+        return self.rig.apply(left, right)
+
+    def warnings(self, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[str, ...]:
+        """Return what is odd about a pair whose rows correspond."""
+        return pair_warnings(_grey(left), _grey(right), self.rig.principal_offset)
+
+    def measure(
+        self, left: NDArray[np.uint8], right: NDArray[np.uint8], warnings: tuple[str, ...]
+    ) -> DepthMap:
+        """Match a pair whose rows correspond."""
+        pair = _grey(left), _grey(right)
+        search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
+        first = self.matcher.left(*pair, search)
+        if self.params.left_right == "match":
+            residual = consistency(first, self.matcher.right(*pair, search), search)
+        else:
+            residual = projected(first, search, self.params.left_right_tolerance)
+        matched = matched_pixels(
+            first,
+            residual,
+            search,
+            tolerance=self.params.left_right_tolerance,
+            speckle_size=self.params.speckle_size,
+            speckle_range=self.params.speckle_range,
+        )
+        matched &= textured(pair[0], self.params.min_texture)
+        trust = confidence(first, residual, matched, search)
+        if self.params.smooth:
+            first = smoothed(
+                first,
+                self.matcher.right(*pair, search),
+                _rgb(left),
+                block_size=self.params.block_size,
+                strength=self.params.smooth_lambda,
+                edge_sigma=self.params.smooth_sigma,
+            )
+        near = self.params.min_depth or 0.0
+        none = first < SUBPIXELS * search.lowest
+        disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
+        if self.params.refine and not self.params.smooth:
+            disparity = refined(*pair, disparity, trust >= self.least_confidence)
+        return DepthMap(
+            self._depth(disparity, trust),
+            trust,
+            disparity,
+            _rgb(left),
+            self.rig.left,
+            self.rig.rectified_from_left,
+            search,
+            max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), near),
+            self.max_depth,
+            warnings,
+        )
+
+    def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
+        """Return z = f·b / (d + cx_right − cx_left), where it is to be trusted and within range."""
+        parallel = disparity + np.float32(self.rig.principal_offset)
+        used = (trust >= self.least_confidence) & (parallel > 0)
+        z = np.divide(np.float32(self.rig.focal_baseline), parallel, out=np.zeros_like(parallel), where=used)
+        z[(z < (self.params.min_depth or 0)) | (z > self.max_depth)] = 0
+        return np.asarray(z, np.float32)
+
+
+def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:
+    """Return the depth at which σ_z = z²/(f·b)·σ_d reaches its share of z, or `max_depth` if nearer."""
+    bound = params.max_relative_depth_error * rig.focal_baseline / params.disparity_sigma
+    return min(bound, params.max_depth) if params.max_depth is not None else bound
+
+
+def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None) -> SearchRange:
+    """Return the disparities of the depth range; `stated` is the calibration's own number of them, from 0."""
+    width, offset = rig.left.width, rig.principal_offset
+    # Rays are parallel at disparity −offset: nothing lies beyond.
+    parallel = 0.0 if params.max_depth is None else rig.focal_baseline / params.max_depth
+    lowest = math.floor(parallel - offset)
+    if params.disparities is not None:
+        highest = lowest + params.disparities - 1.0
+    elif params.min_depth is not None:
+        highest = rig.focal_baseline / params.min_depth - offset
+    elif stated is not None:
+        lowest = max(lowest, 0)
+        highest = stated - 1.0
+    else:
+        highest = max(lowest, 0) + width * _WIDEST
+    # At the image's width nothing of the scene is in both images.
+    limit = min(width - 1, LARGEST_DISPARITY)
+    if lowest > limit or highest < lowest:
+        raise UsageError(
+            f"max_depth is {params.max_depth:g} m, nearer than the rig's pairs can be matched "
+            f"({rig.focal_baseline / (min(highest, limit) + offset):.3g} m); give a larger one."
+        )
+    return SearchRange.covering(lowest, min(highest, limit))
+
+
+def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    import cv2
+
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _rgb(image: NDArray[np.uint8]) -> ColorImage:
+    import cv2
+
+    return image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB), np.uint8)

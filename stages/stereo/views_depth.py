@@ -1,0 +1,374 @@
+"""Depth of single views with poses: each is matched with a few others, and all are checked on each other."""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.progress import Progress, silent
+from stages.registration.sift import Keypoints, keypoints
+from stages.scans.depth_range import Range, range_of_points
+from stages.scans.images import read_color, read_mask, read_pinhole, read_seen
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
+from stages.stereo.agreement import agreeing_views, merged
+from stages.stereo.background import measurable
+from stages.stereo.depth import DepthMap, DepthParams, PairStage
+from stages.stereo.kept_maps import KeptMaps
+from stages.stereo.matching import SearchRange
+from stages.stereo.partners import partners
+from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.recognised import Recognised, neighbours, recognised
+from stages.stereo.reduced import reduced
+from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
+from stages.stereo.turned import Corners, corners, turned
+from stages.stereo.view_pair import depth_in_view, rectified_views
+
+# Maps of one place agree when they differ by no more than this many pixels of disparity would make.
+_TOLERANCE_PX = 1.0
+# A view's map is checked on those of this many times its partners, the best first.
+_CHECKED_ON = 2
+# Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
+_KEYPOINTS = 1000
+# Rows of a pair that differ by more cost the matcher its best match.
+_LARGEST_OFF_PX = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What the partners of a view say together, before other views are asked."""
+
+    depth: DepthImage
+    confidence: NDArray[np.uint8]
+    search: SearchRange
+
+
+def views_depth(
+    scan: Scan, params: DepthParams | None = None, progress: Progress = silent
+) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
+    """Measure the depth of every view of a scan without a rig, in the order of its frames.
+
+    Each view makes a stereo pair with each of a few others: rows are made to correspond, the pair is matched
+    as any other, and depth is brought back into the view. What its partners say is merged, and stays
+    where the maps of enough other views say the same. Flat background, which matches anything, goes that way.
+
+    Images larger than `max_side` are made smaller first, and those that are upside down against their poses
+    are turned back (see stages.stereo.turned); the maps say so among their warnings.
+
+    Disparities are looked for in the range of depth that the scan states, by a box (then nothing outside it
+    is kept either) or for each frame; else in that of the points which views recognise in each other, or of
+    a cube where the optical axes meet (see stages.stereo.scene_depth). `min_depth` and `max_depth` win over
+    all of these. Where recognised points lie elsewhere than the poses say, the maps have a warning.
+
+    Parameters
+    ----------
+    scan : with colour and poses, without depth.
+    params : of the depth stage; `partners`, `agreeing_views` and `agreement` are about views alone.
+    progress : called after each view of the first and of the second turn.
+
+    Returns
+    -------
+    Frames with depth, the camera without distortion, and the pose unchanged. A map's `disparity` is NaN
+    everywhere, since each partner has another; `max_depth` is that of the farthest view, `search` is the
+    range tried with the best partner, and `confidence` that before the views were checked on each other.
+
+    Raises
+    ------
+    InputError
+        If a view has no pose, nothing tells where the scene is, the poses do not fit the images, or too many
+        views cannot be used.
+    """
+    params = params or DepthParams()
+    _require_enough(scan, params)
+    frames = [reduced(frame, params.max_side) for frame in scan.frames]
+    smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
+    scan = replace(scan, frames=frames)
+    views = posed_views(scan)
+    pairs = neighbours(views)
+    scan, warnings = _turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
+    seen, doubts = _recognised(scan, views, pairs, params)
+    if smaller:
+        doubts = (*doubts, f"{smaller} images were made smaller, to {params.max_side} px (depth.max_side)")
+    ranges = [one or other for one, other in zip(stated_ranges(scan, views), seen, strict=True)]
+    views = ranged_views(scan, views, ranges, params.min_depth, params.max_depth)
+    chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
+    tolerance = params.agreement or _tolerance(views, chosen)
+    box = scene_box(scan)
+    farthest = max(view.far for view in views)
+    threads = params.threads or os.cpu_count() or 1
+    total = 2 * len(views)
+    lost: dict[int, SkippedFrame] = {}
+    searches: dict[int, SearchRange] = {}
+    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
+        kept = KeptMaps(Path(folder))
+        measure = partial(_measure, scan, views, chosen, params, tolerance)
+        first_turn = read_ahead(measure, range(len(views)), threads=threads, ahead=threads + 2)
+        for at, result in enumerate(first_turn):
+            if isinstance(result, SkippedFrame):
+                lost[at] = result
+                _require_share(list(lost.values()), len(views), params.max_skipped, scan)
+            else:
+                kept.put(at, _inside(result.depth, views[at], box), result.confidence)
+                searches[at] = result.search
+            progress(at + 1, total)
+
+        def check(at: int) -> DepthMap | SkippedFrame:
+            if at in lost:
+                return lost[at]
+            depth = kept.depth(at)
+            others = ((views[other], kept.depth(other)) for other in chosen[at] if other not in lost)
+            count = agreeing_views(views[at], depth, others, tolerance)
+            depth[count < params.agreeing_views] = 0
+            found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
+            return (
+                found
+                if isinstance(found, SkippedFrame)
+                else replace(found, warnings=(*doubts, *warnings.get(at, ())))
+            )
+
+        skipped: list[SkippedFrame] = []
+        second_turn = read_ahead(check, range(len(views)), threads=threads, ahead=threads + 2)
+        for at, checked in enumerate(second_turn):
+            if isinstance(checked, SkippedFrame):
+                skipped.append(checked)
+                _require_share(skipped, len(views), params.max_skipped, scan)
+                yield scan.frames[at], checked
+            else:
+                yield _measured_frame(scan.frames[at], views[at], checked), checked
+            progress(len(views) + at + 1, total)
+
+
+def _require_enough(scan: Scan, params: DepthParams) -> None:
+    """Refuse a scan none of whose depth could be agreed with."""
+    count, needed = len(scan.frames), max(params.agreeing_views + 1, 2)
+    if count < needed:
+        alone = "one view alone has no depth" if count == 1 else f"of {count} views no depth is agreed with"
+        raise InputError(
+            f"{alone}: each place must be measured from {needed} views. Give more views"
+            + (", or lower depth.agreeing_views." if count > 1 else "."),
+            scan.folder,
+        )
+
+
+def _recognised(
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
+) -> tuple[list[Range | None], tuple[str, ...]]:
+    """Return the range of depth of what each view shows and others do, and what is odd about the poses."""
+
+    def read(frame: Frame) -> Keypoints | None:
+        try:
+            return keypoints(_grey(_color(frame)), _KEYPOINTS)
+        except InputError:
+            return None  # Reported when its turn comes.
+
+    threads = params.threads or os.cpu_count() or 1
+    points = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+
+    def compare(pair: tuple[int, int]) -> Recognised | None:
+        here, there = (points[at] for at in pair)
+        if here is None or there is None:
+            return None
+        return recognised(views[pair[0]], views[pair[1]], here, there)
+
+    depths: list[list[NDArray[np.float64]]] = [[np.zeros(0)] for _ in views]
+    off: list[float] = []
+    compared = read_ahead(compare, pairs, threads=threads, ahead=threads + 2)
+    for pair, found in zip(pairs, compared, strict=True):
+        if found is not None:
+            off.append(found.off)
+            for at, some in zip(pair, found.depths, strict=True):
+                depths[at].append(some)
+    return [range_of_points(np.concatenate(some)) for some in depths], _doubts(off, scan, params)
+
+
+def _doubts(off: Sequence[float], scan: Scan, params: DepthParams) -> tuple[str, ...]:
+    usual = float(np.median(off)) if off else 0.0
+    if usual <= _LARGEST_OFF_PX:
+        return ()
+    said = (
+        f"what two views show is off by {usual:.1f} px (median) from where their poses put it: poses or "
+        "calibration do not fit the images"
+    )
+    if usual > params.max_pose_error:
+        raise InputError(
+            f"{said}. Give others with scan.poses=FILE or scan.intrinsics=fx,fy,cx,cy; "
+            f"depth.max_pose_error, {params.max_pose_error:g} px, says how much is borne.",
+            scan.folder,
+        )
+    return (
+        f"{said} well, and depth will have holes and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy "
+        "state others",
+    )
+
+
+def _turned_back(
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
+) -> tuple[Scan, dict[int, tuple[str, ...]]]:
+    """Return the scan with upside-down images turned back, and what to say of them, by their places."""
+
+    def read(frame: Frame) -> Corners | None:
+        try:
+            return corners(_grey(_color(frame)))
+        except InputError:
+            return None  # Reported when its turn comes.
+
+    threads = params.threads or os.cpu_count() or 1
+    found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+    places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
+    if not places:
+        return scan, {}
+    frames = list(scan.frames)
+    for at in places:
+        frames[at] = replace(
+            frames[at],
+            color=_upside_down(frames[at], frames[at].color, read_color),
+            mask=_upside_down(frames[at], frames[at].mask, read_mask),
+        )
+    said = (
+        f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
+        "they were turned back",
+    )
+    return replace(scan, frames=frames), dict.fromkeys(places, said)
+
+
+def _upside_down(
+    frame: Frame,
+    source: Path | Packed | NDArray[np.uint8] | None,
+    read: Callable[[Frame], NDArray[np.uint8] | None],
+) -> Packed | NDArray[np.uint8] | None:
+    """Return an image of the frame turned by 180 degrees, read again each time if it is a file."""
+    if source is None:
+        return None
+
+    def load() -> NDArray[np.uint8]:
+        image = read(frame)
+        if image is None:
+            raise InputError(f"frame {frame.name} has no image.")
+        return np.ascontiguousarray(image[::-1, ::-1])
+
+    if isinstance(source, np.ndarray):
+        return load()
+    return Packed(source if isinstance(source, Path) else source.file, f"{frame.name}, turned", load)
+
+
+def _measure(
+    scan: Scan,
+    views: Sequence[PosedView],
+    chosen: Sequence[Sequence[int]],
+    params: DepthParams,
+    tolerance: float,
+    at: int,
+) -> _Measured | SkippedFrame:
+    """Match one view with its partners."""
+    name = scan.frames[at].name
+    try:
+        color = _color(scan.frames[at])
+    except InputError as error:
+        return SkippedFrame(name, str(error))
+    depths: list[DepthImage] = []
+    confidences: list[NDArray[np.uint8]] = []
+    searches: list[SearchRange] = []
+    for other in chosen[at]:
+        if len(depths) == params.partners:
+            break
+        pair = rectified_views(views[at], views[other])
+        if pair is None:
+            continue
+        try:
+            second = _color(scan.frames[other])
+        except InputError:
+            continue  # Reported when its own turn comes.
+        rig, near, far = pair
+        stage = PairStage(rig, replace(params, min_depth=near, max_depth=far), pairs=len(views))
+        found = stage.measure(*rig.apply(color, second), ())
+        depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
+        depths.append(depth)
+        confidences.append(trust)
+        searches.append(found.search)
+    if not depths:
+        where = "before or behind it" if chosen[at] else "too near, too far aside, or look elsewhere"
+        return SkippedFrame(
+            name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
+        )
+    depth, trust = merged(depths, confidences, tolerance)
+    depth[~(measurable(_grey(color), params.backdrop) & read_seen(scan.frames[at]))] = 0
+    return _Measured(depth, trust, searches[0])
+
+
+def _color(frame: Frame) -> ColorImage:
+    color = read_pinhole(frame)
+    if color is None:
+        raise InputError(f"frame {frame.name} has no image.")
+    return color
+
+
+def _grey(color: ColorImage) -> NDArray[np.uint8]:
+    import cv2
+
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _tolerance(views: Sequence[PosedView], chosen: Sequence[Sequence[int]]) -> float:
+    """Return the share of depth that a pixel of disparity is between views and their best partners."""
+    shares = [
+        view.middle / view.camera.fx / float(np.linalg.norm(views[best[0]].centre - view.centre))
+        for view, best in zip(views, chosen, strict=True)
+        if best
+    ]
+    return _TOLERANCE_PX * float(np.median(shares)) if shares else math.inf
+
+
+def _inside(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | None) -> DepthImage:
+    """Return the depth of what lies in the box."""
+    if box is None:
+        return depth
+    rows, columns = np.nonzero(depth)
+    rays = view.rays(columns.astype(np.float64), rows.astype(np.float64))
+    points = view.to_world(rays * depth[rows, columns, None])
+    outside = ((points < box[0]) | (points > box[1])).any(axis=1)
+    kept = np.array(depth)
+    kept[rows[outside], columns[outside]] = 0
+    return kept
+
+
+def _depth_map(
+    frame: Frame,
+    view: PosedView,
+    depth: DepthImage,
+    confidence: NDArray[np.uint8],
+    search: SearchRange,
+    farthest: float,
+) -> DepthMap | SkippedFrame:
+    if not depth.any():
+        return SkippedFrame(frame.name, "no depth of it agrees with that of other views")
+    try:
+        color = _color(frame)
+    except InputError as error:
+        return SkippedFrame(frame.name, str(error))
+    nothing = np.full(depth.shape, np.nan, np.float32)
+    return DepthMap(depth, confidence, nothing, color, view.camera, np.eye(3), search, view.near, farthest)
+
+
+def _measured_frame(frame: Frame, view: PosedView, result: DepthMap) -> Frame:
+    return replace(
+        frame, camera=view.camera, color=result.color, depth=result.depth, mask=None, depth_range=None
+    )
+
+
+def _require_share(skipped: Sequence[SkippedFrame], total: int, share: float, scan: Scan) -> None:
+    if len(skipped) > share * total:
+        last = skipped[-1]
+        raise InputError(
+            f"{len(skipped)} of the scan's {total} views cannot be used, more than the share of {share:g} "
+            f"that max_skipped allows; the last of them, {last.name}: {last.reason}",
+            scan.folder,
+        )

@@ -1,0 +1,352 @@
+"""Read glTF files: all meshes of the scene, where its nodes place them.
+
+Coordinates stay as they are (metres, y up). Vertex colours are amounts of light in glTF and become what is
+displayed, except from programs known to write them as displayed. Animations, skins and morph targets are left
+out, points and lines too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.surface.formats.colors import srgb_from_linear, to_uint8
+from stages.surface.formats.gltf_container import COMPRESSED, Gltf, Tree, read_container
+from stages.surface.formats.gltf_materials import MaterialReader, Placement
+from stages.surface.mesh import Mesh, validated
+from stages.surface.texture import Texture
+from stages.surface.welding import merge_vertices
+
+# These write vertex colours as they are displayed, whatever the specification says.
+_DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+# Many nodes may place one large mesh: more corners than this do not fit into memory, nor are they meant.
+_MOST_CORNERS = 1 << 29
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@dataclass
+class _Part:
+    """The triangles of one primitive, placed."""
+
+    vertices: Floats
+    triangles: Any  # (k, 3), 64 bits until the range is checked
+    colors: NDArray[np.uint8] | None
+    normals: Floats | None
+    uvs: Floats | None
+    material: int
+    node: int
+    name: str
+
+
+@dataclass
+class _Reading:
+    """What is gathered on the way."""
+
+    gltf: Gltf
+    notes: list[str]
+    materials: MaterialReader
+    corners: int = 0
+
+    def note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+
+def read_gltf(path: Path | str) -> Mesh:
+    """Read a .glb or .gltf file.
+
+    Vertices of equal position and colour in one node's mesh become one, for the format doubles them along
+    seams. Normals that differ there become normals of corners, and their mean the vertex's. Nodes become
+    parts. `Mesh.notes` says what was left out.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, needs a buffer that is missing, or is compressed.
+    MeshError
+        For a vertex that is not finite or an index out of range.
+    """
+    path = Path(path)
+    try:
+        gltf = read_container(path)
+        with np.errstate(all="ignore"):  # what is not finite is refused, or left out, where it ends up
+            return _read_scene(gltf)
+    except MemoryError:
+        raise InputError("promises more data than fits in memory; it is damaged.", path) from None
+    # What a look-up in a damaged description leads to.
+    except (
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        raise InputError(
+            "cannot be read as glTF: its description is damaged; get a whole copy of it.", path
+        ) from error
+
+
+def _read_scene(gltf: Gltf) -> Mesh:
+    notes: list[str] = []
+    reading = _Reading(gltf, notes, MaterialReader(gltf, notes))
+    for name, what in (("animations", "animations"), ("skins", "skins")):
+        if gltf.items(name):
+            reading.note(f"{what} are left out")
+    parts: list[_Part] = []
+    nodes = _placed_nodes(gltf)
+    for number, (node, matrix) in enumerate(nodes):
+        mesh = gltf.item("meshes", node["mesh"])
+        if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
+            reading.note("copies of EXT_mesh_gpu_instancing are left out; one is kept")
+        name = str(node.get("name") or mesh.get("name") or ("" if len(nodes) == 1 else f"node {number}"))
+        found = (_part(reading, primitive, matrix, number, name) for primitive in mesh["primitives"])
+        parts += [part for part in found if part is not None]
+    return _assembled(reading, parts)
+
+
+def _placed_nodes(gltf: Gltf) -> list[tuple[Tree, Floats]]:
+    """Return the nodes with a mesh, in the scene's order, and world_from_node (4, 4) of each."""
+    nodes, scenes = gltf.items("nodes"), gltf.items("scenes")
+    if scenes:
+        roots = gltf.item("scenes", gltf.tree.get("scene", 0)).get("nodes", [])
+    else:
+        children = {child for node in nodes for child in node.get("children", [])}
+        roots = [number for number in range(len(nodes)) if number not in children]
+    found = []
+    waiting = [(number, np.eye(4)) for number in reversed(roots)]
+    seen: set[int] = set()
+    while waiting:
+        number, parent = waiting.pop()
+        if number in seen:
+            raise ValueError("a node has two parents")
+        seen.add(number)
+        node = gltf.item("nodes", number)
+        matrix = parent @ _matrix(node)
+        if "mesh" in node:
+            found.append((node, matrix))
+        waiting += [(child, matrix) for child in reversed(node.get("children", []))]
+    return found
+
+
+def _matrix(node: Tree) -> Floats:
+    if "matrix" in node:
+        return np.asarray(np.array(node["matrix"], float).reshape(4, 4).T)
+    matrix = np.eye(4)
+    x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), float).reshape(4)
+    rotation = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    matrix[:3, :3] = rotation * np.array(node.get("scale", (1, 1, 1)), float).reshape(3)
+    matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), float).reshape(3)
+    return matrix
+
+
+def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: str) -> _Part | None:
+    gltf = reading.gltf
+    mode = primitive.get("mode", _TRIANGLES)
+    attributes = primitive["attributes"]
+    if mode not in (_TRIANGLES, _STRIP, _FAN) or "POSITION" not in attributes:
+        reading.note("points and lines are left out")
+        return None
+    compressed = any(key in COMPRESSED for key in primitive.get("extensions", {}))
+    if compressed and "bufferView" not in gltf.item("accessors", attributes["POSITION"]):
+        raise InputError("is compressed; write it again without compression.", gltf.path)
+    if "targets" in primitive:
+        reading.note("morph targets are left out")
+    if "TANGENT" in attributes:
+        reading.note("tangents are left out: programs derive them from normals and texture coordinates")
+    vertices = gltf.array(attributes["POSITION"])[:, :3].astype(np.float64)
+    triangles = _triangles(gltf, primitive, mode, len(vertices))
+    reading.corners += triangles.size + len(vertices)
+    if reading.corners > _MOST_CORNERS:
+        raise MemoryError
+    vertices, triangles, normal_matrix = _placed(vertices, triangles, matrix)
+    colors = _colors(reading, attributes, len(vertices))
+    material, placement = reading.materials.number(primitive.get("material"), with_colors=colors is not None)
+    extras = primitive.get("extras")
+    if isinstance(extras, dict) and isinstance(extras.get("part"), str):
+        name = extras["part"]
+    return _Part(
+        vertices,
+        triangles,
+        colors,
+        _normals(reading, attributes, normal_matrix, len(vertices)),
+        _uvs(reading, attributes, placement, len(vertices)),
+        material,
+        node,
+        name,
+    )
+
+
+def _triangles(gltf: Gltf, primitive: Tree, mode: int, count: int) -> Rows:
+    if "indices" in primitive:
+        indices = gltf.array(primitive["indices"])[:, 0].astype(np.int64)
+    else:
+        indices = np.arange(count)
+    if mode == _TRIANGLES:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    first = np.arange(max(len(indices) - 2, 0))
+    if mode == _FAN:
+        corners = np.stack((first + 1, first + 2, np.zeros_like(first)), axis=1)
+    else:
+        odd = first % 2
+        corners = np.stack((first, first + 1 + odd, first + 2 - odd), axis=1)
+    triangles = indices[corners]
+    a, b, c = triangles.T
+    # A repeated index joins two strips and is no triangle.
+    return np.asarray(triangles[(a != b) & (b != c) & (c != a)])
+
+
+def _placed(vertices: Floats, triangles: Rows, matrix: Floats) -> tuple[Floats, Rows, Floats]:
+    """Return vertices where the node places them, triangles turned if it mirrors, and what places normals."""
+    linear, move = matrix[:3, :3], matrix[:3, 3]
+    if not np.array_equal(linear, np.eye(3)):
+        vertices = vertices @ linear.T
+    if move.any():
+        vertices = vertices + move
+    # The cofactors are the inverse transposed times the determinant, and exist where the inverse does not.
+    cofactors = np.stack([np.cross(linear[k - 2], linear[k - 1]) for k in range(3)])
+    if np.linalg.det(linear) < 0:
+        return vertices, triangles[:, [0, 2, 1]], -cofactors
+    return vertices, triangles, cofactors
+
+
+def _attribute(reading: _Reading, attributes: Tree, name: str, columns: int, count: int) -> Floats | None:
+    if name not in attributes:
+        return None
+    values = reading.gltf.array(attributes[name])
+    if len(values) != count or values.shape[1] < columns:
+        reading.note(f"{name} is left out: it does not fit the vertices")
+        return None
+    return values
+
+
+def _colors(reading: _Reading, attributes: Tree, count: int) -> NDArray[np.uint8] | None:
+    values = _attribute(reading, attributes, "_COLOR_DISPLAYED", 3, count)
+    if values is not None:
+        return to_uint8(values[:, :3])
+    values = _attribute(reading, attributes, "COLOR_0", 3, count)
+    if values is None:
+        return None
+    if not np.isfinite(values).all():
+        reading.note("colours that are not finite are taken as 0")
+    if values.shape[1] == 4 and (values[:, 3] < 1).any():
+        reading.note("the transparency of vertices is left out")
+    unit = np.nan_to_num(values[:, :3].astype(np.float64), nan=0, posinf=0, neginf=0).clip(0, 1)
+    generator = str(reading.gltf.tree["asset"].get("generator", ""))
+    return to_uint8(unit if generator.startswith(_DISPLAYED) else srgb_from_linear(unit))
+
+
+def _normals(reading: _Reading, attributes: Tree, matrix: Floats, count: int) -> Floats | None:
+    normals = _attribute(reading, attributes, "NORMAL", 3, count)
+    if normals is None:
+        return None
+    normals = normals[:, :3].astype(np.float64)
+    if not np.array_equal(matrix, np.eye(3)):
+        normals = normals @ matrix.T
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.where(length == 0, 1, length)
+    if not np.isfinite(normals).all():
+        reading.note("normals that are not finite are left out")
+        normals[~np.isfinite(normals).all(axis=1)] = 0
+    return normals
+
+
+def _uvs(reading: _Reading, attributes: Tree, placement: Placement, count: int) -> Floats | None:
+    sets = [name for name in attributes if name.startswith("TEXCOORD_")]
+    wanted = f"TEXCOORD_{placement.uv_set}"
+    others = sorted(set(sets) - {wanted})
+    if others:
+        reading.note(f"texture coordinates {', '.join(others)} are left out: one set is kept")
+    uvs = _attribute(reading, attributes, wanted, 2, count)
+    if uvs is None:
+        return None
+    uvs = placement.moved(uvs[:, :2].astype(np.float64))
+    uvs[:, 1] = 1 - uvs[:, 1]
+    return uvs
+
+
+def _assembled(reading: _Reading, parts: list[_Part]) -> Mesh:
+    """Return all primitives as one mesh, without the vertices that are doubled along a node's seams."""
+    if not parts:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    for part in parts:
+        validated(Mesh(part.vertices, part.triangles), str(reading.gltf.path))
+    counts = [len(part.vertices) for part in parts]
+    starts = np.cumsum([0, *counts])
+    placed = [part.triangles + start for part, start in zip(parts, starts, strict=False)]
+    triangles = np.concatenate(placed).astype(np.int32)
+    colors = _filled([part.colors for part in parts], counts, 255)
+    if any(part.colors is None for part in parts) and colors is not None:
+        reading.note("vertices of parts without vertex colours are white")
+    normals = _filled([part.normals for part in parts], counts, 0)
+    corner_normals = None if normals is None else normals[triangles]
+    names = list(dict.fromkeys((part.node, part.name) for part in parts if part.name))
+    numbers = {name: number for number, name in enumerate(names)}
+    part_ids = _repeated([numbers.get((part.node, part.name), -1) for part in parts], parts)
+    mesh = Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        triangles,
+        colors,
+        normals,
+        texture=_texture(reading, parts),
+        part_ids=part_ids if names else None,
+        part_names=tuple(name for _, name in names),
+        notes=tuple(reading.notes),
+    )
+    mesh = merge_vertices(mesh, apart=np.repeat([part.node for part in parts], counts))
+    if corner_normals is None or mesh.normals is None:
+        return mesh
+    if any(part.normals is None for part in parts):
+        return mesh.with_(normals=None, corner_normals=corner_normals)
+    same = np.array_equal(mesh.normals[mesh.triangles], corner_normals)
+    return mesh if same else mesh.with_(corner_normals=corner_normals)
+
+
+def _texture(reading: _Reading, parts: list[_Part]) -> Texture | None:
+    materials = tuple(reading.materials.materials)
+    uvs = _filled(
+        [None if part.uvs is None else part.uvs[part.triangles] for part in parts],
+        [len(part.triangles) for part in parts],
+        0,
+    )
+    if uvs is None and not materials:
+        return None
+    ids = _repeated([part.material for part in parts], parts)
+    if uvs is None:
+        uvs = np.zeros((len(ids), 3, 2))
+    finite = np.isfinite(uvs).all(axis=(1, 2))
+    if not finite.all():
+        lost = np.count_nonzero(~finite)
+        reading.note(f"{lost:,} triangles lose their texture: their texture coordinates are not finite")
+        uvs[~finite] = 0
+    return Texture(uvs, ids, materials)
+
+
+def _filled(arrays: list[Any], counts: list[int], value: float) -> Any:
+    """Put arrays end to end, with `value` where there is none; None if there are none at all."""
+    shown = next((array for array in arrays if array is not None), None)
+    if shown is None:
+        return None
+    return np.concatenate(
+        [
+            np.full((count, *shown.shape[1:]), value, shown.dtype) if array is None else array
+            for array, count in zip(arrays, counts, strict=True)
+        ]
+    )
+
+
+def _repeated(numbers: list[int], parts: list[_Part]) -> NDArray[np.int32]:
+    return np.repeat(np.array(numbers, np.int32), [len(part.triangles) for part in parts])

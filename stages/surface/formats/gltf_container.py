@@ -1,0 +1,207 @@
+"""What a glTF file is made of, read without trusting it: its description, buffers, accessors.
+
+Khronos Group, "glTF 2.0 specification", 2021 (ISO/IEC 12113:2022). Look-ups here may raise KeyError,
+IndexError, TypeError or ValueError where the description is damaged; `read_gltf` makes one sentence of them.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.surface.formats.textures import beside
+
+Tree = dict[str, Any]
+
+COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_DAMAGED = "it is damaged or cut short; get a whole copy of it."
+
+
+@dataclass(frozen=True, eq=False)
+class Gltf:
+    """A glTF file whose buffers are as long as it promises.
+
+    Attributes
+    ----------
+    tree : the description.
+    buffers : the bytes of each buffer.
+    """
+
+    path: Path
+    tree: Tree
+    buffers: list[bytes] = field(default_factory=list)
+
+    def items(self, name: str) -> list[Any]:
+        """Return a list of the description, such as its "nodes"; empty if it has none."""
+        items = self.tree.get(name, [])
+        if not isinstance(items, list):
+            raise TypeError(name)
+        return items
+
+    def item(self, name: str, index: Any) -> Tree:
+        """Return one entry of such a list."""
+        if not isinstance(index, int) or index < 0:
+            raise ValueError(name)
+        entry = self.items(name)[index]
+        if not isinstance(entry, dict):
+            raise TypeError(name)
+        return entry
+
+    def view_bytes(self, index: Any) -> memoryview:
+        """Return what a buffer view spans."""
+        view = self.item("bufferViews", index)
+        buffer = self.buffers[natural(view["buffer"])]
+        start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
+        if start + length > len(buffer):
+            raise InputError(
+                f"has a buffer view up to byte {start + length:,} of a buffer of {len(buffer):,}; {_DAMAGED}",
+                self.path,
+            )
+        return memoryview(buffer)[start : start + length]
+
+    def array(self, index: Any) -> NDArray[Any]:
+        """Return an accessor's elements (count, columns) in its type; normalized ones as float64."""
+        accessor = self.item("accessors", index)
+        dtype, columns = np.dtype(_TYPES[accessor["componentType"]]), _COLUMNS[accessor["type"]]
+        count = natural(accessor["count"])
+        if "bufferView" in accessor:
+            elements = self._elements(accessor["bufferView"], accessor, dtype, columns, count)
+        else:
+            # It stands for zeros: a short file can ask for any amount of them.
+            held = sum(map(len, self.buffers))
+            if count > held:
+                raise InputError(
+                    f"has an accessor of {count:,} elements for {held:,} bytes of data; {_DAMAGED}", self.path
+                )
+            elements = np.zeros((count, columns), dtype)
+        if "sparse" in accessor:
+            elements = self._with_sparse(elements, accessor["sparse"])
+        if accessor.get("normalized") and dtype.kind in "iu":
+            return np.asarray(np.maximum(elements / np.iinfo(dtype).max, -1.0))
+        return elements
+
+    def _elements(
+        self, view: Any, accessor: Tree, dtype: np.dtype[Any], columns: int, count: int
+    ) -> NDArray[Any]:
+        data = self.view_bytes(view)
+        size = dtype.itemsize * columns
+        stride = natural(self.item("bufferViews", view).get("byteStride", size))
+        start = natural(accessor.get("byteOffset", 0))
+        if count and (stride < size or start + (count - 1) * stride + size > len(data)):
+            raise InputError(
+                f"has an accessor of {count:,} elements, more than its {len(data):,} bytes hold; {_DAMAGED}",
+                self.path,
+            )
+        if count == 0:
+            return np.zeros((0, columns), dtype)
+        shape, strides = (count, columns), (stride, dtype.itemsize)
+        return np.array(np.ndarray(shape, dtype, data, start, strides))
+
+    def _with_sparse(self, elements: NDArray[Any], sparse: Tree) -> NDArray[Any]:
+        count, where, what = natural(sparse["count"]), sparse["indices"], sparse["values"]
+        dtype = np.dtype(_TYPES[where["componentType"]])
+        rows = self._elements(where["bufferView"], where, dtype, 1, count)[:, 0]
+        columns = elements.shape[1]
+        elements[rows] = self._elements(what["bufferView"], what, elements.dtype, columns, count)
+        return elements
+
+
+def natural(value: Any) -> int:
+    """Return a whole number of the description that must not be negative."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise ValueError(value)
+    return value
+
+
+def read_container(path: Path) -> Gltf:
+    """Read a .glb or .gltf file with its buffers.
+
+    Raises
+    ------
+    InputError
+        If the file is no glTF 2.0 file or compressed, or a buffer is missing or shorter than promised.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+    text, binary = _chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
+    try:
+        tree = json.loads(text)
+        version = str(tree["asset"]["version"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError("is not a sound glTF file: its description does not parse.", path) from error
+    if not version.startswith("2."):
+        raise InputError(f"is of glTF version {version[:20]!r}; write it again as glTF 2.0.", path)
+    gltf = Gltf(path, tree)
+    # First of all: a buffer that is there for its size only is no damage.
+    _require_uncompressed(gltf)
+    for number, buffer in enumerate(gltf.items("buffers")):
+        content = _buffer(path, buffer, binary if number == 0 else b"")
+        promised = natural(buffer["byteLength"])
+        if len(content) < promised:
+            raise InputError(
+                f"promises a buffer of {promised:,} bytes, but {len(content):,} are there; {_DAMAGED}", path
+            )
+        gltf.buffers.append(content)
+    return gltf
+
+
+def _require_uncompressed(gltf: Gltf) -> None:
+    for name in gltf.items("extensionsRequired"):
+        if name in COMPRESSED:
+            raise InputError(
+                f"is compressed with {name}, which is not read here; "
+                "write it again without compression (in Blender, turn Compression off on export).",
+                gltf.path,
+            )
+
+
+def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
+    """Return the description and the binary chunk of a GLB file."""
+    if data[:4] != b"glTF":
+        raise InputError("is not a sound glTF file: it does not start with `glTF`.", path)
+    if data[4:8] != b"\2\0\0\0":
+        raise InputError("is not a sound glTF file of version 2; write it again as glTF 2.0.", path)
+    chunks: dict[int, bytes] = {}
+    at = 12
+    while at + 8 <= len(data):
+        length, kind = np.frombuffer(data, "<u4", 2, at).tolist()
+        if at + 8 + length > len(data):
+            raise InputError(f"is not a sound glTF file: {_DAMAGED}", path)
+        chunks.setdefault(kind, data[at + 8 : at + 8 + length])
+        at += 8 + length
+    return chunks.get(_JSON, b""), chunks.get(_BIN, b"")
+
+
+def _buffer(path: Path, buffer: Tree, binary: bytes) -> bytes:
+    uri = buffer.get("uri")
+    if uri is None:
+        return binary
+    if (embedded := data_of_uri(uri)) is not None:
+        return embedded
+    name = unquote(uri)
+    try:
+        return beside(path.parent, name).read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(f"refers to the file {name[:200]}, which is missing.", path) from error
+
+
+def data_of_uri(uri: str) -> bytes | None:
+    """Return the bytes inside a data URI; None if it is the name of a file."""
+    if not uri.startswith("data:"):
+        return None
+    kind, _, content = uri.partition(",")
+    return base64.b64decode(content) if kind.endswith(";base64") else unquote(content).encode("latin-1")

@@ -1,0 +1,307 @@
+"""Materials of glTF files, to and from ours.
+
+Base colour, its image and how that repeats are understood. The rest is kept as it stands, with the images it
+names, for writing it back. glTF gives colours as amounts of light; ours are as displayed.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError
+from stages.files.image_bytes import encoded_png, kind_of
+from stages.surface.formats.colors import linear_from_srgb, srgb_from_linear
+from stages.surface.formats.gltf_container import Gltf, Tree, data_of_uri, natural
+from stages.surface.formats.textures import read_texture
+from stages.surface.texture import Image, Material
+
+_WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+_TRANSFORM = "KHR_texture_transform"
+# What the core of glTF allows; WebP is an extension that most programs know.
+_EMBEDDABLE = ("image/png", "image/jpeg", "image/webp")
+_WEBP = "EXT_texture_webp"
+# What a material of version 2.0 may say; anything else is of no standard.
+_KNOWN = (
+    *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
+    *("emissiveFactor", "alphaMode", "alphaCutoff", "doubleSided", "extensions", "extras"),
+)
+# A material without further statements would be metal. Read back, this one says nothing.
+_PLAIN: Tree = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+
+
+@dataclass(frozen=True, eq=False)
+class GltfStatements:
+    """What a glTF file says of a material.
+
+    Attributes
+    ----------
+    tree : the material; its textures have numbers of `textures`.
+    textures : image and sampler of each.
+    color, image, wrap : what was read from it.
+    multiplies : whether the file has vertex colours on it, which multiply the base colour.
+    """
+
+    tree: Tree
+    textures: dict[int, tuple[Image, Tree]] = field(default_factory=dict)
+    color: tuple[float, float, float, float] | None = None
+    image: Image | None = None
+    wrap: tuple[str, str] = ("repeat", "repeat")
+    multiplies: bool = False
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Which texture coordinates a material's base colour uses, and how they are moved."""
+
+    uv_set: int = 0
+    transform: Tree = field(default_factory=dict)
+
+    def moved(self, uvs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return coordinates (n, 2), v down as in the file, as KHR_texture_transform moves them."""
+        if not self.transform:
+            return uvs
+        offset = np.array(self.transform.get("offset", (0, 0)), float).reshape(2)
+        scale = np.array(self.transform.get("scale", (1, 1)), float).reshape(2)
+        angle = float(self.transform.get("rotation", 0))
+        # Counter-clockwise as one looks at the image, which has v down.
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        return np.asarray((uvs * scale) @ turn.T + offset)
+
+
+class MaterialReader:
+    """Reads each material and image of a file once, when it is first used."""
+
+    def __init__(self, gltf: Gltf, notes: list[str]) -> None:
+        self._gltf = gltf
+        self._notes = notes
+        self._images: dict[int, Image | None] = {}
+        self._found: dict[int, tuple[int, Placement]] = {}
+        self.materials: list[Material] = []
+
+    def number(self, index: Any, *, with_colors: bool) -> tuple[int, Placement]:
+        """Return which of `materials` a material of the file is, -1 for one that says nothing."""
+        if index is None:
+            return -1, Placement()
+        if index not in self._found:
+            tree = self._gltf.item("materials", index)
+            if tree == _PLAIN:
+                return -1, Placement()
+            material, placement = self._material(copy.deepcopy(tree), with_colors)
+            self._found[index] = len(self.materials), placement
+            self.materials.append(material)
+        return self._found[index]
+
+    def _material(self, tree: Tree, with_colors: bool) -> tuple[Material, Placement]:
+        tree = {key: value for key, value in tree.items() if key in _KNOWN}
+        name = str(tree.get("name", ""))
+        surface = tree.get("pbrMetallicRoughness", {})
+        base = surface.get("baseColorTexture")
+        holders = list(_texture_holders(tree))
+        placement = Placement()
+        if base is not None or holders:
+            placement = _placement(base if base is not None else holders[0][0][holders[0][1]])
+        textures: dict[int, tuple[Image, Tree]] = {}
+        image: Image | None = None
+        sampler: Tree = {}
+        for holder, key in holders:
+            info = holder[key]
+            is_there = "index" in info and _placement(info) == placement
+            found = self._texture(info["index"]) if is_there else None
+            if found is None:
+                self._notes.append(
+                    f"{key} of material {name!r} is left out: its image is missing, or its coordinates are "
+                    "not those of the base colour"
+                )
+                del holder[key]
+                continue
+            textures[info["index"]] = found
+            if info is base:
+                image, sampler = found
+            _forget_placement(info)
+        u, v = sampler.get("wrapS", 0), sampler.get("wrapT", 0)
+        wrap = _WRAPS.get(u, "repeat"), _WRAPS.get(v, "repeat")
+        color = None
+        if "baseColorFactor" in surface:
+            factor = np.clip(np.array(surface["baseColorFactor"], float).reshape(4), 0, 1)
+            red, green, blue = srgb_from_linear(factor[:3]).tolist()
+            color = (red, green, blue, float(factor[3]))
+        kept = GltfStatements(tree, textures, color, image, wrap, with_colors)
+        return Material(name, image, color, wrap, kept), placement
+
+    def _texture(self, number: int) -> tuple[Image, Tree] | None:
+        texture = self._gltf.item("textures", number)
+        source = texture.get("source")
+        if source is None:
+            sources = (extension.get("source") for extension in texture.get("extensions", {}).values())
+            source = next((s for s in sources if s is not None), None)
+        if source is None:
+            return None
+        if source not in self._images:
+            self._images[source] = self._image(self._gltf.item("images", source), source)
+        image = self._images[source]
+        sampler = texture.get("sampler")
+        if image is None:
+            return None
+        return image, {} if sampler is None else self._gltf.item("samplers", sampler)
+
+    def _image(self, tree: Tree, number: int) -> Image | None:
+        name = str(tree.get("name", ""))
+        uri = tree.get("uri")
+        if uri is None:
+            data = bytes(self._gltf.view_bytes(tree["bufferView"]))
+        else:
+            embedded = data_of_uri(uri)
+            if embedded is None:
+                return read_texture(self._gltf.path.parent, unquote(uri), self._notes)
+            data = embedded
+        if not kind_of(data, name)[0]:
+            self._notes.append(f"the texture image {name or number} is of no known kind or damaged")
+            return None
+        return Image(name, data)
+
+
+def _texture_holders(tree: Any) -> Iterator[tuple[Tree, str]]:
+    """Find all places of a material that name a texture, those of extensions too."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            if key.endswith("Texture"):
+                yield tree, key
+            else:
+                yield from _texture_holders(value)
+
+
+def _placement(info: Tree) -> Placement:
+    transform = dict(info.get("extensions", {}).get(_TRANSFORM, {}))
+    return Placement(natural(transform.pop("texCoord", info.get("texCoord", 0))), transform)
+
+
+def _forget_placement(info: Tree) -> None:
+    """Take out what the coordinates of the corners already follow."""
+    info.pop("texCoord", None)
+    extensions = info.get("extensions", {})
+    extensions.pop(_TRANSFORM, None)
+    if not extensions:
+        info.pop("extensions", None)
+
+
+def multiplies_colors(material: Material) -> bool:
+    """Return whether the material is from a file in which vertex colours multiply its image."""
+    return isinstance(material.kept, GltfStatements) and material.kept.multiplies
+
+
+def has_images(material: Material | None) -> bool:
+    """Return whether a material has any image, its own or one that is kept for writing it back."""
+    if material is None:
+        return False
+    return material.image is not None or bool(
+        isinstance(material.kept, GltfStatements) and material.kept.textures
+    )
+
+
+class MaterialWriter:
+    """Collects the materials, textures, samplers and images of a new file in its description.
+
+    Attributes
+    ----------
+    tree : gets the lists "materials", "textures" and "samplers", and "extensionsUsed".
+    images : the bytes of each image, its media type and name; textures name them by position.
+    """
+
+    def __init__(self, tree: Tree) -> None:
+        self.tree = tree
+        self.images: list[tuple[bytes, str, str]] = []
+        self._image_numbers: dict[int, int | None] = {}
+
+    def number(self, material: Material | None, *, with_colors: bool) -> int:
+        """Return the number of a material in the file; None is one that says nothing.
+
+        Vertex colours multiply it there. Unless they did so where it was read, it must leave the colour to
+        them.
+        """
+        if material is None:
+            return self._number("materials", _PLAIN)
+        kept = material.kept if isinstance(material.kept, GltfStatements) else GltfStatements(_PLAIN)
+        tree = copy.deepcopy(kept.tree)
+        for holder, key in list(_texture_holders(tree)):
+            number = self._texture(*kept.textures[holder[key]["index"]])
+            if number is None:
+                del holder[key]
+            else:
+                holder[key]["index"] = number
+        tree.pop("name", None)
+        if material.name:
+            tree["name"] = material.name
+        surface = tree.setdefault("pbrMetallicRoughness", {})
+        hidden = with_colors and not kept.multiplies
+        if material.base_color != kept.color or hidden:
+            surface.pop("baseColorFactor", None)
+            if material.base_color is not None and not hidden:
+                light = linear_from_srgb(np.array(material.base_color[:3])).tolist()
+                surface["baseColorFactor"] = [*light, float(material.base_color[3])]
+        if material.image is not kept.image or material.wrap != kept.wrap:
+            surface.pop("baseColorTexture", None)
+            number = (
+                None if material.image is None else self._texture(material.image, _sampler(material.wrap))
+            )
+            if number is not None:
+                surface["baseColorTexture"] = {"index": number}
+        for name in sorted(_extensions(tree)):
+            self._number("extensionsUsed", name)
+        return self._number("materials", tree)
+
+    def _texture(self, image: Image, sampler: Tree) -> int | None:
+        """Return the number of a texture; None if its image cannot be stored."""
+        if id(image) not in self._image_numbers:
+            self._image_numbers[id(image)] = self._stored(image)
+        source = self._image_numbers[id(image)]
+        if source is None:
+            return None
+        texture: Tree = {"source": source}
+        if self.images[source][1] == "image/webp":
+            texture = {"extensions": {_WEBP: texture}}
+            self._number("extensionsUsed", _WEBP)
+            self._number("extensionsRequired", _WEBP)
+        if sampler:
+            texture["sampler"] = self._number("samplers", sampler)
+        return self._number("textures", texture)
+
+    def _stored(self, image: Image) -> int | None:
+        data, mime = image.file_bytes, image.mime
+        if mime not in _EMBEDDABLE:
+            try:
+                data, mime = encoded_png(image.pixels), "image/png"
+            except MeshError as error:
+                logging.getLogger(__name__).warning("%s It is left out.", error)
+                return None
+        self.images.append((data, mime, image.name))
+        return len(self.images) - 1
+
+    def _number(self, name: str, entry: Any) -> int:
+        """Return where an entry is in a list of the description, after adding it if it is not."""
+        entries: list[Any] = self.tree.setdefault(name, [])
+        if entry not in entries:
+            entries.append(entry)
+        return entries.index(entry)
+
+
+def _sampler(wrap: tuple[str, str]) -> Tree:
+    if wrap == ("repeat", "repeat"):
+        return {}
+    codes = {way: code for code, way in _WRAPS.items()}
+    return {"wrapS": codes[wrap[0]], "wrapT": codes[wrap[1]]}
+
+
+def _extensions(tree: Any) -> set[str]:
+    found: set[str] = set()
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            found |= _extensions(value) | (set(value) if key == "extensions" else set())
+    return found

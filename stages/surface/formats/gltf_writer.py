@@ -1,0 +1,273 @@
+"""Write glTF files: a primitive for each material of each part, images untouched.
+
+Khronos Group, "glTF 2.0 specification", 2021: sections 3.6 (alignment, bounds), 4 (the GLB container).
+Positions, normals and texture coordinates are single precision, which is all the format has; a mesh far from
+its origin is moved there by its node, so that it keeps its digits. Vertex colours are written as amounts of
+light in 16 bits, from which the 8 bits that are displayed come back exactly.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError, StageError
+from stages.files.replacing import replacing
+from stages.surface.formats.colors import linear_from_srgb
+from stages.surface.formats.gltf_container import Tree
+from stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
+from stages.surface.formats.textures import write_images
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Image, Material
+from stages.surface.welding import same_rows
+
+_FLOAT, _SHORT, _INT, _BYTE = 5126, 5123, 5125, 5121
+_VERTICES, _INDICES = 34962, 34963  # what a buffer view is for
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_LARGEST = 1 << 32
+_LARGEST_FLOAT = float(np.finfo(np.float32).max)
+# A mesh this many times its size away from the origin loses digits that a move saves.
+_FAR = 4.0
+# Normals this close to unit length are written as they are.
+_UNIT = 1e-4
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+class _Buffer:
+    """The binary part of a file, as its views and accessors describe it."""
+
+    def __init__(self, tree: Tree) -> None:
+        self._tree = tree
+        self.pieces: list[bytes] = []
+        self.size = 0
+
+    def view(self, data: bytes, **details: int) -> int:
+        """Append bytes, aligned for every type; return the number of the view."""
+        views: list[Tree] = self._tree.setdefault("bufferViews", [])
+        views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), **details})
+        padding = -len(data) % 4
+        self.pieces += [data, bytes(padding)]
+        self.size += len(data) + padding
+        return len(views) - 1
+
+    def accessor(self, values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
+        """Append numbers; return the number of the accessor."""
+        accessors: list[Tree] = self._tree.setdefault("accessors", [])
+        data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
+        accessors.append({
+            "bufferView": self.view(data, target=target),
+            "componentType": code,
+            "count": len(values),
+            "type": kind,
+            **details,
+        })  # fmt: skip
+        return len(accessors) - 1
+
+
+def write_gltf(path: Path | str, mesh: Mesh) -> None:
+    """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
+
+    Triangles of one part and material are put together. Parts that share no vertices become nodes.
+
+    Raises
+    ------
+    StageError
+        If the system refuses to write, or the mesh is larger than a GLB file can be (4 GiB).
+    MeshError
+        If a vertex lies beyond what single precision holds.
+    """
+    path = Path(path)
+    tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
+    buffer = _Buffer(tree)
+    materials = MaterialWriter(tree)
+    _add_nodes(tree, buffer, materials, mesh)
+    if path.suffix.lower() == ".gltf":
+        _write_apart(path, tree, buffer, materials)
+    else:
+        _write_one(path, tree, buffer, materials)
+
+
+def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mesh) -> None:
+    if len(mesh.triangles) == 0:
+        return
+    if abs(mesh.vertices).max() > _LARGEST_FLOAT:
+        raise MeshError("vertices lie farther out than single precision can tell; write PLY.", "mesh")
+    move = _move(mesh.vertices)
+    mesh = mesh.with_(vertices=mesh.vertices - move)
+    parts = np.full(len(mesh.triangles), -1, np.int32) if mesh.part_ids is None else mesh.part_ids
+    one_node = _share_vertices(mesh, parts)
+    nodes: dict[int, tuple[str, list[Tree]]] = {}
+    for part, material, chosen in _groups(mesh, parts):
+        name = mesh.part_names[part] if part >= 0 else ""
+        of_group = mesh.texture.materials[material] if mesh.texture is not None and material >= 0 else None
+        primitive = _primitive(buffer, mesh, chosen, of_group)
+        colored = "COLOR_0" in primitive["attributes"]
+        primitive["material"] = materials.number(of_group, with_colors=colored)
+        if (one_node and name) or (mesh.part_names and not name):
+            primitive["extras"] = {"part": name}
+        nodes.setdefault(0 if one_node else part, ("" if one_node else name, []))[1].append(primitive)
+    tree["nodes"], tree["meshes"] = [], []
+    for name, primitives in nodes.values():
+        label = {"name": name} if name else {}
+        node: Tree = {"mesh": len(tree["meshes"]), **label}
+        if move.any():
+            node["translation"] = move.tolist()
+        tree["meshes"].append({"primitives": primitives, **label})
+        tree["nodes"].append(node)
+    tree["scenes"] = [{"nodes": list(range(len(tree["nodes"])))}]
+
+
+def _move(vertices: Floats) -> Floats:
+    """Return what to take off all positions so that single precision holds them well; 0 where it does."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centre = np.rint(low / 2 + high / 2)
+    if np.array_equal(vertices.astype(np.float32), vertices) or abs(centre).max() < _FAR * (high - low).max():
+        return np.zeros(3)
+    return np.asarray(centre)
+
+
+def _share_vertices(mesh: Mesh, parts: NDArray[np.int32]) -> bool:
+    """Return whether some vertex lies in two parts: as nodes of their own these would come apart."""
+    part_of = np.full(len(mesh.vertices), -2, np.int32)
+    corner_parts = np.repeat(parts, 3)
+    part_of[mesh.triangles.reshape(-1)] = corner_parts
+    return bool((part_of[mesh.triangles.reshape(-1)] != corner_parts).any())
+
+
+def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Rows | None]]:
+    """Give part, material and triangles of each primitive; None for all triangles.
+
+    Those with texture coordinates or normals are apart from those without.
+    """
+    count = len(mesh.triangles)
+    zero = np.zeros(count, np.int32)
+    keys = np.stack((
+        parts,
+        zero - 1 if mesh.texture is None else mesh.texture.material_ids,
+        zero if mesh.texture is None else mesh.texture.has_uvs(),
+        zero if mesh.corner_normals is None else (mesh.corner_normals != 0).any(axis=2).all(axis=1),
+    ))  # fmt: skip
+    if (keys == keys[:, :1]).all():
+        yield int(keys[0, 0]), int(keys[1, 0]), None
+        return
+    order = np.lexsort(keys[::-1])
+    ordered = keys[:, order]
+    begins = np.flatnonzero((ordered[:, 1:] != ordered[:, :-1]).any(axis=0)) + 1
+    # By their first triangles, so that a mesh whose groups lie together keeps its order.
+    for chosen in sorted(np.split(order, begins), key=lambda rows: int(rows[0])):
+        yield int(keys[0, chosen[0]]), int(keys[1, chosen[0]]), chosen
+
+
+def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Material | None) -> Tree:
+    """Add the chosen triangles, which are alike in what they have."""
+    rows: Any = slice(None) if chosen is None else chosen
+    triangles = mesh.triangles[rows]
+    columns: list[NDArray[Any]] = []
+    texture = mesh.texture
+    uvs = None
+    # A material with images needs coordinates, even where none are known.
+    if texture is not None and (texture.has_uvs()[rows][:1].any() or has_images(material)):
+        uvs = texture.uvs[rows].reshape(-1, 2)
+        columns += list(uvs.T)
+    normals = None
+    if mesh.corner_normals is not None:
+        normals = mesh.corner_normals[rows].reshape(-1, 3)
+        normals = normals if (normals[:3] != 0).any(axis=1).all() else None
+        columns += [] if normals is None else list(normals.T)
+    corners = triangles.reshape(-1)
+    if columns:
+        first = same_rows([*columns, corners])
+        wedges = np.flatnonzero(first == np.arange(len(first)))
+        # In the order of their vertices, which so come back in theirs.
+        order = np.argsort(corners[wedges], kind="stable")
+        index = np.argsort(order)[np.searchsorted(wedges, first)]
+        wedges = wedges[order]
+        source = corners[wedges]
+    elif chosen is None:
+        wedges, index, source = np.zeros(0, np.int64), corners, np.arange(len(mesh.vertices))
+    else:
+        source, index = np.unique(corners, return_inverse=True)
+        wedges = np.zeros(0, np.int64)
+    if normals is not None:
+        normals = normals[wedges]
+    elif mesh.corner_normals is None and mesh.normals is not None:
+        normals = mesh.normals[source]
+    attributes = {"POSITION": _positions(buffer, mesh.vertices[source])}
+    if normals is not None and (unit := _unit(normals)) is not None:
+        attributes["NORMAL"] = buffer.accessor(unit, "VEC3", _FLOAT, _VERTICES)
+    if uvs is not None:
+        turned = (uvs[wedges] * (1, -1) + (0, 1)).clip(-_LARGEST_FLOAT, _LARGEST_FLOAT)
+        attributes["TEXCOORD_0"] = buffer.accessor(turned.astype(np.float32), "VEC2", _FLOAT, _VERTICES)
+    if mesh.colors is not None:
+        shown = material is None or material.image is None or multiplies_colors(material)
+        attributes |= _colors(buffer, mesh.colors[source], shown=shown)
+    narrow = len(source) < np.iinfo(np.uint16).max  # the last value stands for none in some programs
+    indices = index.astype(np.uint16 if narrow else np.uint32).reshape(-1)
+    code = _SHORT if narrow else _INT
+    return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, _INDICES)}
+
+
+def _positions(buffer: _Buffer, vertices: Floats) -> int:
+    positions = vertices.astype(np.float32)
+    bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+    return buffer.accessor(positions, "VEC3", _FLOAT, _VERTICES, **bounds)
+
+
+def _unit(normals: Floats) -> NDArray[np.float32] | None:
+    """Return normals of unit length, as the format wants them; None if some have no length."""
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+    if not (length > 0).all() or not np.isfinite(length).all():
+        return None
+    return np.where(abs(length - 1) > _UNIT, normals / length, normals).astype(np.float32)
+
+
+def _colors(buffer: _Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[str, int]:
+    """Add vertex colours; beside an image, which they would darken, as one that programs pass over."""
+    if not shown:
+        padded = np.pad(colors, ((0, 0), (0, 1)), constant_values=255)
+        return {"_COLOR_DISPLAYED": buffer.accessor(padded, "VEC4", _BYTE, _VERTICES, normalized=True)}
+    light = np.rint(linear_from_srgb(np.arange(256) / 255) * 65535).astype(np.uint16)
+    padded = np.pad(light[colors], ((0, 0), (0, 1)), constant_values=65535)
+    return {"COLOR_0": buffer.accessor(padded, "VEC4", _SHORT, _VERTICES, normalized=True)}
+
+
+def _write_one(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWriter) -> None:
+    for data, mime, name in materials.images:
+        label = {"name": name} if name else {}
+        image = {"bufferView": buffer.view(data), "mimeType": mime, **label}
+        tree.setdefault("images", []).append(image)
+    if buffer.size:
+        tree["buffers"] = [{"byteLength": buffer.size}]
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    size = 12 + 8 + len(text) + (8 + buffer.size if buffer.size else 0)
+    if size >= _LARGEST:
+        raise StageError(f"{path}: would take {size:,} bytes, more than a GLB file can hold; write PLY.")
+    with replacing(path) as part, part.open("wb") as file:
+        file.write(b"glTF" + np.array([2, size, len(text), _JSON], "<u4").tobytes())
+        file.write(text)
+        if buffer.size:
+            file.write(np.array([buffer.size, _BIN], "<u4").tobytes())
+            file.writelines(buffer.pieces)
+
+
+def _write_apart(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWriter) -> None:
+    names = write_images(path, [Image(name, data) for data, _, name in materials.images])
+    for name in names.values():
+        tree.setdefault("images", []).append({"uri": quote(name)})
+    if buffer.size:
+        binary = path.with_name(f"{path.stem}.bin")
+        tree["buffers"] = [{"byteLength": buffer.size, "uri": quote(binary.name)}]
+        with replacing(binary) as part, part.open("wb") as file:
+            file.writelines(buffer.pieces)
+    with replacing(path) as part:
+        part.write_text(json.dumps(tree, indent=1), "utf-8")

@@ -1,0 +1,220 @@
+"""Material libraries of OBJ files.
+
+Alias Wavefront, "MTL material format", 1995. Of a material's statements Kd, d and map_Kd are understood; all
+of them are kept as they stand, for writing them back.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stages.files.replacing import replacing
+from stages.surface.formats.textures import beside, read_texture, write_images
+from stages.surface.texture import Image, Material
+
+# How many words follow each option of a map; -o, -s and -t take one to three numbers.
+_OPTION_WORDS = {
+    "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-texres": 1, "-clamp": 1, "-bm": 1, "-imfchan": 1,
+    "-type": 1, "-cc": 1, "-colorspace": 1,
+}  # fmt: skip
+_PLACING = ("-o", "-s", "-t")
+_MAPS = ("map_", "bump", "norm", "disp", "decal", "refl")
+_DIFFUSE = "map_Kd"
+
+
+@dataclass(frozen=True)
+class Map:
+    """A statement that names an image: what stands before the name, and the name."""
+
+    start: str
+    file: str
+    options: dict[str, list[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class MtlStatements:
+    """What an MTL file says of a material: its lines, the images of its maps, and what was read from it."""
+
+    lines: tuple[str, ...] = ()
+    images: dict[str, Image] = field(default_factory=dict)
+    color: tuple[float, float, float, float] | None = None
+    image: Image | None = None
+
+
+def text_of(data: bytes) -> str:
+    """Decode text that is UTF-8, or else from before it."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def read_libraries(
+    folder: Path, libraries: Iterable[str], names: Iterable[str], notes: list[str]
+) -> tuple[Material, ...]:
+    """Return the materials of these names, each once, from the libraries an OBJ file in `folder` names.
+
+    A library or an image that is missing gives a note. A material no library has is one of a name alone.
+    """
+    statements: dict[str, list[str]] = {}
+    for library in _files(folder, libraries):
+        found = _statements(folder, library)
+        if found is None:
+            notes.append(f"the material library {library} is missing or cannot be read")
+            continue
+        for name, lines in found.items():
+            statements.setdefault(name, lines)
+    images: dict[str, Image | None] = {}
+    return tuple(
+        _material(folder, name, statements[name], images, notes) if name in statements else Material(name)
+        for name in dict.fromkeys(names)
+    )
+
+
+def _files(folder: Path, libraries: Iterable[str]) -> list[str]:
+    """Return the file names of mtllib statements: names may have spaces, and a line may have several."""
+    files: dict[str, None] = {}
+    for words in libraries:
+        several = re.findall(r"\S.*?\.mtl(?=\s|$)", words, re.IGNORECASE)
+        whole = _readable(beside(folder, words)) or len(several) < 2
+        files.update(dict.fromkeys([words] if whole else several))
+    return list(files)
+
+
+def _readable(file: Path) -> bool:
+    try:
+        return file.is_file()
+    except (OSError, ValueError):  # ValueError: a name with a zero byte.
+        return False
+
+
+def _statements(folder: Path, library: str) -> dict[str, list[str]] | None:
+    try:
+        lines = text_of(beside(folder, library).read_bytes()).splitlines()
+    except (OSError, ValueError):
+        return None
+    found: dict[str, list[str]] = {}
+    current: list[str] = []
+    for line in lines:
+        words = line.split(None, 1)
+        if words and words[0] == "newmtl":
+            current = []
+            found.setdefault(words[1].strip() if len(words) == 2 else "", current)
+        elif words and not words[0].startswith("#"):
+            current.append(line.strip())
+    return found
+
+
+def _material(
+    folder: Path, name: str, lines: list[str], images: dict[str, Image | None], notes: list[str]
+) -> Material:
+    diffuse: list[float] | None = None
+    alpha = 1.0
+    of_line: dict[str, Image] = {}
+    main: Map | None = None
+    for line in lines:
+        words = line.split()
+        if words[0] == "Kd":
+            diffuse = _color(words[1:]) or diffuse
+        elif words[0] == "d":
+            alpha = (_numbers(words[1:]) or [alpha])[0]
+        elif words[0].startswith(_MAPS) and (found := _map(line)) is not None:
+            if found.file not in images:
+                images[found.file] = read_texture(folder, found.file, notes)
+            image = images[found.file]
+            if image is not None:
+                of_line[found.file] = image
+            if words[0] == _DIFFUSE:
+                main = found
+    image = of_line.get(main.file) if main else None
+    if main and image and any(option in main.options for option in _PLACING):
+        notes.append(f"-o, -s and -t of the image {main.file} are kept, but colours are read without them")
+    color = None
+    if image is None and diffuse is not None:
+        color = (diffuse[0], diffuse[1], diffuse[2], min(max(alpha, 0.0), 1.0))
+    wrap = ("clamp", "clamp") if main and main.options.get("-clamp") == ["on"] else ("repeat", "repeat")
+    return Material(name, image, color, wrap, MtlStatements(tuple(lines), of_line, color, image))
+
+
+def _numbers(words: list[str]) -> list[float] | None:
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return None
+
+
+def _color(words: list[str]) -> list[float] | None:
+    """Return Kd as 0..1; one number is a grey. Spectra and XYZ, which nobody writes, are passed over."""
+    numbers = _numbers(words)
+    if not numbers or len(numbers) == 2:
+        return None
+    return [min(max(value, 0.0), 1.0) for value in (numbers * 3 if len(numbers) == 1 else numbers)[:3]]
+
+
+def _map(line: str) -> Map | None:
+    """Take a map statement apart; the name is all that follows the options, with its spaces."""
+    at = [(match.start(), match.group()) for match in re.finditer(r"\S+", line)]
+    options: dict[str, list[str]] = {}
+    k = 1
+    while k < len(at) - 1:
+        word = at[k][1]
+        if word in _PLACING:
+            count = 0
+            while count < 3 and k + count + 2 < len(at) and _numbers([at[k + count + 1][1]]) is not None:
+                count += 1
+        elif word in _OPTION_WORDS:
+            count = _OPTION_WORDS[word]
+        else:
+            break
+        options[word] = [value for _, value in at[k + 1 : k + 1 + count]]
+        k += 1 + count
+    if k >= len(at):
+        return None
+    start = at[k][0]
+    return Map(line[:start], line[start:], options)
+
+
+def write_library(path: Path, materials: tuple[Material, ...], names: list[str]) -> None:
+    """Write materials under these names as NAME.mtl beside the OBJ file `path`, and their images."""
+    images: dict[int, Image] = {}
+    for material in materials:
+        kept = _kept(material).images.values()
+        images.update({id(image): image for image in (material.image, *kept) if image is not None})
+    files = write_images(path, images.values())
+    lines: list[str] = []
+    for material, name in zip(materials, names, strict=True):
+        lines += [f"newmtl {name}", *_lines(material, files)]
+    with replacing(path.with_name(f"{path.stem}.mtl")) as part:
+        part.write_text("\n".join([*lines, ""]), "utf-8")
+
+
+def _kept(material: Material) -> MtlStatements:
+    return material.kept if isinstance(material.kept, MtlStatements) else MtlStatements()
+
+
+def _lines(material: Material, files: dict[int, str]) -> list[str]:
+    """Return the statements of a material: those it had, but for what has changed since."""
+    kept = _kept(material)
+    same_color, same_image = material.base_color == kept.color, material.image is kept.image
+    lines = []
+    for line in kept.lines:
+        key = line.split(None, 1)[0]
+        if (key in ("Kd", "d", "Tr") and not same_color) or (key == _DIFFUSE and not same_image):
+            continue
+        found = _map(line) if key.startswith(_MAPS) else None
+        if found is not None and found.file in kept.images:
+            line = found.start + files[id(kept.images[found.file])]
+        lines.append(line)
+    if material.base_color is not None and not same_color:
+        red, green, blue, alpha = map(float, material.base_color)
+        lines += [f"Kd {red!r} {green!r} {blue!r}", f"d {alpha!r}"]
+    if material.image is not None and not same_image:
+        # Some programs take the colour to be black where none is given.
+        if not any(line.startswith("Kd") for line in lines):
+            lines.append("Kd 1 1 1")
+        clamp = "-clamp on " if material.wrap == ("clamp", "clamp") else ""
+        lines.append(f"{_DIFFUSE} {clamp}{files[id(material.image)]}")
+    return lines

@@ -1,0 +1,258 @@
+"""PLY files: meshes with colours, normals and texture, and coloured point clouds.
+
+Files from outside are parsed here and not by Open3D, whose reader crashes on some malformed ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from stages.errors import InputError
+from stages.files.replacing import replacing
+from stages.surface.formats.colors import to_uint8
+from stages.surface.formats.ply_format import Lists, Table, read_tables
+from stages.surface.formats.ply_texture import (
+    part_comments,
+    read_corner_normals,
+    read_parts,
+    read_texture_of_ply,
+    texture_comments,
+)
+from stages.surface.formats.polygons import split_polygons
+from stages.surface.mesh import Mesh, validated
+
+_COLORS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+
+
+def read_ply(path: Path | str) -> Mesh:
+    """Read a PLY file, text or binary, of either byte order.
+
+    Polygons are split into triangles and triangle strips are unrolled; colours may be bytes or
+    floats. Texture coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture, with the
+    images the file names, as they are. A cloud is a mesh without triangles. Colours of faces, alpha and
+    properties of other names are left out; `Mesh.notes` says what was changed or lost of the things above.
+
+    Raises
+    ------
+    InputError
+        If the file is no PLY file, is damaged, or promises more than it holds.
+    MeshError
+        For a vertex that is not finite or an index out of range.
+    """
+    path = Path(path)
+    header, tables = read_tables(path)
+    vertex = tables.get("vertex", {})
+    vertices = _columns(vertex, ("x", "y", "z"))
+    if vertices is None:
+        raise InputError("has no element `vertex` with x, y and z.", path)
+    notes: list[str] = []
+    face = tables.get("face", {})
+    vertices = vertices.astype(np.float64)
+    corners, source, used = _polygons(face, vertices, notes)
+    triangles = used[corners] if len(used) else np.zeros((0, 3), np.int32)
+    if "tristrips" in tables and len(triangles) == 0:
+        triangles = _unrolled_strips(tables["tristrips"])
+    mesh = Mesh(
+        vertices=vertices,
+        triangles=triangles,
+        colors=_vertex_colors(vertex, notes),
+        normals=_normals(vertex, notes),
+    )
+    if any(name in face for name in ("red", "diffuse_red", "r")):
+        notes.append("colours of faces are left out; only colours of vertices are used")
+    mesh = validated(mesh, str(path))
+    texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path.parent, notes)
+    part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
+    return mesh.with_(
+        texture=texture,
+        corner_normals=read_corner_normals(face, corners),
+        part_ids=part_ids,
+        part_names=part_names,
+        notes=tuple(notes),
+    )
+
+
+def _columns(table: Table, names: tuple[str, ...]) -> NDArray[Any] | None:
+    columns = [table.get(name) for name in names]
+    if not all(isinstance(column, np.ndarray) for column in columns):
+        return None
+    return np.stack(columns, axis=1)  # type: ignore[arg-type]
+
+
+def _vertex_colors(vertex: Table, notes: list[str]) -> NDArray[np.uint8] | None:
+    for names in _COLORS:
+        values = _columns(vertex, names)
+        if values is not None:
+            if not np.isfinite(values).all():
+                notes.append("colours that are not finite are taken as 0")
+            return to_uint8(values)
+    return None
+
+
+def _normals(vertex: Table, notes: list[str]) -> NDArray[np.float64] | None:
+    normals = _columns(vertex, ("nx", "ny", "nz"))
+    if normals is not None and not np.isfinite(normals).all():
+        notes.append("normals are left out: some are not finite")
+        return None
+    return normals
+
+
+def _polygons(
+    face: Table, vertices: NDArray[np.float64], notes: list[str]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+    """Return what split_polygons does, and the vertex indices of all polygons, end to end."""
+    lists = face.get("vertex_indices", face.get("vertex_index"))
+    if not isinstance(lists, Lists):
+        nothing = np.zeros(0, np.int64)
+        return nothing.reshape(0, 3), nothing, nothing
+    indices = lists.values.astype(np.int64)
+    return (*split_polygons(lists.lengths, indices, vertices, notes), indices)
+
+
+def _unrolled_strips(strips: Table) -> NDArray[np.int64]:
+    """Unroll triangle strips; -1 ends a strip, and every second triangle of a strip is turned over."""
+    nothing = np.zeros((0, 3), np.int64)
+    lists = strips.get("vertex_indices", strips.get("vertex_index"))
+    if not isinstance(lists, Lists):
+        return nothing
+    chain = np.insert(lists.values.astype(np.int64), np.cumsum(lists.lengths), -1)
+    if len(chain) < 3:
+        return nothing
+    position = np.arange(len(chain))
+    start = np.maximum.accumulate(np.where(chain == -1, position + 1, 0))
+    triangles = np.stack((chain[:-2], chain[1:-1], chain[2:]), axis=1)
+    odd = (position - start)[:-2] % 2 == 1
+    triangles[odd] = triangles[odd][:, [1, 0, 2]]
+    a, b, c = triangles.T
+    # A repeated index joins two strips and is no triangle.
+    real = (triangles != -1).all(axis=1) & (a != b) & (b != c) & (c != a)
+    return np.asarray(triangles[real])
+
+
+def read_vertex_values(path: Path | str, name: str) -> NDArray[np.float64] | None:
+    """Return a property (n,) of the vertices that `read_ply` passes over; None if the file has none.
+
+    Raises
+    ------
+    InputError
+        As `read_ply`.
+    """
+    _, tables = read_tables(Path(path))
+    values = tables.get("vertex", {}).get(name)
+    return values.astype(np.float64) if isinstance(values, np.ndarray) else None
+
+
+def write_ply(
+    path: Path | str,
+    mesh: Mesh,
+    face_values: Mapping[str, NDArray[np.float64]] | None = None,
+    vertex_values: Mapping[str, NDArray[np.float64]] | None = None,
+) -> None:
+    """Write a mesh as binary little-endian PLY; what is read back is equal to the bit.
+
+    `face_values`, (m,) each, become properties of the faces under their names, `vertex_values`, (n,) each,
+    properties of the vertices; `read_ply` passes them over.
+    All numbers are stored as 32-bit floats where that loses nothing (meshes from fusion), else as doubles,
+    which MeshLab, Blender, CloudCompare, Open3D and trimesh read as well. A texture's images are written
+    beside under their own names, untouched. The file appears whole or not at all.
+
+    Raises
+    ------
+    StageError
+        If the system refuses to write.
+    """
+    path = Path(path)
+    comments: list[str] = []
+    face: list[tuple[str, NDArray[Any]]] = [("vertex_indices", mesh.triangles.astype("<i4"))]
+    if mesh.texture is not None:
+        comments, texnumber, has_materials = texture_comments(path, mesh.texture)
+        face.append(("texcoord", _narrowed(mesh.texture.uvs.reshape(-1, 6))))
+        face.append(("texnumber", texnumber.astype("<i4")))
+        if has_materials:
+            face.append(("material_index", mesh.texture.material_ids.astype("<i4")))
+    if mesh.corner_normals is not None:
+        face.append(("corner_normals", _narrowed(mesh.corner_normals.reshape(-1, 9))))
+    if mesh.part_ids is not None:
+        comments += part_comments(mesh.part_names)
+        face.append(("part_index", mesh.part_ids.astype("<i4")))
+    face += [(name, _narrowed(values)) for name, values in (face_values or {}).items()]
+    vertex = _vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
+    vertex += [(name, _narrowed(values)) for name, values in (vertex_values or {}).items()]
+    _write(path, comments, {"vertex": vertex, "face": face})
+
+
+def write_ply_cloud(path: Path | str, points: ArrayLike, colors: ArrayLike | None = None) -> None:
+    """Write a point cloud as binary little-endian PLY.
+
+    Parameters
+    ----------
+    points : (n, 3), metres.
+    colors : (n, 3) uint8 RGB, or None.
+
+    Raises
+    ------
+    MeshError
+        For wrong shapes or points that are not finite.
+    StageError
+        If the system refuses to write.
+    """
+    cloud = validated(Mesh(np.asarray(points), np.zeros((0, 3), np.int32), _optional(colors)), "points")
+    _write(Path(path), [], {"vertex": _vertex_columns(cloud.vertices, cloud.colors, None)})
+
+
+def _optional(values: ArrayLike | None) -> Any:
+    return None if values is None else np.asarray(values)
+
+
+def _vertex_columns(
+    vertices: NDArray[np.float64], colors: NDArray[np.uint8] | None, normals: NDArray[np.float64] | None
+) -> list[tuple[str, NDArray[Any]]]:
+    columns: list[tuple[str, NDArray[Any]]] = list(zip("xyz", _narrowed(vertices).T, strict=True))
+    if normals is not None:
+        columns += zip(("nx", "ny", "nz"), _narrowed(normals).T, strict=True)
+    if colors is not None:
+        columns += zip(_COLORS[0], colors.T, strict=True)
+    return columns
+
+
+def _narrowed(values: NDArray[np.float64]) -> NDArray[Any]:
+    """Return the values as little-endian float32 if all of them are, else as float64."""
+    with np.errstate(over="ignore"):
+        narrow = values.astype("<f4")
+    return narrow if np.array_equal(narrow, values) else values.astype("<f8")
+
+
+_NAMES = {"u1": "uchar", "i4": "int", "f4": "float", "f8": "double"}
+
+
+def _write(path: Path, comments: list[str], tables: dict[str, list[tuple[str, NDArray[Any]]]]) -> None:
+    """Write elements given as columns; a column of two dimensions is a list property."""
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {c}" for c in comments)]
+    blocks = []
+    for element, columns in tables.items():
+        lines.append(f"element {element} {len(columns[0][1])}")
+        row: list[tuple[str, Any] | tuple[str, Any, tuple[int]]] = []
+        for name, values in columns:
+            kind = _NAMES[values.dtype.str[1:]]
+            if values.ndim == 2:
+                lines.append(f"property list uchar {kind} {name}")
+                row += [(f"{name} length", "u1"), (name, values.dtype, values.shape[1:])]
+            else:
+                lines.append(f"property {kind} {name}")
+                row.append((name, values.dtype))
+        rows = np.empty(len(columns[0][1]), row)
+        for name, values in columns:
+            if values.ndim == 2:
+                rows[f"{name} length"] = values.shape[1]
+            rows[name] = values
+        blocks.append(rows)
+    header = "\n".join([*lines, "end_header", ""]).encode()
+    with replacing(path) as part, part.open("wb") as file:
+        file.write(header)
+        for rows in blocks:
+            file.write(rows.data)

@@ -1,0 +1,351 @@
+"""The PLY container: header and rows of numbers, whatever they mean. Trusts nothing the header promises.
+
+A file is text lines up to `end_header`, then rows of numbers: as text, or binary of either byte order.
+Greg Turk, "The PLY polygon file format", 1994. An ASCII body is turned into doubles first and is from
+then on a binary body whose every value is a double, so there is one decoder.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.text_numbers import parse_numbers
+
+# Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
+_LONGEST_HEADER = 1 << 20
+_BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_DAMAGED = "the file is damaged or cut short; get a whole copy of it."
+
+
+@dataclass(frozen=True)
+class Property:
+    """A column; `length` is the type a list's length is stored in, None for a scalar."""
+
+    name: str
+    dtype: np.dtype[Any]
+    length: np.dtype[Any] | None = None
+
+
+@dataclass(frozen=True)
+class Element:
+    """A table: what the header promises of it."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What stands before the rows; `size` is its length in bytes."""
+
+    encoding: str
+    elements: tuple[Element, ...]
+    comments: tuple[str, ...]
+    size: int
+
+
+@dataclass(frozen=True, eq=False)
+class Lists:
+    """A column of lists: `lengths` (rows,) and all their values, end to end."""
+
+    lengths: NDArray[np.int64]
+    values: NDArray[Any]
+
+
+Table = dict[str, "NDArray[Any] | Lists"]
+
+
+def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
+    """Read a PLY file's header and its elements, each a dictionary of columns.
+
+    Memory and time are proportional to the size of the file, not to the counts in its header.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be opened, is no PLY file, or holds less than its header promises.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}.", path) from error
+    try:
+        header = parse_header(data)
+        return header, _read_body(header, data)
+    except _MalformedError as error:
+        raise InputError(str(error), path) from None
+
+
+class _MalformedError(Exception):
+    """What is wrong with the bytes; the name of the file is put before it where it is known."""
+
+
+def parse_header(data: bytes) -> Header:
+    """Parse the lines up to `end_header`; a few variants of line ends and keywords are in use."""
+    start = data[:_LONGEST_HEADER]
+    if not re.match(rb"ply[ \t]*[\r\n]", start):
+        raise _MalformedError("is not a PLY file: it does not start with a line `ply`.")
+    # A binary body may begin with the byte of a line feed, so the first line tells how lines end; some
+    # programs mix \n and \r\n.
+    line_end = rb"\r?\n" if re.match(rb"[^\r\n]*\r?\n", start) else rb"\r"
+    end = re.search(rb"[\r\n]end_header[ \t]*" + line_end, start)
+    if end is None:
+        raise _MalformedError(f"its header has no line `end_header`; {_DAMAGED}")
+    lines = re.split(r"\r?\n|\r", start[: end.start()].decode("latin-1"))
+
+    encoding = ""
+    comments: list[str] = []
+    elements: list[tuple[str, int, list[Property]]] = []
+    for line in lines[1:]:
+        match line.split():
+            case ["format", str(encoding), _]:
+                pass
+            case ["comment" | "obj_info", *_]:
+                comments.append(line.split(maxsplit=1)[-1].strip())
+            case ["element", name, count]:
+                elements.append((name, _parse_count(line, count), []))
+            case ["property", *words] if elements:
+                elements[-1][2].append(_parse_property(line, words, encoding))
+            case []:
+                pass
+            case _:
+                raise _MalformedError(f"its header has the line {line[:80]!r}, which is not understood.")
+    if encoding not in _BYTE_ORDERS:
+        raise _MalformedError(f"its format is {encoding!r}; {', '.join(_BYTE_ORDERS)} are known.")
+    return Header(
+        encoding,
+        tuple(Element(name, count, tuple(properties)) for name, count, properties in elements),
+        tuple(comments),
+        end.end(),
+    )
+
+
+def _parse_count(line: str, word: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,18}", word):
+        raise _MalformedError(f"its header line {line[:80]!r} has no usable count.")
+    return int(word)
+
+
+def _parse_property(line: str, words: list[str], encoding: str) -> Property:
+    order = _BYTE_ORDERS.get(encoding, "=")
+    match words:
+        case [kind, name] if kind in _TYPES:
+            return Property(name, np.dtype(order + _TYPES[kind]))
+        case ["list", length, kind, name] if length in _TYPES and kind in _TYPES:
+            return Property(name, np.dtype(order + _TYPES[kind]), np.dtype(order + _TYPES[length]))
+    raise _MalformedError(f"its header has the line {line[:80]!r}, which is not understood.")
+
+
+def _read_body(header: Header, data: bytes) -> dict[str, Table]:
+    _require_size(header, len(data) - header.size)
+    if header.encoding == "ascii":
+        body, at = memoryview(_numbers(data[header.size :]).tobytes()), 0
+    else:
+        body, at = memoryview(data), header.size
+    tables: dict[str, Table] = {}
+    for element in header.elements:
+        columns, at = _decode(_as_stored(element, header.encoding), body, at)
+        table = tables.setdefault(element.name, {})
+        for declared, column in zip(element.properties, columns, strict=True):
+            table.setdefault(declared.name, _as_declared(column, declared, element.name))
+    return tables
+
+
+def _numbers(text: bytes) -> NDArray[np.float64]:
+    try:
+        return parse_numbers(text)
+    except ValueError as error:
+        raise _MalformedError(str(error)) from None
+
+
+def _as_stored(element: Element, encoding: str) -> Element:
+    if encoding != "ascii":
+        return element
+    double = np.dtype(np.float64)
+    columns = tuple(Property(p.name, double, p.length and double) for p in element.properties)
+    return Element(element.name, element.count, columns)
+
+
+def _require_size(header: Header, size: int) -> None:
+    """Compare what the header promises, at the very least, with the bytes that are there."""
+    needed = 0
+    for element in header.elements:
+        if header.encoding == "ascii":
+            needed += element.count * 2 * len(element.properties)  # a digit and a separator
+        else:
+            needed += element.count * sum((p.length or p.dtype).itemsize for p in element.properties)
+    if needed > size + 1:
+        promised = ", ".join(f"{e.count:,} × {e.name}" for e in header.elements)
+        raise _MalformedError(
+            f"its header promises {promised}, at least {needed:,} bytes, but only {size:,} follow; {_DAMAGED}"
+        )
+
+
+def _decode(element: Element, body: memoryview, at: int) -> tuple[list[NDArray[Any] | Lists], int]:
+    """Return the element's columns and the offset after its last row."""
+    rows = _decode_equal_rows(element, body, at)
+    return rows if rows is not None else _decode_ragged_rows(element, body, at)
+
+
+def _decode_equal_rows(
+    element: Element, body: memoryview, at: int
+) -> tuple[list[NDArray[Any] | Lists], int] | None:
+    """Decode rows whose lists are all as long as the first row's, without a loop; None if they are not."""
+    if element.count == 0:
+        nothing = [np.empty(0, column.dtype) for column in element.properties]
+        return [
+            values if column.length is None else Lists(np.empty(0, np.int64), values)
+            for column, values in zip(element.properties, nothing, strict=True)
+        ], at
+    lengths = []
+    offset = at
+    for column in element.properties:
+        if column.length is None:
+            offset += column.dtype.itemsize
+            continue
+        lengths.append(_length_at(element, column.length, body, offset))
+        offset += column.length.itemsize + lengths[-1] * column.dtype.itemsize
+    stride = offset - at
+    end = at + element.count * stride
+    if end > len(body):
+        if lengths:
+            return None
+        raise _MalformedError(
+            f"it ends after {(len(body) - at) // stride:,} of {element.count:,} {element.name} entries; "
+            f"{_DAMAGED}"
+        )
+
+    decoded: list[NDArray[Any] | Lists] = []
+    remaining = iter(lengths)
+    for column in element.properties:
+        if column.length is None:
+            decoded.append(np.ndarray(element.count, column.dtype, body, at, stride))
+            at += column.dtype.itemsize
+            continue
+        length = next(remaining)
+        stored = np.ndarray(element.count, column.length, body, at, stride)
+        if not (stored == length).all():
+            return None
+        at += column.length.itemsize
+        size = column.dtype.itemsize
+        values = np.ndarray((element.count, length), column.dtype, body, at, (stride, size))
+        decoded.append(Lists(np.full(element.count, length, np.int64), values.reshape(-1)))
+        at += length * size
+    return decoded, end
+
+
+def _decode_ragged_rows(
+    element: Element, body: memoryview, at: int
+) -> tuple[list[NDArray[Any] | Lists], int]:
+    """Decode rows of different sizes: walk from length to length, then gather each column at its offsets."""
+    # One step a list: the bytes of scalars before it, how its length is stored, the size of a value.
+    steps = []
+    skip = 0
+    for column in element.properties:
+        if column.length is None:
+            skip += column.dtype.itemsize
+        else:
+            steps.append((skip, struct.Struct(_struct_code(column.length)), column.dtype.itemsize))
+            skip = 0
+    starts: list[list[int]] = [[] for _ in steps]  # offset of each list's first value
+    lengths: list[list[int]] = [[] for _ in steps]
+    row_starts = []
+    limit = len(body)
+    for row in range(element.count):
+        row_starts.append(at)
+        for index, (before, stored, size) in enumerate(steps):
+            at += before + stored.size
+            if at > limit:
+                raise _short(element, row)
+            (length,) = stored.unpack_from(body, at - stored.size)
+            if not length >= 0 or length % 1:
+                raise _bad_length(element, row, length)
+            starts[index].append(at)
+            lengths[index].append(int(length))
+            at += int(length) * size
+        at += skip
+        if at > limit:
+            raise _short(element, row)
+
+    decoded: list[NDArray[Any] | Lists] = []
+    offsets = np.array(row_starts, np.int64)
+    step = 0
+    for column in element.properties:
+        if column.length is None:
+            decoded.append(_gather(body, column.dtype, offsets))
+            offsets = offsets + column.dtype.itemsize
+            continue
+        counts = np.array(lengths[step], np.int64)
+        first = np.array(starts[step], np.int64)
+        position = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        where = np.repeat(first, counts) + position * column.dtype.itemsize
+        decoded.append(Lists(counts, _gather(body, column.dtype, where)))
+        offsets = first + counts * column.dtype.itemsize
+        step += 1
+    return decoded, at
+
+
+def _gather(body: memoryview, dtype: np.dtype[Any], offsets: NDArray[np.int64]) -> NDArray[Any]:
+    if len(offsets) == 0:
+        return np.empty(0, dtype)
+    # A view with one overlapping value a byte lets NumPy gather at any alignment.
+    windows = np.ndarray(len(body) - dtype.itemsize + 1, dtype, body, 0, 1)
+    return np.asarray(windows[offsets])
+
+
+def _length_at(element: Element, dtype: np.dtype[Any], body: memoryview, at: int) -> int:
+    if at + dtype.itemsize > len(body):
+        raise _short(element, 0)
+    length = np.ndarray(1, dtype, body, at)[0].item()
+    if not length >= 0 or length % 1:
+        raise _bad_length(element, 0, length)
+    return int(length)
+
+
+def _struct_code(dtype: np.dtype[Any]) -> str:
+    order = dtype.byteorder if dtype.byteorder in "<>" else "="
+    return order + dtype.char.replace("l", "i").replace("L", "I")
+
+
+def _short(element: Element, row: int) -> _MalformedError:
+    return _MalformedError(f"it ends within {element.name} {row:,} of {element.count:,}; {_DAMAGED}")
+
+
+def _bad_length(element: Element, row: int, length: Any) -> _MalformedError:
+    return _MalformedError(f"{element.name} {row:,} holds a list of length {length:g}; {_DAMAGED}")
+
+
+def _as_declared(column: NDArray[Any] | Lists, declared: Property, element: str) -> NDArray[Any] | Lists:
+    """Give numbers that came from text the type the header declares."""
+    if isinstance(column, Lists):
+        return Lists(column.lengths, _cast(column.values, declared, element))
+    return _cast(column, declared, element)
+
+
+def _cast(values: NDArray[Any], declared: Property, element: str) -> NDArray[Any]:
+    if values.dtype == declared.dtype or declared.dtype.kind == "f":
+        return values
+    limits = np.iinfo(declared.dtype)
+    fits = (values >= limits.min) & (values <= limits.max) & (values == np.floor(values))
+    if not fits.all():
+        bad = values[np.flatnonzero(~fits)[0]]
+        raise _MalformedError(
+            f"{declared.name} of a {element} is {bad:g}; the header declares whole numbers "
+            f"from {limits.min} to {limits.max}."
+        )
+    return values.astype(declared.dtype)

@@ -1,0 +1,92 @@
+"""Texture images on disk."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from stages.files.image_bytes import kind_of
+from stages.files.replacing import replacing
+from stages.surface.texture import Image
+
+# File systems take 255 bytes; some are for what is put before or after.
+_LONGEST_NAME = 80
+
+
+def beside(folder: Path, name: str) -> Path:
+    """Return where a file that a mesh file names is looked for: in the mesh's own folder, or a folder of it.
+
+    Names that lead elsewhere carry the folders of the machine they were written on; only their last part
+    counts.
+    """
+    parts = PureWindowsPath(PurePosixPath(name)).parts
+    inside = folder.joinpath(*parts)
+    if parts and ".." not in parts and not PureWindowsPath(name).anchor and _is_file(inside):
+        return inside
+    return folder / (parts[-1] if parts else "")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # ValueError: a name with a zero byte.
+        return False
+
+
+def read_texture(folder: Path, name: str, notes: list[str]) -> Image | None:
+    """Return the image file that a mesh file in `folder` names, its bytes as they are.
+
+    A missing file and one that is no image give None and a note.
+    """
+    file = beside(folder, name)
+    try:
+        data = file.read_bytes()
+    except (OSError, ValueError):
+        notes.append(f"the texture image {name} is missing or cannot be read")
+        return None
+    if not kind_of(data, file.name)[0]:
+        notes.append(f"the texture image {name} is of no known kind or damaged")
+        return None
+    return Image(file.name, data)
+
+
+def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
+    """Write images beside the mesh file `path`, each under its own name, untouched; return names by id.
+
+    A name that is taken by another file, or missing, is replaced by one that starts as the mesh's does;
+    only files named so are written over.
+    """
+    names: dict[int, str] = {}
+    written: dict[str, bytes] = {}
+    for number, image in enumerate(images):
+        data, extension = image.file_bytes, image.extension
+        name = _safe_name(image.name, extension)
+        if not name or written.get(name, data) != data or _holds_other(path.with_name(name), data):
+            name = f"{path.stem}_{name}" if name else f"{path.stem}_{number}{extension}"
+        if written.get(name, data) != data:
+            name = f"{path.stem}_{number}{extension}"
+        names[id(image)] = name
+        written[name] = data
+        with replacing(path.with_name(name)) as part:
+            part.write_bytes(data)
+    return names
+
+
+def _safe_name(name: str, extension: str) -> str:
+    """Return a name that stays in its folder on every system, and fits the kind of image."""
+    last = PureWindowsPath(PurePosixPath(name).name).name
+    last = re.sub(r'[\x00-\x1f<>:"|?*]', "_", last).strip(" .")[:_LONGEST_NAME]
+    known = {".jpeg": ".jpg", ".tiff": ".tif"}
+    suffix = PurePosixPath(last).suffix.lower()
+    fits = known.get(suffix, suffix) == extension or not extension
+    return last if fits or not last else last + extension
+
+
+def _holds_other(file: Path, data: bytes) -> bool:
+    try:
+        return file.read_bytes() != data
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True

@@ -1,0 +1,179 @@
+"""The mesh that passes between stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError
+from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
+
+__all__ = ["Colors", "Image", "Material", "Mesh", "Texture", "Triangles", "Vertices", "validated"]
+
+Vertices = NDArray[np.float64]
+Triangles = NDArray[np.int32]
+Colors = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with optional colours, normals and texture. Immutable in spirit: functions return a new one.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64, metres.
+    triangles : (m, 3) int32, counter-clockwise seen from outside.
+    colors : (n, 3) uint8 RGB, or None.
+    normals : (n, 3) float64 unit vertex normals, or None.
+    texture : texture coordinates per corner and a material per triangle; see Texture, or None.
+    corner_normals : (m, 3, 3) float64 unit normals of the corners, or None. Given where those of a vertex
+        differ, as along sharp edges, 0 where a corner has none; `normals` is then None or holds means.
+    part_ids : (m,) int32 into `part_names`, -1 for none; or None. Objects and groups of OBJ, nodes of glTF.
+    part_names : of the parts; names may repeat.
+    """
+
+    vertices: Vertices
+    triangles: Triangles
+    colors: Colors | None = None
+    normals: NDArray[np.float64] | None = None
+    texture: Texture | None = None
+    corner_normals: NDArray[np.float64] | None = None
+    part_ids: NDArray[np.int32] | None = None
+    part_names: tuple[str, ...] = ()
+    # What a reader met on the way and a person should know: a missing image, polygons that were split.
+    notes: tuple[str, ...] = field(default=())
+
+    def with_(self, **changes: Any) -> Mesh:
+        """Return the same mesh with some fields replaced; other triangles need `with_triangles`."""
+        return replace(self, **changes)
+
+    def with_triangles(
+        self,
+        triangles: Triangles,
+        source: NDArray[Any],
+        *,
+        uvs: NDArray[np.float64] | None = None,
+        corner_normals: NDArray[np.float64] | None = None,
+    ) -> Mesh:
+        """Return the mesh with other triangles, which keep the material, part and corners they come from.
+
+        Parameters
+        ----------
+        triangles : (k, 3) int32.
+        source : (k,) the triangle each one is or lies on, -1 for new ones, which have no material, texture
+            coordinates or part; or a mask (m,) of those that stay.
+        uvs : (k, 3, 2), corner_normals : (k, 3, 3), where the corners are not those of `source`; of no effect
+            if the mesh has none. Without them normals of the corners of new triangles are 0.
+        """
+        texture, part_ids = self.texture, self.part_ids
+        if self.corner_normals is None:
+            corner_normals = None
+        elif corner_normals is None:
+            corner_normals = rows_or(self.corner_normals, source, 0.0)
+        return replace(
+            self,
+            triangles=triangles,
+            texture=None if texture is None else texture.rows(source, uvs),
+            corner_normals=corner_normals,
+            part_ids=None if part_ids is None else rows_or(part_ids, source, -1),
+        )
+
+
+def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
+    """Check a mesh from outside, once, where it enters; arrays get the contract's types.
+
+    Parameters
+    ----------
+    where : the file or argument the mesh came from; it starts every message.
+
+    Raises
+    ------
+    MeshError
+        For a wrong shape, a value that is not finite, an index out of range; it names the first offender.
+    """
+    vertices = _array(mesh.vertices, np.float64, (3,), "vertices", where)
+    triangles = _indices(mesh.triangles, len(vertices), where)
+    _require_finite(vertices, "vertex", where)
+    colors = mesh.colors
+    if colors is not None:
+        colors = _array(colors, np.uint8, (3,), "colors", where)
+        _require_count(colors, len(vertices), "colors", where)
+    normals = mesh.normals
+    if normals is not None:
+        normals = _array(normals, np.float64, (3,), "normals", where)
+        _require_count(normals, len(vertices), "normals", where)
+    texture, corner_normals, part_ids = mesh.texture, mesh.corner_normals, mesh.part_ids
+    if texture is not None:
+        texture = validated_texture(texture, len(triangles), where)
+    if corner_normals is not None:
+        corner_normals = _array(corner_normals, np.float64, (3, 3), "corner normals", where)
+        _require_count(corner_normals, len(triangles), "corner normals", where, "triangles")
+    if part_ids is not None:
+        part_ids = _part_ids(part_ids, len(triangles), len(mesh.part_names), where)
+    return mesh.with_(
+        vertices=vertices,
+        triangles=triangles,
+        colors=colors,
+        normals=normals,
+        texture=texture,
+        corner_normals=corner_normals,
+        part_ids=part_ids,
+    )
+
+
+def _part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> NDArray[np.int32]:
+    array = np.asarray(data)
+    if array.shape != (triangle_count,) or array.dtype.kind not in "iu":
+        raise MeshError(f"there are {array.size} part indices for {triangle_count} triangles.", where)
+    if ((array < -1) | (array >= part_count)).any():
+        raise MeshError(f"a part index is beyond the {part_count} part names.", where)
+    return np.ascontiguousarray(array, np.int32)
+
+
+def _array(data: Any, dtype: Any, columns: tuple[int, ...], name: str, where: str) -> Any:
+    array = np.asarray(data)
+    if array.ndim != 1 + len(columns) or array.shape[1:] != columns:
+        wanted = "n × " + " × ".join(map(str, columns))
+        raise MeshError(f"{name} have shape {array.shape}; {wanted} is expected.", where)
+    if dtype is np.uint8 and array.dtype != np.uint8:
+        raise MeshError(f"{name} are {array.dtype}; 8-bit values (uint8) are expected.", where)
+    if array.dtype.kind not in "iuf":
+        raise MeshError(f"{name} are {array.dtype}; numbers are expected.", where)
+    return np.ascontiguousarray(array, dtype=dtype)
+
+
+def _indices(data: Any, vertex_count: int, where: str) -> Triangles:
+    array = np.asarray(data)
+    if array.size == 0:
+        return np.zeros((0, 3), np.int32)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise MeshError(f"triangles have shape {array.shape}; m × 3 is expected.", where)
+    if array.dtype.kind not in "iu":
+        raise MeshError(f"triangles are {array.dtype}; whole numbers are expected.", where)
+    if array.min() < 0 or array.max() >= vertex_count:
+        bad = np.flatnonzero(((array < 0) | (array >= vertex_count)).any(axis=1))
+        row = array[bad[0]].tolist()
+        raise MeshError(
+            f"triangle {bad[0]} uses vertices {row}, but there are only {vertex_count} "
+            f"({len(bad)} such triangles); the file is damaged or cut short.",
+            where,
+        )
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def _require_finite(vertices: Vertices, name: str, where: str) -> None:
+    if not np.isfinite(vertices).all():
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        raise MeshError(
+            f"{name} {bad[0]} is {vertices[bad[0]].tolist()}, not finite ({len(bad)} such); "
+            "remove or repair these before processing.",
+            where,
+        )
+
+
+def _require_count(array: NDArray[Any], count: int, name: str, where: str, of: str = "vertices") -> None:
+    if len(array) != count:
+        raise MeshError(f"there are {len(array)} {name} for {count} {of}.", where)

@@ -1,0 +1,164 @@
+"""Read and write meshes in the formats people have: PLY, OBJ, OFF, STL, glTF.
+
+PLY, OBJ and glTF are parsed here; OFF and STL by trimesh, under guard: what its readers raise becomes one
+sentence, and files that promise more than they hold are refused before memory is reserved for it.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.errors import InputError, UsageError
+from stages.files.replacing import replacing
+from stages.surface.convert import as_mesh, to_trimesh
+from stages.surface.formats.gltf import read_gltf
+from stages.surface.formats.gltf_writer import write_gltf
+from stages.surface.formats.obj import read_obj, write_obj
+from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.mesh import Mesh
+from stages.surface.welding import merge_vertices
+
+EXTENSIONS = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
+
+
+def read_mesh(path: Path | str) -> Mesh:
+    """Read a mesh file; its extension tells the format.
+
+    All objects of a file become one mesh, placed as the file's scene places them. STL has no shared
+    vertices and glTF none across texture seams: there, vertices of equal position and colour become one.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of an unknown format, damaged, or holds no triangles; one sentence with the
+        name of the file.
+    """
+    path = Path(path)
+    extension = path.suffix.lower()
+    if extension not in EXTENSIONS:
+        raise InputError(f"is of an unknown format {path.suffix!r}; known are {', '.join(EXTENSIONS)}.", path)
+    if not path.is_file():
+        raise InputError("does not exist." if not path.exists() else "is not a file.", path)
+    if extension == ".ply":
+        mesh = read_ply(path)
+    elif extension == ".obj":
+        mesh = read_obj(path)
+    elif extension in (".glb", ".gltf"):
+        mesh = read_gltf(path)
+    else:
+        mesh = _read_with_trimesh(path, extension)
+    if len(mesh.vertices) == 0:
+        raise InputError("holds no vertices.", path)
+    if len(mesh.triangles) == 0:
+        raise InputError(f"holds {len(mesh.vertices):,} vertices but no triangles; a mesh is expected.", path)
+    return mesh
+
+
+def write_mesh(path: Path | str, mesh: Mesh) -> None:
+    """Write a mesh; the extension tells the format. The file appears whole or not at all.
+
+    PLY and OBJ hold everything a Mesh has, to the bit; glTF in single precision, triangles of one part
+    and material together. What a material says beside image and base colour is only kept within OBJ and
+    within glTF. OFF and STL hold the shape alone.
+
+    Raises
+    ------
+    UsageError
+        If the extension is none of EXTENSIONS.
+    StageError
+        If the system refuses to write.
+    """
+    path = Path(path)
+    extension = path.suffix.lower()
+    if extension not in EXTENSIONS:
+        raise UsageError(f"{path}: meshes are written as {', '.join(EXTENSIONS)}, not as {path.suffix!r}.")
+    if extension == ".ply":
+        write_ply(path, mesh)
+    elif extension == ".obj":
+        write_obj(path, mesh)
+    elif extension in (".glb", ".gltf"):
+        write_gltf(path, mesh)
+    else:
+        data = to_trimesh(mesh.with_(texture=None))
+        with _quiet():
+            written = data.export(file_type=extension[1:])
+        with replacing(path) as part:
+            part.write_bytes(written.encode() if isinstance(written, str) else written)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    # What NumPy and trimesh say of odd values on the way; what matters of them is validated afterwards.
+    logger = logging.getLogger("trimesh")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _read_with_trimesh(path: Path, extension: str) -> Mesh:
+    if extension == ".stl":
+        _require_whole_stl(path)
+    import trimesh
+
+    try:
+        with _quiet():
+            scene = trimesh.load_scene(path, process=False)
+            parts = [_placed(scene, node) for node in scene.graph.nodes_geometry]
+    except MemoryError:
+        raise InputError("promises more data than fits in memory; it is damaged.", path) from None
+    except Exception as error:  # trimesh's readers raise whatever the first bad value leads to
+        raise InputError(
+            f"cannot be read as {extension[1:].upper()}: it is empty, damaged or cut short; "
+            "get a whole copy of it.",
+            path,
+        ) from error
+    meshes = [as_mesh(part, str(path)) for part in parts if isinstance(part, trimesh.Trimesh)]
+    if extension == ".stl":
+        return merge_vertices(_joined(meshes))
+    return _joined(meshes)
+
+
+def _placed(scene: Any, node: str) -> Any:
+    transform, name = scene.graph[node]
+    part = scene.geometry[name].copy(include_cache=True)
+    part.apply_transform(transform)
+    return part
+
+
+def _joined(meshes: list[Mesh]) -> Mesh:
+    """Put the meshes of an STL or OFF file, which have a shape and perhaps colours, into one."""
+    if len(meshes) == 1:
+        return meshes[0]
+    if not meshes:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+    return Mesh(
+        vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+        triangles=np.concatenate(triangles).astype(np.int32),
+        notes=tuple(note for mesh in meshes for note in mesh.notes),
+    )
+
+
+def _require_whole_stl(path: Path) -> None:
+    """Refuse a binary STL file that is cut short; trimesh would take it for text and find nothing in it."""
+    with path.open("rb") as file:
+        start = file.read(84)
+    count = int.from_bytes(start[80:84], "little")
+    held = (path.stat().st_size - 84) // 50
+    if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
+        raise InputError(
+            f"promises {count:,} triangles but holds {held:,}; it is damaged or cut short.", path
+        )

@@ -1,0 +1,180 @@
+"""Texture coordinates, materials and images of a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError
+from stages.files.image_bytes import decoded_image, encoded_png, kind_of
+
+Pixels = NDArray[np.uint8]
+
+# How an image goes on beyond its edges, along u and along v.
+WRAPS = ("repeat", "clamp", "mirror")
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A texture image: a file's bytes as they were read, pixels that were computed, or both.
+
+    Attributes
+    ----------
+    name : its file name, which may have spaces; empty for a new image.
+    encoded : the bytes of the file. Writers pass them on untouched.
+    given : (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first, of an image that has no bytes yet.
+    """
+
+    name: str = ""
+    encoded: bytes | None = field(default=None, repr=False)
+    given: Pixels | None = field(default=None, repr=False)
+
+    @cached_property
+    def pixels(self) -> Pixels:
+        """(h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; decoded when first asked for.
+
+        Raises
+        ------
+        MeshError
+            If the bytes are damaged.
+        """
+        if self.given is not None:
+            return self.given
+        pixels = None if self.encoded is None else decoded_image(self.encoded)
+        if pixels is None:
+            raise MeshError(f"the texture image {self.name or 'without a name'} cannot be decoded.")
+        return pixels
+
+    @cached_property
+    def file_bytes(self) -> bytes:
+        """What a file of this image holds: the bytes as read, or the pixels as PNG."""
+        return self.encoded if self.encoded is not None else encoded_png(self.pixels)
+
+    @property
+    def extension(self) -> str:
+        """The extension that fits `file_bytes`: ".png", ".jpg", …; that of the name if they do not tell."""
+        return kind_of(self.encoded, self.name)[0] if self.encoded is not None else ".png"
+
+    @property
+    def mime(self) -> str:
+        """The media type of `file_bytes`, such as "image/png"."""
+        return kind_of(self.encoded, self.name)[1] if self.encoded is not None else "image/png"
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What gives triangles their colour.
+
+    Attributes
+    ----------
+    name : as in the file; empty if it has none.
+    image : base colour image, or None. Materials that share an image share the object.
+    base_color : red, green, blue, alpha, 0..1, as they are displayed (sRGB); None if the file says nothing.
+        It multiplies the image, as in glTF, after both were made linear. The Kd of an MTL file is only
+        taken where there is no image, for programs disagree on what it does beside one.
+    wrap : how the image goes on beyond its edges along u and v: "repeat", "clamp" or "mirror".
+    kept : what else the file says of the material, for the writer of the same format alone.
+    """
+
+    name: str = ""
+    image: Image | None = None
+    base_color: tuple[float, float, float, float] | None = None
+    wrap: tuple[str, str] = ("repeat", "repeat")
+    kept: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Texture coordinates and materials of a mesh's triangles.
+
+    Attributes
+    ----------
+    uvs : (m, 3, 2) float64, per corner, finite; (0, 0) is the lower left corner of the image. Values outside
+        0..1 go on as the material's `wrap` says. (0, 0) at all three corners stands for no coordinates.
+    material_ids : (m,) int32 into `materials`; -1 for none.
+    materials : in the file's order.
+    """
+
+    uvs: NDArray[np.float64]
+    material_ids: NDArray[np.int32]
+    materials: tuple[Material, ...] = ()
+
+    @property
+    def images(self) -> tuple[Image, ...]:
+        """The images of all materials, each once."""
+        found = {id(m.image): m.image for m in self.materials if m.image is not None}
+        return tuple(found.values())
+
+    def has_uvs(self) -> NDArray[np.bool_]:
+        """Return (m,) whether each triangle has texture coordinates."""
+        return np.asarray((self.uvs != 0).any(axis=(1, 2)))
+
+    def rows(self, source: NDArray[Any], uvs: NDArray[np.float64] | None = None) -> Texture:
+        """Return the texture of chosen triangles.
+
+        Parameters
+        ----------
+        source : row numbers, -1 for a triangle without texture; or a mask.
+        uvs : coordinates of the chosen triangles if they are others than those of `source`.
+        """
+        return replace(
+            self,
+            uvs=rows_or(self.uvs, source, 0.0) if uvs is None else uvs,
+            material_ids=rows_or(self.material_ids, source, -1),
+        )
+
+
+def signed_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the areas of triangles in a plane (m, 3, 2), negative for those that go round the other way."""
+    (x1, y1), (x2, y2) = ((corners[:, i] - corners[:, 0]).T for i in (1, 2))
+    return np.asarray((x1 * y2 - y1 * x2) / 2)
+
+
+def rows_or(array: NDArray[Any], source: NDArray[Any], missing: float) -> NDArray[Any]:
+    """Return the rows that `source` (row numbers or a mask) names, and `missing` for those of -1."""
+    chosen: NDArray[Any] = array[source]
+    if source.dtype.kind == "i":
+        chosen[source < 0] = missing
+    return chosen
+
+
+def validated_texture(texture: Texture, triangle_count: int, where: str) -> Texture:
+    """Check a texture from outside; arrays get the contract's types.
+
+    Raises
+    ------
+    MeshError
+        For a wrong shape or count, a coordinate that is not finite, a material index out of range.
+    """
+    uvs, material_ids = np.asarray(texture.uvs), np.asarray(texture.material_ids)
+    if uvs.ndim != 3 or uvs.shape[1:] != (3, 2) or uvs.dtype.kind not in "iuf":
+        raise MeshError(
+            f"texture coordinates are {uvs.dtype} of shape {uvs.shape}; numbers of shape m × 3 × 2 are "
+            "expected.",
+            where,
+        )
+    if len(uvs) != triangle_count or material_ids.shape != (triangle_count,):
+        raise MeshError(
+            f"there are {len(uvs)} × 3 texture coordinates and {material_ids.size} material indices "
+            f"for {triangle_count} triangles.",
+            where,
+        )
+    if not np.isfinite(uvs).all():
+        bad = int(np.flatnonzero(~np.isfinite(uvs).all(axis=(1, 2)))[0])
+        raise MeshError(
+            f"texture coordinates of triangle {bad} are {uvs[bad].tolist()}, not finite; "
+            "set those of such a triangle to 0 for none.",
+            where,
+        )
+    count = len(texture.materials)
+    if ((material_ids < -1) | (material_ids >= count)).any():
+        raise MeshError(f"a material index is beyond the {count} texture materials.", where)
+    return replace(
+        texture,
+        uvs=np.ascontiguousarray(uvs, np.float64),
+        material_ids=np.ascontiguousarray(material_ids, np.int32),
+    )

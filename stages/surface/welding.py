@@ -1,0 +1,57 @@
+"""Vertices that lie at the same place, made one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.mesh import Mesh
+
+
+def merge_vertices(mesh: Mesh, apart: NDArray[Any] | None = None) -> Mesh:
+    """Make one vertex of those with exactly the same position and colour; vertices keep their order.
+
+    Formats that store a corner's texture coordinate or normal with the vertex, and STL, which stores
+    corners alone, tear a surface apart that is one. A merged vertex takes the mean of the normals.
+    Vertices that differ in `apart` (n,) stay apart.
+    """
+    keys = list(mesh.vertices.T)
+    if mesh.colors is not None:
+        keys.append(mesh.colors.astype(np.int64) @ (1 << 16, 1 << 8, 1))
+    if apart is not None:
+        keys.append(apart)
+    index = same_rows(keys)
+    source = np.unique(index)
+    if len(source) == len(index):
+        return mesh
+    rank = np.cumsum(index == np.arange(len(index))) - 1
+    new_index = rank[index]
+    normals = mesh.normals
+    if normals is not None:
+        sums = np.stack([np.bincount(new_index, normals[:, k], len(source)) for k in range(3)], axis=1)
+        length = np.linalg.norm(sums, axis=1, keepdims=True)
+        alone = np.bincount(new_index, minlength=len(source))[:, None] == 1
+        normals = np.where(alone | (length == 0), normals[source], sums / np.where(length == 0, 1, length))
+    return mesh.with_(
+        vertices=mesh.vertices[source],
+        triangles=new_index[mesh.triangles].astype(np.int32),
+        colors=None if mesh.colors is None else mesh.colors[source],
+        normals=normals,
+    )
+
+
+def same_rows(columns: list[NDArray[Any]]) -> NDArray[np.int64]:
+    """Return for each row the first one equal to it in all columns."""
+    count = len(columns[0])
+    order = np.lexsort(columns)
+    starts = np.zeros(count, bool)
+    starts[:1] = True
+    for column in columns:
+        ordered = column[order]
+        starts[1:] |= ordered[1:] != ordered[:-1]
+    first = np.empty(count, np.int64)
+    # The sort is stable, so a group starts with its first row.
+    first[order] = order[starts][np.cumsum(starts) - 1]
+    return first

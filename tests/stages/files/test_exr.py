@@ -1,0 +1,110 @@
+import contextlib
+import struct
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from stages.errors import InputError
+from stages.files.exr import exr_size, read_exr
+from stages.scans.images import image_size, read_depth
+from stages.scans.scan import Camera, Frame
+
+DEPTH = np.random.default_rng(0).uniform(0.5, 4, (24, 32)).astype(np.float32)
+METHODS = ("NO", "RLE", "ZIPS", "ZIP", "PIZ")
+
+
+def write(path, channels, method="ZIP"):
+    header = {"compression": getattr(OpenEXR, f"{method}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["Z", "R", "Y", "anything"])
+def test_one_channel_is_depth_whatever_its_name(tmp_path, method, name):
+    path = write(tmp_path / "a.exr", {name: DEPTH}, method)
+    np.testing.assert_array_equal(read_exr(path), DEPTH)
+    assert exr_size(path) == image_size(path) == (32, 24)
+
+
+def test_it_is_a_depth_map_as_others_are(tmp_path):
+    depth = DEPTH.copy()
+    depth[0, :3] = (np.nan, np.inf, -1)
+    path = write(tmp_path / "a.EXR", {"Z": depth})
+    read = read_depth(Frame("f", Camera(32, 24, 100, 100, 16, 12), depth=path, depth_scale=1.0))
+    assert read[0, :3].tolist() == [0, 0, 0]
+    np.testing.assert_array_equal(read[1:], DEPTH[1:])
+
+
+def test_half_floats_and_whole_numbers(tmp_path):
+    half = DEPTH.astype(np.float16)
+    np.testing.assert_array_equal(read_exr(write(tmp_path / "h.exr", {"Z": half})), half)
+    whole = (DEPTH * 1000).astype(np.uint32)
+    np.testing.assert_array_equal(read_exr(write(tmp_path / "w.exr", {"Z": whole})), whole)
+
+
+def test_depth_among_colours_and_depth_as_grey(tmp_path):
+    other = np.zeros_like(DEPTH)
+    path = write(tmp_path / "a.exr", {"R": other, "G": other, "B": other, "Z": DEPTH})
+    np.testing.assert_array_equal(read_exr(path), DEPTH)
+    path = write(tmp_path / "b.exr", {"R": DEPTH, "G": DEPTH, "B": DEPTH})
+    np.testing.assert_array_equal(read_exr(path), DEPTH)
+
+
+def test_a_colour_image_is_no_depth(tmp_path):
+    path = write(tmp_path / "a.exr", {"R": DEPTH, "G": DEPTH + 1, "B": DEPTH})
+    with pytest.raises(InputError, match=r"a\.exr: which channel is depth cannot be told: it holds B, G, R"):
+        read_exr(path)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_cut_short_anywhere_it_is_told(tmp_path, method, capfd):
+    path = write(tmp_path / "a.exr", {"Z": DEPTH}, method)
+    data = path.read_bytes()
+    for length in [*range(0, len(data), 37), len(data) - 1]:
+        path.write_bytes(data[:length])
+        with pytest.raises(InputError, match=r"a\.exr: "):
+            read_exr(path)
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_damage_is_an_error_or_other_numbers_and_no_crash(tmp_path, method, capfd):
+    path = write(tmp_path / "a.exr", {"Z": DEPTH}, method)
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        broken = bytearray(data)
+        for at in rng.integers(0, len(data), rng.integers(1, 6)):
+            broken[at] = rng.integers(256)
+        path.write_bytes(broken)
+        with contextlib.suppress(InputError):
+            assert read_exr(path).ndim == 2
+    # Results go to the standard output; what the library says of a file must not.
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("box", [(0, 0, 99_999, 99_999), (-(2**31), 0, 2**31 - 1, 0), (5, 5, 0, 0)])
+def test_a_header_that_promises_a_giant_is_refused_before_decoding(tmp_path, box):
+    path = write(tmp_path / "a.exr", {"Z": DEPTH})
+    data = path.read_bytes()
+    path.write_bytes(data.replace(struct.pack("<4i", 0, 0, 31, 23), struct.pack("<4i", *box)))
+    for read in (read_exr, exr_size):
+        with pytest.raises(InputError, match="header is damaged"):
+            read(path)
+
+
+def test_tiles_are_refused_by_name(tmp_path):
+    path = write(tmp_path / "a.exr", {"Z": DEPTH})
+    data = bytearray(path.read_bytes())
+    data[5] |= 2
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="tiles"):
+        read_exr(path)
+
+
+def test_a_missing_file_is_told(tmp_path):
+    for read in (read_exr, exr_size):
+        with pytest.raises(InputError, match=r"gone\.exr: the image cannot be opened"):
+            read(tmp_path / "gone.exr")

@@ -1,0 +1,54 @@
+import contextlib
+
+import lzfse
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.files.lzfse_blocks import decompress, raw_size
+
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"a",
+        bytes(12),
+        bytes(1 << 20),
+        RNG.bytes(40_000),
+        RNG.uniform(0.5, 4, 49_152).astype(np.float32).tobytes(),
+        b"abc" * 500,
+    ],
+)
+def test_what_was_compressed_comes_out(raw):
+    data = lzfse.compress(raw)
+    assert raw_size(data) == len(raw)
+    assert decompress(data, len(raw), "a") == raw
+
+
+def test_another_size_is_refused_before_anything_is_decompressed(monkeypatch):
+    data = lzfse.compress(bytes(1 << 20))
+    monkeypatch.setattr(lzfse, "decompress", lambda _: pytest.fail("it was decompressed"))
+    with pytest.raises(InputError, match="a: it holds 1048576 bytes where 100 are expected"):
+        decompress(data, 100, "a")
+
+
+def test_thousands_of_tiny_blocks_are_refused():
+    block = b"bvx-" + (1).to_bytes(4, "little") + b"x"
+    assert raw_size(block * 2 + b"bvx$") == 2
+    assert raw_size(block * 5000 + b"bvx$") is None
+
+
+def test_cut_short_or_damaged_it_is_an_error_or_other_bytes():
+    raw = RNG.uniform(0.5, 4, 2000).astype(np.float32).tobytes()
+    data = lzfse.compress(raw)
+    for length in range(0, len(data), 101):
+        with pytest.raises(InputError, match="damaged or cut short"):
+            decompress(data[:length], len(raw), "a")
+    for _ in range(300):
+        broken = bytearray(data)
+        for at in RNG.integers(0, len(data), 4):
+            broken[at] = RNG.integers(256)
+        with contextlib.suppress(InputError):
+            assert len(decompress(bytes(broken), len(raw), "a")) == len(raw)

@@ -1,0 +1,331 @@
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.fusion.fuse import fuse
+from stages.inspecting.inspect import inspect
+from stages.inspecting.sanity import require_poses
+from stages.scans.images import read_color
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame, Scan, StereoRig
+
+CAMERA = Camera(160, 120, 150, 150, 80, 60)
+FLIP = np.diag((1.0, -1, -1, 1))
+
+
+def pose_at(x, z, degrees):
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, 0, s, x], [0, 1, 0, 0], [-s, 0, c, z], [0, 0, 0, 1.0]])
+
+
+def room_depth(pose, camera=CAMERA):
+    """Depth seen inside a box of 3 x 2 x 4 m around the origin, by the formula for ray and plane."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, float)], -1)
+    directions = rays @ pose[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distances = (np.sign(directions) * (1.5, 1.0, 2.0) - pose[:3, 3]) / directions
+    return np.where(np.isfinite(distances), distances, np.inf).min(axis=-1).astype(np.float32)
+
+
+def room_scan(change=lambda pose: pose):
+    poses = [pose_at(0.1 * i, 0.05 * i, 4 * i) for i in range(8)]
+    frames = [
+        Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=change(pose))
+        for i, pose in enumerate(poses)
+    ]
+    return Scan("plain-rgbd", frames)
+
+
+def test_true_poses_meet_and_raise_no_warning():
+    found = inspect(room_scan())
+    assert found.pose_errors_m["as given"] < 0.01
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (np.linalg.inv, "world-to-camera"),
+        (lambda pose: pose @ FLIP, "of a camera with y up and z back"),
+        (lambda pose: np.linalg.inv(pose @ FLIP), "world-to-camera, with y up and z back"),
+    ],
+)
+def test_poses_of_another_convention_are_named(change, name):
+    found = inspect(room_scan(change))
+    assert any(f"probably {name}:" in text for text in found.warnings)
+    assert min(found.pose_errors_m, key=found.pose_errors_m.get) == name
+
+
+def test_poses_of_another_convention_stop_what_is_built_on_them():
+    assert require_poses(room_scan()) == []
+    with pytest.raises(InputError, match=r"probably world-to-camera.*mm as given; \d+ mm world-to-camera"):
+        require_poses(room_scan(np.linalg.inv))
+
+
+def test_poses_that_fit_no_way_are_not_called_another_convention():
+    numbers = np.random.default_rng(3)
+    drifting = room_scan(lambda _: pose_at(*numbers.uniform(-0.5, 0.5, 2), numbers.uniform(-40, 40)))
+    assert require_poses(drifting) == []
+
+
+def test_a_camera_that_hardly_moves_raises_no_doubt():
+    numbers = np.random.default_rng(4)
+    frames = [
+        Frame(
+            str(i),
+            CAMERA,
+            depth=room_depth(pose_at(0.0001 * i, 0, 0))
+            + numbers.normal(0, 0.01, (120, 160)).astype(np.float32),
+            world_from_camera=pose_at(-0.0001 * i, 0, 0),
+        )
+        for i in range(8)
+    ]
+    assert require_poses(Scan("x", frames)) == []
+
+
+def test_the_path_is_measured():
+    frames = [
+        Frame(str(i), CAMERA, depth=room_depth(np.eye(4)), world_from_camera=pose_at(x, 0, turn))
+        for i, (x, turn) in enumerate([(0, 0), (0.1, 0), (0.3, 10), (1.3, 10), (1.3, 60)])
+    ]
+    path = inspect(Scan("plain-rgbd", frames)).path
+    assert path.length_m == pytest.approx(1.3)
+    assert path.box_m == pytest.approx((1.3, 0, 0))
+    assert path.largest_step_m == pytest.approx(1)
+    assert path.largest_turn_deg == pytest.approx(50)
+    assert path.outliers == ("3", "4")
+
+
+def test_depth_is_summed_up():
+    depth = np.full((120, 160), 1.5, np.float32)
+    depth[:30] = 0
+    scan = Scan("plain-rgbd", [Frame("a", CAMERA, depth=depth, world_from_camera=np.eye(4))])
+    found = inspect(scan)
+    assert (found.depth.near_m, found.depth.median_m, found.depth.far_m) == (1.5, 1.5, 1.5)
+    assert found.depth.missing_share == pytest.approx(0.25)
+
+
+def test_depth_all_zero_is_told():
+    depth = np.zeros((120, 160), np.float32)
+    poses = (pose_at(0, 0, 0), pose_at(0.1, 0, 0))
+    found = inspect(Scan("x", [Frame("a", CAMERA, depth=depth, world_from_camera=pose) for pose in poses]))
+    assert found.depth is None
+    assert found.pose_errors_m == {}
+    assert any("all are 0 or missing" in text for text in found.warnings)
+
+
+@pytest.fixture
+def depth_files(tmp_path):
+    frames = []
+    for i in range(4):
+        pose = pose_at(0.1 * i, 0, 3 * i)
+        path = tmp_path / f"{i}.png"
+        cv2.imwrite(str(path), (room_depth(pose) * 5000).astype(np.uint16))
+        frames.append(Frame(str(i), CAMERA, depth=path, depth_scale=5000, world_from_camera=pose))
+    return frames
+
+
+def test_a_wrong_scale_names_the_right_one(depth_files):
+    frames = [replace(frame, depth_scale=100.0) for frame in depth_files]
+    (warning,) = (text for text in inspect(Scan("x", frames)).warnings if "median depth" in text)
+    assert "5000 (TUM RGB-D)" in warning
+
+
+def test_a_marker_at_the_top_is_found(depth_files):
+    for frame in depth_files:
+        raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED)
+        raw[:10] = 65535
+        cv2.imwrite(str(frame.depth), raw)
+    assert any("65535" in text for text in inspect(Scan("x", depth_files)).warnings)
+    known = [replace(frame, depth_missing=(65535,)) for frame in depth_files]
+    assert not any("65535" in text for text in inspect(Scan("x", known)).warnings)
+
+
+def test_odd_and_damaged_files_are_counted(depth_files):
+    cv2.imwrite(str(depth_files[1].depth), np.ones((10, 10), np.uint16))
+    depth_files[2].depth.write_bytes(b"nothing")
+    warnings = "\n".join(inspect(Scan("x", depth_files)).warnings)
+    assert "another size (10×10), the first is 1.png" in warnings
+    assert "cannot be read, the first is 2.png" in warnings
+
+
+def test_nothing_readable_is_an_error(depth_files):
+    for frame in depth_files:
+        frame.depth.write_bytes(b"nothing")
+    with pytest.raises(InputError, match=r"0\.png"):
+        inspect(Scan("x", depth_files))
+
+
+def textured_pair(disparity, rows=0):
+    scene = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (260, 440), np.uint8), (0, 0), 2)
+    scene = cv2.normalize(scene, None, 0, 255, cv2.NORM_MINMAX)
+    left = scene[10:250, 40:360]
+    right = scene[10 + rows : 250 + rows, 40 + disparity : 360 + disparity]
+    return [np.ascontiguousarray(np.dstack([image] * 3)) for image in (left, right)]
+
+
+def stereo_warnings(left, right):
+    camera = Camera(320, 240, 300, 300, 160, 120)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -0.1
+    rig = StereoRig(camera, camera, right_from_left, rectified=True, disparities=30)
+    return inspect(Scan("x", [Frame("a", camera, color=left, right=right, world_from_camera=np.eye(4))], rig))
+
+
+def test_a_sound_pair_raises_no_warning():
+    found = stereo_warnings(*textured_pair(12))
+    assert found.warnings == ()
+    assert found.stereo_depth_m == pytest.approx((1.0, 30.0))
+    assert not any(line.startswith("path") for line in found.lines())
+
+
+def test_left_and_right_exchanged_is_noticed():
+    assert any("exchanged" in text for text in stereo_warnings(*reversed(textured_pair(12))).warnings)
+
+
+def test_rows_that_do_not_correspond_are_noticed():
+    assert any("3.0 rows" in text for text in stereo_warnings(*textured_pair(12, rows=3)).warnings)
+
+
+def blocks(shift):
+    """Depth with steps at blocks, and a colour picture of the blocks `shift` pixels further right."""
+    numbers = np.random.default_rng(2).integers(0, 5, (6, 8))
+    depth = np.kron(1 + 0.4 * numbers, np.ones((20, 20))).astype(np.float32)
+    grey = np.roll(np.kron(50 * numbers, np.ones((20, 20))), shift, axis=1).astype(np.uint8)
+    return np.dstack([grey] * 3), depth
+
+
+@pytest.mark.parametrize(("shift", "words"), [(0, None), (5, "5 px right and 0 px"), (-4, "4 px left")])
+def test_colour_beside_depth_is_noticed(shift, words):
+    color, depth = blocks(shift)
+    scan = Scan("x", [Frame("a", CAMERA, color=color, depth=depth, world_from_camera=np.eye(4))])
+    said = [text for text in inspect(scan).warnings if "not registered" in text]
+    assert bool(said) == (words is not None)
+    assert words is None or words in said[0]
+
+
+@pytest.mark.parametrize(
+    ("folder", "options"),
+    [
+        ("rgbd/7scenes_redkitchen", {}),
+        ("rgbd/tabletop_box_realsense", {}),
+        ("rgbd/open3d_testdata/RGBD", {}),
+        ("stereo/kitti_sequence_1", {}),
+        ("stereo/middlebury2014_motorcycle", {}),
+        ("stereo/euroc_V1_01_easy_static", {}),
+        ("stereo/middlebury2003_cones", {"intrinsics": "1000,1000,225,187", "baseline": 0.16}),
+    ],
+)
+def test_real_folders_agree_with_themselves(shared_data, folder, options):
+    found = inspect(read_scan(shared_data / folder, ScanParams(**options)))
+    for fault in (
+        "probably",
+        "exchanged",
+        "rectified, but",
+        "median depth",
+        "jump",
+        "cannot be",
+        "size",
+        "edges lie",
+    ):
+        assert not any(fault in text for text in found.warnings), found.warnings
+    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
+    assert figures["frames"] == len(found.scan.frames)
+    if not found.scan.is_stereo:
+        assert found.pose_errors_m["as given"] < 0.015
+        assert min(found.pose_errors_m, key=found.pose_errors_m.get) == "as given"
+    assert any(line.startswith("layout") for line in found.lines())
+
+
+def test_shifted_colour_is_noticed_on_real_frames(shared_data):
+    scan = read_scan(shared_data / "rgbd" / "open3d_testdata" / "RGBD")
+    moved = [replace(frame, color=np.roll(read_color(frame), (0, 6), axis=(0, 1))) for frame in scan.frames]
+    assert any("6 px right and 0 px" in text for text in inspect(replace(scan, frames=moved)).warnings)
+
+
+@pytest.mark.parametrize(
+    ("folder", "frames", "size", "missing"),
+    [
+        ("rgbd/realsense_desk_tum_layout", 25, (640, 480), ["poses: groundtruth.txt is missing"]),
+        ("stereo/middlebury2003_cones", 1, (450, 375), ["calibration: calibration.json is missing"]),
+    ],
+)
+def test_what_a_real_folder_lacks_is_said_with_what_it_has(shared_data, folder, frames, size, missing):
+    with pytest.raises(InputError, match=f"no {missing[0]}"):
+        read_scan(shared_data / folder)
+    found = inspect(read_scan(shared_data / folder, complete=False))
+    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
+    assert figures["frames"] == frames
+    assert tuple(figures["color_size_px"]) == size
+    assert [text.split(";")[0] for text in figures["missing"]] == missing
+    assert [line for line in found.lines() if line.startswith(f"missing   {missing[0]}")]
+
+
+def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
+    street = shared_data / "stereo" / "kitti_sequence_1"
+    for name, source in (("image_0", "image_l"), ("image_1", "image_r")):
+        (tmp_path / name).symlink_to(street / source)
+    found = inspect(read_scan(tmp_path, complete=False))
+    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
+    assert [text.split(":")[0] for text in figures["missing"]] == ["calibration", "poses"]
+    assert (figures["frames"], figures["rig"], figures["path"]) == (41, None, None)
+    with pytest.raises(InputError, match=r"no calibration: calib\.txt.*; and no poses: poses\.txt"):
+        read_scan(tmp_path)
+
+
+def test_the_kitchens_depth(shared_data):
+    depth = inspect(read_scan(shared_data / "rgbd" / "7scenes_redkitchen")).depth
+    assert 0.5 < depth.near_m < depth.median_m < depth.far_m < 5
+
+
+def striped(blur):
+    """Stripes of four pixels, and what a box filter of `blur` pixels leaves of them."""
+    image = np.zeros((120, 160, 3), np.uint8)
+    image[:, ::4] = image[:, 1::4] = 200
+    return image if blur == 0 else cv2.blur(image, (blur, blur))
+
+
+def test_the_least_sharp_twentieth_is_listed():
+    frames = list(room_scan().frames) * 5
+    blurs = {7: 4, 20: 3}
+    frames = [replace(f, name=str(i), color=striped(blurs.get(i, 0))) for i, f in enumerate(frames)]
+    found = inspect(Scan("plain-rgbd", frames))
+    # Two of forty; a filter as long as the period takes all contrast away.
+    assert [name for name, _ in found.least_sharp] == ["7", "20"]
+    assert found.least_sharp[0][1] < 0.05 < found.least_sharp[1][1] < 0.25
+    assert any("blurred" in text and "7, 20" in text for text in found.warnings)
+    assert found.figures()["least_sharp"][0]["frame"] == "7"
+
+
+def test_frames_equally_sharp_are_no_warning():
+    frames = [replace(frame, color=striped(0)) for frame in room_scan().frames]
+    found = inspect(Scan("plain-rgbd", frames))
+    assert [value for _, value in found.least_sharp] == [1.0]
+    assert not any("blurred" in text for text in found.warnings)
+
+
+def test_fusion_takes_what_was_estimated():
+    scan = room_scan()
+    expected = inspect(scan).outlook
+    fused = fuse(scan)
+    assert expected.voxel_size_m == fused.voxel_size
+    assert 0.5 < fused.volume_bytes / 1e6 / expected.volume_mb <= 1.05
+    assert 0.5 < len(fused.mesh.triangles) / expected.triangles < 2
+
+
+def test_without_poses_nothing_is_estimated():
+    frames = [replace(frame, world_from_camera=None) for frame in room_scan().frames]
+    found = inspect(Scan("plain-rgbd", frames, missing=("poses: none",)))
+    assert found.outlook is None
+    assert "missing   poses: none; without, `scanloom run` finds them" in found.lines()
+
+
+def test_a_single_frame_is_compared_with_nothing():
+    (frame, *_) = room_scan().frames
+    assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).least_sharp == ()

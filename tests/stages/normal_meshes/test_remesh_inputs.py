@@ -1,0 +1,289 @@
+"""What remesh takes, what it carries along, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import coloured_meshes
+import numpy as np
+import pytest
+import trimesh
+from coloured_meshes import MESHES
+from normal_mesh_checks import SMALL, assert_sound, diagonal
+from numpy.typing import NDArray
+
+from stages.cleaning.clean import clean
+from stages.errors import MeshError, UsageError
+from stages.normal_meshes.normal_mesh import BOUNDARY, EXCEPTION
+from stages.normal_meshes.remesh import RemeshParams, remesh
+from stages.surface.mesh import Mesh, Texture
+from stages.surface.raycasting import Surface, closest_weights, interpolated
+from stages.surface.topology import topology
+
+made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
+
+
+# -- what is carried along -------------------------------------------------------------------------------
+
+
+@made
+@pytest.mark.parametrize("tolerance", [0.0, 2.0, 8.0])
+def test_colours_are_those_of_the_surface(make: Callable[[], Mesh], tolerance: float) -> None:
+    mesh = make()
+    found = remesh(mesh, color_tolerance=tolerance, **SMALL)
+    for level in found.levels:
+        there = interpolated(mesh.colors, mesh, Surface(mesh).closest(level.vertices))
+        # Half a level for whole numbers, and a little for which of two triangles a point at an edge is on.
+        assert np.abs(level.colors - there).max() <= tolerance + 0.6
+
+
+def test_a_mesh_without_colours_has_none() -> None:
+    mesh = coloured_meshes.ball().with_(colors=None)
+    assert all(level.colors is None for level in remesh(mesh, **SMALL).levels)
+
+
+@made
+def test_confidence_is_carried_with_eight_bits(make: Callable[[], Mesh]) -> None:
+    mesh = make()
+    confidence = 3 - 2 * mesh.vertices[:, 0] + mesh.vertices[:, 1]
+    found = remesh(mesh, confidence=confidence, **SMALL)
+    assert found.confidence is not None
+    for level, carried in zip(found.levels, found.confidence, strict=True):
+        assert carried.shape == (len(level.vertices),)
+        # Linear in space, so it is what the place says, wherever the hit is.
+        there = 3 - 2 * level.vertices[:, 0] + level.vertices[:, 1]
+        assert np.abs(carried - there).max() <= 0.51 * np.ptp(confidence) / 255
+    assert remesh(mesh, **SMALL).confidence is None
+
+
+def test_confidence_that_is_the_same_everywhere_stays_so() -> None:
+    mesh = coloured_meshes.ball()
+    found = remesh(mesh, confidence=np.full(len(mesh.vertices), 0.75), **SMALL)
+    for carried in found.confidence:
+        np.testing.assert_allclose(carried, 0.75, atol=1e-6)
+
+
+def test_what_is_not_carried_is_told() -> None:
+    mesh = coloured_meshes.ball()
+    uvs = np.zeros((len(mesh.triangles), 3, 2))
+    loaded = mesh.with_(
+        normals=mesh.vertices.copy(),
+        texture=Texture(uvs, np.full(len(uvs), -1, np.int32)),
+        notes=("read from a file",),
+    )
+    found = remesh(loaded, **SMALL)
+    assert found.mesh.texture is None
+    assert found.mesh.normals is None
+    assert found.mesh.notes[0] == "read from a file"
+    assert "texture and normals" in found.mesh.notes[1]
+    assert remesh(mesh, **SMALL).mesh.notes == ()
+
+
+@made
+def test_each_vertex_lies_on_the_triangle_it_names(make: Callable[[], Mesh]) -> None:
+    mesh = make()
+    found = remesh(mesh, **SMALL)
+    assert found.triangle_source is not None
+    for level, source in zip(found.levels, found.triangle_source, strict=True):
+        corners = mesh.vertices[mesh.triangles[source]]
+        foot = np.einsum("kc,kcx->kx", closest_weights(level.vertices, corners), corners)
+        assert np.linalg.norm(level.vertices - foot, axis=1).max() <= 1e-6 * diagonal(mesh)
+
+
+# -- what comes in ---------------------------------------------------------------------------------------
+
+
+def two_balls_that_touch() -> Mesh:
+    ball = coloured_meshes.ball()
+    highest, lowest = ball.vertices[:, 2].argmax(), ball.vertices[:, 2].argmin()
+    count = len(ball.vertices)
+    other = ball.triangles + count
+    other[other == count + lowest] = highest
+    lift = ball.vertices[highest] - ball.vertices[lowest]
+    return Mesh(
+        np.concatenate([ball.vertices, ball.vertices + lift]),
+        np.concatenate([ball.triangles, other]).astype(np.int32),
+        colors=np.concatenate([ball.colors, ball.colors]),
+    )
+
+
+def test_pinched_vertices_are_split_and_the_input_is_still_named() -> None:
+    mesh = two_balls_that_touch()
+    assert topology(mesh).nonmanifold_vertices == 1
+    found = remesh(mesh, confidence=mesh.vertices[:, 2], levels=2, base_triangles=160)
+    assert "1 pinched vertex was split" in found.warnings[0]
+    assert topology(found.mesh).is_manifold
+    assert topology(found.mesh).components == 2
+    apart = np.abs(found.base.vertices - mesh.vertices[found.base_source])
+    assert apart.max() <= 1e-7 * diagonal(mesh)
+    for source in (found.base_source, *found.triangle_source):
+        assert source.min() >= 0
+    assert found.triangle_source[-1].max() < len(mesh.triangles)
+    there = found.mesh.vertices[:, 2]
+    assert np.abs(found.confidence[-1] - there).max() <= 0.01 * np.ptp(there)
+
+
+def test_what_is_no_surface_is_left_out() -> None:
+    mesh = coloured_meshes.ball()
+    count = len(mesh.vertices)
+    extra = np.array([[5, 5, 7], [count, count + 1, count]], np.int32)
+    loose = Mesh(
+        np.concatenate([mesh.vertices, [[0, 0, 0.5], [0.5, 0, 0]]]),
+        np.concatenate([extra, mesh.triangles]),
+        colors=np.concatenate([mesh.colors, mesh.colors[:2]]),
+    )
+    found, plain = remesh(loose, **SMALL), remesh(mesh, **SMALL)
+    assert found.data == plain.data
+    np.testing.assert_array_equal(found.base_source, plain.base_source)
+    np.testing.assert_array_equal(found.triangle_source[-1], plain.triangle_source[-1] + 2)
+
+
+def test_other_libraries_meshes() -> None:
+    shape = trimesh.creation.icosphere(subdivisions=3)
+    pair = (np.array(shape.vertices), np.array(shape.faces))
+    assert remesh(shape, levels=1).data == remesh(pair, levels=1).data
+
+
+def test_the_input_is_not_changed() -> None:
+    mesh = two_balls_that_touch()
+    copy = Mesh(mesh.vertices.copy(), mesh.triangles.copy(), colors=mesh.colors.copy())
+    remesh(mesh, **SMALL)
+    for name in ("vertices", "triangles", "colors"):
+        np.testing.assert_array_equal(getattr(mesh, name), getattr(copy, name))
+
+
+def test_equal_input_gives_equal_bytes_on_any_number_of_threads() -> None:
+    mesh = coloured_meshes.holed()
+    one, two, again = (remesh(mesh, threads=threads, **SMALL) for threads in (1, 2, 2))
+    assert one.data == two.data == again.data
+    assert one.mesh.vertices.tobytes() == two.mesh.vertices.tobytes()
+
+
+@pytest.mark.parametrize("exponent", [-20, 20])
+def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
+    mesh = coloured_meshes.ring()
+    factor = 2.0**exponent  # a millionth and a million times as large
+    other, here = remesh(mesh.with_(vertices=mesh.vertices * factor), **SMALL), remesh(mesh, **SMALL)
+    np.testing.assert_array_equal(other.mesh.triangles, here.mesh.triangles)
+    np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, atol=1e-6)
+
+
+def test_a_mesh_in_map_coordinates() -> None:
+    mesh = coloured_meshes.holed()
+    far = mesh.with_(vertices=mesh.vertices + np.array((512_000, 5_400_000, 300)))
+    found = remesh(far, **SMALL)
+    assert_sound(found, far)
+
+
+def test_a_cube_is_met_to_float_precision() -> None:
+    shape = trimesh.creation.box()
+    for _ in range(3):
+        shape = shape.subdivide()
+    mesh = Mesh(np.array(shape.vertices), np.array(shape.faces, np.int32))
+    found = remesh(mesh, levels=2, base_triangles=48)
+    assert_sound(found, mesh)
+    on_face = np.abs(np.abs(found.mesh.vertices).max(axis=1) - 0.5)
+    assert on_face.max() <= 1e-7 * diagonal(mesh)
+
+
+# -- progress and errors ---------------------------------------------------------------------------------
+
+
+def test_progress_is_told_and_may_stop_the_work() -> None:
+    mesh = coloured_meshes.sheet(120)
+    seen: list[tuple[int, int]] = []
+    remesh(mesh, progress=lambda done, total: seen.append((done, total)))
+    assert len(seen) >= 2
+    assert all(0 <= done <= total for done, total in seen)
+
+    def stop(done: int, total: int) -> None:
+        raise ValueError(f"enough at {done} of {total}")
+
+    with pytest.raises(ValueError, match="enough at"):
+        remesh(mesh, progress=stop)
+
+
+def test_a_mesh_that_is_no_manifold_is_named_and_can_be_cleaned() -> None:
+    mesh = coloured_meshes.sheet(10)
+    fin = mesh.with_(triangles=np.concatenate([mesh.triangles, [[12, 13, 0]]]).astype(np.int32))
+    with pytest.raises(MeshError, match=r"edge.*more than two triangles.*12–13.*run clean first"):
+        remesh(fin)
+    turned = mesh.triangles.copy()
+    turned[77] = turned[77, ::-1]
+    with pytest.raises(MeshError, match=r"edges.*opposite orientation.*run clean first"):
+        remesh(mesh.with_(triangles=turned))
+    assert len(remesh(clean(fin).mesh, levels=1).mesh.triangles) > 0
+
+
+def test_a_refused_mesh_with_pinched_vertices_is_told_in_the_numbers_of_the_caller() -> None:
+    mesh = two_balls_that_touch()
+    fin = np.concatenate([mesh.triangles, [[*mesh.triangles[40, :2], 9]]]).astype(np.int32)
+    a, b = sorted(mesh.triangles[40, :2].tolist())
+    with pytest.raises(MeshError, match=rf"more than two triangles.*{a}–{b}"):
+        remesh(mesh.with_(triangles=fin))
+
+
+EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+POINTS = Mesh(np.eye(3), np.array([[0, 0, 1]], np.int32))
+LINE = Mesh(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]]), np.array([[0, 1, 2]], np.int32))
+HUGE = Mesh(1e200 * np.eye(3), np.array([[0, 1, 2]], np.int32))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "words"),
+    [(EMPTY, "no triangles"), (POINTS, "zero area"), (LINE, "zero area"), (HUGE, "too large")],
+    ids=["empty", "repeating", "line", "huge"],
+)
+def test_no_surface_is_one_sentence(mesh: Mesh, words: str) -> None:
+    with pytest.raises(MeshError, match=words):
+        remesh(mesh)
+
+
+@pytest.mark.parametrize(
+    "confidence", [np.zeros(3), np.zeros((2562, 2)), np.full(2562, np.nan), np.full(2562, "high")]
+)
+def test_confidence_must_be_a_number_a_vertex(confidence: NDArray[np.float64]) -> None:
+    with pytest.raises(MeshError, match=r"confidence is .* 2562 vertices is expected"):
+        remesh(coloured_meshes.ball(), confidence=confidence)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"levels": 11}, "levels is 11; it must be at most 10"),
+        ({"levels": -1}, "levels is -1"),
+        ({"scheme": "loop"}, "one of linear, butterfly"),
+        ({"tolerance": 0.0}, "tolerance is 0"),
+        ({"base_triangles": 0}, "base_triangles is 0"),
+        ({"max_error": 0.0}, "max_error is 0 m; it must be more than 0 m"),
+        ({"bases": 3}, "unknown parameter 'bases'"),
+    ],
+)
+def test_parameters_out_of_range(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        remesh(coloured_meshes.ball(), **changes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_meshes_of_a_few_triangles(count: int) -> None:
+    fan = np.array([[0, 0, 0], [1, 0, 0], [0.8, 0.6, 0.1], [0, 1, 0.2], [-0.8, 0.6, 0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]], np.int32)[:count]
+    mesh = Mesh(fan, triangles)
+    found = remesh(mesh, levels=2)
+    assert topology(found.mesh).is_manifold
+    assert Surface(mesh).closest(found.mesh.vertices).distances.max() <= 1e-6 * diagonal(mesh)
+
+
+def test_figures_are_plain_numbers() -> None:
+    found = remesh(coloured_meshes.holed(), RemeshParams(levels=2), base_triangles=120)
+    figures = found.figures()
+    assert json.loads(json.dumps(figures)) == figures
+    assert figures["triangles"] == len(found.mesh.triangles) == 16 * figures["base_triangles"]
+    kinds = np.concatenate([offsets.kinds for offsets in found.offsets])
+    inside = np.count_nonzero(kinds != BOUNDARY)
+    assert figures["exceptions"] == np.count_nonzero(kinds == EXCEPTION)
+    assert figures["exceptions_share"] == pytest.approx(figures["exceptions"] / inside)
+    assert sum(one["boundary_vertices"] for one in figures["by_level"]) == len(kinds) - inside > 0
+    assert figures["file_bytes"] == figures["by_level"][-1]["file_bytes"] == len(found.data)
+    assert figures["bits_per_vertex"] == pytest.approx(8 * len(found.data) / len(found.mesh.vertices))

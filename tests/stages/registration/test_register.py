@@ -1,0 +1,387 @@
+"""Poses from frames, against true ones, and what is said where none can be found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.registration.features import recognise
+from stages.registration.graph import Edge, pieces
+from stages.registration.motion import Motion, NoMotion, motion_between
+from stages.registration.register import Registration, register
+from stages.registration.view import read_view
+from stages.scans.formats.trajectories import inverted, read_tum, write_tum
+from stages.scans.images import read_color, read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame, Pose, scaled
+
+SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
+CAMERA = Camera(160, 120, 140, 140, 79.5, 59.5)
+
+
+def sample(every: int = 1) -> list[Frame]:
+    return list(read_scan(SAMPLE).frames[::every])
+
+
+def hidden(frames: Sequence[Frame]) -> list[Frame]:
+    return [replace(frame, world_from_camera=None) for frame in frames]
+
+
+def trajectory_error(found: Registration, truth: Sequence[Frame]) -> float:
+    """Root mean square distance of camera centres after the best rigid motion (Umeyama 1991)."""
+    a = np.array([frame.world_from_camera[:3, 3] for frame in found.frames])
+    b = np.array([truth[place].world_from_camera[:3, 3] for place in found.places])
+    centred = a - a.mean(axis=0), b - b.mean(axis=0)
+    u, _, vt = np.linalg.svd(centred[0].T @ centred[1])
+    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return float(np.sqrt(((centred[0] @ turn - centred[1]) ** 2).sum(axis=1).mean()))
+
+
+def path_length(frames: Sequence[Frame]) -> float:
+    centres = np.array([frame.world_from_camera[:3, 3] for frame in frames])
+    return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+
+
+@pytest.fixture(scope="module")
+def whole() -> Registration:
+    return register(hidden(sample()))
+
+
+@pytest.fixture(scope="module")
+def half() -> Registration:
+    return register(hidden(sample(2)))
+
+
+# -- poses -----------------------------------------------------------------------------------------------
+
+
+def test_poses_of_the_sample_are_within_half_a_percent_of_the_path(whole: Registration) -> None:
+    truth = sample()
+    assert whole.places == tuple(range(len(truth)))
+    assert trajectory_error(whole, truth) < 0.005 * path_length(truth)
+    assert len(whole.pieces) == 1
+    assert whole.breaks == ()
+
+
+def test_orientations_are_those_of_the_truth(whole: Registration) -> None:
+    truth = sample()
+    first = truth[0].world_from_camera
+    for frame, true in zip(whole.frames, truth, strict=True):
+        off = inverted(inverted(first) @ true.world_from_camera) @ frame.world_from_camera
+        assert np.trace(off[:3, :3]) > 1 + 2 * np.cos(np.radians(1.0))
+
+
+def test_the_first_camera_is_the_world(whole: Registration) -> None:
+    np.testing.assert_allclose(whole.frames[0].world_from_camera, np.eye(4), atol=1e-12)
+
+
+def test_poses_a_scan_has_are_not_used(half: Registration) -> None:
+    wrong = [replace(frame, world_from_camera=np.eye(4)) for frame in sample(2)]
+    again = register(wrong)
+    for one, other in zip(again.frames, half.frames, strict=True):
+        np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
+
+
+def test_equal_frames_give_equal_bits_however_many_threads(
+    half: Registration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    again = register(hidden(sample(2)))
+    for one, other in zip(again.frames, half.frames, strict=True):
+        np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
+    assert again.edges == half.edges
+
+
+def test_loops_make_poses_better(whole: Registration) -> None:
+    truth = sample()
+    with_loops, without = whole, register(hidden(truth), loops=False)
+    assert sum(edge["is_loop"] for edge in with_loops.edges) > 0
+    assert not any(edge["is_loop"] for edge in without.edges)
+    assert trajectory_error(with_loops, truth) < trajectory_error(without, truth)
+
+
+def test_surfaces_alone_are_enough_where_there_is_no_colour() -> None:
+    truth = sample(2)
+    found = register([replace(frame, color=None) for frame in hidden(truth)])
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.02 * path_length(truth)
+    assert all(edge["points"] == 0 for edge in found.edges)
+
+
+def test_surfaces_alone_are_enough_eighteen_degrees_apart() -> None:
+    truth = sample(3)
+    found = register([replace(frame, color=None) for frame in hidden(truth)])
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.005 * path_length(truth)
+
+
+def test_shuffled_frames_are_joined_by_what_they_show() -> None:
+    truth = sample()
+    order = np.random.default_rng(3).permutation(len(truth))
+    shuffled = [truth[i] for i in order]
+    found = register(hidden(shuffled))
+    assert len(found.frames) >= 0.8 * len(truth)
+    assert trajectory_error(found, shuffled) < 0.01 * path_length(truth)
+
+
+def test_frames_of_another_place_are_a_piece_of_their_own_and_named() -> None:
+    here = hidden(sample(2))
+    there = [made_room(i) for i in range(3)]
+    found = register([*here, *there])
+    assert [len(piece) for piece in found.pieces] == [len(here), len(there)]
+    assert {one.name for one in found.skipped} == {frame.name for frame in there}
+    assert found.breaks[0].name == there[0].name
+    assert any("2 pieces" in warning for warning in found.warnings)
+
+
+def test_another_piece_can_be_used() -> None:
+    here, there = hidden(sample(3)), [made_room(i) for i in range(3)]
+    found = register([*here, *there], piece=2)
+    assert found.places == (8, 9, 10)
+    np.testing.assert_allclose(found.frames[0].world_from_camera, np.eye(4), atol=1e-12)
+    assert list(found.apart) == [1]
+    assert [frame.name for frame in found.apart[1].values()] == [frame.name for frame in here]
+    assert list(found.apart[1]) == list(range(8))
+    assert trajectory_error(found, [*here, *there]) < 0.002
+    with pytest.raises(InputError, match="there is no piece 3 of two frames or more; there are 2"):
+        register([*here[:3], *there], piece=3)
+
+
+# -- poses that are known roughly ------------------------------------------------------------------------
+
+
+def test_poses_a_scan_has_are_refined_and_its_world_stays() -> None:
+    truth = sample()
+    found = register(shaken(truth), refine=True)
+    assert found.places == tuple(range(len(truth)))
+    off = [
+        np.linalg.norm((frame.world_from_camera - true.world_from_camera)[:3, 3])
+        for frame, true in zip(found.frames, truth, strict=True)
+    ]
+    rough = [
+        np.linalg.norm((frame.world_from_camera - true.world_from_camera)[:3, 3])
+        for frame, true in zip(shaken(truth), truth, strict=True)
+    ]
+    assert np.mean(rough) > 0.02
+    # Without alignment: the world is that of the poses given, as far as their mean tells it.
+    assert np.mean(off) < 0.4 * np.mean(rough)
+    assert trajectory_error(found, truth) < 0.003
+
+
+def test_poses_are_kept_where_nothing_better_is_found() -> None:
+    wall = np.full((120, 160), 2.0, np.float32)
+    poses = [np.eye(4) for _ in range(3)]
+    for i, pose in enumerate(poses):
+        pose[0, 3] = 0.05 * i
+    walls = [Frame(str(i), CAMERA, depth=wall, world_from_camera=pose) for i, pose in enumerate(poses)]
+    found = register(walls, refine=True)
+    for frame, pose in zip(found.frames, poses, strict=True):
+        np.testing.assert_allclose(frame.world_from_camera, pose, atol=1e-6)
+
+
+def test_there_must_be_poses_to_refine() -> None:
+    with pytest.raises(InputError, match="no frame has a pose that could be refined"):
+        register(hidden(sample(6)), refine=True)
+
+
+# -- one motion ------------------------------------------------------------------------------------------
+
+
+def test_a_motion_takes_points_of_the_source_to_the_target() -> None:
+    truth = sample(3)
+    source, target = (read_view(frame, 5.0) for frame in truth[:2])
+    motion = motion_between(source, target, 5.0)
+    assert isinstance(motion, Motion)
+    expected = inverted(truth[1].world_from_camera) @ truth[0].world_from_camera
+    moved = np.linalg.norm(expected[:3, 3])
+    assert moved > 0.02
+    assert np.linalg.norm((motion.target_from_source - expected)[:3, 3]) < 0.05 * moved
+    seen = recognise(source.features, target.features)
+    assert len(seen) == 1
+    assert np.linalg.norm((seen[0].target_from_source - expected)[:3, 3]) < 0.1 * moved
+
+
+def test_a_flat_wall_holds_nothing() -> None:
+    wall = Frame("wall", CAMERA, depth=np.full((120, 160), 2.0, np.float32))
+    view = read_view(wall, 10)
+    assert view.firmness < 1e-6
+    found = motion_between(view, view, 10)
+    assert isinstance(found, NoMotion)
+    assert "flat" in found.reason
+
+
+def test_a_corner_holds_a_view_in_all_directions() -> None:
+    assert read_view(made_room(0), 10).firmness > 0.01
+
+
+# -- what cannot be used ---------------------------------------------------------------------------------
+
+
+def test_one_frame_is_too_few() -> None:
+    with pytest.raises(InputError, match="1 frames can be used; poses need two at least"):
+        register(hidden(sample()[:1]))
+
+
+def test_a_wall_alone_is_refused_with_the_reason() -> None:
+    wall = Frame("wall", CAMERA, depth=np.full((120, 160), 2.0, np.float32))
+    with pytest.raises(InputError, match=r"no two of its 3 frames .*flat.*scan\.poses=FILE"):
+        register([wall, wall, wall])
+
+
+def test_empty_and_broken_frames_are_left_out(tmp_path: Path) -> None:
+    frames = hidden(sample(2))
+    (tmp_path / "cut.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    empty = replace(frames[3], name="empty", depth=np.zeros((240, 320), np.float32))
+    cut = replace(frames[3], name="cut", depth=tmp_path / "cut.png")
+    found = register([*frames[:4], empty, cut, *frames[4:]])
+    assert len(found.frames) == len(frames)
+    assert [one.name for one in found.skipped] == ["empty", "cut"]
+    assert trajectory_error(found, [*sample(2)[:4], None, None, *sample(2)[4:]]) < 0.01
+
+
+def test_black_images_are_named_and_surfaces_go_on() -> None:
+    truth = sample(2)
+    black = [replace(frame, color=np.zeros((240, 320, 3), np.uint8)) for frame in hidden(truth)]
+    found = register(black)
+    assert any("colour images are black" in warning for warning in found.warnings)
+    assert len(found.frames) >= 2
+
+
+def test_dark_images_are_recognised_too() -> None:
+    frames = hidden(sample(6))
+    dark = [replace(frame, color=(read_color(frame) * 0.12).astype(np.uint8)) for frame in frames]
+    for frame, other in zip(dark, frames, strict=True):
+        seen, bright = (read_view(one, 5.0).features for one in (frame, other))
+        assert len(seen.points) > 0.7 * len(bright.points)
+
+
+def test_colour_finer_than_depth_tells_more() -> None:
+    frame = hidden(sample())[0]
+    depth = read_depth(frame)[::2, ::2]
+    coarse = replace(frame, depth=depth, camera=scaled(frame.camera, 160, 120), depth_scale=1.0)
+    small = replace(coarse, color=np.ascontiguousarray(read_color(frame)[::2, ::2]))
+    fine, few = (read_view(one, 5.0).features for one in (coarse, small))
+    assert len(fine.points) > 1.5 * len(few.points)
+    # In metres they are where those of full depth are.
+    full = read_view(frame, 5.0).features
+    apart = np.linalg.norm(fine.points[:, None] - full.points[None], axis=2).min(axis=1)
+    assert np.median(apart) < 0.01
+
+
+def test_a_thing_that_moves_through_the_view_does_not_carry_the_camera_along(half: Registration) -> None:
+    truth = sample(2)
+    found = register(crossed(hidden(truth)))
+    assert trajectory_error(found, truth) < 0.01 * path_length(truth)
+    assert any("something moves on its own" in warning for warning in found.warnings)
+    assert not any("own" in warning for warning in half.warnings)
+
+
+def test_a_camera_that_stands_still_is_named() -> None:
+    frame = hidden(sample())[0]
+    found = register([frame, replace(frame, name="again"), replace(frame, name="and again")])
+    assert any("does not move" in warning for warning in found.warnings)
+    assert any("same as the one before" in warning for warning in found.warnings)
+
+
+# -- files and pieces ------------------------------------------------------------------------------------
+
+
+def test_a_trajectory_is_read_back_as_written(tmp_path: Path, whole: Registration) -> None:
+    poses = [frame.world_from_camera for frame in whole.frames]
+    write_tum(tmp_path / "t.tum", list(range(len(poses))), poses)
+    back = read_tum(tmp_path / "t.tum")
+    np.testing.assert_allclose(np.array(back.poses), np.array(poses), atol=2e-9)
+    assert list(back.timestamps) == [1_000_000_000 * i for i in range(len(poses))]
+
+
+def test_pieces_are_what_edges_join() -> None:
+    motion = Motion(np.eye(4), np.eye(6), 1.0, 0.0, 0)
+    edges = [Edge(a, b, motion, is_certain=True) for a, b in ((3, 1), (4, 3), (0, 2))]
+    assert pieces(6, edges) == [[1, 3, 4], [0, 2], [5]]
+
+
+# -- real scans ------------------------------------------------------------------------------------------
+
+
+def test_a_real_kitchen_with_its_poses_hidden(shared_data: Path) -> None:
+    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30])
+    found = register(hidden(truth))
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.03
+
+
+def test_a_real_kitchen_without_colours(shared_data: Path) -> None:
+    truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30:2])
+    found = register([replace(frame, color=None) for frame in hidden(truth)])
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.03
+
+
+def test_a_real_table_top_whose_depth_has_a_grid_of_holes(shared_data: Path) -> None:
+    truth = list(read_scan(shared_data / "rgbd" / "tabletop_box_realsense").frames)
+    found = register(hidden(truth))
+    assert len(found.frames) == len(truth)
+    assert trajectory_error(found, truth) < 0.02 * path_length(truth)
+
+
+def shaken(frames: Sequence[Frame]) -> list[Frame]:
+    """Return the frames with poses that are off by 2 cm and half a degree, every one otherwise."""
+    rng = np.random.default_rng(5)
+    rough = []
+    for frame in frames:
+        pose = np.eye(4)
+        pose[:3, :3] = cv2.Rodrigues(rng.normal(0, np.radians(0.5), 3))[0]
+        pose[:3, 3] = rng.normal(0, 0.02, 3)
+        rough.append(replace(frame, world_from_camera=frame.world_from_camera @ pose))
+    return rough
+
+
+def crossed(frames: Sequence[Frame]) -> list[Frame]:
+    """Return the frames with a board before the scene that swings from side to side."""
+    board = np.random.default_rng(2).integers(0, 255, (24, 8, 3)).repeat(8, axis=0).repeat(8, axis=1)
+    board = np.asarray(cv2.GaussianBlur(board.astype(np.uint8), (0, 0), 1.5), np.uint8)
+    with_it = []
+    for i, frame in enumerate(frames):
+        color, depth = read_color(frame), read_depth(frame)
+        left = round((frame.camera.width - 64) * (0.5 + 0.4 * np.sin(0.7 * i)))
+        color[-192:, left : left + 64] = board
+        depth[-192:, left : left + 64] = 0.6 * np.median(depth[depth > 0])
+        with_it.append(replace(frame, color=color, depth=depth, depth_scale=1.0))
+    return with_it
+
+
+def made_room(number: int) -> Frame:
+    """Return a view into a bare corner, from a little aside each time."""
+    rays = rays_of(CAMERA)
+    origin = np.array([0.01 * number, 0.008 * number, 0.0])
+    # Three walls, each with its normal towards the camera and its distance.
+    walls = [((0, 0, -1), 1.0), ((-1, 0, -0.3), 0.5), ((0, -1, -0.2), 0.4)]
+    depth = np.full(rays.shape[:2], np.inf)
+    for normal, distance in walls:
+        n = np.array(normal) / np.linalg.norm(normal)
+        towards = rays @ n
+        hit = np.where(towards < 0, (-distance - origin @ n) / np.where(towards < 0, towards, 1), np.inf)
+        depth = np.minimum(depth, np.where(hit > 0, hit, np.inf))
+    pose: Pose = np.eye(4)
+    pose[:3, 3] = origin
+    return Frame(f"room {number}", CAMERA, depth=depth.astype(np.float32), world_from_camera=pose)
+
+
+def rays_of(camera: Camera) -> NDArray[np.float64]:
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    return np.stack(
+        [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], axis=2
+    )
+
+
+def test_the_sample_has_what_these_tests_need() -> None:
+    frame = sample()[0]
+    assert read_depth(frame).shape == (240, 320)
+    assert read_color(frame).shape == (240, 320, 3)

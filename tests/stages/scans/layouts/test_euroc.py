@@ -1,0 +1,214 @@
+import cv2
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.images import read_color, read_right
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+FIRST, SECOND = 1403715273262142976, 1403715273462142976
+SENSOR = """%YAML:1.0
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0, 0.0, 1.0, {x},
+         -1.0, 0.0, 0.0, {y},
+         0.0, -1.0, 0.0, 0.0,
+         0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [32, 24]
+camera_model: pinhole
+intrinsics: [100.0, 100.0, 16.0, 12.0] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.1, 0.01, 0.001, -0.002]
+"""
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    # The body looks along its x (y left, z up); the left camera sits 0.1 m ahead, the right one 0.5 m beside.
+    for name, x, y in (("cam0", 0.1, 0.0), ("cam1", 0.1, -0.5)):
+        folder = tmp_path / "mav0" / name
+        for time in (FIRST, SECOND):
+            tiny.color(folder / "data" / f"{time}.png")
+        (folder / "sensor.yaml").write_text(SENSOR.format(x=x, y=y))
+        (folder / "data.csv").write_text(
+            f"#timestamp [ns],filename\n{FIRST},{FIRST}.png\n{SECOND},{SECOND}.png\n"
+        )
+    truth = tmp_path / "mav0" / "state_groundtruth_estimate0"
+    truth.mkdir()
+    # At first the body is the world; then it stands at (1, 2, 3), turned 90 degrees about z (w x y z).
+    half = 0.5**0.5
+    (truth / "data.csv").write_text(
+        "#timestamp, p_RS_R_x [m], ...\n"
+        f"{FIRST},0,0,0,1,0,0,0,0,0,0\n"
+        f"{SECOND},1,2,3,{half},0,0,{half},0,0,0\n"
+    )
+    return tmp_path
+
+
+def test_known_points_fall_on_known_pixels_of_both_images(scan_folder, tiny):
+    scan = read_scan(scan_folder)
+    assert (scan.layout, scan.rig.rectified) == ("euroc", False)
+    assert [frame.timestamp for frame in scan.frames] == [FIRST, SECOND]
+    assert scan.rig.baseline == pytest.approx(0.5)
+    assert scan.rig.left.distortion == (-0.1, 0.01, 0.001, -0.002)
+    # The camera point (0.2, 0.1, 2) is the body point (2 + 0.1, -0.2, -0.1).
+    # Second: body x is world y, body y is world -x.
+    known = ((2.1, -0.2, -0.1), (1 + 0.2, 2 + 2.1, 3 - 0.1))
+    for frame, point in zip(scan.frames, known, strict=True):
+        camera_from_world = np.linalg.inv(frame.world_from_camera)
+        np.testing.assert_allclose(tiny.pixel(point, camera_from_world, frame.camera), (26, 17))
+        right = tiny.pixel(point, scan.rig.right_from_left @ camera_from_world, scan.rig.right)
+        np.testing.assert_allclose(right, (1, 17), atol=1e-9)
+
+
+def test_the_mav0_folder_itself_is_a_scan(scan_folder):
+    assert len(read_scan(scan_folder / "mav0").frames) == 2
+
+
+def test_unequal_counts_pair_by_time(scan_folder):
+    (scan_folder / "mav0" / "cam1" / "data.csv").write_text(f"#t,f\n{SECOND},{SECOND}.png\n")
+    scan = read_scan(scan_folder)
+    assert [frame.timestamp for frame in scan.frames] == [SECOND]
+    assert [one.name for one in scan.skipped] == [str(FIRST)]
+
+
+def test_a_frame_far_from_any_pose_is_skipped(scan_folder):
+    path = scan_folder / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    path.write_text("\n".join(path.read_text().splitlines()[:2]))
+    scan = read_scan(scan_folder)
+    assert [frame.timestamp for frame in scan.frames] == [FIRST]
+    assert "no pose" in scan.skipped[0].reason
+
+
+def test_no_ground_truth(scan_folder):
+    (scan_folder / "mav0" / "state_groundtruth_estimate0" / "data.csv").unlink()
+    with pytest.raises(InputError, match="no poses: state_groundtruth_estimate0"):
+        read_scan(scan_folder)
+
+
+def test_no_second_camera(scan_folder):
+    (scan_folder / "mav0" / "cam1" / "data.csv").unlink()
+    with pytest.raises(InputError, match=r"cam1/data\.csv"):
+        read_scan(scan_folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("radial-tangential", "omnidirectional", "lens model omnidirectional is not supported"),
+        ("camera_model: pinhole", "camera_model: omni", "camera_model omni is not supported"),
+        ("[32, 24]", "[640, 480]", "640"),
+        ("1.0, 0.1", "5.0, 0.1", "T_BS.*not rigid"),
+        ("[100.0, 100.0, 16.0, 12.0]", "[100.0]", "intrinsics must be 4"),
+        ("rate_hz: 20", "rate_hz: [", "does not parse"),
+        ("T_BS", "T_XX", "T_BS is not a 4x4"),
+    ],
+)
+def test_damaged_sensor_files_are_told(scan_folder, old, new, message):
+    path = scan_folder / "mav0" / "cam0" / "sensor.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_scan(scan_folder)
+
+
+def test_vicon_room_excerpt(shared_data):
+    scan = read_scan(shared_data / "stereo" / "euroc_V1_01_easy_static")
+    assert (scan.layout, len(scan.frames)) == ("euroc", 10)
+    assert scan.rig.baseline == pytest.approx(0.1101, abs=1e-4)
+    # The right camera is on the right, and the two look the same way.
+    assert scan.rig.right_from_left[0, 3] == pytest.approx(-0.11, abs=0.001)
+    assert np.trace(scan.rig.right_from_left[:3, :3]) > 2.99
+    # The drone sits level in a room with z up: the camera looks sideways, its y axis down.
+    assert scan.frames[0].world_from_camera[2, 1] < -0.9
+
+
+CHAIN = """cam0:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, 0.0]
+  - [0.0, 0.0, -1.0, 0.0]
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: equidistant
+  intrinsics: [100.0, 100.0, 16.0, 12.0]
+  resolution: [32, 24]
+cam1:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, -0.5]
+  - [0.0, 0.0, -1.0, 0.0]
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 0.0, 0.0, 1.0]
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.5]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: equidistant
+  intrinsics: [100.0, 100.0, 16.0, 12.0]
+  resolution: [32, 24]
+"""
+
+
+@pytest.fixture
+def tum_vi(scan_folder):
+    for name in ("cam0", "cam1"):
+        (scan_folder / "mav0" / name / "sensor.yaml").unlink()
+        for path in (scan_folder / "mav0" / name / "data").iterdir():
+            assert cv2.imwrite(str(path), np.full((24, 32), 0x1234, np.uint16))
+    (scan_folder / "mav0" / "state_groundtruth_estimate0").rename(scan_folder / "mav0" / "mocap0")
+    (scan_folder / "dso").mkdir()
+    (scan_folder / "dso" / "camchain.yaml").write_text(CHAIN)
+    return scan_folder
+
+
+@pytest.mark.parametrize("chain", [CHAIN, CHAIN.replace("T_cn_cnm1", "left_out")])
+def test_tum_vi_has_fisheye_cameras_and_wide_images(tum_vi, chain):
+    (tum_vi / "dso" / "camchain.yaml").write_text(chain)
+    scan = read_scan(tum_vi)
+    assert scan.layout == "euroc"
+    assert scan.rig.left.fisheye
+    assert not scan.rig.rectified
+    np.testing.assert_allclose(scan.rig.right_from_left[:3, 3], (-0.5, 0, 0), atol=1e-12)
+    # The same places as with sensor.yaml; a fisheye sees the point 0.2 right and 0.1 down at 2 m closer in.
+    known = ((2.1, -0.2, -0.1), (1 + 0.2, 2 + 2.1, 3 - 0.1))
+    for frame, point in zip(scan.frames, known, strict=True):
+        camera_from_world = np.linalg.inv(frame.world_from_camera)
+        np.testing.assert_allclose((camera_from_world @ (*point, 1))[:3], (0.2, 0.1, 2), atol=1e-9)
+        assert read_color(frame)[5, 5].tolist() == read_right(frame)[5, 5].tolist() == [0x12] * 3
+
+
+def test_a_narrow_image_among_wide_ones_is_told(tum_vi):
+    cv2.imwrite(str(tum_vi / "mav0" / "cam0" / "data" / f"{SECOND}.png"), np.zeros((24, 32), np.uint8))
+    with pytest.raises(InputError, match=r"16 bits is expected"):
+        read_color(read_scan(tum_vi).frames[1])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("T_cam_imu", "T_imu", r"camchain\.yaml.*T_cam_imu"),
+        ("equidistant", "omni", r"camchain\.yaml.*lens model omni"),
+        ("pinhole", "omni", r"camchain\.yaml.*camera_model omni"),
+        ("coeffs: [0.0, ", "coeffs: [", r"camchain\.yaml.*4 distortion coefficients, not 3"),
+        ("[32, 24]", "[64, 48]", r"camchain\.yaml.*another size"),
+    ],
+)
+def test_a_wrong_chain_is_told(tum_vi, old, new, message):
+    (tum_vi / "dso" / "camchain.yaml").write_text(CHAIN.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_scan(tum_vi)
+
+
+def test_a_stated_camera_wins_over_the_chain(tum_vi):
+    rig = read_scan(tum_vi, ScanParams(intrinsics="90,90,15,11", baseline=0.25)).rig
+    assert (rig.left.fx, rig.right.cx, rig.left.fisheye) == (90, 15, False)
+    assert rig.baseline == pytest.approx(0.25)

@@ -1,0 +1,89 @@
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+HALF = 0.5**0.5
+# In OpenCV axes, y down in the world too: turned by 90 degrees about +x, at (1, 2, 3). The known camera point
+# (0.2, 0.1, 2) turns to (0.2, -2, 0.1) and lies at (1.2, 0, 3.1).
+TURNED_POINT = (1.2, 0.0, 3.1)
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    for number in (0, 1, 2):
+        tiny.color(tmp_path / "rgb" / f"{number}.png")
+        tiny.depth(tmp_path / "depth" / f"{number}.png", 5000)
+    (tmp_path / "associations.txt").write_text(
+        "".join(f"{n} depth/{n}.png {n} rgb/{n}.png\n" for n in (0, 1, 2))
+    )
+    # As the data set has them, y up in camera and world: the turn is by -90 degrees, the height -2. The first
+    # image has no pose.
+    (tmp_path / "livingRoom1.gt.freiburg").write_text(f"1 0 0 0 0 0 0 1\n2 1 -2 3 {-HALF} 0 0 {HALF}\n")
+    return tmp_path
+
+
+def test_known_points_come_out_in_the_world(scan_folder, tiny):
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert scan.layout == "icl-nuim"
+    assert [frame.name for frame in scan.frames] == ["1", "2"]
+    assert [(one.name, one.reason) for one in scan.skipped] == [("0", "no pose of its number")]
+    for frame, point in zip(scan.frames, (tiny.points[0], TURNED_POINT), strict=True):
+        assert frame.color.stem == frame.depth.stem
+        np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)
+
+
+def test_points_agree_with_the_published_camera(scan_folder, tiny):
+    # With fy = -480 and the file's own pose; that world has y up, ours down.
+    frame = read_scan(scan_folder).frames[1]
+    u, v = 26, 17
+    fx, fy, cx, cy = (481.2 / 20, -480 / 20, 320 / 20 - 0.5, 240 / 20 - 0.5)
+    x, y, z = (u - cx) / fx * 2, (v - cy) / fy * 2, 2
+    world = np.array([x + 1, z - 2, -y + 3])
+    np.testing.assert_allclose(tiny.seen(frame), world * (1, -1, 1), atol=1e-6)
+    assert np.linalg.det(frame.world_from_camera) == pytest.approx(1)
+
+
+def test_colour_may_stand_first(scan_folder):
+    lines = "".join(f"{n} rgb/{n}.png {n} depth/{n}.png\n" for n in (0, 1, 2))
+    (scan_folder / "associations.txt").write_text(lines)
+    frame = read_scan(scan_folder).frames[0]
+    assert (frame.color.parent.name, frame.depth.parent.name) == ("rgb", "depth")
+
+
+def test_a_trajectory_of_ones_own_has_y_down(scan_folder, tiny):
+    (scan_folder / "mine.txt").write_text(f"1 0 0 0 0 0 0 1\n2 1 2 3 {HALF} 0 0 {HALF}\n")
+    options = ScanParams(intrinsics=tiny.option, poses="mine.txt")
+    np.testing.assert_allclose(tiny.seen(read_scan(scan_folder, options).frames[1]), TURNED_POINT, atol=1e-6)
+
+
+def test_several_trajectories_are_not_guessed_at(scan_folder):
+    (scan_folder / "livingRoom2.gt.freiburg").write_text("1 0 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match=r"livingRoom1\.gt\.freiburg, livingRoom2.*scan\.poses"):
+        read_scan(scan_folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "1 depth/1.png\n",
+        "x depth/1.png 1 rgb/1.png\n",
+        "1 depth/1.png 1 depth/1.png\n",
+        "1 depth/1.png 1 ../rgb/1.png\n",
+        "\xff\xfe",
+    ],
+)
+def test_wrong_associations_are_refused(scan_folder, text):
+    (scan_folder / "associations.txt").write_text(text, encoding="latin-1")
+    with pytest.raises(InputError, match=r"associations\.txt"):
+        read_scan(scan_folder)
+
+
+@pytest.mark.parametrize("text", ["", "1 2 3\n", "1 0 0 0 9 9 9 9\n", "1 0 0 nan 0 0 0 1\n", "\x00\x01"])
+def test_wrong_poses_are_refused(scan_folder, text):
+    (scan_folder / "livingRoom1.gt.freiburg").write_text(text)
+    with pytest.raises(InputError, match=r"livingRoom1\.gt\.freiburg"):
+        read_scan(scan_folder)

@@ -1,0 +1,117 @@
+import cv2
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.fusion.posed_depth import read_matching_color
+from stages.inspecting.sanity import check_registration
+from stages.scans.images import read_depth
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+DEPTHS = ("d-10.000000-100.pgm", "d-10.500000-600.pgm", "d-20.000000-900.pgm")
+COLORS = ("r-10.030000-101.ppm", "r-10.490000-590.ppm", "r-10.600000-700.ppm")
+DISPARITY = 914
+METRES = 351.3 / (1092.5 - DISPARITY)
+
+
+def write_disparities(path, values):
+    """Write a .pgm as the data set's recorder did: low byte first."""
+    height, width = values.shape
+    path.write_bytes(f"P5 {width} {height} 65535\n".encode() + values.astype("<u2").tobytes())
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    for name in COLORS:
+        tiny.color(tmp_path / name)
+    values = np.full((24, 32), DISPARITY, np.uint16)
+    values[0, :4] = 2047, 0, 599, 1060
+    for name in DEPTHS:
+        write_disparities(tmp_path / name, values)
+    (tmp_path / "a-10.000000-100.dump").touch()
+    (tmp_path / "INDEX.txt").touch()
+    return tmp_path
+
+
+def test_disparities_become_metres(scan_folder, tiny):
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option), complete=False)
+    assert scan.layout == "nyu"
+    depth = read_depth(scan.frames[0])
+    np.testing.assert_allclose(depth[5, 5], METRES, rtol=1e-6)
+    # No return, below what the sensor can see, and 10.8 m away.
+    assert depth[0, :5].tolist() == [0, 0, 0, 0, depth[5, 5]]
+
+
+def test_streams_are_paired_by_time(scan_folder):
+    scan = read_scan(scan_folder, complete=False)
+    found = [(frame.name[:4], frame.color.name[:7]) for frame in scan.frames]
+    assert found == [("d-10", "r-10.03"), ("d-10", "r-10.49")]
+    assert [frame.timestamp for frame in scan.frames] == [10_000_000_000, 10_500_000_000]
+    assert [one.reason for one in scan.skipped] == ["no colour image within 0.05 s"]
+
+
+def test_known_points_with_a_trajectory_of_ones_own(scan_folder, tiny):
+    x, y, z, w = tiny.second_quaternion
+    (scan_folder / "mine.tum").write_text(f"10.0 0 0 0 0 0 0 1\n10.5 1 2 3 {x} {y} {z} {w}\n")
+    frames = read_scan(scan_folder, ScanParams(intrinsics=tiny.option, poses="mine.tum")).frames
+    for frame, pose in zip(frames, (tiny.identity, tiny.second), strict=True):
+        point = pose @ (0.1 * METRES, 0.05 * METRES, METRES, 1)
+        np.testing.assert_allclose(tiny.seen(frame), point[:3], atol=1e-6)
+
+
+def test_poses_are_said_to_be_missing(scan_folder):
+    with pytest.raises(InputError, match=r"no poses: the data set has none.*scan\.poses"):
+        read_scan(scan_folder)
+
+
+def test_the_colour_camera_stands_to_the_right(scan_folder):
+    frame = read_scan(scan_folder, complete=False).frames[0]
+    x, y, z = (frame.color_from_depth @ (0, 0, 2, 1))[:3]
+    # A point ahead of the depth camera is 25 mm left of the colour camera's axis, turned by 4.3 mrad.
+    np.testing.assert_allclose((x, y, z), (-0.0251 - 2 * 0.00432, 0.0076, 2), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"P5 32 24 65535\n12", b"P5 9999999 9999999 65535\n", b"P5 1 1 255\n1"]
+)
+def test_a_damaged_depth_map_costs_its_frame_only(scan_folder, data):
+    (scan_folder / DEPTHS[0]).write_bytes(data)
+    first, second = read_scan(scan_folder, complete=False).frames
+    with pytest.raises(InputError, match=r"d-10\.000000-100\.pgm"):
+        read_depth(first)
+    assert read_depth(second)[5, 5] > 0
+
+
+def test_one_stream_alone_is_no_scan(scan_folder):
+    for name in COLORS:
+        (scan_folder / name).unlink()
+    with pytest.raises(InputError, match="unknown layout"):
+        read_scan(scan_folder)
+    with pytest.raises(InputError, match=r"d-.*\.pgm and r-.*\.ppm are needed"):
+        read_scan(scan_folder, ScanParams(layout="nyu"))
+
+
+def test_a_real_frame_meets_its_colour(shared_data, tmp_path):
+    source = shared_data / "rgbd" / "open3d_testdata" / "RGBD" / "other_formats"
+    (tmp_path / "d-10.000000-100.pgm").symlink_to(source / "NYU_depth.pgm")
+    (tmp_path / "r-10.010000-101.ppm").symlink_to(source / "NYU_color.ppm")
+    scan = read_scan(tmp_path)
+    frame = scan.frames[0]
+    depth = read_depth(frame)
+    assert 1.5 < np.median(depth[depth > 0]) < 4
+    assert any("single frame" in text for text in scan.warnings)
+    assert check_registration([(read_matching_color(frame, depth), depth)]) == []
+    unregistered = cv2.imread(str(source / "NYU_color.ppm"))[:, :, ::-1]
+    # Without the cameras' places the edges of colour correlate with those of depth not half as well.
+    assert correlation(read_matching_color(frame, depth), depth) > 2 * correlation(unregistered, depth)
+
+
+def correlation(color, depth):
+    """Pearson correlation of colour edges with jumps of depth."""
+    gray = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    edges = cv2.magnitude(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
+    logs = np.log(np.where(depth > 0, depth, 10))
+    jumps = cv2.magnitude(cv2.Sobel(logs, cv2.CV_32F, 1, 0), cv2.Sobel(logs, cv2.CV_32F, 0, 1)) > 0.3
+    known = cv2.erode((depth > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return np.corrcoef(np.minimum(edges[known], 200), jumps[known])[0, 1]

@@ -1,0 +1,189 @@
+import json
+
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+CAMERA = {"fx": 100, "fy": 100, "cx": 16, "cy": 12}
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    for side in ("left", "right"):
+        for number in (2, 10):
+            tiny.color(tmp_path / side / f"{side}{number}.png")
+    (tmp_path / "calibration.json").write_text(json.dumps({**CAMERA, "baseline": 0.5}))
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n0 0 1 1 0 1 0 2 -1 0 0 3\n")
+    return tmp_path
+
+
+def assert_known_pixels(scan, tiny):
+    assert scan.layout == "plain-stereo"
+    assert len(scan.frames) == 2
+    for frame, point in zip(scan.frames, tiny.points, strict=True):
+        camera_from_world = np.linalg.inv(frame.world_from_camera)
+        np.testing.assert_allclose(tiny.pixel(point, camera_from_world, frame.camera), (26, 17), atol=1e-6)
+        right = tiny.pixel(point, scan.rig.right_from_left @ camera_from_world, scan.rig.right)
+        np.testing.assert_allclose(right, (1, 17), atol=1e-6)
+
+
+def test_known_points_fall_on_known_pixels(scan_folder, tiny):
+    scan = read_scan(scan_folder)
+    assert scan.rig.rectified
+    assert [frame.name for frame in scan.frames] == ["left2", "left10"]
+    assert_known_pixels(scan, tiny)
+
+
+def test_pairs_side_by_side_in_one_folder(scan_folder, tiny):
+    for side in ("left", "right"):
+        for number in (2, 10):
+            (scan_folder / side / f"{side}{number}.png").rename(scan_folder / f"{side}{number}.png")
+        (scan_folder / side).rmdir()
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.right.name) for f in scan.frames] == [
+        ("left2.png", "right2.png"),
+        ("left10.png", "right10.png"),
+    ]
+    assert_known_pixels(scan, tiny)
+
+
+def test_a_rig_with_half_of_its_calibration(shared_data):
+    folder = shared_data / "stereo" / "opencv_chessboard_rig"
+    scan = read_scan(folder, complete=False)
+    assert len(scan.frames) == 13
+    with pytest.raises(InputError, match=r"no calibration: .*scan\.calibration=FILE"):
+        read_scan(folder)
+
+
+def trajectory_texts(tiny, matrix_text):
+    x, y, z, w = tiny.second_quaternion
+    flat = " ".join(f"{value:g}" for value in tiny.second.ravel())
+    extrinsics = [np.linalg.inv(pose).T.ravel().tolist() for pose in (tiny.identity, tiny.second)]
+    return {
+        "poses.txt": f"1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n{flat}\n",
+        "poses.tum": f"# t tx ty tz qx qy qz qw\n0.0 0 0 0 0 0 0 1\n0.1 1 2 3 {x} {y} {z} {w}\n",
+        "trajectory.log": "0 0 1\n" + matrix_text(tiny.identity) + "1 1 2\n" + matrix_text(tiny.second),
+        "poses.json": json.dumps([tiny.identity.tolist(), tiny.second.tolist()]),
+        "trajectory.json": json.dumps({"parameters": [{"extrinsic": e} for e in extrinsics]}),
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["poses.txt", "poses.tum", "trajectory.log", "poses.json", "trajectory.json"]
+)
+def test_every_form_of_trajectory(scan_folder, tiny, matrix_text, name):
+    (scan_folder / "poses.txt").unlink()
+    (scan_folder / name).write_text(trajectory_texts(tiny, matrix_text)[name])
+    assert_known_pixels(read_scan(scan_folder), tiny)
+
+
+def test_timed_poses_are_taken_at_the_frames_times(scan_folder, tiny):
+    (scan_folder / "poses.txt").unlink()
+    x, y, z, w = tiny.second_quaternion
+    (scan_folder / "times.txt").write_text("5.0\n5.1\n")
+    (scan_folder / "poses.tum").write_text(
+        f"4.99 0 0 -1 0 0 0 1\n5.01 0 0 1 0 0 0 1\n5.09 1 2 2 {x} {y} {z} {w}\n5.11 1 2 4 {x} {y} {z} {w}\n"
+    )
+    assert_known_pixels(read_scan(scan_folder), tiny)
+
+
+def test_a_missing_calibration_says_what_to_do(scan_folder, tiny):
+    (scan_folder / "calibration.json").unlink()
+    with pytest.raises(InputError, match=r"no calibration: calibration\.json is missing.*scan\.calibration"):
+        read_scan(scan_folder)
+    assert_known_pixels(read_scan(scan_folder, ScanParams(intrinsics=tiny.option, baseline=0.5)), tiny)
+
+
+def test_a_named_calibration_is_used(scan_folder, tiny, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("rigs") / "mine.json"
+    (scan_folder / "calibration.json").rename(elsewhere)
+    assert_known_pixels(read_scan(scan_folder, ScanParams(calibration=str(elsewhere))), tiny)
+
+
+def test_a_stated_baseline_scales_the_rig(scan_folder):
+    assert read_scan(scan_folder, ScanParams(baseline=0.125)).rig.baseline == pytest.approx(0.125)
+
+
+def test_no_poses(scan_folder):
+    (scan_folder / "poses.txt").unlink()
+    with pytest.raises(InputError, match=r"no poses: none of poses\.txt"):
+        read_scan(scan_folder)
+
+
+def test_a_single_pair_needs_no_pose(scan_folder):
+    (scan_folder / "poses.txt").unlink()
+    for side in ("left", "right"):
+        (scan_folder / side / f"{side}10.png").unlink()
+    scan = read_scan(scan_folder)
+    np.testing.assert_array_equal(scan.frames[0].world_from_camera, np.eye(4))
+
+
+def test_an_empty_side(scan_folder):
+    for path in (scan_folder / "right").iterdir():
+        path.unlink()
+    with pytest.raises(InputError, match="no images in right/"):
+        read_scan(scan_folder)
+
+
+def test_a_pair_without_partner_is_left_out_with_its_pose(scan_folder):
+    (scan_folder / "right" / "right2.png").unlink()
+    (scan_folder / "poses.txt").write_text("0 0 1 1 0 1 0 2 -1 0 0 3\n")
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["left10"]
+    assert scan.skipped[0].name == "left2"
+
+
+def test_opencv_stereo_sample_files(scan_folder, tiny):
+    (scan_folder / "calibration.json").unlink()
+    matrix = (
+        "!!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [ 100., 0., 16., 0., 100., 12.,\n       0., 0., 1. ]\n"
+    )
+    bent = "!!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: [ 1.e-02, 0., 0., 0., 0. ]\n"
+    (scan_folder / "intrinsics.yml").write_text(
+        f"%YAML:1.0\n---\nM1: {matrix}D1: {bent}M2: {matrix}D2: {bent}"
+    )
+    (scan_folder / "extrinsics.yml").write_text(
+        "%YAML:1.0\n---\nR: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [ 1., 0., 0., 0., 1., 0., 0., 0., 1. ]\n"
+        "T: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ -5.0e-01, 0., 0. ]\n"
+    )
+    scan = read_scan(scan_folder)
+    assert not scan.rig.rectified
+    assert scan.rig.left.distortion == (0.01, 0, 0, 0, 0)
+    assert_known_pixels(scan, tiny)
+
+
+def test_sides_of_different_size_are_told(scan_folder, tiny):
+    for number in (2, 10):
+        tiny.color(scan_folder / "right" / f"right{number}.png", (64, 48))
+    with pytest.raises(InputError, match="left images are 32×24 and right images 64×48"):
+        read_scan(scan_folder)
+
+
+def test_a_file_of_ros_for_each_camera(scan_folder, tiny):
+    (scan_folder / "calibration.json").unlink()
+    for side, shift in (("left", 0), ("right", -50)):
+        (scan_folder / f"{side}.yaml").write_text(
+            "image_width: 32\nimage_height: 24\ncamera_name: " + side + "\n"
+            "camera_matrix:\n  rows: 3\n  cols: 3\n  data: [100, 0, 16, 0, 100, 12, 0, 0, 1]\n"
+            "distortion_model: plumb_bob\n"
+            "distortion_coefficients:\n  rows: 1\n  cols: 5\n  data: [0, 0, 0, 0, 0]\n"
+            "rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+            "projection_matrix:\n  rows: 3\n  cols: 4\n"
+            f"  data: [100, 0, 16, {shift}, 0, 100, 12, 0, 0, 0, 1, 0]\n"
+        )
+    scan = read_scan(scan_folder)
+    assert_known_pixels(scan, tiny)
+    assert any("image_raw" in text for text in scan.warnings)
+
+
+def test_sides_that_share_no_numbers_are_told(scan_folder):
+    for old, new in ((2, "dawn"), (10, "noon")):
+        (scan_folder / "right" / f"right{old}.png").rename(scan_folder / "right" / f"{new}.png")
+    scan = read_scan(scan_folder)
+    assert [frame.right.name for frame in scan.frames] == ["dawn.png", "noon.png"]
+    assert any("left/ and right/ share no numbers" in text for text in scan.warnings)

@@ -1,0 +1,164 @@
+import json
+
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny, matrix_text):
+    for number in (2, 10):
+        tiny.color(tmp_path / "color" / f"{number}.jpg")
+        tiny.depth(tmp_path / "depth" / f"{number}.png", 1000)
+    (tmp_path / "trajectory.log").write_text(
+        "0 0 1\n" + matrix_text(tiny.identity) + "1 1 2\n" + matrix_text(tiny.second)
+    )
+    # Column-major, as Open3D writes it.
+    (tmp_path / "intrinsic.json").write_text(
+        json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [100, 0, 0, 0, 100, 0, 16, 12, 1]})
+    )
+    return tmp_path
+
+
+def points(folder, tiny, **options):
+    return [tiny.seen(frame) for frame in read_scan(folder, ScanParams(**options)).frames]
+
+
+def test_known_points_come_out_in_the_world(scan_folder, tiny):
+    assert read_scan(scan_folder).layout == "redwood"
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_json_trajectory_is_world_to_camera_column_major(scan_folder, tiny):
+    (scan_folder / "trajectory.log").unlink()
+    # camera_from_world of the second frame by hand: R^T = [[0,0,-1],[0,1,0],[1,0,0]], -R^T t = (3, -2, -1).
+    extrinsics = [
+        [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+        [0, 0, 1, 0, 0, 1, 0, 0, -1, 0, 0, 0, 3, -2, -1, 1],
+    ]
+    (scan_folder / "trajectory.json").write_text(
+        json.dumps(
+            {"class_name": "PinholeCameraTrajectory", "parameters": [{"extrinsic": e} for e in extrinsics]}
+        )
+    )
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny):
+    document = json.loads((scan_folder / "intrinsic.json").read_text())
+    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"depth_scale": 4000}))
+    for number in (2, 10):
+        tiny.depth(scan_folder / "depth" / f"{number}.png", 4000)
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_camera_of_another_size_is_refused(scan_folder):
+    document = json.loads((scan_folder / "intrinsic.json").read_text())
+    (scan_folder / "intrinsic.json").write_text(json.dumps(document | {"width": 640, "height": 480}))
+    with pytest.raises(InputError, match=r"intrinsic\.json.*640×480.*32×24"):
+        read_scan(scan_folder)
+
+
+def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
+    (scan_folder / "intrinsic.json").unlink()
+    scan = read_scan(scan_folder)
+    camera = scan.frames[0].camera
+    # 525 pixels at a width of 640.
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (26.25, 26.25, 15.5, 11.5)
+    assert any("26.25,26.25,15.5,11.5 is guessed" in t and "scan.intrinsics" in t for t in scan.warnings)
+
+
+def test_fewer_poses_than_frames_stops(scan_folder, matrix_text):
+    (scan_folder / "trajectory.log").write_text("0 0 1\n" + matrix_text(np.eye(4)))
+    with pytest.raises(InputError, match=r"trajectory\.log.*1 poses.*2 frames"):
+        read_scan(scan_folder)
+
+
+def test_a_frame_without_colour_is_left_out(scan_folder, tiny):
+    tiny.depth(scan_folder / "depth" / "11.png", 1000)
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["2", "10"]
+    assert scan.skipped[0].name == "11"
+
+
+def test_unequal_counts_without_common_numbers_stop(scan_folder, tiny):
+    for path in (scan_folder / "color").iterdir():
+        path.rename(path.with_name(f"9{path.name}"))
+    tiny.color(scan_folder / "color" / "95.jpg")
+    with pytest.raises(InputError, match="2 images and color/ 3"):
+        read_scan(scan_folder)
+
+
+def test_the_only_trajectory_is_found_by_any_name(scan_folder, tiny):
+    (scan_folder / "trajectory.log").rename(scan_folder / "lounge_trajectory.log")
+    (scan_folder / "odometry.log").write_text("")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_the_trajectory_may_stand_above_the_images(scan_folder, tiny):
+    inside = scan_folder / "rgbd"
+    inside.mkdir()
+    (scan_folder / "color").rename(inside / "image")
+    (scan_folder / "depth").rename(inside / "depth")
+    np.testing.assert_allclose(points(inside, tiny), tiny.points, atol=1e-6)
+
+
+def test_no_trajectory_is_an_error(scan_folder):
+    (scan_folder / "trajectory.log").unlink()
+    with pytest.raises(InputError, match=r"no poses: trajectory\.log"):
+        read_scan(scan_folder)
+
+
+def test_open3d_test_data(shared_data):
+    scan = read_scan(shared_data / "rgbd" / "open3d_testdata" / "RGBD")
+    assert (scan.layout, len(scan.frames)) == ("redwood", 5)
+    assert (scan.frames[0].camera.fx, scan.frames[0].camera.cx) == (525, 319.5)
+    np.testing.assert_allclose(
+        scan.frames[0].world_from_camera[:3, 3], (-0.31057997, 0.57301224, 2.12648002), atol=1e-7
+    )
+    assert any("camera_primesense.json" in text for text in scan.warnings)
+
+
+def test_other_names_of_the_folders(scan_folder, tiny):
+    (scan_folder / "depth").rename(scan_folder / "depth_images")
+    (scan_folder / "color").rename(scan_folder / "images")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_colour_and_depth_side_by_side_in_the_order_of_their_numbers(scan_folder, tiny):
+    for number in (2, 10):
+        (scan_folder / "color" / f"{number}.jpg").rename(scan_folder / f"rgb_{number}.jpg")
+        (scan_folder / "depth" / f"{number}.png").rename(scan_folder / f"depth_{number}.png")
+    for name in ("color", "depth"):
+        (scan_folder / name).rmdir()
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.depth.name) for f in scan.frames] == [
+        ("rgb_2.jpg", "depth_2.png"),
+        ("rgb_10.jpg", "depth_10.png"),
+    ]
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+def test_a_real_recording_side_by_side(shared_data):
+    scan = read_scan(shared_data / "rgbd" / "turntable_d435_data1", complete=False)
+    assert (scan.layout, len(scan.frames)) == ("redwood", 6)
+    assert [frame.color.name for frame in scan.frames] == [f"rgb_{i}.png" for i in range(6)]
+    assert scan.frames[0].camera.fx == 525
+
+
+def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, tiny):
+    for old, new in (("2", "a"), ("10", "b")):
+        (scan_folder / "color" / f"{old}.jpg").rename(scan_folder / "color" / f"{new}.jpg")
+    scan = read_scan(scan_folder)
+    assert [(f.color.name, f.depth.name) for f in scan.frames] == [("a.jpg", "2.png"), ("b.jpg", "10.png")]
+    assert any("depth/ and color/ share no numbers" in text for text in scan.warnings)
+    tiny.color(scan_folder / "color" / "c.jpg")
+    with pytest.raises(InputError, match="2 images and color/ 3"):
+        read_scan(scan_folder)
+
+
+def test_images_of_one_number_are_not_told_of(scan_folder):
+    assert not any("share no numbers" in text for text in read_scan(scan_folder).warnings)

@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    for name in ("view1", "view5"):
+        tiny.color(tmp_path / f"{name}.png", (460, 370))
+    (tmp_path / "dmin.txt").write_text("240\n")
+    return tmp_path
+
+
+def test_the_published_calibration_at_a_third_of_the_size(scan_folder, tiny):
+    scan = read_scan(scan_folder)
+    assert (scan.layout, scan.rig.rectified) == ("pair", True)
+    point = (0.2, 0.1, 2.0)
+    left = tiny.pixel(point, np.eye(4), scan.rig.left)
+    right = tiny.pixel(point, scan.rig.right_from_left, scan.rig.right)
+    # z = f b / (d + dmin), all in pixels of a third of the size.
+    disparity = 3740 / 3 * 0.16 / 2.0 - 240 / 3
+    np.testing.assert_allclose(left - right, (disparity, 0), atol=1e-9)
+    np.testing.assert_allclose(left, (229.5 + 3740 / 30, 184.5 + 3740 / 60))
+    assert any("published for Middlebury" in t and "scan.intrinsics" in t for t in scan.warnings)
+    assert any("single frame without a pose" in t for t in scan.warnings)
+
+
+def test_a_stated_calibration_wins(scan_folder):
+    scan = read_scan(scan_folder, ScanParams(intrinsics="400,400,230,185", baseline=0.3))
+    assert (scan.rig.left.fx, scan.rig.right.cx, scan.rig.baseline) == (400, 230, 0.3)
+    assert not any("published" in text for text in scan.warnings)
+    assert read_scan(scan_folder, ScanParams(baseline=0.3)).rig.baseline == pytest.approx(0.3)
+    with pytest.raises(InputError, match="no calibration"):
+        read_scan(scan_folder, ScanParams(intrinsics="400,400,230,185"))
+
+
+def test_without_dmin_or_of_another_size_the_calibration_is_asked_for(scan_folder, tiny):
+    for name in ("view1", "view5"):
+        tiny.color(scan_folder / f"{name}.png", (460, 371))
+    with pytest.raises(
+        InputError, match=r"no calibration: .*scan\.intrinsics=fx,fy,cx,cy and scan\.baseline"
+    ):
+        read_scan(scan_folder)
+    for name in ("view1", "view5"):
+        tiny.color(scan_folder / f"{name}.png", (460, 370))
+    (scan_folder / "dmin.txt").unlink()
+    with pytest.raises(InputError, match="no calibration"):
+        read_scan(scan_folder)
+
+
+@pytest.mark.parametrize("text", ["", "nan", "1 2", "1e9", "x"])
+def test_a_damaged_dmin_is_told(scan_folder, text):
+    (scan_folder / "dmin.txt").write_text(text)
+    with pytest.raises(InputError, match=r"dmin\.txt: one number"):
+        read_scan(scan_folder)
+
+
+def test_a_pose_can_be_given(scan_folder):
+    (scan_folder / "mine.txt").write_text("1 0 0 7 0 1 0 8 0 0 1 9\n")
+    (frame,) = read_scan(scan_folder, ScanParams(poses="mine.txt")).frames
+    np.testing.assert_array_equal(frame.world_from_camera[:3, 3], (7, 8, 9))
+
+
+def test_cones_lack_a_calibration(shared_data):
+    folder = shared_data / "stereo" / "middlebury2003_cones"
+    with pytest.raises(InputError, match="no calibration"):
+        read_scan(folder)
+    assert read_scan(folder, ScanParams(intrinsics="900,900,225,187", baseline=0.16)).rig.baseline == 0.16

@@ -1,0 +1,168 @@
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.images import read_depth
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny):
+    folder = tmp_path / "rgbd_dataset_freiburg3_tiny"
+    # The depth camera's clock lies 10 ms behind; the third colour frame has no depth near it.
+    color, depth = ("10.000000", "10.500000", "11.000000"), ("10.010000", "10.510000", "12.000000")
+    for name in color:
+        tiny.color(folder / "rgb" / f"{name}.png")
+    for name in depth:
+        tiny.depth(folder / "depth" / f"{name}.png", 5000)
+    (folder / "rgb.txt").write_text("# color\n" + "".join(f"{n} rgb/{n}.png\n" for n in color))
+    (folder / "depth.txt").write_text("# depth\n" + "".join(f"{n} depth/{n}.png\n" for n in depth))
+    x, y, z, w = tiny.second_quaternion
+    (folder / "groundtruth.txt").write_text(
+        "# timestamp tx ty tz qx qy qz qw\n"
+        "10.0100 0 0 0 0 0 0 1\n"
+        "10.0150 0 0 0 0 0 0 1\n"
+        f"10.5000 1 2 2 {x} {y} {z} {w}\n"
+        f"10.5200 1 2 4 {x} {y} {z} {w}\n"
+    )
+    return folder
+
+
+def test_known_points_come_out_in_the_world(scan_folder, tiny):
+    # The second pose is half-way between two of the trajectory: (1, 2, 3).
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert scan.layout == "tum"
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+
+
+def test_frames_without_a_partner_in_time_are_skipped(scan_folder):
+    scan = read_scan(scan_folder)
+    assert [one.name for one in scan.skipped] == ["11.000000"]
+    assert "0.02 s" in scan.skipped[0].reason
+
+
+def test_frames_without_a_pose_in_time_are_skipped(scan_folder):
+    lines = (scan_folder / "groundtruth.txt").read_text().splitlines()
+    (scan_folder / "groundtruth.txt").write_text("\n".join(lines[:3]))
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10.000000"]
+    assert any(one.reason.startswith("no pose within") for one in scan.skipped)
+
+
+def test_an_excerpt_may_keep_the_lists_of_the_whole(scan_folder):
+    (scan_folder / "depth" / "10.010000.png").unlink()
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10.500000"]
+    assert ("10.000000", "10.010000.png is missing") in [(one.name, one.reason) for one in scan.skipped]
+
+
+def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
+    (scan_folder / "depth").rename(scan_folder / "depths")
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    assert any("no folder depth/, but depths/ has" in text for text in scan.warnings)
+
+
+def test_two_folders_that_could_be_meant_are_not_guessed_at(scan_folder, tiny):
+    (scan_folder / "depth").rename(scan_folder / "depths")
+    tiny.depth(scan_folder / "filled" / "10.010000.png", 5000)
+    with pytest.raises(InputError, match=r"depth/10\.010000\.png: the image cannot be opened"):
+        read_scan(scan_folder)
+
+
+def test_each_depth_frame_is_used_once(scan_folder, tiny):
+    tiny.color(scan_folder / "rgb" / "10.015000.png")
+    with (scan_folder / "rgb.txt").open("a") as file:
+        file.write("10.015000 rgb/10.015000.png\n")
+    scan = read_scan(scan_folder)
+    used = [frame.depth for frame in scan.frames]
+    assert len(set(used)) == len(used) == 2
+    # The colour frame 5 ms away takes it from the one 10 ms away.
+    assert "10.015000" in [frame.name for frame in scan.frames]
+
+
+def test_the_camera_follows_the_folder_name(scan_folder):
+    scan = read_scan(scan_folder)
+    camera = scan.frames[0].camera
+    # A twentieth of the data set's size; pixel centres are at whole numbers.
+    expected = (535.4 / 20, 539.2 / 20, (320.1 + 0.5) / 20 - 0.5, (247.6 + 0.5) / 20 - 0.5)
+    np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected)
+    assert camera.distortion == ()
+    assert any("freiburg3" in text for text in scan.warnings)
+
+
+@pytest.mark.parametrize("name", ["freiburg1_xyz", "fr1_desk", "rgbd_dataset_freiburg1_room"])
+def test_freiburg1_keeps_its_distortion(scan_folder, name):
+    moved = scan_folder.rename(scan_folder.with_name(name))
+    assert read_scan(moved).frames[0].camera.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+
+
+def test_an_unknown_camera_is_said(scan_folder):
+    moved = scan_folder.rename(scan_folder.with_name("desk"))
+    scan = read_scan(moved)
+    assert scan.frames[0].camera.fx == 26.25
+    assert any("scan.intrinsics" in text for text in scan.warnings)
+    assert any("scan.depth_scale=1000" in text for text in scan.warnings)
+    stated = read_scan(moved, ScanParams(depth_scale=1000, intrinsics="100,100,16,12"))
+    assert not stated.warnings
+
+
+def test_scale_can_be_stated(scan_folder):
+    depth = read_depth(read_scan(scan_folder, ScanParams(depth_scale=10000)).frames[0])
+    assert depth[5, 5] == 1.0
+
+
+def test_without_lists_the_names_are_the_times(scan_folder, tiny):
+    for name in ("rgb.txt", "depth.txt"):
+        (scan_folder / name).unlink()
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert scan.layout == "tum"
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    assert [one.name for one in scan.skipped] == ["11.000000"]
+    assert any("times in their names" in text for text in scan.warnings)
+
+
+def test_associations_stand_in_for_the_lists(scan_folder, tiny):
+    for name in ("rgb.txt", "depth.txt"):
+        (scan_folder / name).unlink()
+    (scan_folder / "depth").rename(scan_folder / "depths")
+    (scan_folder / "associations.txt").write_text(
+        "10.00 rgb/10.000000.png 10.01 depths/10.010000.png\n"
+        "10.51 depths/10.510000.png 10.50 rgb/10.500000.png\n"
+    )
+    scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    assert [frame.timestamp for frame in scan.frames] == [10_000_000_000, 10_500_000_000]
+
+
+def test_times_that_fall_or_repeat_are_told_and_the_order_kept(scan_folder):
+    lines = (scan_folder / "rgb.txt").read_text().splitlines()
+    (scan_folder / "rgb.txt").write_text("\n".join((lines[2], lines[1])))
+    scan = read_scan(scan_folder)
+    assert [frame.name for frame in scan.frames] == ["10.500000", "10.000000"]
+    assert any("stay in the order of their files" in text for text in scan.warnings)
+
+
+@pytest.mark.parametrize("text", ["now rgb/1.png\n", "1e99 rgb/1.png\n", "1\n", "1 ../../1.png\n", "\n"])
+def test_damaged_lists_are_told(scan_folder, text):
+    (scan_folder / "rgb.txt").write_text(text)
+    with pytest.raises(InputError, match=r"rgb\.txt"):
+        read_scan(scan_folder)
+
+
+def test_lists_of_files_that_are_not_there(scan_folder):
+    (scan_folder / "rgb.txt").write_text("10.0 rgb/a.png\n10.5 rgb/b.png\n")
+    with pytest.raises(InputError, match=r"none of its 2 frames can be used \(frame a: a\.png is missing\)"):
+        read_scan(scan_folder)
+
+
+def test_poses_without_times_cannot_be_paired(scan_folder):
+    (scan_folder / "groundtruth.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(InputError, match=r"groundtruth\.txt.*no timestamps"):
+        read_scan(scan_folder)
+
+
+def test_desk_excerpt_lacks_poses(shared_data):
+    with pytest.raises(InputError, match=r"realsense_desk_tum_layout.*no poses: groundtruth\.txt"):
+        read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout")

@@ -1,0 +1,174 @@
+"""Bounded simplification keeps its word: attacked by samples, through another search than its own."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from stages.cleaning.clean import clean
+from stages.errors import MeshError, UsageError
+from stages.simplification.certified.run import simplify_certified
+from stages.simplification.result import Simplified
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
+from stages.surface.raycasting import Surface, interpolated
+from stages.surface.topology import topology
+
+
+def height_field(size: int, bumps: NDArray[np.float64], colors: NDArray[np.uint8] | None = None) -> Mesh:
+    """Return a square sheet of size × size vertices, a unit apart, at the given heights."""
+    y, x = np.mgrid[:size, :size]
+    vertices = np.stack([x, y, bumps], axis=2).reshape(-1, 3).astype(np.float64)
+    a = (np.arange(size - 1)[:, None] * size + np.arange(size - 1)).ravel()
+    b, c, d = a + 1, a + size + 1, a + size
+    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return Mesh(vertices, triangles.astype(np.int32), colors=colors)
+
+
+def points_on(mesh: Mesh, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], ...]:
+    """Return corners, middles of edges and random points of the surface: places and colours."""
+    corners = mesh.triangles
+    weights = rng.dirichlet([0.5, 0.5, 0.5], size=count)
+    of = rng.integers(len(corners), size=count)
+    fixed = np.array([[1, 0, 0], [0.5, 0.5, 0], [0.75, 0.25, 0], [1 / 3, 1 / 3, 1 / 3]])
+    every = np.arange(len(corners))
+    of = np.concatenate([of, *[every for _ in fixed]])
+    weights = np.concatenate([weights, *[np.broadcast_to(w, (len(corners), 3)) for w in fixed]])
+    places = np.einsum("kc,kcx->kx", weights, mesh.vertices[corners[of]])
+    if mesh.colors is None:
+        return places, np.zeros((len(places), 0))
+    return places, np.einsum("kc,kcx->kx", weights, mesh.colors[corners[of]].astype(np.float64))
+
+
+def attack(result: Simplified, mesh: Mesh, count: int = 20_000) -> None:
+    """Look for a point of either surface that breaks the bounds."""
+    rng = np.random.default_rng(7)
+    assert result.shape_bound_m is not None
+    for one, other in ((result.mesh, mesh), (mesh, result.mesh)):
+        places, colors = points_on(one, count, rng)
+        found = Surface(other).closest(places)
+        assert found.distances.max() <= result.shape_bound_m
+        if result.color_bound_levels is not None and other.colors is not None:
+            there = interpolated(other.colors, other, found)
+            assert np.linalg.norm(there - colors, axis=1).max() <= result.color_bound_levels
+
+
+@given(
+    size=st.integers(4, 12),
+    seed=st.integers(0, 2**32 - 1),
+    roughness=st.sampled_from([0.0, 0.05, 0.5]),
+    shape=st.sampled_from([0.0, 0.02, 0.2, 1.0]),
+    color=st.sampled_from([None, 5.0, 60.0]),
+)
+@settings(max_examples=60, deadline=None)
+def test_no_sample_breaks_the_bounds_of_a_random_sheet(
+    size: int, seed: int, roughness: float, shape: float, color: float | None
+) -> None:
+    rng = np.random.default_rng(seed)
+    smooth = np.sin(np.linspace(0, 3, size))[:, None] * np.cos(np.linspace(0, 2, size))
+    paint = rng.integers(0, 256, (3, 1, 1)) * smooth + 20 * roughness * rng.normal(size=(3, size, size))
+    colors = np.rint(paint).clip(0, 255).astype(np.uint8).reshape(3, -1).T.copy()
+    mesh = height_field(size, smooth + roughness * rng.normal(size=(size, size)), colors)
+    result = simplify_certified(mesh, max_shape=shape, max_color=color, threads=1)
+    attack(result, mesh, 2_000)
+    assert result.shape_attained_m <= result.shape_bound_m
+    if result.proven:
+        assert result.shape_bound_m <= max(shape, 2 * result.slack_m)
+        if color is not None and result.color_bound_levels is not None:
+            assert result.color_bound_levels <= color
+
+
+def test_a_flat_sheet_of_one_colour_is_two_triangles_even_with_bounds_of_zero() -> None:
+    colors = np.full((400, 3), 77, np.uint8)
+    mesh = height_field(20, np.zeros((20, 20)), colors)
+    result = simplify_certified(mesh, max_shape=0.0, max_color=0.0)
+    assert result.proven
+    assert len(result.mesh.triangles) <= 12
+    assert result.mesh.colors is not None
+    assert (result.mesh.colors == 77).all()
+
+
+def test_a_larger_bound_leaves_fewer_triangles() -> None:
+    x = np.linspace(0, 6, 40)
+    mesh = height_field(40, np.sin(x)[:, None] * np.cos(x))
+    left = [len(simplify_certified(mesh, max_shape=bound).mesh.triangles) for bound in (0.01, 0.05, 0.2)]
+    assert left == sorted(left, reverse=True)
+    assert left[2] < left[0] / 3
+
+
+def test_colour_alone_can_be_bounded() -> None:
+    half = np.zeros((20, 20, 3), np.uint8)
+    half[:, 10:] = 200
+    mesh = height_field(20, np.zeros((20, 20)), half.reshape(-1, 3))
+    result = simplify_certified(mesh, max_color=8.0)
+    attack(result, mesh)
+    assert result.proven
+    assert result.color_bound_levels is not None
+    assert result.color_bound_levels <= 8.0
+    assert len(result.mesh.triangles) < len(mesh.triangles) / 3
+
+
+def test_important_vertices_get_a_finer_bound() -> None:
+    x = np.linspace(0, 6, 40)
+    mesh = height_field(40, np.sin(x)[:, None] * np.cos(x))
+    importance = np.where(mesh.vertices[:, 0] < 20, 8.0, 1.0)
+    result = simplify_certified(mesh, max_shape=0.2, importance=importance)
+    far = Surface(result.mesh).closest(mesh.vertices).distances
+    assert far[mesh.vertices[:, 0] < 20].max() <= 0.2 / 8
+    assert far[mesh.vertices[:, 0] >= 20].max() > 0.2 / 8
+
+
+def test_one_and_two_threads_give_the_same_bytes(shared_data: Path) -> None:
+    mesh = clean(read_mesh(shared_data / "meshes" / "camelhead.off")).mesh
+    one, two = (simplify_certified(mesh, max_shape=5e-4, threads=threads) for threads in (1, 2))
+    assert one.mesh.vertices.tobytes() == two.mesh.vertices.tobytes()
+    assert one.mesh.triangles.tobytes() == two.mesh.triangles.tobytes()
+    assert one.shape_bound.tobytes() == two.shape_bound.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "relative"),
+    [("cow.obj", 2e-3), ("fandisk.obj", 1e-3), ("rocker-arm.obj", 1e-3), ("camelhead.off", 2e-3)],
+)
+def test_the_bound_of_a_shared_mesh_holds_and_is_tight(shared_data: Path, name: str, relative: float) -> None:
+    mesh = clean(read_mesh(shared_data / "meshes" / name)).mesh
+    bound = relative * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    result = simplify_certified(mesh, max_shape=bound)
+    assert result.proven
+    assert result.shape_bound_m <= bound
+    attack(result, mesh, 200_000)
+    assert result.shape_bound_m <= 1.3 * result.shape_attained_m
+    assert topology(result.mesh).euler == topology(mesh).euler
+
+
+def test_the_bounds_of_a_part_of_the_kitchen_scan_hold(shared_data: Path) -> None:
+    mesh = read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")
+    centre = np.median(mesh.vertices, axis=0)
+    near = np.abs(mesh.vertices - centre).max(axis=1) < 0.6
+    mesh = clean(mesh.with_(triangles=mesh.triangles[near[mesh.triangles].all(axis=1)])).mesh
+    result = simplify_certified(mesh, max_shape=0.01, max_color=40.0)
+    assert result.proven
+    assert result.shape_bound_m <= 0.01
+    assert result.color_bound_levels is not None
+    assert result.color_bound_levels <= 40.0
+    attack(result, mesh, 200_000)
+    assert len(result.mesh.triangles) < 0.2 * len(mesh.triangles)
+    assert topology(result.mesh).boundary_loops == topology(mesh).boundary_loops
+
+
+def test_what_cannot_be_asked_is_refused_in_one_sentence() -> None:
+    mesh = height_field(4, np.zeros((4, 4)))
+    with pytest.raises(UsageError, match="neither max_shape nor max_color"):
+        simplify_certified(mesh)
+    with pytest.raises(UsageError, match=r"max_shape is -1\.0; expected 0 or more"):
+        simplify_certified(mesh, max_shape=-1.0)
+    with pytest.raises(UsageError, match="no vertex colours"):
+        simplify_certified(mesh, max_color=3.0)
+    with pytest.raises(UsageError, match="importance has values below 1"):
+        simplify_certified(mesh, max_shape=1.0, importance=np.zeros(16))
+    broken = Mesh(mesh.vertices, np.concatenate([mesh.triangles, mesh.triangles[:1, ::-1]]))
+    with pytest.raises(MeshError):
+        simplify_certified(broken, max_shape=1.0)

@@ -1,0 +1,609 @@
+"""Method seams: what FENG12 promises of textured meshes, and the bounds on the image that go beyond it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from seamed_meshes import (
+    charts,
+    edge_counts,
+    folded_strips,
+    outside_charts,
+    overlapping,
+    signed_areas,
+    two_cubes,
+    welded,
+    wrapped_ball,
+)
+
+from stages.cleaning.clean import clean
+from stages.errors import InputError, UsageError
+from stages.simplification.records.record import load_record
+from stages.simplification.records.seam_record import SeamRecord
+from stages.simplification.result import Simplified
+from stages.simplification.seams.similar import joinable_sets, similar_sets
+from stages.simplification.simplify import simplify
+from stages.surface.mesh import Material, Mesh, Texture
+from stages.surface.mesh_files import read_mesh
+
+DATA = Path(__file__).parents[5] / "shared" / "data" / "meshes"
+TEXTURED = (
+    "spot/spot_triangulated.obj",
+    "ycb_banana/textured.obj",
+    "bunny10k_textured",
+    "fuze",
+    "Duck.glb",
+    "CesiumMilkTruck.glb",
+    "pirate.obj",
+)
+TEN = (0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03)
+
+
+def textured(name: str) -> Mesh:
+    path = DATA / name
+    if not path.exists():
+        folder = path.parent if path.suffix else path
+        found = sorted(folder.glob("*.obj")) if folder.is_dir() else []
+        if not found:
+            pytest.skip(f"{name} is not here")
+        path = found[0]
+    elif path.is_dir():
+        path = sorted(path.glob("*.obj"))[0]
+    return read_mesh(path)
+
+
+def assert_sound(light: Mesh, source: np.ndarray, mesh: Mesh) -> None:
+    """Welded, it has no open, crowded or doubled place that the input has not; no image has turned over."""
+    now, before = welded(light), welded(mesh)
+    assert all(a <= b for a, b in zip(edge_counts(now), edge_counts(before), strict=True))
+    assert overlapping(now) <= overlapping(before)
+    assert (now[:, 0] != now[:, 1]).all()
+    assert (now[:, 1] != now[:, 2]).all()
+    assert (now[:, 2] != now[:, 0]).all()
+    if light.texture is None or mesh.texture is None:
+        return
+    then, was = signed_areas(light.texture.uvs), signed_areas(mesh.texture.uvs)[source]
+    assert (np.sign(then) == np.sign(was))[was != 0].all()
+    np.testing.assert_array_equal(light.texture.material_ids, mesh.texture.material_ids[source])
+
+
+def corner_attributes(mesh: Mesh) -> np.ndarray:
+    assert mesh.texture is not None
+    return np.concatenate([mesh.vertices[mesh.triangles], mesh.texture.uvs], axis=2)
+
+
+# -- the guarantee, on real models -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TEXTURED)
+def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts(name: str) -> None:
+    mesh = textured(name)
+    result = simplify(mesh, method="seams", ratio=TEN[-1], record=True)
+    assert isinstance(result.record, SeamRecord)
+    for ratio in TEN:
+        # A collapse on a boundary takes one triangle, all others two.
+        wanted = max(int(ratio * len(mesh.triangles)), len(result.mesh.triangles))
+        replayed = result.record.replay(triangles=wanted)
+        assert wanted - 1 <= len(replayed.mesh.triangles) <= wanted
+        assert_sound(replayed.mesh, replayed.triangle_source, mesh)
+        if ratio in (0.5, 0.12, 0.03):
+            assert outside_charts(replayed.mesh, replayed.triangle_source, mesh) == 0
+
+
+def test_the_chart_check_sees_a_coordinate_outside() -> None:
+    mesh = folded_strips()
+    assert mesh.texture is not None
+    everything = np.arange(len(mesh.triangles), dtype=np.int32)
+    assert outside_charts(mesh, everything, mesh) == 0
+    uvs = mesh.texture.uvs.copy()
+    uvs[0, 0] -= 0.01
+    moved = mesh.with_(texture=Texture(uvs, mesh.texture.material_ids, mesh.texture.materials))
+    assert outside_charts(moved, everything, mesh) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
+    """A ball with holes, cut into charts at random, with vertices and triangles doubled, nearly or not."""
+    rng = np.random.default_rng(seed)
+    mesh = wrapped_ball(int(rng.integers(4, 10)), int(rng.integers(5, 14)), bumps=0.1)
+    assert mesh.texture is not None
+    kept = np.flatnonzero(rng.random(len(mesh.triangles)) < rng.choice([0.85, 1.0]))
+    mesh = mesh.with_triangles(mesh.triangles[kept], kept)
+    count = len(kept)
+    middle = mesh.vertices[mesh.triangles].mean(axis=1)
+    centres = rng.standard_normal((int(rng.integers(1, 8)), 3))
+    chart = np.argmax(middle @ centres.T, axis=1)
+    if rng.random() < 0.3:
+        chart = rng.integers(0, 4, count)
+    assert mesh.texture is not None
+    uvs = mesh.texture.uvs + rng.random((8, 2))[chart][:, None]
+    mirrored = rng.random(8)[chart] < 0.3
+    uvs[mirrored] *= [-1, 1]
+    uvs[rng.random(count) < rng.choice([0.0, 0.1])] = 0
+    ids = rng.integers(-1, 2, 8)[chart].astype(np.int32)
+    vertices, triangles = mesh.vertices, mesh.triangles
+    if rng.random() < 0.6:
+        # As files do: a copy of a vertex for each chart.
+        pairs, corners = np.unique(
+            np.column_stack([triangles.reshape(-1), np.repeat(chart, 3)]), axis=0, return_inverse=True
+        )
+        vertices, triangles = vertices[pairs[:, 0]], corners.reshape(-1, 3).astype(np.int32)
+        if rng.random() < 0.3:
+            vertices = vertices + rng.normal(0, 1e-7, vertices.shape)
+    if rng.random() < 0.2:
+        # Once more, in part and nearly in the same place.
+        again = np.flatnonzero(rng.random(count) < rng.choice([0.1, 0.5]))
+        triangles = np.concatenate([triangles, triangles[again] + np.int32(len(vertices))])
+        vertices = np.concatenate([vertices, vertices + 3e-7])
+        uvs, ids = np.concatenate([uvs, uvs[again]]), np.concatenate([ids, ids[again]])
+    cut = Mesh(vertices, triangles, texture=Texture(uvs, ids, (Material("a"), Material("b"))))
+    result = simplify(
+        cut, method="seams", ratio=float(rng.uniform(0.02, 0.9)), record=True, fit=rng.random() < 0.5
+    )
+    assert isinstance(result.record, SeamRecord)
+    assert_sound(result.mesh, result.triangle_source, cut)
+    assert outside_charts(result.mesh, result.triangle_source, cut) == 0
+    for collapses in rng.integers(0, len(result.record.removed) + 1, 3):
+        replayed = result.record.replay(collapses=int(collapses))
+        assert_sound(replayed.mesh, replayed.triangle_source, cut)
+
+
+# -- figure 3 of the paper -------------------------------------------------------------------------------
+
+
+def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not() -> None:
+    mesh = folded_strips()
+    rim = edge_counts(welded(mesh))[0]
+    goal = len(mesh.triangles) // 2
+    torn = simplify(mesh.with_(texture=None), method="quadric", triangles=goal, fit=False).mesh
+    assert edge_counts(welded(torn))[0] > rim
+    whole = simplify(mesh, method="seams", triangles=goal)
+    assert edge_counts(welded(whole.mesh))[0] <= rim
+    assert_sound(whole.mesh, whole.triangle_source, mesh)
+    # Both sides of the cut end at the same vertices, each with coordinates of its own.
+    assert len(np.unique(charts(whole.mesh))) == 2
+
+
+@pytest.mark.parametrize("doubled", [(4, 7), (3, 4, 7), (4, 7, 8), (3, 4, 7, 8)])
+def test_figure_3_one_collapse_beside_doubled_vertices(doubled: tuple[int, ...]) -> None:
+    """The star of the edge 4–7 in a sheet of 3 × 4 vertices; those below the cut have copies of their own."""
+    points = np.array([[x, y, 0.02 * ((3 * x + 5 * y) % 4)] for y in range(4) for x in range(3)], float)
+    triangles = [[a, b, c] for y in range(3) for x in range(2) for a, b, c in _halves(3 * y + x)]
+    # Triangles on one side of the cut name the copies.
+    copies = {v: 12 + i for i, v in enumerate(doubled)}
+    left = {i for i, t in enumerate(triangles) if points[t, 0].mean() < 1}
+    named = [[copies.get(v, v) if i in left else v for v in t] for i, t in enumerate(triangles)]
+    vertices = np.vstack([points, points[list(doubled)]])
+    flat = vertices[:, :2] / 8
+    flat[12:] += [0.5, 0.5]
+    uvs = flat[np.array(named)]
+    texture = Texture(uvs, np.zeros(len(named), np.int32), (Material("m"),))
+    mesh = Mesh(vertices, np.array(named, np.int32), texture=texture)
+    for goal in range(len(named) - 1, 4, -1):
+        result = simplify(mesh, method="seams", triangles=goal)
+        assert_sound(result.mesh, result.triangle_source, mesh)
+        assert outside_charts(result.mesh, result.triangle_source, mesh) == 0
+
+
+def _halves(corner: int) -> list[list[int]]:
+    a, b, c, d = corner, corner + 1, corner + 4, corner + 3
+    return [[a, b, c], [a, c, d]]
+
+
+# -- seams -----------------------------------------------------------------------------------------------
+
+
+def test_a_straight_seam_stays_straight_in_the_image() -> None:
+    mesh = wrapped_ball()
+    result = simplify(mesh, ratio=0.1, max_seam_drift=0)
+    assert result.method == "seams"
+    assert edge_counts(welded(result.mesh)) == (0, 0)
+    assert result.mesh.texture is not None
+    border = _border(result.mesh, np.ones(len(result.mesh.triangles), bool))
+    # Poles apart, whose own coordinates are cut into the image from above and below.
+    u, v = border[..., 0], border[..., 1]
+    between = ((v > 1 / 23.5) & (v < 1 - 1 / 23.5)).any(axis=1)
+    assert np.isin(u[between], (0.0, 1.0)).all()
+    # The border goes all the way up on both sides of the image.
+    for side in (0.0, 1.0):
+        assert np.abs(np.diff(v[(u == side).all(axis=1)])).sum() == pytest.approx(1 - 2 / 24)
+    assert_sound(result.mesh, result.triangle_source, mesh)
+    assert outside_charts(result.mesh, result.triangle_source, mesh) == 0
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.002, 0.02])
+def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
+    mesh = textured("Duck.glb")
+    result = simplify(mesh, ratio=0.05, max_seam_drift=bound)
+    assert result.seam_drift is not None
+    assert result.seam_drift <= bound
+    assert result.mesh.texture is not None
+    assert mesh.texture is not None
+    of, now = charts(mesh), charts(mesh)[result.triangle_source]
+    for chart in np.unique(now):
+        seams = _border(result.mesh, now == chart)
+        points = _border(mesh, of == chart).reshape(-1, 2)
+        assert _distances(points, seams).max() <= result.seam_drift + 1e-9
+
+
+def _border(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
+    """Sides (k, 2, 2) of chosen triangles' image that no other of them has."""
+    assert mesh.texture is not None
+    uvs = mesh.texture.uvs[chosen]
+    sides = np.stack([uvs, np.roll(uvs, -1, axis=1)], axis=2).reshape(-1, 2, 2)
+    flip = (sides[:, 0, 0] > sides[:, 1, 0]) | (
+        (sides[:, 0, 0] == sides[:, 1, 0]) & (sides[:, 0, 1] > sides[:, 1, 1])
+    )
+    key = np.where(flip[:, None, None], sides[:, ::-1], sides)
+    unique, counts = np.unique(key.reshape(-1, 4), axis=0, return_counts=True)
+    return unique[counts == 1].reshape(-1, 2, 2)
+
+
+def _distances(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
+    a, b = segments[:, 0], segments[:, 1]
+    along = b - a
+    t = ((points[:, None] - a) * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-300)
+    nearest = a + np.clip(t, 0, 1)[..., None] * along
+    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1))
+
+
+def test_without_a_collapse_everything_stays_to_the_bit() -> None:
+    for mesh in (wrapped_ball(8, 10), folded_strips()):
+        result = simplify(mesh, method="seams", ratio=1.0)
+        assert result.collapses == 0
+        np.testing.assert_array_equal(corner_attributes(result.mesh), corner_attributes(mesh))
+
+
+def test_equal_input_gives_equal_bytes_and_memory_order_does_not_matter_to_the_promise() -> None:
+    mesh = wrapped_ball()
+    one, other = (simplify(mesh, ratio=0.2) for _ in range(2))
+    np.testing.assert_array_equal(corner_attributes(one.mesh), corner_attributes(other.mesh))
+    rng = np.random.default_rng(3)
+    order = rng.permutation(len(mesh.triangles))
+    shuffled = mesh.with_triangles(mesh.triangles[order], order)
+    result = simplify(shuffled, ratio=0.2)
+    assert_sound(result.mesh, result.triangle_source, shuffled)
+
+
+# -- attributes of corners -------------------------------------------------------------------------------
+
+
+def test_colours_that_differ_between_copies_stay_apart() -> None:
+    mesh = folded_strips(24, 9)
+    colors = np.where(np.arange(len(mesh.vertices))[:, None] < 24 * 5, [250, 20, 20], [20, 20, 250])
+    painted = mesh.with_(colors=colors.astype(np.uint8))
+    result = simplify(painted, ratio=0.2)
+    assert result.mesh.colors is not None
+    assert set(map(tuple, result.mesh.colors.tolist())) == {(250, 20, 20), (20, 20, 250)}
+    positions, counts = np.unique(result.mesh.vertices, axis=0, return_counts=True)
+    assert counts.max() == 2
+    assert np.abs(positions[counts == 2][:, 1] - 4).max() < 0.01
+
+
+def test_normals_of_corners_follow_sharp_edges() -> None:
+    cubes = two_cubes(1.0)
+    corners = cubes.vertices[cubes.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    mesh = cubes.with_(corner_normals=np.repeat(normals[:, None], 3, axis=1))
+    result = simplify(mesh, method="seams", triangles=24)
+    light = result.mesh
+    assert len(light.triangles) == 24
+    assert light.corner_normals is not None
+    corners = light.vertices[light.triangles]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    np.testing.assert_allclose(light.corner_normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-6)
+
+
+def test_a_palette_whose_triangles_have_no_area_in_the_image() -> None:
+    mesh = wrapped_ball()
+    assert mesh.texture is not None
+    north = mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0
+    uvs = np.where(north[:, None, None], [0.25, 0.25], [0.75, 0.25]) + np.zeros((len(north), 3, 2))
+    palette = mesh.with_(texture=Texture(uvs, mesh.texture.material_ids, mesh.texture.materials))
+    result = simplify(palette, ratio=0.1)
+    assert result.stopped_by == "triangles"
+    assert result.mesh.texture is not None
+    assert {tuple(uv) for uv in result.mesh.texture.uvs.reshape(-1, 2).tolist()} == {
+        (0.25, 0.25),
+        (0.75, 0.25),
+    }
+    assert edge_counts(welded(result.mesh)) == (0, 0)
+
+
+# -- similar vertices and the paper's knobs --------------------------------------------------------------
+
+
+def test_similar_sets_are_chains_of_close_vertices() -> None:
+    vertices = np.array([[0, 0, 0], [5, 0, 0], [0.9, 0, 0], [1.8, 0, 0], [5, 0, 0], [9, 9, 9]], float)
+    none = np.zeros((0, 3), np.int32)
+    assert similar_sets(vertices, none, 0.0)[0].tolist() == [0, 1, 2, 3, 1, 4]
+    sets, positions = similar_sets(vertices, none, 1.0)
+    assert sets.tolist() == [0, 1, 0, 0, 1, 2]
+    np.testing.assert_allclose(positions[[0, 2, 3]], [[0.9, 0, 0]] * 3)
+    np.testing.assert_array_equal(positions[[1, 4, 5]], vertices[[1, 4, 5]])
+    # The ends of an edge are not copies of each other.
+    assert similar_sets(vertices, np.array([[0, 2, 5]], np.int32), 1.0)[0].tolist() == [0, 1, 2, 2, 1, 3]
+
+
+def test_similar_distance_joins_parts_that_only_touch() -> None:
+    mesh = two_cubes(gap=1e-3)
+
+    def bodies(light: Mesh) -> int:
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        t = welded(light)
+        ends = t[:, [0, 1, 1, 2]].reshape(-1, 2)
+        links = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(t.max() + 1,) * 2)
+        return int(connected_components(links, directed=False)[0])
+
+    apart = simplify(mesh, method="seams", ratio=0.3)
+    assert bodies(apart.mesh) == 2
+    joined = simplify(mesh, method="seams", ratio=0.3, similar_distance=2e-3)
+    assert bodies(joined.mesh) == 1
+    assert joined.joined_vertices is not None
+    assert apart.joined_vertices is not None
+    assert joined.joined_vertices - apart.joined_vertices == 81
+
+
+def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> None:
+    nearly = 1e-7
+    cubes = two_cubes(gap=nearly)
+    sets, positions, apart = joinable_sets(cubes.vertices, cubes.triangles, 2 * nearly)
+    np.testing.assert_array_equal(positions, cubes.vertices)
+    assert len(np.unique(sets)) == len(np.unique(cubes.vertices, axis=0))
+    facing = np.isclose(cubes.vertices[:, 0], 0.5, atol=1e-5)
+    np.testing.assert_array_equal(apart, facing)
+    light = simplify(cubes, method="seams", ratio=0.3)
+    assert edge_counts(welded(light.mesh)) == (0, 0)
+    assert overlapping(welded(light.mesh)) == 0
+
+    # The second copy of the middle row is off by a rounding error: the sheet is one all the same.
+    sheet = folded_strips()
+    vertices = sheet.vertices.copy()
+    copies = np.setdiff1d(np.arange(len(vertices)), np.unique(vertices, axis=0, return_index=True)[1])
+    vertices[copies] += nearly
+    shaken = sheet.with_(vertices=vertices)
+    assert edge_counts(welded(shaken))[0] > edge_counts(welded(sheet))[0]
+    assert not joinable_sets(vertices, sheet.triangles, 2 * nearly)[2].any()
+    light = simplify(shaken, ratio=0.3)
+    assert light.joined_vertices == len(copies)
+    assert edge_counts(welded(light.mesh))[0] <= edge_counts(welded(sheet))[0]
+
+
+def test_auto_takes_seams_for_what_only_seams_carries() -> None:
+    mesh = two_cubes(gap=0.5)
+    assert simplify(mesh, ratio=0.3).method == "seams"
+    plain = Mesh(mesh.vertices, mesh.triangles)
+    assert simplify(plain, ratio=0.3).method == "quadric"
+    one_part = plain.with_(part_ids=np.zeros(len(plain.triangles), np.int32), part_names=("box",))
+    assert simplify(one_part, ratio=0.3).method == "quadric"
+    colored = Texture(
+        np.zeros((len(mesh.triangles), 3, 2)),
+        np.repeat([0, 1], len(mesh.triangles) // 2).astype(np.int32),
+        (Material("red", base_color=(1, 0, 0, 1)), Material("blue", base_color=(0, 0, 1, 1))),
+    )
+    light = simplify(plain.with_(texture=colored), ratio=0.3)
+    assert light.method == "seams"
+    assert light.mesh.texture is not None
+    left = light.mesh.vertices[light.mesh.triangles].mean(axis=1)[:, 0] < 0.75
+    np.testing.assert_array_equal(light.mesh.texture.material_ids, np.where(left, 0, 1))
+    corners = np.broadcast_to([0.0, 0.0, 1.0], (len(mesh.triangles), 3, 3)).copy()
+    assert simplify(plain.with_(corner_normals=corners), ratio=0.3).method == "seams"
+
+
+def test_a_penalty_puts_off_what_it_is_for() -> None:
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+    parts = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
+    halves = mesh.with_(part_ids=parts, part_names=("back", "front"))
+
+    def left_on_border(**changes: Any) -> int:
+        result = simplify(halves, method="seams", ratio=0.1, **changes)
+        t = result.mesh.triangles
+        by_part = [set(t[result.mesh.part_ids == part].reshape(-1).tolist()) for part in (0, 1)]
+        return len(by_part[0] & by_part[1])
+
+    assert left_on_border(across_parts=1000) > left_on_border(across_parts=0)
+
+
+def test_importance_keeps_triangles_where_it_is() -> None:
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+    upper = mesh.vertices[:, 2] > 0
+
+    def share_above(**changes: Any) -> float:
+        light = simplify(mesh, method="seams", ratio=0.1, **changes)
+        assert_sound(light.mesh, light.triangle_source, mesh)
+        return float((light.mesh.vertices[light.mesh.triangles].mean(axis=1)[:, 2] > 0).mean())
+
+    assert share_above(importance=np.where(upper, 50.0, 1.0)) > 1.25 * share_above()
+    np.testing.assert_array_equal(
+        simplify(mesh, ratio=0.1, importance=np.full(len(upper), 1.0)).mesh.vertices,
+        simplify(mesh, ratio=0.1).mesh.vertices,
+    )
+
+
+def test_high_valence_is_put_off() -> None:
+    mesh = folded_strips(40, 41)
+
+    def beyond_eight(**changes: Any) -> int:
+        light = simplify(mesh, method="seams", ratio=0.2, **changes).mesh
+        return int(np.maximum(np.bincount(welded(light).reshape(-1)) - 8, 0).sum())
+
+    assert beyond_eight(valence_penalty=10) < beyond_eight(valence_penalty=0)
+
+
+def test_materials_are_borders() -> None:
+    mesh = wrapped_ball()
+    assert mesh.texture is not None
+    ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
+    two = Texture(mesh.texture.uvs, ids, (*mesh.texture.materials, Material("other")))
+    result = simplify(mesh.with_(texture=two), ratio=0.1)
+    assert_sound(result.mesh, result.triangle_source, mesh.with_(texture=two))
+    assert result.mesh.texture is not None
+    border = set.intersection(
+        *(
+            set(result.mesh.triangles[result.mesh.texture.material_ids == i].reshape(-1).tolist())
+            for i in (0, 1)
+        )
+    )
+    assert len(border) >= 3
+    # Materials meet at the equator, and stay there.
+    assert np.abs(result.mesh.vertices[list(border), 2]).max() < 0.15
+
+
+def test_locked_vertices_stay() -> None:
+    mesh = wrapped_ball()
+    locked = np.flatnonzero(mesh.vertices[:, 2] > 0.8)
+    result = simplify(mesh, ratio=0.2, lock=locked)
+    kept = {tuple(v) for v in result.mesh.vertices.tolist()}
+    assert {tuple(v) for v in mesh.vertices[locked].tolist()} <= kept
+
+
+# -- what is chosen, and what is refused -----------------------------------------------------------------
+
+
+def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
+    mesh = folded_strips(20, 11)
+    assert mesh.texture is not None
+    back = mesh.triangles[:, ::-1]
+    both = Mesh(
+        mesh.vertices,
+        np.concatenate([mesh.triangles, back]),
+        texture=mesh.texture.rows(np.tile(np.arange(len(back)), 2)),
+    )
+    result = simplify(both, ratio=0.2)
+    # What nothing has happened to is as it was.
+    np.testing.assert_array_equal(result.mesh.vertices[result.mesh.triangles], both.vertices[both.triangles])
+    assert len(result.mesh.vertices) <= len(both.vertices)
+    (warning,) = result.warnings
+    assert "doubled faces" in warning
+    light = simplify(clean(both).mesh, ratio=0.2)
+    assert light.stopped_by == "triangles"
+    assert not light.warnings
+
+
+def test_auto_takes_seams_for_textured_meshes_and_for_its_own_parameters() -> None:
+    mesh = wrapped_ball(8, 10)
+    assert simplify(mesh, ratio=0.5).method == "seams"
+    assert simplify(mesh.with_(texture=None), ratio=0.5).method == "quadric"
+    assert simplify(mesh.with_(texture=None), ratio=0.5, similar_distance=0.0).method == "seams"
+    assert simplify(mesh, max_shape=0.05).method == "certified"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"method": "seams"}, "needs a number of triangles"),
+        ({"method": "seams", "ratio": 0.5, "max_shape": 0.1}, "max_shape has no meaning for method seams"),
+        ({"method": "quadric", "ratio": 0.5, "across_parts": 1.0}, "across_parts has no meaning"),
+        ({"ratio": 0.5, "texture_weight": -1.0}, "texture_weight"),
+        ({"ratio": 0.5, "similar_distance": 5.0}, "similar_distance 5 m is far more"),
+    ],
+)
+def test_parameters_that_do_not_fit(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        simplify(wrapped_ball(), **changes)
+
+
+def test_what_touches_in_many_sheets_is_left_whole() -> None:
+    """Three sheets that share an edge, each with copies of its own vertices: no manifold at all."""
+    n = 9
+    x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
+    at = np.arange(n * n).reshape(n, n)
+    squares = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=2).reshape(-1, 4)
+    one = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    turned = [(x.ravel() * np.cos(angle), x.ravel() * np.sin(angle), y.ravel()) for angle in (0, 2, 4)]
+    vertices = np.concatenate([np.column_stack(sheet) for sheet in turned])
+    triangles = np.concatenate([one + i * n * n for i in range(3)]).astype(np.int32)
+    mesh = Mesh(vertices, triangles)
+    result = simplify(mesh, method="seams", ratio=0.2)
+    assert_sound(result.mesh, result.triangle_source, mesh)
+    on_axis = np.unique(result.mesh.vertices[np.abs(result.mesh.vertices[:, :2]).max(axis=1) == 0], axis=0)
+    assert len(on_axis) == n
+
+
+@pytest.mark.parametrize("name", ["bunny_nonmanifold.ply", "cow_nonmanifold.off", "moebius.obj", "fan3.obj"])
+def test_broken_files_give_a_result_that_is_no_worse(name: str) -> None:
+    path = DATA.parent / "broken" / name
+    if not path.exists():
+        pytest.skip(f"{name} is not here")
+    mesh = read_mesh(path)
+    result = simplify(mesh, method="seams", ratio=0.3)
+    assert_sound(result.mesh, result.triangle_source, mesh)
+
+
+def test_a_mesh_without_triangles_stays_one() -> None:
+    result = simplify(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), method="seams", ratio=0.5)
+    assert len(result.mesh.triangles) == 0
+
+
+# -- the progressive record ------------------------------------------------------------------------------
+
+
+def recorded() -> tuple[Mesh, Simplified, SeamRecord]:
+    mesh = folded_strips(24, 9)
+    colors = np.arange(3 * len(mesh.vertices)).reshape(-1, 3) % 256
+    mesh = mesh.with_(colors=colors.astype(np.uint8), part_ids=None)
+    result = simplify(mesh, ratio=0.1, record=True, fit=False)
+    assert isinstance(result.record, SeamRecord)
+    return mesh, result, result.record
+
+
+def assert_equal(one: Mesh, other: Mesh) -> None:
+    np.testing.assert_array_equal(corner_attributes(one), corner_attributes(other))
+    np.testing.assert_array_equal(one.triangles, other.triangles)
+    np.testing.assert_array_equal(one.colors, other.colors)
+
+
+def test_the_record_replays_to_the_result_and_to_every_mesh_on_the_way() -> None:
+    mesh, result, record = recorded()
+    assert_equal(record.replay().mesh, result.mesh)
+    assert_equal(record.replay(collapses=0).mesh, simplify(mesh, method="seams", ratio=1.0).mesh)
+    for collapses in range(0, len(record.removed) + 1, 7):
+        replayed = record.replay(collapses=collapses)
+        assert len(replayed.mesh.triangles) == record.triangles_after(collapses)
+        assert_sound(replayed.mesh, replayed.triangle_source, mesh)
+    stopped = simplify(mesh, method="seams", ratio=0.4, fit=False)
+    assert_equal(record.replay(ratio=0.4).mesh, stopped.mesh)
+    with pytest.raises(UsageError, match="the record ends at"):
+        record.replay(triangles=1)
+
+
+def test_the_record_survives_its_file(tmp_path: Path) -> None:
+    _, result, record = recorded()
+    record.save(tmp_path / "light.npz")
+    loaded = load_record(tmp_path / "light.npz")
+    assert isinstance(loaded, SeamRecord)
+    assert_equal(loaded.replay().mesh, result.mesh)
+    texture = loaded.mesh.texture
+    assert texture is not None
+    assert texture.materials[0].image is not None
+    assert texture.materials[0].name == "sheet"
+    assert record.mesh.texture is not None
+    np.testing.assert_array_equal(texture.images[0].pixels, record.mesh.texture.images[0].pixels)
+
+
+@pytest.mark.parametrize(
+    "name", ["removed", "wedge_survivor", "changed_to", "corner_wedge", "columns", "words"]
+)
+@pytest.mark.parametrize("damage", ["missing", "cut", "out of range"])
+def test_a_damaged_record_is_refused(tmp_path: Path, name: str, damage: str) -> None:
+    _, _, record = recorded()
+    record.save(tmp_path / "light.npz")
+    with np.load(tmp_path / "light.npz") as content:
+        arrays = dict(content)
+    whole = arrays.pop(name)
+    if damage != "missing":
+        beyond = np.full_like(whole, np.nan if whole.dtype.kind == "f" else 10**9) if whole.ndim else whole
+        arrays[name] = (whole[:-1] if damage == "cut" else beyond) if whole.ndim else np.array("{")
+    np.savez(tmp_path / "bad.npz", **arrays)
+    with pytest.raises(InputError, match=r"bad\.npz"):
+        load_record(tmp_path / "bad.npz")

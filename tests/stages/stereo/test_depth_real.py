@@ -1,0 +1,130 @@
+"""Depth of real pairs with ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from stages.scans.images import read_color, read_right
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame, StereoRig
+from stages.stereo.depth import DepthMap, depth, depth_scan
+
+
+def read_pfm(path: Path) -> np.ndarray:
+    with path.open("rb") as file:
+        assert file.readline().strip() == b"Pf"
+        width, height = map(int, file.readline().split())
+        order = "<f4" if float(file.readline()) < 0 else ">f4"
+        return np.flipud(np.frombuffer(file.read(), order).reshape(height, width))
+
+
+def visible(truth: np.ndarray) -> np.ndarray:
+    """Pixels whose true match in the right image is not hidden by a nearer one."""
+    height, width = truth.shape
+    rows, columns = np.nonzero(np.isfinite(truth))
+    disparity = truth[rows, columns]
+    target = np.round(columns - disparity).astype(int)
+    inside = target >= 0
+    rows, columns, disparity, target = (x[inside] for x in (rows, columns, disparity, target))
+    nearest = np.full((height, width), -np.inf)
+    np.maximum.at(nearest, (rows, target), disparity)
+    seen = np.zeros((height, width), bool)
+    seen[rows, columns] = disparity >= nearest[rows, target] - 1
+    return seen
+
+
+def require(result: DepthMap, truth: np.ndarray, *, wrong: float, covered: float) -> None:
+    used, seen = result.depth > 0, visible(truth)
+    judged = used & np.isfinite(truth)
+    assert np.mean(np.abs(result.disparity - truth)[judged] > 2) <= wrong
+    assert np.mean(used[seen]) >= covered
+    left = seen[:, : truth.shape[1] // 8]
+    assert np.mean(used[:, : left.shape[1]][left]) >= covered - 0.1
+
+
+def test_motorcycle(shared_data: Path) -> None:
+    folder = shared_data / "stereo/middlebury2014_motorcycle"
+    scan = read_scan(folder)
+    (_, result), *rest = depth_scan(scan)
+
+    assert not rest
+    assert isinstance(result, DepthMap)
+    assert result.warnings == ()
+    truth = read_pfm(folder / "disp0.pfm")
+    require(result, truth, wrong=0.02, covered=0.85)
+    # f 994.978 px, baseline 193.001 mm, doffs 31.086 px.
+    z = 994.978 * 0.193001 / (truth + 31.086)
+    used = (result.depth > 0) & np.isfinite(truth)
+    assert np.median(np.abs(result.depth - z)[used] / z[used]) < 0.005
+
+
+def test_cones(shared_data: Path) -> None:
+    """The same defaults on another pair, whose calibration is made up."""
+    import cv2
+
+    folder = shared_data / "stereo/middlebury2003_cones"
+    left, right = (next(folder.glob(f"{name}.*")) for name in ("im2", "im6"))
+    camera = Camera(450, 375, 600.0, 600.0, 224.5, 187.0)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -0.1
+    frame = Frame("cones", camera, color=left, right=right)
+    first, second = read_color(frame), read_right(frame)
+    assert first is not None
+    assert second is not None
+    result = depth(first, second, StereoRig(camera, camera, right_from_left, rectified=True))
+
+    truth = cv2.imread(str(folder / "disp2.pgm"), cv2.IMREAD_UNCHANGED) / 4.0
+    truth[truth == 0] = np.inf
+    require(result, truth, wrong=0.01, covered=0.85)
+
+
+def test_street_agrees_with_itself_from_frame_to_frame(shared_data: Path) -> None:
+    """Depth of one frame, moved by the given poses into the next, is what is measured there."""
+    scan = read_scan(shared_data / "stereo/kitti_sequence_1")
+    pairs = [scan.frames[i] for i in (8, 9)]
+    (here, near), (there, far) = depth_scan(type(scan)(scan.layout, pairs, scan.rig))
+    assert isinstance(near, DepthMap)
+    assert isinstance(far, DepthMap)
+    assert here.world_from_camera is not None
+    assert there.world_from_camera is not None
+
+    camera = here.camera
+    rows, columns = np.nonzero(near.depth)
+    z = near.depth[rows, columns].astype(np.float64)
+    points = np.stack(
+        [(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z, z * 0 + 1]
+    )
+    moved = np.linalg.inv(there.world_from_camera) @ here.world_from_camera @ points
+    moved = moved[:, moved[2] > 1]
+    u = np.round(camera.fx * moved[0] / moved[2] + camera.cx).astype(int)
+    v = np.round(camera.fy * moved[1] / moved[2] + camera.cy).astype(int)
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    expected = camera.fx * 0.5371 / moved[2, inside]
+    measured = far.depth[v[inside], u[inside]]
+    difference = np.abs(expected - camera.fx * 0.5371 / np.where(measured > 0, measured, np.nan))
+    difference = difference[np.isfinite(difference)]
+    assert len(difference) > 80_000
+    assert np.median(difference) < 0.4
+    assert np.mean(difference > 1) < 0.08
+    # The road: its lower middle part is nearly closed in one frame already.
+    assert np.mean(near.depth[280:360, 450:750] > 0) > 0.85
+
+
+def test_unrectified_room_has_common_rows_once_turned(shared_data: Path) -> None:
+    scan = read_scan(shared_data / "stereo/euroc_V1_01_easy_static")
+    assert scan.rig is not None
+    assert not scan.rig.rectified
+    (frame, result), *_ = depth_scan(type(scan)(scan.layout, scan.frames[:1], scan.rig))
+
+    assert isinstance(result, DepthMap)
+    assert result.warnings == ()
+    assert frame.camera.distortion == ()
+    assert np.mean(result.depth > 0) > 0.65
+    # The floor in front of the rig: one plane, to the noise of a quarter of a pixel at 2 m.
+    part = result.disparity[300:420, 150:350]
+    rows, columns = np.nonzero(result.depth[300:420, 150:350])
+    plane = np.column_stack([rows, columns, np.ones(len(rows))])
+    fit, *_ = np.linalg.lstsq(plane, part[rows, columns], rcond=None)
+    assert np.median(np.abs(plane @ fit - part[rows, columns])) < 0.25

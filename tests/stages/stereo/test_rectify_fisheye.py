@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+
+from stages.errors import InputError
+from stages.scans.images import read_color
+from stages.scans.scan import Camera, Frame, StereoRig
+from stages.stereo.rectify import rectified_rig
+
+SIZE = (160, 120)
+FOCAL, CENTRE = 60.0, (82.0, 57.0)
+CAMERA = Camera(*SIZE, FOCAL, FOCAL, *CENTRE, (0.0, 0.0, 0.0, 0.0), fisheye=True)
+# By hand: a point 45 degrees aside lies a quarter of pi times the focal length from the centre.
+ASIDE = np.array([1.0, 0.0, 1.0])
+POINTS = (np.array([0.8, 0.4, 1.5]), np.array([-0.5, -0.7, 1.2]), np.array([0.2, 0.1, 2.0]))
+
+
+def seen(point):
+    """Pixel of a point in camera axes through an equidistant lens: the angle off the axis is the length."""
+    x, y, z = point
+    aside = np.hypot(x, y)
+    length = FOCAL * np.arctan2(aside, z)
+    return np.array(CENTRE) + length * np.array([x, y]) / aside
+
+
+def dotted(pixel):
+    v, u = np.mgrid[: SIZE[1], : SIZE[0]]
+    spot = np.exp(-((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2) / 4)
+    return np.repeat((255 * spot).astype(np.uint8)[:, :, None], 3, axis=2)
+
+
+def centroid(image):
+    weight = image[:, :, 0].astype(float)
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+    return np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
+
+
+def test_the_lens_by_hand():
+    np.testing.assert_allclose(seen(ASIDE), (CENTRE[0] + FOCAL * np.pi / 4, CENTRE[1]))
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_a_fisheye_pair_meets_on_a_row_and_at_its_depth(point):
+    # The right camera stands 0.1 m to the right and looks 3 degrees inward.
+    c, s = np.cos(np.radians(3)), np.sin(np.radians(3))
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    right_from_left[:3, 3] = right_from_left[:3, :3] @ (-0.1, 0, 0)
+    rig = StereoRig(CAMERA, CAMERA, right_from_left, rectified=False)
+    rectified = rectified_rig(rig)
+    there = (right_from_left @ (*point, 1))[:3]
+    left, right = (centroid(image) for image in rectified.apply(dotted(seen(point)), dotted(seen(there))))
+    assert abs(left[1] - right[1]) < 0.3
+    x, y, z = rectified.rectified_from_left @ point
+    expected = (rectified.left.fx * x / z + rectified.left.cx, rectified.left.fy * y / z + rectified.left.cy)
+    np.testing.assert_allclose(left, expected, atol=0.3)
+    depth = rectified.focal_baseline / (left[0] - right[0] + rectified.principal_offset)
+    np.testing.assert_allclose(depth, z, rtol=0.1)
+    assert rectified.baseline == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_colour_of_a_fisheye_depth_camera_becomes_a_pinhole_image(point):
+    frame = Frame("0", CAMERA, color=dotted(seen(point)), depth=np.ones(SIZE[::-1], np.float32))
+    x, y, z = point
+    np.testing.assert_allclose(
+        centroid(read_color(frame)), (FOCAL * x / z + CENTRE[0], FOCAL * y / z + CENTRE[1]), atol=0.3
+    )
+
+
+def test_a_fisheye_beside_another_camera_is_refused():
+    straight = Camera(*SIZE, FOCAL, FOCAL, *CENTRE)
+    beside = np.eye(4)
+    beside[0, 3] = -0.1
+    with pytest.raises(InputError, match="both must be of a kind"):
+        rectified_rig(StereoRig(CAMERA, straight, beside, rectified=False))

@@ -1,0 +1,468 @@
+"""Depth of single views with poses, on a made scene whose depth is known, and on a real one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import posed_scene
+import pytest
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from stages import read_scan, views_depth
+from stages.errors import InputError
+from stages.registration.sift import keypoints, matches
+from stages.scans.images import read_depth
+from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
+from stages.stereo.agreement import agreeing_views, merged
+from stages.stereo.background import measurable
+from stages.stereo.depth import DepthMap, DepthParams
+from stages.stereo.partners import affinity, partners
+from stages.stereo.posed_views import PosedView, posed_views
+from stages.stereo.recognised import neighbours, recognised
+from stages.stereo.scene_depth import estimated_box, ranged_views
+from stages.stereo.view_pair import depth_in_view, rectified_views
+
+
+def view(pose: np.ndarray, near: float = 0.8, far: float = 1.6) -> PosedView:
+    return PosedView(posed_scene.CAMERA, pose, near, far)
+
+
+def ring(*angles: float) -> list[PosedView]:
+    return [view(posed_scene.pose(angle, 0)) for angle in angles]
+
+
+def dot(where: tuple[float, float], camera: Camera) -> np.ndarray:
+    """Return an image that is black but for a soft spot."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    spot = 250 * np.exp(-((u - where[0]) ** 2 + (v - where[1]) ** 2) / 8)
+    return np.repeat(spot.astype(np.uint8)[..., None], 3, axis=2)
+
+
+def centre_of(image: np.ndarray) -> np.ndarray:
+    weight = image[..., 0].astype(float)
+    v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
+    return np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
+
+
+@pytest.mark.parametrize("rolls", [(0, 0), (180, 180), (90, 90), (-90, -90), (37, 37), (0, 180), (90, 20)])
+@pytest.mark.parametrize("angle", [9, -9])
+def test_a_point_lies_on_one_row_of_both_rectified_images(rolls: tuple[float, float], angle: float) -> None:
+    first, second = view(posed_scene.pose(2, rolls[0])), view(posed_scene.pose(2 + angle, rolls[1]))
+    pair = rectified_views(first, second)
+    assert pair is not None
+    rig, near, far = pair
+    assert rig.baseline == pytest.approx(np.linalg.norm(second.centre - first.centre))
+    for point in np.array([(0, 0, -0.2), (0.1, -0.12, 0.1), (-0.15, 0.1, 0.25)]):
+        images = []
+        for one in (first, second):
+            u, v, _ = one.project(point)
+            assert one.holds(u, v)
+            images.append(dot((float(u), float(v)), one.camera))
+        left, right = (centre_of(image) for image in rig.apply(*images))
+        assert abs(left[1] - right[1]) < 0.1
+        seen = rig.rectified_from_left @ first.world_from_camera[:3, :3].T @ (point - first.centre)
+        assert near <= seen[2] <= far
+        # z = f b / (d + offset), and the spot is where the rectified camera puts the point.
+        depth = rig.focal_baseline / (left[0] - right[0] + rig.principal_offset)
+        assert depth == pytest.approx(seen[2], rel=2e-3)
+        expected = seen[:2] / seen[2] * rig.left.fx + (rig.left.cx, rig.left.cy)
+        np.testing.assert_allclose(left, expected, atol=0.1)
+
+
+def test_views_one_behind_the_other_or_in_one_place_make_no_pair() -> None:
+    first = view(posed_scene.pose(0, 0))
+    assert rectified_views(first, view(posed_scene.pose(0, 90))) is None
+    assert rectified_views(first, view(posed_scene.pose(0, 0, distance=1.4))) is None
+
+
+def test_depth_comes_back_along_the_views_own_axis() -> None:
+    first, second = view(posed_scene.pose(-4, 30)), view(posed_scene.pose(4, 30))
+    pair = rectified_views(first, second)
+    assert pair is not None
+    rig = pair[0]
+    # The board, z = 0.25 in the world, as the rectified camera measures it.
+    u, v = np.meshgrid(np.arange(rig.left.width), np.arange(rig.left.height))
+    rays = np.stack(
+        [(u - rig.left.cx) / rig.left.fx, (v - rig.left.cy) / rig.left.fy, np.ones(u.shape)], axis=-1
+    )
+    way = rays @ rig.rectified_from_left @ first.world_from_camera[:3, :3].T
+    rectified = ((0.25 - first.centre[2]) / way[..., 2]).astype(np.float32)
+    trust = np.full(rectified.shape, 200, np.uint8)
+
+    depth, confidence = depth_in_view(rectified, trust, rig, first, second)
+
+    camera = posed_scene.CAMERA
+    u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    way = first.rays(u, v) @ first.world_from_camera[:3, :3].T
+    truth = (0.25 - first.centre[2]) / way[..., 2]
+    inside = second.holds(*second.project(first.to_world(first.rays(u, v) * truth[..., None]))[:2])
+    assert inside.mean() > 0.7
+    np.testing.assert_allclose(depth[inside], truth[inside], rtol=1e-5)
+    assert not depth[~inside].any()
+    np.testing.assert_array_equal(confidence, np.where(inside, 200, 0))
+
+
+def test_depth_of_a_made_scene() -> None:
+    scan, truth = posed_scene.scan()
+    told: list[tuple[int, int]] = []
+
+    results = list(views_depth(scan, DepthParams(), lambda done, total: told.append((done, total))))
+
+    assert told[-1] == (14, 14)
+    for (frame, result), given, true in zip(results, scan.frames, truth, strict=True):
+        assert isinstance(result, DepthMap)
+        assert frame.name == given.name
+        np.testing.assert_array_equal(frame.world_from_camera, given.world_from_camera)
+        assert frame.camera == posed_scene.CAMERA
+        assert frame.depth is result.depth
+        np.testing.assert_array_equal(result.color, given.color)
+        used = result.depth > 0
+        # A pixel of disparity between neighbours is 1.2 m / (300 px · 0.147 m), 2.7 % of depth.
+        wrong = np.abs(result.depth - true)[used & (true > 0)] / true[used & (true > 0)]
+        assert np.median(wrong) < 0.003
+        assert np.mean(wrong > 0.02) < 0.02
+        assert np.mean(used[true > 0]) > 0.55
+        # The black around is no surface, but for a rim.
+        assert not used[~binary_dilation(true > 0, iterations=3)].any()
+        assert np.mean(used[true == 0]) < 0.05
+
+
+def test_results_do_not_depend_on_threads() -> None:
+    scan, _ = posed_scene.scan()
+    scan = replace(scan, frames=scan.frames[:4])
+    one, two = (list(views_depth(scan, DepthParams(threads=n))) for n in (1, 2))
+    for (_, first), (_, second) in zip(one, two, strict=True):
+        np.testing.assert_array_equal(first.depth, second.depth)
+
+
+def test_nothing_is_kept_outside_a_stated_box() -> None:
+    scan, truth = posed_scene.scan()
+    ball = np.array([[-0.23, -0.23, -0.23], [0.23, 0.23, 0.0]])
+    (_, result) = list(views_depth(replace(scan, box=ball)))[3]
+    at = np.array(scan.frames[3].world_from_camera)
+    assert np.mean(result.depth[(truth[3] > 0) & (truth[3] < 1.15)] > 0) > 0.7
+    rows, columns = np.nonzero(result.depth)
+    one = view(at)
+    points = one.to_world(
+        one.rays(columns.astype(float), rows.astype(float)) * result.depth[rows, columns, None]
+    )
+    margin = 0.02 * np.linalg.norm(ball[1] - ball[0])
+    assert (points >= ball[0] - margin - 1e-6).all()
+    assert (points <= ball[1] + margin + 1e-6).all()
+
+
+def test_a_planted_wrong_depth_is_agreed_with_by_none() -> None:
+    scan, truth = posed_scene.scan()
+    views = [view(np.array(frame.world_from_camera)) for frame in scan.frames]
+    depth = truth[3].astype(np.float32)
+    depth[80:100, 110:130] *= 0.95
+    others = [(views[at], truth[at].astype(np.float32)) for at in (1, 2, 4, 5)]
+
+    count = agreeing_views(views[3], depth, others, 0.01)
+
+    assert not count[80:100, 110:130].any()
+    sound = truth[3] > 0
+    sound[75:105, 105:135] = False
+    assert np.mean(count[sound] >= 2) > 0.9
+    assert not count[truth[3] == 0].any()
+
+
+def test_merging_takes_what_most_partners_say() -> None:
+    depths = [np.full((1, 4), z, np.float32) for z in (1.0, 1.004, 2.0)]
+    depths[0][0, 1] = depths[1][0, 1] = 0
+    depths[0][0, 2] = depths[1][0, 2] = depths[2][0, 2] = 0
+    depths[2][0, 3] = 1.008
+    confidences = [np.full((1, 4), c, np.uint8) for c in (10, 20, 30)]
+
+    depth, confidence = merged(depths, confidences, 0.01)
+
+    np.testing.assert_allclose(depth, [[1.002, 2.0, 0, 1.004]], rtol=1e-6)
+    np.testing.assert_array_equal(confidence, [[20, 30, 0, 30]])
+
+
+def test_partners_are_a_little_aside() -> None:
+    views = ring(0, 0.3, 8, 20, 60, 180, -6)
+    assert partners(views, 0, 2) == [2, 6]
+    # Not the view in the same place, nor those that look from too far aside or from behind.
+    assert partners(views, 0, 9) == [2, 6, 3]
+    assert affinity(views[0], views[1]) == 0
+    away = posed_scene.pose(8, 0)
+    away[:3, :3] = away[:3, :3] @ np.diag((-1.0, 1.0, -1.0))
+    assert affinity(views[0], view(away)) == 0
+
+
+def test_texture_is_told_from_a_backdrop_and_its_rim() -> None:
+    image = np.random.default_rng(1).normal(10, 1, (60, 80)).round().clip(0, 255).astype(np.uint8)
+    image[:, :40] = np.random.default_rng(2).integers(50, 200, (60, 40))
+    found = measurable(image, 3.0)
+    assert found[:, :38].all()
+    assert not found[:, 42:].any()
+
+
+def test_the_scene_is_where_the_axes_meet() -> None:
+    views = [replace(v, near=0.0, far=np.inf) for v in ring(-20, 0, 30)]
+    box = estimated_box(views)
+    assert box is not None
+    # 1.2 m away, half of 240 px at 300 px focal length: 0.48 m around the origin.
+    np.testing.assert_allclose(box, [[-0.48] * 3, [0.48] * 3], atol=1e-9)
+
+
+def test_views_that_look_past_each_other_need_a_depth_range() -> None:
+    scan, _ = posed_scene.scan()
+    shifted = []
+    for number, frame in enumerate(scan.frames):
+        pose = posed_scene.pose(0, 0)
+        pose[0, 3] += 0.1 * number
+        other = np.random.default_rng(number).integers(0, 255, (180, 240, 3), np.uint8)
+        shifted.append(replace(frame, color=other, world_from_camera=pose))
+    scan = replace(scan, frames=shifted)
+    with pytest.raises(InputError, match=r"min_depth.*max_depth"):
+        list(views_depth(scan))
+    views = ranged_views(scan, posed_views(scan), [None] * 7, 0.5, 2.0)
+    assert {(one.near, one.far) for one in views} == {(0.5, 2.0)}
+
+
+def test_nothing_is_kept_where_a_mask_says_so() -> None:
+    scan, _ = posed_scene.scan()
+    mask = np.full((180, 240), 255, np.uint8)
+    mask[:, 130:] = 0
+    frames = list(scan.frames)
+    # The image of the third is upside down, and its mask with it.
+    frames[2] = upside_down(replace(frames[2], mask=mask))
+    frames[3] = replace(frames[3], mask=mask)
+    sound = [result.depth > 0 for _, result in views_depth(scan)]
+    found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
+    for at in (2, 3):
+        assert not found[at][:, 130:].any()
+        # A few pixels miss the agreement of what was masked in the other.
+        assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.002
+
+
+def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
+    """Of two views 7 degrees apart: the ball about 1 m, and the board about 1.45 m before them."""
+    scan, truth = posed_scene.scan()
+    views = posed_views(scan)
+    assert (0, 1) in neighbours(views)
+    points = [keypoints(frame.color[:, :, 0], 1000) for frame in scan.frames[:2]]
+
+    found = recognised(views[0], views[1], *points)
+
+    assert found.off < 0.5
+    same = matches(points[0].descriptors, points[1].descriptors)
+    for side, depth in enumerate(found.depths):
+        columns, rows = np.rint(points[side].pixels[same[:, side]]).astype(int).T
+        true = truth[side][rows, columns]
+        assert len(depth) > 50
+        np.testing.assert_allclose(
+            np.percentile(depth, (5, 50, 95)), np.percentile(true[true > 0], (5, 50, 95)), rtol=0.03
+        )
+    # From 30 cm below, the same points would be elsewhere.
+    away = np.array(scan.frames[1].world_from_camera)
+    away[1, 3] += 0.3
+    assert recognised(views[0], replace(views[1], world_from_camera=away), *points) is None
+
+
+def test_poses_that_do_not_fit_the_images_are_told() -> None:
+    scan, _ = posed_scene.scan()
+    assert not any(result.warnings for _, result in views_depth(scan))
+    # The principal point is 3 px off; the views are turned about their axes, each another way.
+    camera = replace(posed_scene.CAMERA, cy=posed_scene.CAMERA.cy + 3)
+    wrong = replace(scan, frames=[replace(frame, camera=camera) for frame in scan.frames])
+    with pytest.raises(
+        InputError, match=r"do not fit the images\. Give others .*depth\.max_pose_error, 1\.5 px"
+    ):
+        list(views_depth(wrong, DepthParams(max_pose_error=1.5)))
+    results = [one for _, one in views_depth(wrong, DepthParams(max_skipped=1, max_pose_error=10))]
+    said = {text for one in results if isinstance(one, DepthMap) for text in one.warnings}
+    assert len(said) == 1
+    assert "poses or calibration do not fit the images" in said.pop()
+
+
+def test_a_camera_that_moves_ahead_measures_nothing_and_says_why() -> None:
+    frames = []
+    for number in range(4):
+        where = posed_scene.pose(0, 0, distance=1.6 - 0.15 * number)
+        image, _ = posed_scene.seen(where)
+        frames.append(Frame(f"{number:04d}", posed_scene.CAMERA, color=image, world_from_camera=where))
+    with pytest.raises(InputError, match=r"from a little aside .* others stand before or behind it"):
+        list(views_depth(Scan("made", frames)))
+
+
+def test_views_that_face_one_way_need_no_range() -> None:
+    """Cameras in a row whose axes are parallel: only what they recognise says how far away things are."""
+    frames, truths = [], []
+    for number in range(5):
+        where = posed_scene.pose(0, 0)
+        where[0, 3] += 0.08 * (number - 2)
+        image, true = posed_scene.seen(where)
+        frames.append(Frame(str(number), posed_scene.CAMERA, color=image, world_from_camera=where))
+        truths.append(true)
+    for (_, result), true in zip(views_depth(Scan("made", frames)), truths, strict=True):
+        assert isinstance(result, DepthMap)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.3
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
+
+
+def test_large_images_are_made_smaller(tmp_path) -> None:
+    """A scene rendered twice as large is measured in half of its size."""
+    large = Camera(480, 360, 600.0, 610.0, 242.5, 174.5)
+    frames, truths = [], []
+    for number in range(4):
+        where = posed_scene.pose(7.0 * number, 0)
+        image, _ = posed_scene.seen(where, large)
+        cv2.imwrite(str(tmp_path / f"{number}.png"), image)
+        frames.append(Frame(str(number), large, color=tmp_path / f"{number}.png", world_from_camera=where))
+        truths.append(posed_scene.seen(where)[1])
+    results = list(views_depth(Scan("made", frames), DepthParams(max_side=240)))
+    for (frame, result), true in zip(results, truths, strict=True):
+        assert frame.camera == posed_scene.CAMERA
+        assert any("4 images were made smaller, to 240 px" in text for text in result.warnings)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.3
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
+
+
+def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
+    scan, _ = posed_scene.scan()
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"\x89PNG")
+    frames = list(scan.frames)
+    frames[0] = replace(frames[0], color=broken)
+    frames[1] = replace(frames[1], color=np.zeros((90, 120, 3), np.uint8))
+    results = [result for _, result in views_depth(replace(scan, frames=frames))]
+    assert [isinstance(result, SkippedFrame) for result in results] == [True, True] + [False] * 5
+    assert "broken.png" in results[0].reason
+    assert "120×90" in results[1].reason
+    with pytest.raises(InputError, match="max_skipped"):
+        list(views_depth(replace(scan, frames=frames), DepthParams(max_skipped=0.1)))
+
+
+def test_a_view_alone_cannot_be_measured() -> None:
+    scan, _ = posed_scene.scan()
+    with pytest.raises(InputError, match=r"one view alone has no depth: .* from 3 views"):
+        list(views_depth(replace(scan, frames=scan.frames[:1])))
+    with pytest.raises(InputError, match=r"of 2 views no depth is agreed with: .*depth\.agreeing_views"):
+        list(views_depth(replace(scan, frames=scan.frames[:2])))
+    two = [
+        result
+        for _, result in views_depth(replace(scan, frames=scan.frames[:2]), DepthParams(agreeing_views=1))
+    ]
+    assert all(isinstance(result, DepthMap) for result in two)
+
+
+def test_views_without_poses_or_images_are_told() -> None:
+    scan, _ = posed_scene.scan()
+    frames = [replace(scan.frames[0], world_from_camera=None), *scan.frames[1:]]
+    with pytest.raises(InputError, match="0000 has no pose"):
+        list(views_depth(replace(scan, frames=frames)))
+    frames = [replace(frame, color=None) for frame in scan.frames]
+    with pytest.raises(InputError, match="has no image"):
+        list(views_depth(replace(scan, frames=frames)))
+
+
+def upside_down(frame: Frame) -> Frame:
+    mask = None if frame.mask is None else np.ascontiguousarray(frame.mask[::-1, ::-1])
+    return replace(frame, color=np.ascontiguousarray(frame.color[::-1, ::-1]), mask=mask)
+
+
+@pytest.fixture(scope="module")
+def upright() -> tuple[Scan, list[DepthMap | SkippedFrame]]:
+    """The made scene, and what is found of it as it is."""
+    scan, _ = posed_scene.scan()
+    return scan, [result for _, result in views_depth(scan)]
+
+
+@pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
+def test_images_turned_against_their_poses_are_turned_back(
+    upright: tuple[Scan, list[DepthMap | SkippedFrame]], places: list[int]
+) -> None:
+    scan, expected = upright
+    frames = [upside_down(frame) if at in places else frame for at, frame in enumerate(scan.frames)]
+
+    results = [result for _, result in views_depth(replace(scan, frames=frames))]
+
+    for at, (result, sound) in enumerate(zip(results, expected, strict=True)):
+        np.testing.assert_array_equal(result.color, sound.color)
+        np.testing.assert_array_equal(result.depth, sound.depth)
+        assert [f"{len(places)} images are upside down" in text for text in result.warnings] == [True] * (
+            at in places
+        )
+
+
+def test_turned_images_are_left_alone_when_told_so() -> None:
+    scan, _ = posed_scene.scan()
+    frames = [*scan.frames[:6], upside_down(scan.frames[6])]
+    *_, (_, result) = views_depth(replace(scan, frames=frames), DepthParams(turn_back=False))
+    assert isinstance(result, SkippedFrame) or np.mean(result.depth > 0) < 0.05
+    assert isinstance(result, SkippedFrame) or not result.warnings
+
+
+def test_a_part_of_temple_ring(shared_data) -> None:
+    """Views from before and behind, of which those from behind are upside down in this copy of the data."""
+    scan = read_scan(shared_data / "stereo" / "middlebury_templeRing")
+    wanted = [f"templeR{number:04d}" for number in (12, 13, 14, 15, 42, 43, 44)]
+    frames = [frame for frame in scan.frames if frame.name in wanted]
+    measured = views_depth(replace(scan, frames=frames))
+    results = {frame.name: (frame, result) for frame, result in measured}
+    assert any("3 images are upside down" in text for text in results["templeR0042"][1].warnings)
+    clouds = {}
+    for name in ("templeR0013", "templeR0014", "templeR0043"):
+        frame, result = results[name]
+        assert np.mean(result.depth > 0) > 0.15
+        rows, columns = np.nonzero(result.depth)
+        one = PosedView(frame.camera, frame.world_from_camera, 0.4, 0.7)
+        rays = one.rays(columns.astype(float), rows.astype(float))
+        clouds[name] = one.to_world(rays * result.depth[rows, columns, None])
+        # The backdrop is black, the temple is not.
+        assert np.mean(result.color[result.depth > 0].max(axis=1) > 40) > 0.97
+    tree = cKDTree(clouds["templeR0013"])
+    # The temple is 16 cm high; other views of it, matched with others, find it in the same place.
+    assert np.median(tree.query(clouds["templeR0014"])[0]) < 0.0005
+    assert np.median(tree.query(clouds["templeR0043"])[0]) < 0.001
+
+
+@pytest.mark.parametrize("size", [(1, 1), (4, 3), (16, 16)])
+def test_tiny_images_are_refused_in_words(size: tuple[int, int]) -> None:
+    scan, _ = posed_scene.scan()
+    width, height = size
+    camera = Camera(width, height, 1.2 * max(size), 1.2 * max(size), width / 2, height / 2)
+    frames = [
+        replace(frame, camera=camera, color=np.ascontiguousarray(frame.color[:height, :width]))
+        for frame in scan.frames
+    ]
+    with pytest.raises(InputError, match="views cannot be used"):
+        list(views_depth(replace(scan, frames=frames)))
+
+
+def test_a_pose_beyond_all_bounds_is_told() -> None:
+    scan, _ = posed_scene.scan()
+    far = scan.frames[2].world_from_camera.copy()
+    far[0, 3] = 1e200
+    frames = [*scan.frames[:2], replace(scan.frames[2], world_from_camera=far)]
+    with pytest.raises(InputError, match="0002 stands"):
+        list(views_depth(replace(scan, frames=frames)))
+
+
+def test_the_colours_of_a_room_alone_give_its_depth() -> None:
+    """The sample's RGB-D frames without their depth: a camera that walks, whose axes meet nowhere."""
+    scan = read_scan(Path(__file__).resolve().parents[3] / "samples" / "rgbd")
+    frames = [replace(frame, depth=None) for frame in scan.frames[8:16]]
+
+    results = list(views_depth(replace(scan, frames=frames), DepthParams(partners=2)))
+
+    wrong, covered = [], []
+    for (_, result), frame in zip(results, scan.frames[8:16], strict=True):
+        assert isinstance(result, DepthMap)
+        assert result.warnings == ()
+        truth = read_depth(frame)
+        both = (truth > 0) & (result.depth > 0)
+        wrong.append(np.abs(result.depth - truth)[both] / truth[both])
+        covered.append(np.mean(result.depth[truth > 0] > 0))
+    assert np.median(np.concatenate(wrong)) < 0.006
+    assert np.mean(np.concatenate(wrong) > 0.05) < 0.02
+    assert np.mean(covered) > 0.5

@@ -1,0 +1,236 @@
+"""OBJ files with materials, groups and polygons; what is written back is what was read."""
+
+import numpy as np
+import pytest
+
+from stages.files.image_bytes import encoded_png
+from stages.surface.convert import with_vertex_colors
+from stages.surface.formats.obj import read_obj, write_obj
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Image, Material, Texture
+
+RED = encoded_png(np.full((2, 2, 3), (200, 10, 20), np.uint8))
+BLUE = encoded_png(np.full((2, 2, 4), (10, 20, 200, 255), np.uint8))
+
+LIBRARY = """# made by hand
+newmtl red wall
+Kd 0.8 0.8 0.8
+Ns 12.5
+map_Kd -s 1 1 1 -clamp on my wall.png
+map_Bump -bm 0.3 textures\\bump map.png
+
+newmtl glass
+Kd 0.25 0.5 1
+d 0.5
+"""
+MODEL = """mtllib made by hand.mtl
+mtllib none.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0.5 0.5 1
+vt 0 0
+vt 2.5 0
+vt 2.5 -1
+vt 0 -1
+vn 0 0 1
+vn 0 0 -1
+o body
+g front side
+usemtl red wall
+f 1/1/1 2/2/1 3/3/1 4/4/1
+g
+usemtl glass
+f -5//2 -4//2 -1//2
+usemtl unknown
+f 2 3 5
+o lid
+usemtl red wall
+f 3/1 4/2 5/3
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "textures").mkdir()
+    (tmp_path / "textures" / "bump map.png").write_bytes(BLUE)
+    (tmp_path / "my wall.png").write_bytes(RED)
+    (tmp_path / "made by hand.mtl").write_text(LIBRARY)
+    (tmp_path / "made.obj").write_text(MODEL)
+    return tmp_path
+
+
+def test_materials_groups_and_polygons(folder):
+    mesh = read_obj(folder / "made.obj")
+    assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4], [1, 2, 4], [2, 3, 4]]
+    assert [material.name for material in mesh.texture.materials] == ["red wall", "glass", "unknown"]
+    assert mesh.texture.material_ids.tolist() == [0, 0, 1, 2, 0]
+    wall, glass, unknown = mesh.texture.materials
+    assert (wall.image.name, wall.image.encoded, wall.image.mime) == ("my wall.png", RED, "image/png")
+    assert (wall.wrap, wall.base_color) == (("clamp", "clamp"), None)
+    assert (glass.base_color, glass.image) == ((0.25, 0.5, 1.0, 0.5), None)
+    assert unknown.base_color is None
+    # Beyond 0..1 they are kept; triangles without have none.
+    assert mesh.texture.uvs[1].tolist() == [[0, 0], [2.5, -1], [0, -1]]
+    assert mesh.texture.has_uvs().tolist() == [True, True, False, False, True]
+    assert mesh.part_names == ("body/front side", "body", "lid")
+    assert mesh.part_ids.tolist() == [0, 0, 1, 1, 2]
+    assert mesh.normals is None
+    assert mesh.corner_normals[:, 0, 2].tolist() == [1, 1, -1, 0, 0]
+    assert mesh.notes == (
+        "1 polygons were split into triangles",
+        "the material library none.mtl is missing or cannot be read",
+        "-o, -s and -t of the image my wall.png are kept, but colours are read without them",
+    )
+
+
+def assert_same(back: Mesh, mesh: Mesh) -> None:
+    for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name), err_msg=name)
+    assert back.part_names == mesh.part_names
+    np.testing.assert_array_equal(back.texture.uvs, mesh.texture.uvs)
+    np.testing.assert_array_equal(back.texture.material_ids, mesh.texture.material_ids)
+    for a, b in zip(back.texture.materials, mesh.texture.materials, strict=True):
+        assert (a.name, a.base_color, a.wrap) == (b.name, b.base_color, b.wrap)
+        assert (a.image is None) == (b.image is None)
+        if b.image is not None:
+            assert a.image.file_bytes == b.image.file_bytes
+
+
+def test_what_was_read_is_written_back(folder):
+    mesh = read_obj(folder / "made.obj")
+    (folder / "out").mkdir()
+    write_obj(folder / "out" / "b c.obj", mesh)
+    back = read_obj(folder / "out" / "b c.obj")
+    assert_same(back, mesh)
+    # The images as they were, and all lines of the materials that are known.
+    assert (folder / "out" / "my wall.png").read_bytes() == RED
+    assert (folder / "out" / "bump map.png").read_bytes() == BLUE
+    lines = (folder / "out" / "b c.mtl").read_text().splitlines()
+    assert lines == [
+        "newmtl red wall",
+        "Kd 0.8 0.8 0.8",
+        "Ns 12.5",
+        "map_Kd -s 1 1 1 -clamp on my wall.png",
+        "map_Bump -bm 0.3 bump map.png",
+        "newmtl glass",
+        "Kd 0.25 0.5 1",
+        "d 0.5",
+        "newmtl unknown",
+    ]
+
+
+def test_images_of_other_files_are_not_written_over(folder):
+    mesh = read_obj(folder / "made.obj")
+    out = folder / "out"
+    out.mkdir()
+    (out / "my wall.png").write_bytes(BLUE)
+    write_obj(out / "a.obj", mesh)
+    assert (out / "my wall.png").read_bytes() == BLUE
+    assert (out / "a_my wall.png").read_bytes() == RED
+    assert_same(read_obj(out / "a.obj"), mesh)
+
+
+def test_new_images_and_equal_names(tmp_path):
+    pixels = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+    images = (Image(given=pixels), Image("../a\nb?.png", RED), Image("../a\nb?.png", BLUE))
+    materials = tuple(Material("same", image) for image in images)
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]] * 4, np.int32))
+    uvs = np.random.default_rng(0).random((4, 3, 2))
+    mesh = mesh.with_(texture=Texture(uvs, np.array([2, -1, 0, 1], np.int32), materials))
+    write_obj(tmp_path / "m.obj", mesh)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "a_b_.png", "m.mtl", "m.obj", "m_0.png", "m_a_b_.png",
+    ]  # fmt: skip
+    back = read_obj(tmp_path / "m.obj")
+    # In the order in which they are used.
+    assert [m.name for m in back.texture.materials] == ["same_3", "same", "same_2"]
+    assert back.texture.material_ids.tolist() == [0, -1, 1, 2]
+    assert [m.image.encoded for m in back.texture.materials][::2] == [BLUE, RED]
+    np.testing.assert_array_equal(back.texture.materials[1].image.pixels, pixels)
+
+
+def test_an_image_put_in_place_of_another_is_the_one_written(folder):
+    mesh = read_obj(folder / "made.obj")
+    wall, glass, _ = mesh.texture.materials
+    new = Material(wall.name, Image("new.png", BLUE), wall.base_color, wall.wrap, wall.kept)
+    painted = Material(glass.name, None, (1.0, 0.0, 0.0, 1.0), glass.wrap, glass.kept)
+    texture = Texture(mesh.texture.uvs, mesh.texture.material_ids, (new, painted, Material("unknown")))
+    write_obj(folder / "again.obj", mesh.with_(texture=texture))
+    back = read_obj(folder / "again.obj").texture.materials
+    assert back[0].image.encoded == BLUE
+    assert back[1].base_color == (1, 0, 0, 1)
+    assert "Ns 12.5" in (folder / "again.mtl").read_text()
+
+
+@pytest.mark.parametrize("kind", ["missing", "junk", "folder"])
+def test_an_image_that_cannot_be_read_leaves_the_rest(folder, kind):
+    (folder / "my wall.png").unlink()
+    if kind == "junk":
+        (folder / "my wall.png").write_bytes(b"<html>not found</html>")
+    if kind == "folder":
+        (folder / "my wall.png").mkdir()
+    mesh = read_obj(folder / "made.obj")
+    assert len(mesh.triangles) == 5
+    wall = mesh.texture.materials[0]
+    assert wall.image is None
+    assert wall.base_color == (0.8, 0.8, 0.8, 1)
+    assert any("my wall.png" in note for note in mesh.notes)
+    write_obj(folder / "out.obj", mesh)
+    assert "map_Kd -s 1 1 1 -clamp on my wall.png" in (folder / "out.mtl").read_text()
+
+
+def test_an_image_that_cannot_be_decoded_passes_through(folder):
+    damaged = RED[:40] + bytes(60)
+    (folder / "my wall.png").write_bytes(damaged)
+    mesh = read_obj(folder / "made.obj")
+    colored = with_vertex_colors(mesh)
+    assert any("my wall.png cannot be decoded" in note for note in colored.notes)
+    (folder / "out").mkdir()
+    write_obj(folder / "out" / "made.obj", mesh)
+    assert (folder / "out" / "my wall.png").read_bytes() == damaged
+
+
+def test_coordinates_that_are_no_numbers(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt nan 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 1/2 2/2 3/3\n")
+    mesh = read_obj(path)
+    assert mesh.texture.has_uvs().tolist() == [False, True]
+    assert mesh.texture.uvs[1].tolist() == [[0, 1], [0, 1], [1, 1]]  # no area, and kept
+    assert "1 triangles lose their texture" in mesh.notes[0]
+
+
+def test_several_libraries_in_one_statement(tmp_path):
+    (tmp_path / "a.mtl").write_text("newmtl one\nKd 1 0 0\n")
+    (tmp_path / "b c.mtl").write_text("newmtl two\nKd 0 1 0\nnewmtl one\nKd 0 0 1\n")
+    start = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl one\nf 1 2 3\nusemtl two\nf 1 2 3\n"
+    for statement in (
+        "mtllib a.mtl b c.mtl",
+        "mtllib a.mtl\nmtllib ./b c.mtl",
+        "mtllib a.mtl\nmtllib C:\\x\\b c.mtl",
+    ):
+        (tmp_path / "m.obj").write_text(f"{statement}\n{start}")
+        mesh = read_obj(tmp_path / "m.obj")
+        assert mesh.notes == ()
+        assert [m.base_color for m in mesh.texture.materials] == [(1, 0, 0, 1), (0, 1, 0, 1)]
+
+
+def test_colors_of_materials_without_images(folder):
+    colored = with_vertex_colors(read_obj(folder / "made.obj"))
+    # Vertex 4 has corners of glass and of the wall.
+    assert colored.colors[2].tolist() == [200, 10, 20]
+    assert colored.colors[1].tolist() == [(200 + 63.75) // 2 + 1, (10 + 127.5) // 2 + 1, (20 + 255) // 2 + 1]
+
+
+def test_names_from_before_unicode(tmp_path):
+    (tmp_path / "größe.png").write_bytes(RED)
+    (tmp_path / "m.mtl").write_bytes("newmtl blau\nmap_Kd größe.png\n".encode("latin-1"))
+    (tmp_path / "m.obj").write_bytes(
+        "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 1\ng süß\nusemtl blau\nf 1/1 2/1 3/1\n".encode(
+            "latin-1"
+        )
+    )
+    mesh = read_obj(tmp_path / "m.obj")
+    assert mesh.part_names == ("süß",)
+    assert mesh.texture.images[0].name == "größe.png"

@@ -1,0 +1,91 @@
+"""Large meshes in random order: worked on in an order of their own, given back in the caller's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stages.errors import MeshError
+from stages.simplification.simplify import simplify
+from stages.surface.mesh import Mesh
+from stages.surface.spatial_order import is_scattered, ordered, with_rows
+
+N = 330
+
+
+@pytest.fixture(scope="module")
+def sheet() -> Mesh:
+    """A wavy, coloured sheet, row by row."""
+    y, x = np.mgrid[0:N, 0:N].astype(float)
+    vertices = np.stack([x, y, 2 * np.sin(x / 9) * np.cos(y / 7)], -1).reshape(-1, 3)
+    a = (np.arange(N - 1)[:, None] * N + np.arange(N - 1)).ravel()
+    triangles = np.concatenate([np.stack([a, a + 1, a + N + 1], 1), np.stack([a, a + N + 1, a + N], 1)])
+    colors = np.stack([x, y, x + y], -1).reshape(-1, 3) % 256
+    return Mesh(vertices, triangles[np.argsort(triangles[:, 0])].astype(np.int32), colors.astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def scattered(sheet) -> Mesh:
+    random = np.random.default_rng(0)
+    return with_rows(sheet, random.permutation(len(sheet.vertices)), random.permutation(len(sheet.triangles)))
+
+
+def places(mesh: Mesh) -> np.ndarray:
+    return mesh.vertices[mesh.triangles]
+
+
+def test_rows_are_told_from_random_order(sheet, scattered):
+    assert not is_scattered(sheet)
+    assert is_scattered(scattered)
+    assert not is_scattered(ordered(scattered).mesh)
+    assert not is_scattered(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
+
+
+def test_an_order_names_every_row_once(scattered):
+    order = ordered(scattered)
+    assert np.array_equal(order.mesh.vertices, scattered.vertices[order.vertices])
+    assert np.array_equal(order.mesh.colors, scattered.colors[order.vertices])
+    assert np.array_equal(places(order.mesh), places(scattered)[order.triangles])
+    back = with_rows(order.mesh, np.argsort(order.vertices), np.argsort(order.triangles))
+    assert np.array_equal(back.vertices, scattered.vertices)
+    assert np.array_equal(back.triangles, scattered.triangles)
+
+
+def test_results_speak_of_the_given_rows(scattered):
+    lock = np.arange(0, len(scattered.vertices), 5003)
+    found = simplify(scattered, ratio=0.05, lock=lock)
+    again = simplify(scattered, ratio=0.05, lock=lock, threads=1)
+    assert np.array_equal(found.mesh.vertices, again.mesh.vertices)
+    assert np.array_equal(found.mesh.triangles, again.mesh.triangles)
+    assert found.stopped_by == "triangles"
+    for source, count in ((found.vertex_source, len(scattered.vertices)), (found.triangle_source, 2 * N * N)):
+        assert source.dtype == np.int32
+        assert (np.diff(source) > 0).all()
+        assert source[0] >= 0
+        assert source[-1] < count
+    kept = np.isin(found.vertex_source, lock)
+    assert kept.sum() == len(lock)
+    assert np.array_equal(found.mesh.vertices[kept], scattered.vertices[lock])
+    assert np.array_equal(found.mesh.colors[kept], scattered.colors[lock])
+    # What is left of a triangle is still near where that was.
+    away = np.linalg.norm(
+        places(found.mesh).mean(1) - places(scattered)[found.triangle_source].mean(1), axis=1
+    )
+    assert np.quantile(away, 0.99) < 20
+
+
+def test_the_order_costs_no_accuracy(sheet, scattered):
+    def height_error(mesh: Mesh) -> float:
+        x, y, z = simplify(mesh, ratio=0.05).mesh.vertices.T
+        return float(np.sqrt(np.mean((2 * np.sin(x / 9) * np.cos(y / 7) - z) ** 2)))
+
+    assert height_error(scattered) < 1.05 * height_error(sheet)
+
+
+def test_what_is_wrong_is_named_in_the_given_rows(scattered):
+    extra = np.append(scattered.triangles[7, :2], scattered.triangles[9, 2]).astype(np.int32)
+    broken = scattered.with_(triangles=np.concatenate([scattered.triangles, extra[None]]))
+    assert is_scattered(broken)
+    a, b = sorted(extra[:2].tolist())
+    with pytest.raises(MeshError, match=rf"{a}.{{1,3}}{b}"):
+        simplify(broken, ratio=0.05)

@@ -1,0 +1,212 @@
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from coloured_meshes import of_trimesh, sheet
+
+import stages.texturing.atlas as atlas_module
+from stages.errors import MeshError, StageError, UsageError
+from stages.simplification.simplify import simplify
+from stages.surface.color import color_at
+from stages.surface.mesh import Image, Material, Mesh, Texture
+from stages.surface.topology import areas
+from stages.texturing.atlas import unwrap
+from stages.texturing.bake import bake
+from stages.texturing.filling import filled_up
+from stages.texturing.rasterize import covered, overlaps
+
+
+def square(depth: float = 0.0, turned: bool = False) -> Mesh:
+    """Two triangles over the unit square, that face up, or down if turned."""
+    vertices = np.array([[0, 0, depth], [1, 0, depth], [1, 1, depth], [0, 1, depth]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return Mesh(vertices, triangles[:, ::-1] if turned else triangles)
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+    colors = [mesh.colors for mesh in meshes]
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(triangles).astype(np.int32),
+        None if colors[0] is None else np.concatenate(colors),
+    )
+
+
+def inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points in triangles: triangle, weights, place."""
+    rng = np.random.default_rng(seed)
+    triangles = rng.choice(len(mesh.triangles), count)
+    weights = rng.dirichlet((1, 1, 1), count)
+    return triangles, weights, np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
+
+
+def test_a_light_mesh_shows_what_its_original_shows():
+    original = sheet(height=0.0, noise=0.0)
+    baked = bake(square(), original, texel_size=0.004)
+    triangles, weights, places = inside(baked.mesh)
+    seen = color_at(baked.mesh, triangles, weights)
+    assert seen[:, 0] == pytest.approx(255 * places[:, 0], abs=2.5)
+    assert seen[:, 1] == pytest.approx(255 * places[:, 1], abs=2.5)
+    # The stripes, two triangles of six colours of vertices could not show them.
+    in_stripe = ((places[:, 0] % 0.5) > 0.3) & ((places[:, 0] % 0.5) < 0.45)
+    assert (seen[in_stripe, 2] > 80).all()
+    assert baked.color.rmse < 2
+    assert baked.vertex_color is None
+    assert baked.mesh.colors is None
+
+
+def test_texture_beats_vertex_colours_on_a_curved_surface():
+    original = sheet()
+    light = simplify(original, ratio=0.05).mesh
+    baked = bake(light, original)
+    assert baked.vertex_color is not None
+    assert baked.color.psnr > baked.vertex_color.psnr + 6
+    np.testing.assert_array_equal(baked.mesh.triangles, light.triangles)
+    np.testing.assert_array_equal(baked.mesh.vertices, light.vertices)
+
+
+def test_a_texture_is_baked_into_a_texture():
+    checks = np.kron(np.indices((4, 4)).sum(axis=0) % 2, np.ones((16, 16)))[..., None] * np.uint8(
+        [250, 60, 10]
+    )
+    mesh = square()
+    # Twice over the square, so that it repeats.
+    uvs = 2 * mesh.vertices[mesh.triangles][:, :, :2]
+    materials = (Material(image=Image(given=checks.astype(np.uint8))),)
+    original = mesh.with_(texture=Texture(uvs, np.zeros(2, np.int32), materials))
+    baked = bake(square(), original)
+    assert baked.texel_size <= 0.5 / 64
+    triangles, weights, places = inside(mesh)
+    in_check = (np.abs((places[:, :2] * 8) % 1 - 0.5) < 0.3).all(axis=1)
+    expected = color_at(original, triangles, weights)
+    seen = color_at(baked.mesh, triangles, weights)
+    assert np.abs(seen - expected)[in_check].max() < 3
+
+
+def test_each_side_of_a_thin_sheet_keeps_its_colour():
+    red, blue = np.uint8([[230, 20, 20]] * 4), np.uint8([[20, 20, 230]] * 4)
+    original = joined(square(0.01).with_(colors=red), square(0.0, turned=True).with_(colors=blue))
+    # The light sheet lies the wrong way about: its upper side is nearest to the lower one of the original.
+    light = joined(square(0.003), square(0.007, turned=True))
+    # Elsewhere the light mesh is as far off, which says how far to look.
+    aside = np.array([5, 0, 0.01])
+    beside = square().with_(vertices=square().vertices + aside, colors=red)
+    baked = bake(
+        joined(light, beside.with_(vertices=beside.vertices - (0, 0, 0.01), colors=None)),
+        joined(original, beside),
+        texel_size=0.02,
+    )
+    triangles, weights, _ = inside(baked.mesh)
+    seen = color_at(baked.mesh, triangles, weights)
+    assert (seen[triangles < 2, 0] > 220).all()
+    assert (seen[(triangles >= 2) & (triangles < 4), 2] > 220).all()
+    assert baked.turned > 0.5
+
+
+def test_charts_have_area_lie_apart_and_keep_their_padding():
+    mesh = of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=24, minor_sections=12))
+    padding = 4
+    atlas = unwrap(mesh, 256, padding)
+    assert atlas.corners.min() >= 0
+    assert atlas.corners.max() <= 256
+    sides = atlas.corners[:, 1:] - atlas.corners[:, :1]
+    texels = np.abs(np.cross(np.pad(sides[:, 0], ((0, 0), (0, 1))), np.pad(sides[:, 1], ((0, 0), (0, 1)))))[
+        :, 2
+    ]
+    share = texels / areas(mesh.vertices, mesh.triangles)
+    assert share.min() > 0.3 * np.median(share)
+    assert overlaps(atlas.corners, 256).pixels == 0
+    found = covered(atlas.corners, (0, 256), 256)
+    chart = np.full((256, 256), -1)
+    chart[found.rows, found.columns] = atlas.charts[found.triangles]
+    assert atlas.charts.max() > 1
+    for number in range(atlas.charts.max() + 1):
+        others = ((chart >= 0) & (chart != number)).astype(np.uint8)
+        if (chart == number).any():
+            assert cv2.distanceTransform(1 - others, cv2.DIST_L2, 5)[chart == number].min() > 2 * padding
+
+
+def test_halved_images_keep_each_charts_colour():
+    light = of_trimesh(trimesh.creation.box()).with_(colors=None)
+    size, padding = 128, 8
+    charts = unwrap(light, size, padding).charts
+    palette = np.uint8([[250, 0, 0], [0, 250, 0], [0, 0, 250], [250, 250, 0], [0, 250, 250], [250, 0, 250]])
+    colors = palette[charts % 6]
+    # Each triangle has its own vertices, so that the colours of charts do not mix on the original itself.
+    corners = light.vertices[light.triangles].reshape(-1, 3)
+    original = Mesh(corners, np.arange(36, dtype=np.int32).reshape(-1, 3), np.repeat(colors, 3, axis=0))
+    baked = bake(light, original, padding=padding, max_size=size, texel_size=1e-3)
+    assert baked.size == size
+    assert baked.halvings == 2
+    pixels = baked.mesh.texture.materials[0].image.pixels
+    triangles, weights, _ = inside(baked.mesh)
+    texture = baked.mesh.texture
+    for _ in range(baked.halvings + 1):
+        halved = Material(image=Image(given=pixels), wrap=("clamp", "clamp"))
+        shown = baked.mesh.with_(texture=Texture(texture.uvs, texture.material_ids, (halved,)))
+        assert np.abs(color_at(shown, triangles, weights) - colors[triangles]).max() < 4
+        pixels = cv2.resize(pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+
+
+def test_gaps_are_filled_from_what_is_there():
+    image, filled = np.zeros((32, 32, 3), np.float32), np.zeros((32, 32), bool)
+    filled[4:10, 4:10], filled[20:26, 20:26] = True, True
+    image[4:10, 4:10], image[20:26, 20:26] = (200, 100, 0), (0, 100, 200)
+    full = filled_up(image, filled, 3)
+    assert (full[1:13, 5:9] == (200, 100, 0)).all()
+    assert (full[..., 1] == 100).all()
+    assert (full.astype(int).sum(axis=2) == 300).all()
+
+
+def test_the_same_meshes_give_the_same_image():
+    original = sheet(n=12)
+    light = simplify(original, ratio=0.2).mesh
+    first, second = (bake(light, original).mesh.texture for _ in range(2))
+    np.testing.assert_array_equal(first.uvs, second.uvs)
+    np.testing.assert_array_equal(first.images[0].pixels, second.images[0].pixels)
+
+
+def test_triangles_without_area_are_left_out_of_the_atlas():
+    mesh = square()
+    triangles = np.vstack([mesh.triangles, [[0, 0, 1], [1, 1, 1]]]).astype(np.int32)
+    atlas = unwrap(mesh.with_(triangles=triangles), 64, 2)
+    assert (atlas.charts[:2] >= 0).all()
+    assert (atlas.charts[2:] == -1).all()
+    assert np.isfinite(atlas.uvs).all()
+
+
+def test_a_crash_of_the_atlas_library_is_survived(monkeypatch):
+    run, calls = atlas_module._in_own_process, []
+
+    def crash_once(arguments, *rest):
+        calls.append(arguments[0])
+        return run(arguments, *rest) if len(calls) > 1 else ""
+
+    monkeypatch.setattr(atlas_module, "_in_own_process", crash_once)
+    mesh = of_trimesh(trimesh.creation.icosphere(subdivisions=2))
+    atlas = unwrap(mesh, 128, 2)
+    assert calls == ["chart", "chart", "pack"]
+    # No chart spans two of the six sides then.
+    assert atlas.charts.max() >= 5
+    assert overlaps(atlas.corners, 128).pixels == 0
+
+
+def test_a_caller_can_stop_it():
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bake(square(), sheet(n=4), progress=stop)
+
+
+def test_what_is_wrong_is_said():
+    with pytest.raises(MeshError, match=r"original: .*neither vertex colours nor a texture"):
+        bake(square(), square(0.1))
+    with pytest.raises(MeshError, match="light mesh"):
+        bake((np.zeros((3, 3)), np.array([[0, 1, 2]])), sheet(n=4))
+    with pytest.raises(UsageError, match="power of two"):
+        bake(square(), sheet(n=4), max_size=1000)
+    with pytest.raises(StageError, match="do not fit"):
+        bake(of_trimesh(trimesh.creation.box()), sheet(n=4), max_size=64, padding=64)
