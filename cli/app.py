@@ -6,27 +6,77 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
-from cli import bake_command, errors, mesh_commands, normal_mesh_commands, run_commands, scan_commands
+from cli import errors
+from cli.commands import (
+    bake,
+    cache,
+    certify,
+    clean,
+    compare,
+    config,
+    decode,
+    depth,
+    fuse,
+    inspect,
+    patches,
+    register,
+    remesh,
+    render,
+    replay,
+    run,
+    simplify,
+)
+from cli.options import with_options
 from cli.output import to_json
 from stages.errors import ScanloomError
 
-app = typer.Typer(
-    name="scanloom",
-    rich_markup_mode="rich",
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-scan_commands.add_to(app)
-run_commands.add_to(app)
-mesh_commands.add_to(app)
-bake_command.add_to(app)
-normal_mesh_commands.add_to(app)
+# What the help lists under each heading, in this order; a command has the name of its function.
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
+    "From scan to mesh": (inspect.inspect, run.run, config.config),
+    "One stage at a time": (
+        depth.depth,
+        register.register,
+        fuse.fuse,
+        clean.clean,
+        simplify.simplify,
+        replay.replay,
+        bake.bake,
+        remesh.remesh,
+        decode.decode,
+    ),
+    "Look and measure": (patches.patches, compare.compare, certify.certify, render.render),
+}
+
+
+def _app() -> typer.Typer:
+    made = typer.Typer(
+        name="scanloom",
+        rich_markup_mode="rich",
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    for panel, commands in COMMANDS.items():
+        for command in commands:
+            made.command(command.__name__, rich_help_panel=panel)(with_options(command))
+    kept = typer.Typer(rich_markup_mode="rich")
+    for command in (cache.ls, cache.verify, cache.prune):
+        kept.command(command.__name__)(with_options(command))
+    made.add_typer(
+        kept,
+        name="cache",
+        help="Look after the kept results of stages.",
+        rich_help_panel="From scan to mesh",
+    )
+    return made
+
+
+app = _app()
 
 
 def _print_version(wanted: bool) -> None:

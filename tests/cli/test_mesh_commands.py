@@ -337,7 +337,7 @@ def test_an_unforeseen_error_is_a_sentence_too(
     def fail(*_: object, **__: object) -> None:
         raise KeyError("oops")
 
-    monkeypatch.setattr("stages.cleaning.clean", fail)
+    monkeypatch.setattr("stages.clean", fail)
     ran = scanloom("clean", ball, tmp_path / "out.ply", "--json")
     assert ran.exit_code == 1
     assert "bug in scanloom" in json.loads(ran.stdout)["error"]

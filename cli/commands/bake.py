@@ -1,0 +1,45 @@
+"""The command `bake`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
+from cli.mesh_arguments import read_file
+from cli.output import Output
+from cli.paths import require_new_file
+from stages import BakeParams
+
+
+def bake(
+    light: Annotated[
+        Path, typer.Argument(metavar="LIGHT", help="Mesh file that gets the colours.", show_default=False)
+    ],
+    original: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ORIGINAL", help="Mesh file that has them: of vertices, or a texture.", show_default=False
+        ),
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="Mesh file to write (.glb, .obj, .ply).", show_default=False),
+    ],
+    params: BakeParams,
+    out: Output,
+) -> None:
+    """Give a light mesh a texture that holds all the colour of its original.
+
+    LIGHT keeps its triangles, and is laid out in an image; every texel gets the colour of the original
+    where it is nearest and faces the same way. GLB holds the image; OBJ and PLY have it in a file beside
+    them.
+
+    Example: scanloom bake light.ply clean.ply light.glb
+    """
+    require_new_file(target, TEXTURED_SUFFIXES)
+    mesh, reference = read_file(light, out), read_file(original, out)
+    figures = {"output": str(target), **baked_to(target, mesh, reference, params, out)}
+    out.result(figures, baked_text(figures))

@@ -1,0 +1,133 @@
+"""The commands on the kept results of stages: `cache ls`, `verify` and `prune`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cli.errors import STAGE_FAILED
+from cli.output import Output, size_of, table_of
+from stages import InputError, UsageError
+from stages.params import check, param
+
+if TYPE_CHECKING:
+    from pipeline.cache import Cache, Listed
+
+
+CacheFolder = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="DIR",
+        help="Cache folder, or the output folder of a run; $SCANLOOM_CACHE if not given.",
+        show_default=False,
+    ),
+]
+
+
+_DAY = 86_400.0
+
+
+_MEGABYTE = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class PruneParams:
+    """What to remove from a cache."""
+
+    all: bool = param(False, "Also remove what the latest run of an output folder used.")
+    older_than: float | None = param(
+        None, "Remove what was last used longer ago; without it age does not count.", unit="days", low=0
+    )
+    max_size: float | None = param(
+        None, "Then remove what was unused longest until the rest is no larger.", unit="MB", low=0
+    )
+    dry_run: bool = param(False, "Only say what would be removed.")
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def ls(out: Output, folder: CacheFolder = None) -> None:
+    """List the kept results: stage, key, size, last use.
+
+    Example: scanloom cache ls
+    """
+    cache = _open(folder)
+    _print_entries(cache.folder, cache.ls(), out)
+
+
+def verify(out: Output, folder: CacheFolder = None) -> None:
+    """Read every kept result and say which are damaged; the exit code is 1 if any is.
+
+    Damaged results are made anew by the next run that needs them.
+
+    Example: scanloom cache verify
+    """
+    cache = _open(folder)
+    entries = cache.verify()
+    _print_entries(cache.folder, entries, out)
+    if any(entry.problem for entry in entries):
+        raise typer.Exit(STAGE_FAILED)
+
+
+def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
+    """Remove kept results that the latest run of no output folder used.
+
+    Example: scanloom cache prune --older-than 30
+    """
+    cache = _open(folder)
+    removed = cache.prune(
+        older_than=0.0 if params.all else None if params.older_than is None else params.older_than * _DAY,
+        max_size=None if params.max_size is None else int(params.max_size * _MEGABYTE),
+        dry_run=params.dry_run,
+    )
+    _print_entries(cache.folder, removed, out, "would be removed" if params.dry_run else "removed")
+
+
+def _open(folder: Path | None) -> Cache:
+    from pipeline.cache import Cache
+    from pipeline.run import CACHE_VARIABLE, cache_folder
+
+    if folder is None and CACHE_VARIABLE not in os.environ:
+        raise UsageError(
+            f"which cache? Give its folder, or the output folder of a run, or set {CACHE_VARIABLE}."
+        )
+    chosen = Path(os.environ[CACHE_VARIABLE]) if folder is None else folder
+    for place in (chosen, cache_folder(chosen)) if chosen.is_dir() else ():
+        if (place / "CACHEDIR.TAG").is_file():
+            return Cache(place)
+    raise InputError("there is no cache here.", chosen)
+
+
+def _print_entries(folder: Path, entries: Sequence[Listed], out: Output, done: str = "kept") -> None:
+    total = sum(entry.size for entry in entries)
+    figures = {
+        "cache": str(folder),
+        "entries": [
+            {
+                "stage": entry.stage,
+                "key": entry.key,
+                "size_bytes": entry.size,
+                "last_used": entry.last_used.isoformat(timespec="seconds"),
+                "in_latest_run": entry.in_latest_run,
+                "problem": entry.problem,
+            }
+            for entry in entries
+        ],
+        "total_bytes": total,
+    }
+    rows = [["stage", "key", "size", "last used", "in latest run"]]
+    for entry in entries:
+        when = entry.last_used.astimezone().strftime("%Y-%m-%d %H:%M")
+        rows.append(
+            [entry.stage, entry.key[:12], size_of(entry.size), when, "yes" if entry.in_latest_run else "no"]
+        )
+    lines = [table_of(rows)] if entries else []
+    lines += [f"{e.stage}/{e.key[:12]} is damaged: {e.problem}" for e in entries if e.problem]
+    lines.append(f"{len(entries)} result{'s' * (len(entries) != 1)} {done} in {folder}, {size_of(total)}.")
+    out.result(figures, "\n".join(lines))

@@ -1,0 +1,47 @@
+"""The command `decode`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.mesh_arguments import NewMesh
+from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
+from cli.output import Output
+from cli.paths import MESH_SUFFIXES, require_file, require_new_file, require_writable
+
+
+def decode(
+    source: Annotated[
+        Path, typer.Argument(metavar="FILE", help="File that `remesh --save` wrote.", show_default=False)
+    ],
+    target: NewMesh,
+    out: Output,
+    level: Annotated[
+        int | None,
+        typer.Option(
+            metavar="LEVEL",
+            help="Which level to write; 0 is the base mesh. The finest that is there if not given.",
+            show_default=False,
+        ),
+    ] = None,
+    save_levels: SaveLevels = None,
+) -> None:
+    """Write the mesh of an .snm file, or one of its coarser levels, equal to the bit to what was remeshed.
+
+    Of a file that is cut short or damaged, the levels before that are decoded, and a warning says what is
+    wrong; asking for a level that is not whole is an error.
+
+    Example: scanloom decode normal.snm coarse.ply --level 2
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    if save_levels is not None:
+        require_writable(save_levels)
+    found = stages.decode(require_file(source), level)
+    if found.damage is not None:
+        out.remark(f"warning: {source}: only levels 0 to {len(found.offsets)} are whole: {found.damage}")
+    write_normal_mesh(target, found, save_levels, out)
+    tell_normal_mesh(target, found, out)

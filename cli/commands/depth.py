@@ -1,0 +1,38 @@
+"""The command `depth`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.output import Output
+from cli.paths import new_folder, require_scan
+from cli.scan_argument import ScanFolder
+from stages import DepthParams, ScanParams
+
+
+def depth(
+    folder: ScanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUTDIR", help="Folder for the depth maps.", show_default=False)
+    ],
+    scan: ScanParams,
+    params: DepthParams,
+    out: Output,
+) -> None:
+    """Match the pairs or single views of a scan: depth maps, confidence and a coloured point cloud.
+
+    OUTDIR is then a scan folder itself, which `scanloom fuse` reads.
+
+    Example: scanloom depth my_pairs my_depth --max-depth 30
+    """
+    from pipeline.depth_maps import write_depth_maps
+
+    source = stages.read_scan(require_scan(folder), scan)
+    measure = stages.views_depth if source.is_views else stages.depth_scan
+    with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
+        figures = write_depth_maps(draft, measure(source, params, progress), len(source.frames))
+    out.result({"output": str(target), **figures})

@@ -1,0 +1,52 @@
+"""The command `fuse`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.output import Output
+from cli.paths import MESH_SUFFIXES, require_new_file, require_scan
+from cli.scan_argument import ScanFolder
+from stages import FuseParams, InputError, ScanParams
+from stages.inspecting.sanity import require_poses
+
+
+def fuse(
+    folder: ScanFolder,
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="Mesh file to write (.ply, .obj, .off, .stl, .glb).", show_default=False
+        ),
+    ],
+    scan: ScanParams,
+    params: FuseParams,
+    out: Output,
+) -> None:
+    """Fuse the depth maps of a scan into one coloured mesh (TSDF).
+
+    Stereo pairs have no depth yet: run `scanloom depth` on them first and fuse what it leaves.
+
+    Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    source = stages.read_scan(require_scan(folder), scan)
+    if source.is_stereo or source.is_views:
+        what = "stereo pairs" if source.is_stereo else "single views"
+        raise InputError(
+            f"these are {what} without depth; run `scanloom depth {folder} OUTDIR` and fuse OUTDIR, "
+            "or `scanloom run` for the whole way.",
+            folder,
+        )
+    if scan.check_poses:
+        for doubt in require_poses(source):
+            out.remark(doubt)
+    with out.progress("fuse", "frames") as progress:
+        fused = stages.fuse(source, params, progress=progress)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    stages.write_mesh(target, fused.mesh)
+    out.result({"output": str(target), **fused.figures()})

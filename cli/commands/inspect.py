@@ -1,0 +1,45 @@
+"""The command `inspect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.options import as_typed
+from cli.output import Output
+from cli.paths import require_new_file, require_scan
+from cli.scan_argument import ScanFolder
+from stages import ScanParams
+from stages.inspecting.picture import inspection_picture
+from stages.picturing.render import write_png
+
+
+def inspect(
+    folder: ScanFolder,
+    params: ScanParams,
+    out: Output,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Picture (.png) of where the cameras stand, from above and from the side, and of the middle "
+            "frame's depth over its colour.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Say what a scan folder holds: layout, frames, sizes, calibration, poses, depth, and what is odd.
+
+    Example: scanloom inspect my_scan --picture my_scan.png
+    """
+    if picture is not None:
+        require_new_file(picture, (".png",))
+    scan = stages.read_scan(require_scan(folder), params, complete=False)
+    inspection = stages.inspect(scan)
+    if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        write_png(picture, inspection_picture(scan))
+    out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))

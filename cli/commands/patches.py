@@ -1,0 +1,54 @@
+"""The command `patches`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+import stages
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_written, write_file
+from cli.output import Output, table_of
+from cli.paths import MESH_SUFFIXES, require_new_file
+from stages import PatchParams
+from stages.simplification.planar.patches import colored_by_patch
+from stages.surface.formats.ply import write_ply
+
+
+def patches(source: MeshFile, target: NewMesh, params: PatchParams, out: Output) -> None:
+    """Find the near-planar patches of a mesh, its walls and floors, and write it coloured by them.
+
+    These are what `scanloom simplify --method planar` triangulates anew, but that it divides a patch that
+    lies over itself, seen along its normal. In a PLY, each face also has the number of its patch; patches are
+    numbered by area, largest first.
+
+    Example: scanloom patches clean.ply patches.ply --max-shape 0.02
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    mesh = read_file(source, out)
+    with about_file(source), out.progress("patches", "triangles") as progress:
+        found = stages.planar_patches(mesh, params, progress=progress)
+    colored = colored_by_patch(mesh, found.triangle_patch)
+    if target.suffix.lower() == ".ply":
+        kept = found.triangle_patch[found.triangle_patch >= 0]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_ply(target, colored, {"patch": kept.astype(np.float64)})
+        tell_written(target, colored, out)
+    else:
+        write_file(target, colored, out)
+    figures = {"output": str(target), **found.figures()}
+    out.result(figures, None if out.as_json else _patches_text(figures))
+
+
+def _patches_text(figures: Mapping[str, Any]) -> str:
+    rows = [["largest patches", "area m²", "triangles", "thickness m", "normal"]]
+    for number, patch in enumerate(figures["largest_patches"]):
+        normal = " ".join(f"{x:.2f}" for x in patch["normal"])
+        area, thickness = f"{patch['area_m2']:.4g}", f"{patch['thickness_m']:.3g}"
+        rows.append([str(number), area, f"{patch['triangles']:,}", thickness, normal])
+    few = figures["patches_of_half_the_area"]
+    return (
+        f"{figures['patches']:,} patches, {figures['area_m2']:.4g} m²; half of that in the {few:,} largest."
+        f"\n\n{table_of(rows)}"
+    )

@@ -1,0 +1,47 @@
+"""The command `register`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.output import Output
+from cli.paths import new_folder, require_scan
+from cli.scan_argument import ScanFolder
+from stages import InputError, RegisterParams, ScanParams
+from stages.scans.read import require_complete
+
+
+def register(
+    folder: ScanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUTDIR", help="Folder for poses and cloud.", show_default=False)
+    ],
+    scan: ScanParams,
+    params: RegisterParams,
+    out: Output,
+) -> None:
+    """Find the camera poses of a scan with depth from what its frames show.
+
+    Poses it has are not used, except with --refine, which makes them better. OUTDIR gets trajectory.tum
+    (camera-to-world), registration.json (matrices, edges, pieces, where the chain broke), path.ply (a
+    coloured cloud, the camera's path in red), and pieces/ with the poses of what could not be joined.
+
+    Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
+    """
+    from pipeline.registering import write
+
+    source = stages.read_scan(require_scan(folder), scan, complete=False)
+    if source.is_stereo:
+        raise InputError(
+            f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR`, register OUTDIR, "
+            "or `scanloom run` for the whole way.",
+            folder,
+        )
+    require_complete(source, folder, posed=False)
+    with new_folder(target) as draft, out.progress("register", "frames") as progress:
+        figures = write(draft, stages.register(source, params, progress=progress))
+    out.result({"output": str(target), **figures})

@@ -1,0 +1,73 @@
+"""The command `remesh`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import stages
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file
+from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
+from cli.output import Output, size_of
+from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
+from stages import InputError, RemeshParams
+from stages.surface.formats.ply import read_vertex_values
+
+_SNM = (".snm",)
+
+
+def remesh(
+    source: MeshFile,
+    target: NewMesh,
+    params: RemeshParams,
+    out: Output,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Keep all levels in this file (.snm), for scanloom decode: small, and its beginning is a "
+            "coarser mesh.",
+            show_default=False,
+        ),
+    ] = None,
+    save_levels: SaveLevels = None,
+) -> None:
+    """Make a normal mesh: a base mesh, refined level by level on the surface, one number a vertex.
+
+    OUT is the finest level, which lies on the surface of IN with even triangles. Colours are carried along,
+    and so is a property `confidence` of a PLY file's vertices.
+
+    IN must be a manifold mesh; run `scanloom clean` on it first when it is not. Vertices where several fans
+    of triangles touch are split.
+
+    Example: scanloom remesh clean.ply normal.ply --save normal.snm --tolerance 1e-4
+
+    Example: scanloom remesh clean.ply normal.ply --base-triangles 400 --levels 5 --scheme butterfly
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    if save is not None:
+        require_new_file(save, _SNM)
+    if save_levels is not None:
+        require_writable(save_levels)
+    mesh = read_file(source, out)
+    with about_file(source), out.progress("remesh", "levels") as progress:
+        found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
+    for note in found.mesh.notes[len(mesh.notes) :]:
+        out.remark(note)
+    write_normal_mesh(target, found, save_levels, out)
+    if save is not None:
+        save.parent.mkdir(parents=True, exist_ok=True)
+        found.save(save)
+        out.remark(f"{save}: {size_of(len(found.data))}")
+    tell_normal_mesh(target, found, out)
+
+
+def _confidence(path: Path) -> NDArray[np.float64] | None:
+    values = read_vertex_values(path, "confidence") if path.suffix.lower() == ".ply" else None
+    if values is not None and not np.isfinite(values).all():
+        raise InputError("has a confidence that is not finite; remove the property `confidence`.", path)
+    return values

@@ -1,0 +1,64 @@
+"""The command `render`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.mesh_arguments import MeshFile, read_file
+from cli.output import Output
+from cli.paths import require_new_file
+from stages import UsageError
+from stages.params import check, param
+from stages.picturing.render import write_png
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureParams:
+    """How a picture of a mesh is taken."""
+
+    view: int = param(1, "Which of the views around the mesh, counted from 1.", low=1, high=8)
+    width: int = param(1200, "Width of the picture.", unit="px", low=16, high=8192)
+    shading: str = param(
+        "color",
+        "Vertex colours, plain clay that shows the shape, or clay with the edges of the triangles.",
+        choices=("color", "plain", "edges"),
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def render(
+    source: MeshFile,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Picture to write (.png).", show_default=False)
+    ],
+    params: PictureParams,
+    out: Output,
+    scan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Scan the mesh was made from: look from its cameras.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Draw a picture of a mesh, without a window or a GPU.
+
+    Example: scanloom render simplified.ply picture.png --shading edges --view 2
+    """
+    require_new_file(target, (".png",))
+    frames = stages.read_scan(scan).frames if scan is not None else ()
+    mesh = read_file(source, out)
+    views = stages.viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
+    if params.view > len(views):
+        raise UsageError(f"--view is {params.view}, but there are only {len(views)} views.")
+    view = views[params.view - 1]
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_png(target, stages.render(mesh, view, shading=params.shading))  # type: ignore[arg-type]
+    figures = {"output": str(target), "view": view.name}
+    out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})

@@ -1,0 +1,36 @@
+"""The command `replay`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.mesh_arguments import NewMesh, write_file
+from cli.output import Output
+from cli.paths import MESH_SUFFIXES, require_file, require_new_file
+from stages import ReplayParams
+
+
+def replay(
+    record: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORD", help="File that `simplify --save-record` wrote.", show_default=False
+        ),
+    ],
+    target: NewMesh,
+    params: ReplayParams,
+    out: Output,
+) -> None:
+    """Write a mesh as it was on the way of a simplification, at any number of triangles.
+
+    Example: scanloom replay light.npz half.ply --ratio 0.5
+    """
+    require_new_file(target, MESH_SUFFIXES)
+    replayed = stages.load_record(require_file(record)).replay(params)
+    write_file(target, replayed.mesh, out)
+    figures = {"triangles": len(replayed.mesh.triangles), "vertices": len(replayed.mesh.vertices)}
+    out.result({"output": str(target), **figures, "collapses": replayed.collapses})

@@ -1,0 +1,53 @@
+"""Writing a normal mesh and telling of it: for the commands `remesh` and `decode`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cli.mesh_arguments import tell_written
+from cli.output import Output, lines_of, table_of
+from stages import NormalMesh
+
+SaveLevels = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Folder for a PLY file of each level: level_0.ply, the base mesh, to the finest.",
+        show_default=False,
+    ),
+]
+
+
+def write_normal_mesh(target: Path, found: NormalMesh, folder: Path | None, out: Output) -> None:
+    """Write the finest level to `target`, and all of them into `folder` if one is given."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    found.write(target)
+    tell_written(target, found.mesh, out)
+    if folder is not None:
+        for path, mesh in zip(found.write_levels(folder), found.levels, strict=True):
+            tell_written(path, mesh, out)
+
+
+def tell_normal_mesh(target: Path, found: NormalMesh, out: Output) -> None:
+    """Tell the figures of each level, and what a person should know of them."""
+    for warning in found.warnings:
+        out.remark(f"warning: {warning}")
+    figures = {"output": str(target), **found.figures()}
+    out.result(figures, None if out.as_json else _text(figures))
+
+
+def _text(figures: Mapping[str, Any]) -> str:
+    names = ["level", "triangles", "vertices", "exceptions", "boundary vertices", "bytes so far"]
+    keys = ["level", "triangles", "vertices", "exceptions", "boundary_vertices", "file_bytes"]
+    measured = "max_distance_m" in figures["by_level"][0]
+    rows = [[*names, *["largest distance m"] * measured]]
+    for one in figures["by_level"]:
+        distance = [f"{one['max_distance_m']:.4g}"] if measured else []
+        rows.append([*(f"{one[key]:,}" for key in keys), *distance])
+    told = ("by_level", "warnings", "damage")
+    lines = lines_of({key: value for key, value in figures.items() if key not in told})
+    return f"{table_of(rows)}\n\n{lines}"
