@@ -6,9 +6,11 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -35,6 +37,7 @@ from cli.commands import (
 from cli.options import with_options
 from cli.output import to_json
 from stages.errors import ScanloomError
+from stages.params import RenamedWarning
 
 # What the help lists under each heading, in this order; a command has the name of its function.
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
@@ -117,6 +120,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command line; every exception becomes a sentence on stderr and an exit code."""
+    with _told_of_former_names():
+        return _run(arguments)
+
+
+@contextmanager
+def _told_of_former_names() -> Iterator[None]:
+    """Tell a person on stderr which name an option or key has now; Python's own words name lines of code."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", RenamedWarning)
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RenamedWarning):
+                sys.stderr.write(f"warning: {message}\n")
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         code = typer.main.get_command(app).main(
             args=list(arguments), prog_name="scanloom", standalone_mode=False

@@ -19,7 +19,7 @@ import typer
 
 from cli.output import Output
 from stages.errors import UsageError
-from stages.params import Described, described
+from stages.params import Described, described, renamed
 
 OUTPUT_PANEL = "Output"
 P = TypeVar("P")
@@ -83,7 +83,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
 def build(cls: type, values: dict[str, Any]) -> Any:
     """Build a parameter class from the options that were given (the others are None)."""
-    fields_given = {name: values[name] for name in described(cls) if values[name] is not None}
+    fields_given = renamed(cls, _given(cls, values), option_name)
     try:
         return cls(**fields_given)
     except UsageError as error:
@@ -98,7 +98,16 @@ def build(cls: type, values: dict[str, Any]) -> Any:
 def given(cls: type[P], values: dict[str, Any]) -> Changes[P]:
     """Return the fields whose options were given, checked."""
     params = build(cls, values)
-    return Changes({name: getattr(params, name) for name in described(cls) if values[name] is not None})
+    names = {about.was: name for name, about in described(cls).items()}
+    return Changes(
+        {names.get(name, name): getattr(params, names.get(name, name)) for name in _given(cls, values)}
+    )
+
+
+def _given(cls: type, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of a class whose options were given, under the names that were used."""
+    names = [name for own, about in described(cls).items() for name in (own, about.was) if name]
+    return {name: values[name] for name in names if values.get(name) is not None}
 
 
 def option_name(field_name: str) -> str:
@@ -153,12 +162,14 @@ def _options(cls: type) -> list[inspect.Parameter]:
     hints = get_type_hints(cls)
     panel = cls.__name__.removesuffix("Params")
     return [
-        _keyword(name, _option(name, about, hints[name], default_of(cls, name), panel))
-        for name, about in described(cls).items()
+        _keyword(name, _option(name, about, hints[own], default_of(cls, own), panel, hidden=name != own))
+        for own, about in described(cls).items()
+        for name in (own, about.was)
+        if name
     ]
 
 
-def _option(name: str, about: Described, hint: Any, default: Any, panel: str) -> Any:
+def _option(name: str, about: Described, hint: Any, default: Any, panel: str, *, hidden: bool) -> Any:
     kind = _plain_type(hint)
     names = [option_name(name)]
     if kind is bool:
@@ -171,6 +182,7 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str) ->
             metavar="|".join(about.choices) or None,
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
+            hidden=hidden,
             rich_help_panel=about.group or f"{panel} parameters",
         ),
     ]

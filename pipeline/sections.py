@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from stages.errors import UsageError
-from stages.params import Described, described
+from stages.params import Described, described, renamed
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -83,6 +83,8 @@ class Sections:
                     f"--set {assignment}: write stage.parameter=value, say fuse.voxel_size=0.01."
                 )
             where = f"--set {assignment}"
+            config._require_section(section, where)
+            ((key, text),) = renamed(config.types()[section], {key: text}, f"{section}.{{}}".format).items()
             kind = config._kind(section, key, where)
             config = config._with(section, {key: _from_word(text, kind, f"{where}: {name}")}, where)
         return config
@@ -121,6 +123,7 @@ class Sections:
         return get_type_hints(cls)[key]
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
+        values = renamed(self.types()[section], values, lambda name: f"{section}.{name}")
         changes = {key: _typed(value, self._kind(section, key, where)) for key, value in values.items()}
         try:
             changed = dataclasses.replace(getattr(self, section), **changes)

@@ -7,12 +7,18 @@ help, the keys of the config file and the reference page. Every field carries it
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, get_type_hints
 
 from stages.errors import UsageError
 
 P = TypeVar("P")
+
+
+class RenamedWarning(FutureWarning):
+    """A parameter was named as it used to be; the message says its name now."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,7 @@ class Described:
     choices: tuple[str, ...]
     invalidates: bool
     group: str
+    was: str
 
 
 def param(
@@ -40,17 +47,19 @@ def param(
     choices: tuple[str, ...] = (),
     invalidates: bool = True,
     group: str = "",
+    was: str = "",
 ) -> Any:
     """Declare a field of a parameter class.
 
     `None` as a default means "derived from the data"; `text` then says how. `low` and `high` are the
     allowed range, both included (`low_open` leaves `low` out). `invalidates=False` marks what cannot
     change the result (threads, previews), so that the cache ignores it. `group` is a heading for those that
-    belong together, in a help that has many.
+    belong together, in a help that has many. `was` is the name it had before, which is understood for one
+    version more.
     """
     return field(
         default=default,
-        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group)},
+        metadata={"param": Described(text, unit, low, high, low_open, choices, invalidates, group, was)},
     )
 
 
@@ -93,8 +102,35 @@ def _check_range(name: str, value: float, about: Described) -> None:
         raise UsageError(f"{name} is {value:g}{unit}; it must be at most {about.high:g}{unit}.")
 
 
+def renamed(
+    cls: type, values: Mapping[str, Any], shown: Callable[[str], str] = lambda name: name
+) -> dict[str, Any]:
+    """Return values under the names their parameters have now, and warn of each that came under a former one.
+
+    Parameters
+    ----------
+    shown : how a person writes a name where these come from.
+
+    Raises
+    ------
+    UsageError
+        If one parameter is given under both of its names.
+    """
+    now = {about.was: name for name, about in described(cls).items() if about.was}
+    given = {name: value for name, value in values.items() if name not in now}
+    for former in now.keys() & values.keys():
+        name = now[former]
+        if name in given:
+            raise UsageError(f"{shown(name)} and {shown(former)} are one; leave {shown(former)} out.")
+        message = f"{shown(former)} is called {shown(name)} now; the old name goes with the next version."
+        warnings.warn(message, RenamedWarning, stacklevel=4)
+        given[name] = values[former]
+    return given
+
+
 def resolve(cls: type[P], params: P | None, changes: dict[str, Any]) -> P:
     """Parameters of a call: those given (or the defaults), with the named changes applied."""
+    changes = renamed(cls, changes)
     unknown = sorted(set(changes) - set(described(cls)))
     if unknown:
         raise UsageError(f"unknown parameter {unknown[0]!r}; known are {', '.join(described(cls))}.")
