@@ -177,8 +177,8 @@ def main() -> None:
             if name in options.mesh:
                 mesh = model.read(options.data)
                 frames = read_scan(options.data / SCAN).frames if name == "kitchen" else ()
-                view = viewpoints(mesh, 1, frames=frames, width=WIDTH)[0]
-                draw(mesh, model.remeshed(mesh), view, options.picture / f"normal_mesh_{name}.png")
+                viewpoint = viewpoints(mesh, 1, frames=frames, width=WIDTH)[0]
+                draw(mesh, model.remeshed(mesh), viewpoint, options.picture / f"normal_mesh_{name}.png")
 
 
 def print_models(names: list[str], data: Path, samples: int) -> None:

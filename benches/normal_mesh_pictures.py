@@ -13,7 +13,7 @@ import numpy as np
 from stages.comparing.distance_map import distance_map
 from stages.normal_meshes.normal_mesh import NormalMesh
 from stages.picturing.render import Model, write_png
-from stages.picturing.viewpoints import View
+from stages.picturing.viewpoints import Viewpoint
 from stages.scans.scan import ColorImage
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
@@ -24,25 +24,27 @@ HEAD_PX = 32
 SCALE_PX, SCALE_END_PX = 120, 80
 
 
-def draw(mesh: Mesh, result: NormalMesh, view: View, path: Path) -> None:
-    """Draw all from one view, side by side, as PNG; colours, where there are any, in a second row."""
+def draw(mesh: Mesh, result: NormalMesh, viewpoint: Viewpoint, path: Path) -> None:
+    """Draw all from one viewpoint, side by side, as PNG; colours, where there are any, in a second row."""
     models = [Model(Surface(light)) for light in result.levels]
     top = [
-        titled(model.draw(view, "edges"), f"level {level}: {len(light.triangles):,} triangles")
+        titled(model.draw(viewpoint, "edges"), f"level {level}: {len(light.triangles):,} triangles")
         for level, (model, light) in enumerate(zip(models, result.levels, strict=True))
     ]
-    rows = [[*top, distances(mesh, result.mesh, view)]]
+    rows = [[*top, distances(mesh, result.mesh, viewpoint)]]
     if mesh.colors is not None:
-        below = [titled(model.draw(view), f"level {level}: colours") for level, model in enumerate(models)]
-        rows.append([*below, titled(Model(Surface(mesh)).draw(view), "original: colours")])
+        below = [
+            titled(model.draw(viewpoint), f"level {level}: colours") for level, model in enumerate(models)
+        ]
+        rows.append([*below, titled(Model(Surface(mesh)).draw(viewpoint), "original: colours")])
     write_png(path, np.vstack([np.hstack(row) for row in rows]))
 
 
-def distances(mesh: Mesh, light: Mesh, view: View) -> ColorImage:
+def distances(mesh: Mesh, light: Mesh, viewpoint: Viewpoint) -> ColorImage:
     """Draw a mesh painted with its distance to another, under the scale of the colours."""
     box = bounding_box(mesh, light)
     painted, full_scale = distance_map(mesh, Surface(light, box))
-    image = titled(Model(Surface(painted)).draw(view), "original: off by 0 to")
+    image = titled(Model(Surface(painted)).draw(viewpoint), "original: off by 0 to")
     ramp = np.linspace(0, 255, SCALE_PX).astype(np.uint8)[:, None]
     end = image.shape[1] - SCALE_END_PX
     image[10:22, end - SCALE_PX : end] = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from stages._open3d import open3d
 from stages.fusion.fuse import fuse
 from stages.picturing.render import render, write_png
-from stages.picturing.viewpoints import View
+from stages.picturing.viewpoints import Viewpoint
 from stages.scans.images import read_color, read_right
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Scan
@@ -87,7 +87,7 @@ def road(mesh: Mesh, scan: Scan, across: tuple[float, float]) -> tuple[float, fl
     return float(hit.mean()), float(np.std(distance[hit]))
 
 
-def views(scan: Scan) -> list[View]:
+def views(scan: Scan) -> list[Viewpoint]:
     """As the driver of the ninth frame sees it, and from six metres above the first."""
     driver, first = (np.array(scan.frames[k].world_from_camera) for k in (8, 3))
     above = np.array(first)
@@ -96,7 +96,7 @@ def views(scan: Scan) -> list[View]:
     turn = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
     above[:3, :3] = first[:3, :3] @ turn
     wide = Camera(1226, 600, 600.0, 600.0, 613.0, 300.0)
-    return [View("driver", scan.frames[0].camera, driver), View("above", wide, above)]
+    return [Viewpoint("driver", scan.frames[0].camera, driver), Viewpoint("above", wide, above)]
 
 
 def main() -> None:
@@ -129,9 +129,9 @@ def main() -> None:
             f"| {topology(mesh).components} | {largest_piece(mesh):.0%} | {closed} "
             f"| {measured[0][1] * 100:.1f} |"
         )
-        for view in views(scan) if options.pictures else []:
+        for viewpoint in views(scan) if options.pictures else []:
             options.pictures.mkdir(parents=True, exist_ok=True)
-            write_png(options.pictures / f"{name}-{view.name}.png", render(mesh, view))
+            write_png(options.pictures / f"{name}-{viewpoint.name}.png", render(mesh, viewpoint))
 
 
 def largest_piece(mesh: Mesh) -> float:

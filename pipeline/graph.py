@@ -115,9 +115,9 @@ def _report(job: Job) -> Mapping[str, Any]:
     made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress)
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])
-        view = report.views_of(meshes["fused"], frames, params)[-1]
+        viewpoint = report.viewpoints_of(meshes["fused"], frames, params)[-1]
         made["normal_mesh"], drawn = remeshing.report(
-            pictures, meshes["simplified"], levels, view, job.config.compare
+            pictures, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}

@@ -12,7 +12,7 @@ from stages.comparing.compare import CompareParams, compare_surfaces
 from stages.comparing.distance_map import distance_map
 from stages.normal_meshes.remesh import RemeshParams, remesh
 from stages.params import param
-from stages.picturing.render import Model, View, write_png
+from stages.picturing.render import Model, Viewpoint, write_png
 from stages.progress import Progress
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Mesh
@@ -48,7 +48,7 @@ def read_levels(folder: Path) -> list[Mesh]:
 
 
 def report(
-    folder: Path, original: Mesh, levels: Sequence[Mesh], view: View, compared: CompareParams
+    folder: Path, original: Mesh, levels: Sequence[Mesh], viewpoint: Viewpoint, compared: CompareParams
 ) -> tuple[dict[str, Any], list[str]]:
     """Measure each level, draw it with its triangles, and paint the original with how far off the last is.
 
@@ -71,9 +71,9 @@ def report(
         found = compare_surfaces(reference, surface, fewer)
         counts = {"level": level, "vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
         figures.append(counts | {"to_simplified": found.figures()})
-        images[f"remeshed-level_{level}.png"] = Model(surface).draw(view, "edges")
+        images[f"remeshed-level_{level}.png"] = Model(surface).draw(viewpoint, "edges")
     painted, full_scale = distance_map(original, surface)
-    images["remeshed-distance.png"] = Model(Surface(painted, box)).draw(view)
+    images["remeshed-distance.png"] = Model(Surface(painted, box)).draw(viewpoint)
     for name, image in images.items():
         write_png(folder / name, image)
     return {"levels": figures, "full_scale_m": full_scale}, list(images)

@@ -21,8 +21,8 @@ import numpy as np
 
 from pipeline.engine import Outcome
 from stages.comparing.compare import CompareParams, compare_surfaces
-from stages.params import check, param
-from stages.picturing.render import Model, Shading, View, viewpoints, write_png
+from stages.params import check, param, with_former_names
+from stages.picturing.render import Model, Shading, Viewpoint, viewpoints, write_png
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Scan
@@ -35,11 +35,14 @@ VERSION = 2
 SCHEMA = 1
 
 
+@with_former_names
 @dataclass(frozen=True, kw_only=True)
 class ReportParams:
     """Pictures of each stage's mesh."""
 
-    views: int = param(3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100)
+    viewpoints: int = param(
+        3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100, was="views"
+    )
     width: int = param(800, "Width of a picture.", unit="px", low=64, high=4096)
 
     def __post_init__(self) -> None:
@@ -131,14 +134,14 @@ def draw(
 
     Returns
     -------
-    The names of the files: `<mesh>-<view>.png` and `<mesh>-triangles.png`.
+    The names of the files: `<mesh>-<viewpoint>.png` and `<mesh>-triangles.png`.
     """
-    views = views_of(next(iter(surfaces.values())).mesh, frames, params)
-    jobs: list[tuple[str, Model, View, Shading]] = []
+    chosen = viewpoints_of(next(iter(surfaces.values())).mesh, frames, params)
+    jobs: list[tuple[str, Model, Viewpoint, Shading]] = []
     for name, surface in surfaces.items():
         model = Model(surface)
-        jobs += [(f"{name}-{view.name}.png", model, view, "color") for view in views]
-    jobs.append((f"{name}-triangles.png", model, views[-1], "edges"))
+        jobs += [(f"{name}-{viewpoint.name}.png", model, viewpoint, "color") for viewpoint in chosen]
+    jobs.append((f"{name}-triangles.png", model, chosen[-1], "edges"))
     threads = os.cpu_count() or 1
     images = list(read_ahead(lambda job: job[1].draw(*job[2:]), jobs, threads=threads, ahead=len(jobs)))
     images[-1] = np.hstack(images[-2:])
@@ -147,11 +150,11 @@ def draw(
     return [file for file, *_ in jobs]
 
 
-def views_of(mesh: Mesh, frames: Sequence[Frame], params: ReportParams) -> tuple[View, ...]:
+def viewpoints_of(mesh: Mesh, frames: Sequence[Frame], params: ReportParams) -> tuple[Viewpoint, ...]:
     """Return where the meshes of a run are drawn from; `mesh` is the fused one."""
-    # A view is named after its frame; numbers, because the names of files decide nothing here.
+    # A viewpoint is named after its frame; numbers, because the names of files decide nothing here.
     numbered = [replace(frame, name=f"{i:06d}") for i, frame in enumerate(frames)]
-    return viewpoints(mesh, params.views, frames=numbered, width=params.width)
+    return viewpoints(mesh, params.viewpoints, frames=numbered, width=params.width)
 
 
 def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], out: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from stages.fusion.params import FuseParams
 from stages.inspecting.inspect import Inspection, inspect
 from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
 from stages.normal_meshes.remesh import RemeshParams, remesh
-from stages.picturing.render import View, render
+from stages.picturing.render import Viewpoint, render
 from stages.picturing.viewpoints import viewpoints
 from stages.registration.register import RegisterParams, Registration, register
 from stages.scans.params import ScanParams
@@ -82,7 +82,7 @@ __all__ = [
     "Texture",
     "Topology",
     "UsageError",
-    "View",
+    "Viewpoint",
     "as_mesh",
     "bake",
     "certify",

@@ -10,11 +10,14 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar, get_type_hints
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 from stages.errors import UsageError
 
 P = TypeVar("P")
+A = ParamSpec("A")
+R = TypeVar("R")
 
 
 class RenamedWarning(FutureWarning):
@@ -126,6 +129,35 @@ def renamed(
         warnings.warn(message, RenamedWarning, stacklevel=4)
         given[name] = values[former]
     return given
+
+
+def with_former_names(cls: type[P]) -> type[P]:
+    """Let a parameter class be made with the former names of its parameters too, with a warning."""
+    make = cls.__init__
+
+    @wraps(make)
+    def understanding(self: P, **values: Any) -> None:
+        make(self, **renamed(cls, values))
+
+    cls.__init__ = understanding  # type: ignore[assignment]
+    return cls
+
+
+def former_keyword(was: str, now: str) -> Callable[[Callable[A, R]], Callable[A, R]]:
+    """Let a function's argument be given under its former name for one version more, with a warning."""
+
+    def understood(function: Callable[A, R]) -> Callable[A, R]:
+        @wraps(function)
+        def call(*values: A.args, **named: A.kwargs) -> R:
+            if was in named:
+                message = f"{was} is called {now} now; the old name goes with the next version."
+                warnings.warn(message, RenamedWarning, stacklevel=2)
+                named[now] = named.pop(was)
+            return function(*values, **named)
+
+        return call
+
+    return understood
 
 
 def resolve(cls: type[P], params: P | None, changes: dict[str, Any]) -> P:

@@ -13,15 +13,18 @@ from cli.mesh_arguments import MeshFile, read_file
 from cli.output import Output
 from cli.paths import require_new_file
 from stages import UsageError
-from stages.params import check, param
+from stages.params import check, param, with_former_names
 from stages.picturing.render import write_png
 
 
+@with_former_names
 @dataclass(frozen=True, kw_only=True)
 class PictureParams:
     """How a picture of a mesh is taken."""
 
-    view: int = param(1, "Which of the views around the mesh, counted from 1.", low=1, high=8)
+    viewpoint: int = param(
+        1, "Which of the viewpoints around the mesh, counted from 1.", low=1, high=8, was="view"
+    )
     width: int = param(1200, "Width of the picture.", unit="px", low=16, high=8192)
     shading: str = param(
         "color",
@@ -49,16 +52,16 @@ def render(
 ) -> None:
     """Draw a picture of a mesh, without a window or a GPU.
 
-    Example: scanloom render simplified.ply picture.png --shading edges --view 2
+    Example: scanloom render simplified.ply picture.png --shading edges --viewpoint 2
     """
     require_new_file(target, (".png",))
     frames = stages.read_scan(scan).frames if scan is not None else ()
     mesh = read_file(source, out)
-    views = stages.viewpoints(mesh, max(params.view, 4), frames=frames, width=params.width)
-    if params.view > len(views):
-        raise UsageError(f"--view is {params.view}, but there are only {len(views)} views.")
-    view = views[params.view - 1]
+    around = stages.viewpoints(mesh, max(params.viewpoint, 4), frames=frames, width=params.width)
+    if params.viewpoint > len(around):
+        raise UsageError(f"--viewpoint is {params.viewpoint}, but there are only {len(around)} viewpoints.")
+    viewpoint = around[params.viewpoint - 1]
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_png(target, stages.render(mesh, view, shading=params.shading))  # type: ignore[arg-type]
-    figures = {"output": str(target), "view": view.name}
-    out.result(figures | {"width_px": view.camera.width, "height_px": view.camera.height})
+    write_png(target, stages.render(mesh, viewpoint, shading=params.shading))  # type: ignore[arg-type]
+    figures = {"output": str(target), "viewpoint": viewpoint.name}
+    out.result(figures | {"width_px": viewpoint.camera.width, "height_px": viewpoint.camera.height})

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.replacing import replacing
-from stages.picturing.viewpoints import View, viewpoints
+from stages.params import former_keyword
+from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import ColorImage
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Hits, Surface, chunks
 
-__all__ = ["Model", "Shading", "View", "render", "viewpoints", "write_png"]
+__all__ = ["Model", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 
 Shading = Literal["color", "plain", "edges"]
 # Pictures of 8 bits need no more, and half the memory is half the time.
@@ -42,20 +43,21 @@ _MAX_CULLED = 16
 _TINY = np.finfo(np.float32).tiny
 
 
-def render(mesh: MeshLike, view: View, *, shading: Shading = "color") -> ColorImage:
-    """Draw a mesh from one view.
+@former_keyword("view", "viewpoint")
+def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") -> ColorImage:
+    """Draw a mesh from one viewpoint.
 
     Parameters
     ----------
     mesh : in metres.
-    view : see View and `viewpoints`.
+    viewpoint : see Viewpoint and `viewpoints`.
     shading : "color" for the texture or vertex colours under a soft light (clay where there is neither),
         "plain" for clay alone, which shows the shape, "edges" for flat clay with the triangles' edges drawn.
         Triangles seen from behind are bluish in "plain" and "edges".
 
     Returns
     -------
-    (h, w, 3) uint8 RGB, of the view's size, on a light background.
+    (h, w, 3) uint8 RGB, of the viewpoint's size, on a light background.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def render(mesh: MeshLike, view: View, *, shading: Shading = "color") -> ColorIm
     mesh = as_mesh(mesh)
     if len(mesh.triangles) == 0:
         raise InputError("the mesh has no triangles; there is nothing to draw.")
-    return Model(Surface(mesh)).draw(view, shading)
+    return Model(Surface(mesh)).draw(viewpoint, shading)
 
 
 def write_png(path: Path, image: ColorImage) -> None:
@@ -84,7 +86,7 @@ def write_png(path: Path, image: ColorImage) -> None:
 
 
 class Model:
-    """A surface made ready to be drawn from any number of views.
+    """A surface made ready to be drawn from any number of viewpoints.
 
     Parameters
     ----------
@@ -96,37 +98,37 @@ class Model:
         self._normals = _vertex_normals(surface.mesh)
         self._is_colored = has_color(surface.mesh)
 
-    def draw(self, view: View, shading: Shading = "color") -> ColorImage:
+    def draw(self, viewpoint: Viewpoint, shading: Shading = "color") -> ColorImage:
         """Cast one ray a pixel, and more where the picture is not smooth; see `render`."""
         import cv2
 
-        height, width = view.camera.height, view.camera.width
+        height, width = viewpoint.camera.height, viewpoint.camera.width
         v, u = np.indices((height, width), np.float32).reshape(2, -1)
-        levels = self._levels(view, shading, u, v)
+        levels = self._levels(viewpoint, shading, u, v)
         image = levels.reshape(height, width, 3)
         contrast = cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)).max(axis=2)
         rough = np.flatnonzero(contrast > _CONTRAST)  # outlines and fine patterns
         finer = [levels[rough]]
         for du, dv in _OFFSETS:
-            finer.append(self._levels(view, shading, u[rough] + du, v[rough] + dv))
+            finer.append(self._levels(viewpoint, shading, u[rough] + du, v[rough] + dv))
         levels[rough] = np.mean(finer, axis=0)
         return np.asarray(np.rint(image).clip(0, 255), np.uint8)
 
-    def _levels(self, view: View, shading: Shading, u: _Floats, v: _Floats) -> _Floats:
+    def _levels(self, viewpoint: Viewpoint, shading: Shading, u: _Floats, v: _Floats) -> _Floats:
         """Return what is seen at image positions, (k, 3) levels of 0 to 255."""
-        down = ((v + np.float32(0.5)) / np.float32(view.camera.height))[:, None]
+        down = ((v + np.float32(0.5)) / np.float32(viewpoint.camera.height))[:, None]
         levels: _Floats = _BACKGROUND_TOP + (_BACKGROUND_BOTTOM - _BACKGROUND_TOP) * down
         for rows in chunks(len(u)):
-            directions = _directions(view, u[rows], v[rows])
-            for hits in self._seen(view, directions):
-                levels[rows.start + hits.rays] = self._shaded(hits, directions, view, shading)
+            directions = _directions(viewpoint, u[rows], v[rows])
+            for hits in self._seen(viewpoint, directions):
+                levels[rows.start + hits.rays] = self._shaded(hits, directions, viewpoint, shading)
         return levels
 
-    def _seen(self, view: View, directions: _Floats) -> Iterator[Hits]:
-        """Yield first hits; where the view culls, those on triangles that face it, as into a doll's house."""
-        origin = view.world_from_camera[:3, 3]
+    def _seen(self, viewpoint: Viewpoint, directions: _Floats) -> Iterator[Hits]:
+        """Yield first hits; where backs are culled, those on triangles that face it, as into a doll's house."""
+        origin = viewpoint.world_from_camera[:3, 3]
         hits = self._surface.cast(origin, directions)
-        if not view.cull:
+        if not viewpoint.cull:
             yield hits
             return
         # To go on behind what is culled takes less time than a second surface without it.
@@ -139,7 +141,7 @@ class Model:
             hits = self._surface.cast(origin, directions[rays], starts)
             hits = replace(hits, rays=rays[hits.rays])
 
-    def _shaded(self, hits: Hits, directions: _Floats, view: View, shading: Shading) -> _Floats:
+    def _shaded(self, hits: Hits, directions: _Floats, viewpoint: Viewpoint, shading: Shading) -> _Floats:
         mesh = self._surface.mesh
         corners = mesh.triangles[hits.triangles]
         towards = _unit(directions[hits.rays])
@@ -148,7 +150,7 @@ class Model:
         if shading != "edges":
             normals = _unit(_blended(self._normals, corners, hits.weights))
         normals = np.asarray(np.where(behind[:, None], -normals, normals))
-        to_light = np.asarray(view.world_from_camera[:3, :3] @ _LIGHT, np.float32)
+        to_light = np.asarray(viewpoint.world_from_camera[:3, :3] @ _LIGHT, np.float32)
         light = _dot(normals, to_light).clip(0, 1)
         head = np.abs(_dot(normals, towards))
         if shading == "color" and self._is_colored:
@@ -159,27 +161,27 @@ class Model:
         clay = np.asarray(tint * (0.44 + 0.48 * light + 0.26 * head)[:, None], np.float32)
         if shading == "edges":
             # From the viewer, so that float32 resolves them.
-            origin = view.world_from_camera[:3, 3]
+            origin = viewpoint.world_from_camera[:3, 3]
             around = [np.asarray(mesh.vertices[i] - origin, np.float32) for i in corners.T]
-            line = _line(around, hits, view)[:, None]
+            line = _line(around, hits, viewpoint)[:, None]
             clay += line * (_EDGE - clay)
         return clay
 
 
-def _directions(view: View, u: _Floats, v: _Floats) -> _Floats:
+def _directions(viewpoint: Viewpoint, u: _Floats, v: _Floats) -> _Floats:
     """Return rays through image positions, in the world, as long as 1 m of depth."""
-    camera = view.camera
-    x_axis, y_axis, z_axis = view.world_from_camera[:3, :3].T.astype(np.float32)
+    camera = viewpoint.camera
+    x_axis, y_axis, z_axis = viewpoint.world_from_camera[:3, :3].T.astype(np.float32)
     x = ((u - np.float32(camera.cx)) / np.float32(camera.fx))[:, None]
     y = ((v - np.float32(camera.cy)) / np.float32(camera.fy))[:, None]
     return np.asarray(x * x_axis + y * y_axis + z_axis)
 
 
-def _line(corners: list[_Floats], hits: Hits, view: View) -> _Floats:
+def _line(corners: list[_Floats], hits: Hits, viewpoint: Viewpoint) -> _Floats:
     """Return how much of an edge's colour is seen, 0 to 1, at points in triangles of three (k, 3) corners."""
     a, b, c = corners
     ab, bc, ca = b - a, c - b, a - c
-    pixel = hits.distances / np.float32(view.camera.fx)
+    pixel = hits.distances / np.float32(viewpoint.camera.fx)
     doubled_area = _dot(hits.normals, np.cross(ca, ab)) / pixel
     # Height over the edge opposite each corner: a weight times it is the distance from that edge.
     heights = [doubled_area / np.maximum(np.sqrt(_dot(side, side)), _TINY) for side in (bc, ca, ab)]

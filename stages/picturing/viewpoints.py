@@ -1,4 +1,4 @@
-"""From where to look at a mesh, so that the same views serve every stage of a scan."""
+"""From where to look at a mesh, so that the same viewpoints serve every stage of a scan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FIELD_OF_VIEW = math.radians(40)
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Viewpoint:
     """A camera that draws.
 
     Attributes
@@ -41,18 +41,18 @@ class View:
 
 def viewpoints(
     mesh: MeshLike, count: int = 4, *, frames: Sequence[Frame] = (), width: int = 800
-) -> tuple[View, ...]:
-    """Choose views that show a mesh well.
+) -> tuple[Viewpoint, ...]:
+    """Choose viewpoints that show a mesh well.
 
     With the frames of a scan: an overview from behind and above the cameras, without the triangles that
-    face away, and `count` - 1 views from camera poses spread evenly over the scan, which show the scene as
-    the sensor saw it, from inside a room too. The frames' own x and y axes tell what is up.
-    Without frames: `count` views around the mesh from 30° above, y up, as in glTF.
+    face away, and `count` - 1 camera poses spread evenly over the scan, which show the scene as the sensor
+    saw it, from inside a room too. The frames' own x and y axes tell what is up.
+    Without frames: `count` viewpoints around the mesh from 30° above, y up, as in glTF.
 
     Parameters
     ----------
-    mesh : what the views are fitted to; use one mesh for all stages to make pictures comparable.
-    count : number of views, 1 or more.
+    mesh : what the viewpoints are fitted to; use one mesh for all stages to make pictures comparable.
+    count : number of viewpoints, 1 or more.
     frames : of the scan; those without a pose are ignored.
     width : of the pictures, pixels; they are 4:3, or have the shape of the frames' camera.
 
@@ -82,7 +82,7 @@ def viewpoints(
     return (overview, *(_as_seen(posed[i], width) for i in chosen))
 
 
-def _as_seen(frame: Frame, width: int) -> View:
+def _as_seen(frame: Frame, width: int) -> Viewpoint:
     assert frame.world_from_camera is not None
     given, scale = frame.camera, width / frame.camera.width
     camera = Camera(
@@ -93,7 +93,7 @@ def _as_seen(frame: Frame, width: int) -> View:
         cx=(given.cx + 0.5) * scale - 0.5,
         cy=(given.cy + 0.5) * scale - 0.5,
     )
-    return View(f"frame-{frame.name}", camera, frame.world_from_camera)
+    return Viewpoint(f"frame-{frame.name}", camera, frame.world_from_camera)
 
 
 def _up(poses: Floats) -> Floats:
@@ -129,7 +129,7 @@ def _around(up: Floats, azimuth: float) -> Floats:
 
 def _looking(
     name: str, points: Floats, forward: Floats, up: Floats, width: int, *, cull: bool = False
-) -> View:
+) -> Viewpoint:
     """Look along `forward` from so far back that the points just fill the picture."""
     height = round(width * 3 / 4)
     right = np.cross(forward, up)
@@ -148,4 +148,4 @@ def _looking(
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, rotation @ eye
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-    return View(name, camera, pose, cull)
+    return Viewpoint(name, camera, pose, cull)

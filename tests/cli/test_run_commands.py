@@ -31,7 +31,14 @@ def states(ran: Any) -> dict[str, str]:
 def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
-    small_report = ("--set", "compare.samples=1000", "--set", "report.views=1", "--set", "report.width=64")
+    small_report = (
+        "--set",
+        "compare.samples=1000",
+        "--set",
+        "report.viewpoints=1",
+        "--set",
+        "report.width=64",
+    )
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--json", *small_report)
     first = scanloom(*words)
     assert first.exit_code == 0, first.stderr

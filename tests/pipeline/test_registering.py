@@ -23,7 +23,7 @@ QUICK = (
     "fuse.voxel_size=0.02",
     "simplify.ratio=0.2",
     "compare.samples=1000",
-    "report.views=1",
+    "report.viewpoints=1",
     "report.width=64",
 )
 

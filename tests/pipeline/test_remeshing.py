@@ -22,7 +22,7 @@ from stages.surface.formats.ply import read_ply
 
 QUICK = (
     "fuse.voxel_size=0.03",
-    "report.views=1",
+    "report.viewpoints=1",
     "report.width=64",
     "compare.samples=1000",
     "remesh.levels=2",

@@ -4,6 +4,7 @@ import pytest
 from pipeline.report import ReportParams, make
 from stages.comparing.compare import CompareParams, compare
 from stages.errors import InputError
+from stages.params import RenamedWarning
 from stages.surface.mesh import Mesh
 
 SQUARE = Mesh(
@@ -19,7 +20,7 @@ MESHES = {
     "clean": SQUARE,
     "simplified": SQUARE.with_(vertices=SQUARE.vertices + np.array((0, 0, 0.01))),
 }
-SMALL = ReportParams(views=1, width=64)
+SMALL = ReportParams(viewpoints=1, width=64)
 
 
 def test_islands_that_were_removed_do_not_count_as_an_error_of_simplification(tmp_path):
@@ -35,3 +36,8 @@ def test_a_mesh_without_triangles_is_refused_by_name(tmp_path):
     empty = SQUARE.with_(triangles=np.zeros((0, 3), np.int32))
     with pytest.raises(InputError, match=r"clean\.ply: it has no triangles"):
         make(tmp_path, MESHES | {"clean": empty}, [], CompareParams(), SMALL)
+
+
+def test_the_former_name_of_the_viewpoints_is_understood() -> None:
+    with pytest.warns(RenamedWarning, match="views is called viewpoints now"):
+        assert ReportParams(views=2) == ReportParams(viewpoints=2)

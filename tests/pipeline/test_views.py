@@ -20,7 +20,7 @@ from stages.scans.scan import Scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply
 
-QUICK = ("report.views=1", "report.width=64", "compare.samples=1000")
+QUICK = ("report.viewpoints=1", "report.width=64", "compare.samples=1000")
 
 
 @pytest.fixture(autouse=True)

@@ -7,18 +7,19 @@ import pytest
 import trimesh
 
 from stages.errors import InputError, StageError
+from stages.params import RenamedWarning
 from stages.picturing.render import Model, render, write_png
-from stages.picturing.viewpoints import View, viewpoints
+from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import Camera, Frame
 from stages.surface.mesh import Image, Material, Mesh, Texture
 from stages.surface.raycasting import Surface
 
 CAMERA = Camera(80, 60, 70.0, 70.0, 39.5, 29.5)
-AHEAD = View("ahead", CAMERA, np.eye(4))
+AHEAD = Viewpoint("ahead", CAMERA, np.eye(4))
 
 
 def quad(depth: float, colors=None, half: float = 3.0) -> Mesh:
-    """A square across the view at a depth, facing the camera at the origin."""
+    """A square across the viewpoint at a depth, facing the camera at the origin."""
     vertices = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]]) + (0, 0, depth)
     triangles = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
     return Mesh(vertices, triangles, None if colors is None else np.uint8(colors))
@@ -87,7 +88,7 @@ def test_pose_and_principal_point_place_the_picture():
     world_from_camera = np.eye(4)
     world_from_camera[:3, 3] = (10, -4, 2)
     camera = Camera(80, 60, 70.0, 70.0, 20.0, 45.0)
-    image = render(ball((10, -4, 6), 0.3), View("moved", camera, world_from_camera))
+    image = render(ball((10, -4, 6), 0.3), Viewpoint("moved", camera, world_from_camera))
     rows, columns = np.nonzero(~background(image))
     assert [rows.mean(), columns.mean()] == pytest.approx([45, 20], abs=0.3)
 
@@ -109,7 +110,7 @@ def test_culling_opens_a_room_from_outside():
     inward = Mesh(np.asarray(room.vertices) + np.array((0, 0, 5)), np.asarray(room.faces[:, ::-1], np.int32))
     side = 70 * 2 / 6  # pixels of the far wall; the near one, at 4 m, is larger
     near, far = (
-        (~background(render(inward, View("v", CAMERA, np.eye(4), cull), shading="plain")))[30].sum()
+        (~background(render(inward, Viewpoint("v", CAMERA, np.eye(4), cull), shading="plain")))[30].sum()
         for cull in (False, True)
     )
     assert near == pytest.approx(70 * 2 / 4, abs=1)
@@ -117,7 +118,7 @@ def test_culling_opens_a_room_from_outside():
     open_room = inward.with_(
         triangles=inward.triangles[np.ptp(inward.vertices[inward.triangles, 2], axis=1) == 0]
     )
-    image = render(open_room, View("v", CAMERA, np.eye(4), cull=True), shading="plain")
+    image = render(open_room, Viewpoint("v", CAMERA, np.eye(4), cull=True), shading="plain")
     assert (~background(image))[30].sum() == pytest.approx(side, abs=1)
 
 
@@ -148,7 +149,7 @@ def test_map_coordinates_do_not_blur_the_picture():
     pose[:3, 3] = shift
     near, mesh = ball((0, 0, 4), 1.0), ball(shift + np.array((0, 0, 4)), 1.0)
     here = render(near, AHEAD, shading="edges").astype(int)
-    there = render(mesh, View("far", CAMERA, pose), shading="edges").astype(int)
+    there = render(mesh, Viewpoint("far", CAMERA, pose), shading="edges").astype(int)
     assert np.abs(here - there).mean() < 0.5
 
 
@@ -192,21 +193,21 @@ def test_views_without_frames_hold_all_of_the_mesh_and_have_y_up():
     mesh = ball((3, 1, -7), 0.25)
     mesh = mesh.with_(vertices=mesh.vertices * (1, 2, 1))
     views = viewpoints(mesh, 5, width=200)
-    assert len({view.name for view in views}) == 5
-    for view in views:
-        projected, depth = project(view, mesh.vertices)
+    assert len({viewpoint.name for viewpoint in views}) == 5
+    for viewpoint in views:
+        projected, depth = project(viewpoint, mesh.vertices)
         assert depth.min() > 0
         assert projected.min() >= 0
         assert (projected.max(axis=0) < (200, 150)).all()
         # … and fill most of one side.
         assert (np.ptp(projected, axis=0) / (200, 150)).max() > 0.85
-        assert view.world_from_camera[1, 1] < -0.5
-        assert np.linalg.det(view.world_from_camera[:3, :3]) == pytest.approx(1)
+        assert viewpoint.world_from_camera[1, 1] < -0.5
+        assert np.linalg.det(viewpoint.world_from_camera[:3, :3]) == pytest.approx(1)
 
 
-def project(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    seen = (points - view.world_from_camera[:3, 3]) @ view.world_from_camera[:3, :3]
-    return (seen / seen[:, 2:]) @ view.camera.matrix.T[:, :2], seen[:, 2]
+def project(viewpoint: Viewpoint, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    seen = (points - viewpoint.world_from_camera[:3, 3]) @ viewpoint.world_from_camera[:3, :3]
+    return (seen / seen[:, 2:]) @ viewpoint.camera.matrix.T[:, :2], seen[:, 2]
 
 
 def test_frames_of_a_scan_give_an_overview_and_the_sensors_own_views():
@@ -215,8 +216,8 @@ def test_frames_of_a_scan_give_an_overview_and_the_sensors_own_views():
     frames.insert(4, Frame("lost", camera))
     mesh = ball((0, 0, 0), 0.5)
     views = viewpoints(mesh, 4, frames=frames, width=320)
-    assert [view.name for view in views] == ["overview", "frame-1", "frame-4", "frame-7"]
-    assert [view.cull for view in views] == [True, False, False, False]
+    assert [viewpoint.name for viewpoint in views] == ["overview", "frame-1", "frame-4", "frame-7"]
+    assert [viewpoint.cull for viewpoint in views] == [True, False, False, False]
     np.testing.assert_array_equal(views[2].world_from_camera, frames[5].world_from_camera)
     # Half the pixels: (c + 1/2) / 2 - 1/2, centres at whole numbers.
     assert views[1].camera == Camera(320, 240, 292.5, 292.5, 159.75, 119.75)
@@ -233,3 +234,11 @@ def looking_level(azimuth_degrees: float) -> np.ndarray:
     pose = np.eye(4)
     pose[:3] = np.stack([np.cross(down, forward), down, forward, -3 * forward], axis=1)
     return pose
+
+
+def test_the_former_name_of_the_viewpoint_is_understood():
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    (viewpoint,) = viewpoints(mesh, 1, width=40)
+    with pytest.warns(RenamedWarning, match="view is called viewpoint now"):
+        told = render(mesh, view=viewpoint)
+    np.testing.assert_array_equal(told, render(mesh, viewpoint))
