@@ -125,7 +125,7 @@ class Model:
         return levels
 
     def _seen(self, viewpoint: Viewpoint, directions: _Floats) -> Iterator[Hits]:
-        """Yield first hits; where backs are culled, those on triangles that face it, as into a doll's house."""
+        """Yield first hits; with culling, those on triangles that face the camera, as into a doll's house."""
         origin = viewpoint.world_from_camera[:3, 3]
         hits = self._surface.cast(origin, directions)
         if not viewpoint.cull:
