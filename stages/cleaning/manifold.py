@@ -54,9 +54,9 @@ def make_manifold(traced: Traced) -> Manifold:
 
 
 def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
-    """Choose triangles to turn over so that neighbours agree, as few as possible in each patch.
+    """Choose triangles to turn over so that neighbours agree, as few as possible in each sheet.
 
-    A patch is what edges of exactly two triangles hold together. It can be oriented if its two-sheeted
+    A sheet is what edges of exactly two triangles hold together. It can be oriented if its two-sheeted
     orientation cover falls into two parts; if not (a Möbius strip), a seam is left along which
     neighbours disagree.
     """
@@ -71,23 +71,23 @@ def _disagreeing(edges: Edges, count: int) -> NDArray[np.bool_]:
     )
     side, other_side = labels[:count], labels[count:]
     flip = side > other_side
-    patch = np.minimum(side, other_side)
+    sheet = np.minimum(side, other_side)
     one_sided = side == other_side
     if one_sided.any():
         inside = one_sided[a]
-        parity = _parity_of_tree(count, a[inside], b[inside], differ[inside], one_sided, patch)
-        left = np.bincount(patch[a], (parity[a] ^ parity[b]) != differ, 2 * count)
-        as_is = np.bincount(patch[a], differ, 2 * count)
-        better = (left < as_is)[patch]
+        parity = _parity_of_tree(count, a[inside], b[inside], differ[inside], one_sided, sheet)
+        left = np.bincount(sheet[a], (parity[a] ^ parity[b]) != differ, 2 * count)
+        as_is = np.bincount(sheet[a], differ, 2 * count)
+        better = (left < as_is)[sheet]
         flip = np.where(one_sided, parity & better, flip)
-    turned = np.bincount(patch, flip, 2 * count)
-    return np.asarray(flip ^ (2 * turned > np.bincount(patch, minlength=2 * count))[patch])
+    turned = np.bincount(sheet, flip, 2 * count)
+    return np.asarray(flip ^ (2 * turned > np.bincount(sheet, minlength=2 * count))[sheet])
 
 
 def _parity_of_tree(
-    count: int, a: Ids, b: Ids, differ: NDArray[np.bool_], chosen: NDArray[np.bool_], patch: Ids
+    count: int, a: Ids, b: Ids, differ: NDArray[np.bool_], chosen: NDArray[np.bool_], sheet: Ids
 ) -> NDArray[np.bool_]:
-    """Return whether to turn each triangle so that all agree along a breadth-first tree of each patch."""
+    """Return whether to turn each triangle so that all agree along a breadth-first tree of each sheet."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import breadth_first_order
 
@@ -95,9 +95,9 @@ def _parity_of_tree(
     _, first = np.unique(np.minimum(a, b) * count + np.maximum(a, b), return_index=True)
     a, b, differ = a[first], b[first], differ[first]
     members = np.flatnonzero(chosen)
-    _, roots = np.unique(patch[members], return_index=True)
+    _, roots = np.unique(sheet[members], return_index=True)
     root = members[roots]
-    # A node beside the triangles joins all patches, so that one search visits them all.
+    # A node beside the triangles joins all sheets, so that one search visits them all.
     rows, columns = np.concatenate((a, root)), np.concatenate((b, np.full(len(root), count)))
     weights = np.concatenate((1 + differ, np.ones(len(root))))
     graph = csr_matrix((weights, (rows, columns)), shape=(count + 1, count + 1))
