@@ -51,19 +51,14 @@ class SnmError(ValueError):
 
 @final
 class Running:
-    """How a simplifier runs.
-
-    Up to how many triangles, on how many threads (0: one for each core; the result is the same), in patches
-    of how many triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what
-    there is.
-    """
+    """How a simplifier runs."""
 
     def __new__(
         cls,
         *,
         target_triangles: int = 0,
         threads: int = 0,
-        patch_triangles: int = ...,
+        region_triangles: int = ...,
         record: bool = False,
         partial: bool = False,
     ) -> Running: ...
@@ -72,7 +67,7 @@ class Running:
     @property
     def threads(self) -> int: ...
     @property
-    def patch_triangles(self) -> int: ...
+    def region_triangles(self) -> int: ...
     @property
     def record(self) -> bool: ...
     @property
@@ -124,12 +119,7 @@ class SeamLog:
 
 @final
 class BySeams:
-    """A mesh simplified along its seams.
-
-    `corners` (3 q, k) are the attributes of its corners, `corner_source` (3 q,) the corner of the input that
-    has the same to the bit, −1 for none. `standing` counts the edges each rule holds at the end. `seam_drift`
-    is the largest distance in the image of a seam from what it was, as a length.
-    """
+    """A mesh simplified along its seams."""
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -146,7 +136,7 @@ class BySeams:
     @property
     def stopped_by(self) -> str: ...
     @property
-    def standing(self) -> dict[str, int]: ...
+    def refused(self) -> dict[str, int]: ...
     @property
     def collapses(self) -> int: ...
     @property
@@ -167,7 +157,7 @@ def simplify_seams(
     materials: NDArray[np.int32],
     parts: NDArray[np.int32],
     importance: NDArray[np.float64],
-    fixed: NDArray[np.bool_],
+    locked: NDArray[np.bool_],
     *,
     knobs: SeamKnobs,
     fit: bool,
@@ -177,12 +167,7 @@ def simplify_seams(
 
 @final
 class WeldedSheets:
-    """What `weld_sheets` returns.
-
-    `triangles` (k, 3) number the vertices of the sheets, `triangle_source` (k,) says which triangle of the
-    input each was, those with two corners in one set being left out, and `is_tied` (p,) which vertices lie
-    where sheets touch.
-    """
+    """What `weld_sheets` returns."""
 
     @property
     def triangles(self) -> NDArray[np.int32]: ...
@@ -222,11 +207,7 @@ class Certified:
 
 @disjoint_base
 class Simplified:
-    """A simplified mesh and how it came about. `standing` counts the edges each rule holds at the end.
-
-    `removed`, `survivor` and `path` hold, for each collapse, the vertex that vanished, the one it became part
-    of and where that went, if that was asked for.
-    """
+    """A simplified mesh and how it came about."""
 
     @property
     def vertices(self) -> NDArray[np.float64]: ...
@@ -241,7 +222,7 @@ class Simplified:
     @property
     def stopped_by(self) -> str: ...
     @property
-    def standing(self) -> dict[str, int]: ...
+    def refused(self) -> dict[str, int]: ...
     @property
     def collapses(self) -> int: ...
     @property
@@ -255,11 +236,7 @@ class Simplified:
 
 @final
 class BySums(Simplified):
-    """A mesh simplified with JIA01, and the sums that came up.
-
-    `split` is what the collapses began with, where they were recorded and that is not the input: vertices,
-    attributes, triangles, and the vertex and triangle of the input that each comes from.
-    """
+    """A mesh simplified with JIA01, and the sums that came up."""
 
     @property
     def split(
@@ -290,7 +267,7 @@ def simplify(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
-    fixed: NDArray[np.bool_],
+    locked: NDArray[np.bool_],
     *,
     bounds: tuple[float, float, float],
     scales: tuple[float, float, float],
@@ -300,18 +277,11 @@ def simplify(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> BySums:
-    """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound.
-
-    Raises InvalidMeshError for a mesh it cannot work on, LimitError when splitting would pass
-    `triangle_limit`.
-    """
+    """Simplify with JIA01; `bounds` and `scales` are (length, shape, texture), infinite for no bound."""
 
 @final
 class ByQuadrics(Simplified):
-    """A mesh simplified by attribute quadrics.
-
-    `became` holds, for each vertex of the input, the one of the result it became part of, -1 for none.
-    """
+    """A mesh simplified by attribute quadrics."""
 
     @property
     def became(self) -> NDArray[np.int32]: ...
@@ -320,24 +290,20 @@ def simplify_by_quadrics(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
-    fixed: NDArray[np.bool_],
+    locked: NDArray[np.bool_],
     importance: NDArray[np.float64],
     *,
     weight: float,
     running: Running,
     progress: Callable[[int, int], object],
 ) -> ByQuadrics:
-    """Simplify by attribute quadrics; `weight` is the length that counts as one level of an attribute.
-
-    `fixed` and `importance` have one value a vertex, or none at all. Raises InvalidMeshError for a mesh it
-    cannot work on.
-    """
+    """Simplify by attribute quadrics; `weight` is the length that counts as one level of an attribute."""
 
 def fit(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
-    fixed: NDArray[np.bool_],
+    locked: NDArray[np.bool_],
     original_vertices: NDArray[np.float64],
     original_attributes: _Attributes,
     original_triangles: NDArray[np.int32],
@@ -346,11 +312,7 @@ def fit(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a simplified mesh to its input by least squares: vertices along their normals, and attributes.
-
-    `became` holds, for each original vertex, the vertex of the result it became part of, -1 for none. Raises
-    InvalidMeshError for a mesh it cannot work on.
-    """
+    """Fit a simplified mesh to its input by least squares: vertices along their normals, and attributes."""
 
 def color_weight(
     vertices: NDArray[np.float64],
@@ -361,12 +323,7 @@ def color_weight(
     tried: bool,
     wanted_threads: int,
 ) -> float:
-    """Return the length that should count as much as a level in a result of `target` triangles.
-
-    It makes the errors of shape and attributes to expect alike. If it is to be `tried`, a sample of the mesh
-    is simplified alike, and it is made so small that it adds at most a fifth to the error of shape. 0 without
-    attributes. Raises InvalidMeshError for an index out of range or a value that is not finite.
-    """
+    """Return the length that should count as much as a level in a result of `target` triangles."""
 
 def certify(
     result: _Soup,
@@ -380,17 +337,11 @@ def certify(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> Certified:
-    """Bound how far two triangle soups (vertices, attributes, triangles) are apart.
-
-    Raises InvalidMeshError for an index out of range or a value that is not finite.
-    """
+    """Bound how far two triangle soups (vertices, attributes, triangles) are apart."""
 
 @final
 class Proven(Simplified):
-    """A simplified mesh and what is proven of it; pairs are (shape in metres, colour in levels).
-
-    `unproven` counts the triangles of the result, and of the input, without a proof.
-    """
+    """A simplified mesh and what is proven of it; pairs are (shape in metres, colour in levels)."""
 
     @property
     def shape_bound(self) -> NDArray[np.float64]: ...
@@ -415,7 +366,7 @@ def simplify_certified(
     vertices: NDArray[np.float64],
     attributes: _Attributes,
     triangles: NDArray[np.int32],
-    fixed: NDArray[np.bool_],
+    locked: NDArray[np.bool_],
     importance: NDArray[np.float64],
     *,
     bounds: tuple[float, float],
@@ -427,20 +378,11 @@ def simplify_certified(
     running: Running,
     progress: Callable[[int, int], object],
 ) -> Proven:
-    """Simplify within bounds that are proven to hold everywhere; infinite for none.
-
-    `share` is the part of the bounds that samples may use; `tolerance` and `effort` are those of `certify`,
-    whose bounds for single triangles are close only if `close` says so.
-    Raises InvalidMeshError for a mesh it cannot work on.
-    """
+    """Simplify within bounds that are proven to hold everywhere; infinite for none."""
 
 @disjoint_base
 class PlanarPatches:
-    """The near-planar patches of a mesh, largest area first.
-
-    `input_patch` holds the patch of each triangle, -1 for one that names a vertex twice; `looks` counts how
-    often a neighbour was looked at while they grew.
-    """
+    """The near-planar patches of a mesh, largest area first."""
 
     @property
     def input_patch(self) -> NDArray[np.int32]: ...
@@ -459,11 +401,7 @@ class PlanarPatches:
 
 @final
 class ByPatches(PlanarPatches):
-    """A mesh simplified by near-planar patches; its vertices are those of `vertex_source`.
-
-    `kept` says of each patch whether it has its own triangles still, `bounds` how far the surfaces are apart
-    there at most, in shape and in colour; `refused` counts the edges of the input between patches.
-    """
+    """A mesh simplified by near-planar patches; its vertices are those of `vertex_source`."""
 
     @property
     def triangles(self) -> NDArray[np.int32]: ...
@@ -489,7 +427,7 @@ def simplify_planar(
     attributes: _Attributes,
     triangles: NDArray[np.int32],
     labels: NDArray[np.int32],
-    fixed: NDArray[np.bool_],
+    locked: NDArray[np.bool_],
     *,
     cosines: tuple[float, float, float],
     bounds: tuple[float, float],
@@ -497,12 +435,7 @@ def simplify_planar(
     partial: bool,
     progress: Callable[[int, int], object],
 ) -> ByPatches:
-    """Simplify by near-planar patches.
-
-    Triangles of a patch have one of the `labels` (m,), (0,) for none. `cosines` are the least ones of
-    fidelity, detail and noise (above 1 for none); `bounds` are (shape, colour), the latter infinite for none.
-    Raises InvalidMeshError for a mesh it cannot work on.
-    """
+    """Simplify by near-planar patches."""
 
 def planar_patches(
     vertices: NDArray[np.float64],
@@ -520,21 +453,11 @@ def planar_patches(
 def spatial_order(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Return vertices and triangles in an order in which neighbours in space are neighbours in memory.
-
-    Raises InvalidMeshError for an index out of range or a value that is not finite.
-    """
+    """Return vertices and triangles in an order in which neighbours in space are neighbours in memory."""
 
 @final
 class NormalMesh:
-    """A base mesh and its refinements. Level 0 is the base; what leads to a level has the level's number.
-
-    `levels` counts the refinements that are here, `promised` those the file was made with, and `damage` says
-    why there are fewer, if something is wrong. `level_ends` holds the bytes of `data` up to the end of each
-    level. What only the encoder knows is None after decoding: `base_source`, for each base vertex the one of
-    the input, and `hit_triangle`, for each vertex of a level the triangle of the input it lies on. `reached`
-    holds the largest distance found between each level and the input, if that was asked for.
-    """
+    """A base mesh and its refinements. Level 0 is the base; what leads to a level has the level's number."""
 
     @property
     def levels(self) -> int: ...
@@ -589,16 +512,7 @@ def remesh(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> NormalMesh:
-    """Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
-
-    Without `levels` there are as many as suit the input. `base_triangles` is 0 and `base_error` infinite for
-    no such limit, kept `at_any_price` or not; `max_error` is 0 not to stop early; `tolerance` is a share of
-    the diagonal, `color_tolerance` in levels, 0 threads for all cores. Raises InvalidMeshError for a mesh it
-    cannot work on.
-    """
+    """Make a normal mesh; `colors` and `confidence` may have no columns and no rows."""
 
 def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:
-    """Decode an `.snm` file up to a level, or all of it with -1.
-
-    Raises SnmError if not even the base mesh is whole.
-    """
+    """Decode an `.snm` file up to a level, or all of it with -1."""

@@ -73,7 +73,7 @@ class Simplified:
         between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
         for a proof, "seam" for an edge that would cut or join texture seams, "chart" for one that would turn
         a triangle over in the image or take a texture coordinate out of its chart, "drift" for the bound
-        max_seam_drift, "pinned" for an edge between two vertices that must stay. Edges whose turn had not
+        max_seam_drift, "locked" for an edge between two vertices that must stay. Edges whose turn had not
         come are not counted.
         For planar these are edges of the input between two patches, by the first of the rules that keeps the
         patches on both sides apart: "fidelity" and "detail" are the angles with the patch and with the
@@ -177,7 +177,7 @@ class Simplified:
     def _of_ties(self) -> tuple[str, ...]:
         if self.method != "seams" or self.stopped_by != "bounds":
             return ()
-        share = self._share_of_edges(self.refused.get("pinned", 0))
+        share = self._share_of_edges(self.refused.get("locked", 0))
         if share <= _CROWDED:
             return ()
         return (

@@ -181,7 +181,7 @@ def simplify(
             progress=progress,
         )
     running = _kernels.Running(
-        patch_triangles=quadric.PATCH_TRIANGLES if method == "quadric" else jia01.PATCH_TRIANGLES,
+        region_triangles=quadric.REGION_TRIANGLES if method == "quadric" else jia01.REGION_TRIANGLES,
         target_triangles=params.target(len(mesh.triangles)),
         threads=params.threads or 0,
         record=record,

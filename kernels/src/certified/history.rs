@@ -9,8 +9,8 @@
 //! Such dependencies between collapses: Xia and Varshney, "Dynamic view-dependent simplification for polygonal models",
 //! 1996.
 
-use crate::original::Original;
-use crate::rounds::{Log, Way};
+use super::original::Original;
+use crate::collapse::rounds::{Log, Way};
 
 /// No collapse.
 const NONE: u32 = u32::MAX;
@@ -25,7 +25,7 @@ struct Collapse {
     above: u32,
 }
 
-/// Collapses of one round in one patch.
+/// Collapses of one round in one region.
 struct Part<const D: usize> {
     /// The number of the first of them.
     first: u32,
@@ -39,7 +39,7 @@ pub struct History<'a, const D: usize> {
     original: &'a Original<D>,
     /// In the order of time. Those taken back are not reached from any vertex any more.
     collapses: Vec<Collapse>,
-    standing: usize,
+    kept: usize,
     /// Where each one's survivor went, in the pieces this was recorded in.
     parts: Vec<Part<D>>,
     /// Rounds so far.
@@ -59,7 +59,7 @@ impl<'a, const D: usize> History<'a, D> {
         Self {
             original,
             collapses: vec![],
-            standing: 0,
+            kept: 0,
             parts: vec![],
             rounds: 0,
             in_order,
@@ -72,7 +72,7 @@ impl<'a, const D: usize> History<'a, D> {
     pub fn append(&mut self, logs: Vec<Log<D>>) {
         let count = logs.iter().map(|log| log.merges.len()).sum();
         self.collapses.reserve_exact(count);
-        self.standing += count;
+        self.kept += count;
         let mut into: Vec<u32> = (0..self.root.len() as u32).collect();
         for merge in logs.iter().rev().flat_map(|log| log.merges.iter().rev()) {
             into[merge.removed.index()] = into[merge.survivor.index()];
@@ -105,8 +105,8 @@ impl<'a, const D: usize> History<'a, D> {
     }
 
     /// Collapses that were not taken back.
-    pub fn standing(&self) -> usize {
-        self.standing
+    pub fn kept(&self) -> usize {
+        self.kept
     }
 
     /// Where a vertex of the current mesh is.
@@ -124,9 +124,9 @@ impl<'a, const D: usize> History<'a, D> {
         &self.parts[self.parts.partition_point(|part| part.first <= collapse) - 1]
     }
 
-    /// The collapses that stand, those of least priority first in each round: no other changed what they needed.
+    /// The collapses that are kept, those of least priority first in each round: no other changed what they needed.
     pub fn way(&self) -> Way<D> {
-        let mut standing = vec![];
+        let mut kept = vec![];
         let mut open: Vec<u32> = self
             .last
             .iter()
@@ -139,17 +139,17 @@ impl<'a, const D: usize> History<'a, D> {
             if number != NONE {
                 let part = self.part_of(number);
                 let priority = part.priorities[(number - part.first) as usize];
-                standing.push((part.round, priority, number));
+                kept.push((part.round, priority, number));
                 open.extend(self.collapses[number as usize].below);
             }
         }
-        standing.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+        kept.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
         let collapse = |(_, _, number): (u32, f64, u32)| {
             let Collapse { removed, survivor, .. } = self.collapses[number as usize];
             let part = self.part_of(number);
             (removed, survivor, part.path[(number - part.first) as usize])
         };
-        standing.into_iter().map(collapse).collect()
+        kept.into_iter().map(collapse).collect()
     }
 
     /// What a triangle of the input is in the current mesh, if it is still there.
@@ -218,7 +218,7 @@ impl<'a, const D: usize> History<'a, D> {
             self.star(removed, &mut after);
             after.sort_unstable();
             after.dedup();
-            self.standing -= 1;
+            self.kept -= 1;
             split(self, &before, &after);
             first.pop();
         }

@@ -1,14 +1,14 @@
 //! What is proven of the current mesh and of the input, and what has to be looked at again after a change.
 
+use super::original::Original;
+use super::tracked::Bound;
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, norm2, position, sub, triangle_distance2};
+use crate::base::memory;
+use crate::base::progress::Progress;
 use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
-use crate::error::KernelError;
-use crate::geometry::{Vec3, norm2, position, sub, triangle_distance2};
-use crate::memory;
-use crate::mesh::Compact;
-use crate::original::Original;
-use crate::patch::Whole;
-use crate::progress::Progress;
-use crate::tracked::Bound;
+use crate::collapse::region::Whole;
+use crate::mesh::triangle_mesh::Compact;
 
 /// A triangle of the mesh as it was looked at last.
 struct Known<const D: usize> {

@@ -3,10 +3,10 @@
 
 use super::history::History;
 use super::ledger::Open;
+use super::original::Original;
+use super::tracked::{Bound, Lists};
 use super::watched::Watched;
-use crate::original::Original;
-use crate::patch::{Held, Whole};
-use crate::tracked::{Bound, Lists};
+use crate::collapse::region::{CornerRefusals, Whole};
 
 pub struct Retreat<'a, const D: usize> {
     original: &'a Original<D>,
@@ -108,14 +108,14 @@ impl<'a, const D: usize> Retreat<'a, D> {
         around
     }
 
-    /// Bring vertices of the input back and hold them there.
-    pub fn hold(&mut self, vertices: &[u32], fixed: &mut Vec<bool>) {
+    /// Bring vertices of the input back and lock them there.
+    pub fn lock(&mut self, vertices: &[u32], locked: &mut Vec<bool>) {
         if vertices.is_empty() {
             return;
         }
-        fixed.resize(self.original.points.len(), false);
+        locked.resize(self.original.points.len(), false);
         for &v in vertices {
-            fixed[v as usize] = true;
+            locked[v as usize] = true;
             while let Some(collapse) = self.history.last(self.history.root(v)) {
                 self.undo(collapse);
             }
@@ -135,7 +135,7 @@ impl<'a, const D: usize> Retreat<'a, D> {
     pub fn mesh(
         mut self,
         before: Whole<D, Bound>,
-        fixed: &[bool],
+        locked: &[bool],
     ) -> (Whole<D, Bound>, Lists, History<'a, D>) {
         self.touched.sort_unstable();
         self.touched.dedup();
@@ -145,15 +145,15 @@ impl<'a, const D: usize> Retreat<'a, D> {
         let mut near = vec![false; self.original.points.len()];
         new.iter().flat_map(|(_, corners)| corners).for_each(|&v| near[v as usize] = true);
 
-        let Whole { triangles, triangle_source, vertex_source, held, .. } = before;
-        let known = held.len() == triangles.len();
+        let Whole { triangles, triangle_source, vertex_source, refused, .. } = before;
+        let known = refused.len() == triangles.len();
         let mut next = Whole {
             points: vec![],
             triangles: Vec::with_capacity(triangles.len() + new.len()),
             triangle_source: Vec::with_capacity(triangles.len() + new.len()),
             vertex_source: vec![],
-            fixed: vec![],
-            held: Vec::with_capacity(triangles.len() + new.len()),
+            locked: vec![],
+            refused: Vec::with_capacity(triangles.len() + new.len()),
         };
         for (i, (corners, source)) in triangles.into_iter().zip(triangle_source).enumerate() {
             if self.touched.binary_search(&source).is_ok() {
@@ -161,13 +161,13 @@ impl<'a, const D: usize> Retreat<'a, D> {
             }
             let corners = corners.map(|v| vertex_source[v as usize]);
             let open = |side: usize| near[corners[side] as usize] || near[corners[(side + 1) % 3] as usize];
-            let held: Held<Bound> = if known { held[i] } else { [None; 3] };
-            next.held.push(std::array::from_fn(|side| held[side].filter(|_| !open(side))));
+            let refused: CornerRefusals<Bound> = if known { refused[i] } else { [None; 3] };
+            next.refused.push(std::array::from_fn(|side| refused[side].filter(|_| !open(side))));
             next.triangles.push(corners);
             next.triangle_source.push(source);
         }
         for (source, corners) in new {
-            next.held.push([None; 3]);
+            next.refused.push([None; 3]);
             next.triangles.push(corners);
             next.triangle_source.push(source);
         }
@@ -178,8 +178,8 @@ impl<'a, const D: usize> Retreat<'a, D> {
         next.vertex_source.iter().zip(0..).for_each(|(&v, i)| number[v as usize] = i);
         next.triangles.iter_mut().flatten().for_each(|v| *v = number[*v as usize]);
         next.points = next.vertex_source.iter().map(|&v| self.history.point(v)).collect();
-        if !fixed.is_empty() {
-            next.fixed = next.vertex_source.iter().map(|&v| fixed[v as usize]).collect();
+        if !locked.is_empty() {
+            next.locked = next.vertex_source.iter().map(|&v| locked[v as usize]).collect();
         }
         let lists = self.watched.lists(&next.triangle_source);
         (next, lists, self.history)

@@ -2,9 +2,9 @@
 //! have its numbers too.
 
 use super::history::History;
-use crate::geometry::{position, triangle_distance2};
-use crate::original::Original;
-use crate::tracked::Lists;
+use super::original::Original;
+use super::tracked::Lists;
+use crate::base::geometry::{position, triangle_distance2};
 
 /// No sample, or no triangle.
 const NONE: u32 = u32::MAX;

@@ -14,7 +14,7 @@ use super::facet::Facet;
 use super::piece::{Against, Deviation};
 use super::polygon::{Corner, Polygon};
 use super::surface::{NEEDLE, combine, difference};
-use crate::geometry::{Vec3, add_scaled, around, cross, dot, norm2, sub};
+use crate::base::geometry::{Vec3, add_scaled, around, cross, dot, norm2, sub};
 
 /// Share of the lengths in it that the position in a view may be wrong by: far more than rounding makes it.
 const ROUNDING: f64 = 1e-12;

@@ -4,9 +4,9 @@ use super::cover::Cover;
 use super::piece::{Against, Deviation};
 use super::polygon::Corner;
 use super::refine::{Goal, Outcome, Workspace, refine};
-use crate::error::KernelError;
-use crate::geometry::{distance2, midpoint};
-use crate::progress::Progress;
+use crate::base::errors::KernelError;
+use crate::base::geometry::{distance2, midpoint};
+use crate::base::progress::Progress;
 
 /// With no more triangles than this near a part, or all of them within reach, splitting it helps no more than looking at
 /// its pieces.

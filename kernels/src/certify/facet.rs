@@ -1,7 +1,7 @@
 //! One triangle of the other surface: its nearest point, and where around it that point can be the nearest.
 
 use super::polygon::Polygon;
-use crate::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
+use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
 
 /// Where squared height over squared length falls below this, the normal is worth less than half its digits.
 /// The triangle then is its sides, which are no farther from any of its points than a 1e-8th of their length.
@@ -157,7 +157,7 @@ impl Facet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::triangle_distance2;
+    use crate::base::geometry::triangle_distance2;
 
     const CORNERS: [Vec3; 3] = [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [-1.0, 2.0, 0.0]];
 

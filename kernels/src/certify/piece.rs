@@ -6,7 +6,7 @@
 use super::facet::{Facet, nearest};
 use super::polygon::{Corner, Polygon};
 use super::surface::{Found, Surface, blend, combine, difference};
-use crate::geometry::{Vec3, around, norm2, sub};
+use crate::base::geometry::{Vec3, around, norm2, sub};
 
 /// Triangles that may be met around a piece before it has to be made smaller for its colour to be looked at,
 /// unless it is small already, beside the distance.
@@ -178,7 +178,7 @@ impl Against<'_> {
     /// Every slot whose triangle may be nearest to some point of `polygon`, or no more than the slack farther away, and
     /// a few more; as [`Bvh::meeting`].
     ///
-    /// [`Bvh::meeting`]: crate::bvh::Bvh::meeting
+    /// [`Bvh::meeting`]: crate::mesh::bvh::Bvh::meeting
     fn around(
         &self,
         polygon: &Polygon,

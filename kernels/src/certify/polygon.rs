@@ -5,7 +5,7 @@
 
 use std::ops::Deref;
 
-use crate::geometry::{Vec3, norm2, sub};
+use crate::base::geometry::{Vec3, norm2, sub};
 
 /// Corners a polygon may have. Every cut of a convex one adds one at most.
 pub const MOST: usize = 16;

@@ -9,9 +9,9 @@ use std::collections::BinaryHeap;
 use super::facet::Facet;
 use super::piece::{Against, Deviation, Piece, Share, Wanted};
 use super::polygon::{Corner, MOST, Polygon};
-use crate::error::KernelError;
-use crate::geometry::{Vec3, dot, sub};
-use crate::progress::Progress;
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, dot, sub};
+use crate::base::progress::Progress;
 
 /// A polygon with more corners is halved, not cut along an outline: three cuts may add three.
 const MANY: usize = MOST / 2;

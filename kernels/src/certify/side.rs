@@ -8,9 +8,9 @@ use super::piece::{Against, Deviation, Share, Wanted};
 use super::polygon::Corner;
 use super::refine::{Goal, Outcome, refine};
 use super::surface::Surface;
-use crate::error::KernelError;
-use crate::parallel;
-use crate::progress::Progress;
+use crate::base::errors::KernelError;
+use crate::base::parallel;
+use crate::base::progress::Progress;
 
 /// Triangles or vertices that a thread takes at a time.
 const CHUNK: usize = 256;

@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use super::facet::{Nearest, nearest};
-use crate::bvh::Bvh;
-use crate::error::KernelError;
-use crate::geometry::{Vec3, around, cross, norm2, position, segment_distance2, sub};
-use crate::parallel;
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, around, cross, norm2, position, segment_distance2, sub};
+use crate::base::parallel;
+use crate::mesh::bvh::Bvh;
 
 /// Beyond this the products of four lengths come near the end of double precision.
 const LARGEST: f64 = 1e60;

@@ -1,6 +1,6 @@
 //! How far the attributes of neighbours are apart: T(e), and what it is on a mesh before any collapse.
 
-use crate::star::Star;
+use crate::mesh::star::Star;
 
 /// Squared difference of the attributes of two vertices.
 #[inline]

@@ -5,13 +5,13 @@
 //! always exists.
 
 use super::contrast::{contrast_around, texture_change};
-use super::{Limits, Options};
-use crate::engine::{Collapsed, Measure, Proposal};
-use crate::geometry::{add_scaled, distance2, sub};
-use crate::ids::EdgeId;
-use crate::mesh::Mesh;
-use crate::shape::{Overlay, boundary_change, shape_change};
-use crate::star::Star;
+use super::options::{Limits, Options};
+use super::shape::{Overlay, boundary_change, shape_change};
+use crate::base::geometry::{add_scaled, distance2, sub};
+use crate::base::ids::EdgeId;
+use crate::collapse::engine::{Collapsed, Measure, Proposal};
+use crate::mesh::star::Star;
+use crate::mesh::triangle_mesh::Mesh;
 
 /// A height below this share of the base is rounding error; such a triangle has no plane to project on.
 const LEAST_HEIGHT2: f64 = 1e-20;

@@ -1,11 +1,11 @@
 //! The sums of JIA01 on the whole mesh, from round to round.
 
-use super::Options;
 use super::contrast::contrast_around;
 use super::measure::{Accumulated, Bound, Change, Jia01};
-use crate::ids::HalfedgeId;
-use crate::mesh::Mesh;
-use crate::patch::{Records, Whole};
+use super::options::Options;
+use crate::base::ids::HalfedgeId;
+use crate::collapse::region::{Records, Whole};
+use crate::mesh::triangle_mesh::Mesh;
 
 /// What JIA01 has summed up on the whole mesh.
 pub struct JiaRecords {
@@ -48,19 +48,19 @@ impl<const D: usize> Records<D> for JiaRecords {
 
     const KEEPS_MERGES: bool = false;
 
-    fn load(&self, patch: &Mesh<D>) -> Jia01<D> {
-        let connectivity = &patch.connectivity;
+    fn load(&self, region: &Mesh<D>) -> Jia01<D> {
+        let connectivity = &region.connectivity;
         let mut accumulated = vec![Accumulated::default(); connectivity.edge_slots()];
         if !self.around.is_empty() {
             for edge in connectivity.edges() {
-                let [a, b] = connectivity.ends(edge).map(|v| patch.vertex_source[v.index()] as usize);
+                let [a, b] = connectivity.ends(edge).map(|v| region.vertex_source[v.index()] as usize);
                 accumulated[edge.index()].contrast = self.around[a].max(self.around[b]);
             }
         }
         // Triangles come in the order of the whole mesh, and so piece after piece.
         let mut pieces = self.pieces.iter().peekable();
         let mut piece = pieces.next();
-        for (local, &t) in patch.triangle_source.iter().enumerate() {
+        for (local, &t) in region.triangle_source.iter().enumerate() {
             while pieces.peek().is_some_and(|(first, _)| *first <= t) {
                 piece = pieces.next();
             }
@@ -73,8 +73,8 @@ impl<const D: usize> Records<D> for JiaRecords {
         Jia01::with(&self.options, accumulated)
     }
 
-    fn unload(measure: Jia01<D>, patch: &Mesh<D>) -> Sums {
-        let connectivity = &patch.connectivity;
+    fn unload(measure: Jia01<D>, region: &Mesh<D>) -> Sums {
+        let connectivity = &region.connectivity;
         let (triangles, edges) = (connectivity.triangle_count(), connectivity.edges().count());
         let mut sums = Sums {
             corners: Vec::with_capacity(triangles),

@@ -5,8 +5,8 @@
 //! overlap, on purpose. A union is a node that names its parts, so that a collapse costs its valence only; what a
 //! set holds is listed once, at the end.
 
-use crate::connectivity::Connectivity;
-use crate::ids::{EdgeId, HalfedgeId};
+use crate::base::ids::{EdgeId, HalfedgeId};
+use crate::mesh::connectivity::Connectivity;
 
 const NONE: u32 = u32::MAX;
 

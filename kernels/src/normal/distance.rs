@@ -2,8 +2,8 @@
 
 use super::level::Level;
 use super::surface::Surface;
-use crate::geometry::{Vec3, area};
-use crate::parallel::fill;
+use crate::base::geometry::{Vec3, area};
+use crate::base::parallel::fill;
 
 /// A level, and the slots of the input's triangles that its vertices lie on: what is near is found sooner.
 pub struct Fine<'a> {

@@ -3,10 +3,10 @@
 //! Beyond a side of a triangle the neighbour is laid out affinely: with corners a, b, c and d across from a–b, d counts
 //! as a + b − c.
 
-use super::base::Base;
+use super::base_mesh::Base;
 use super::parameters::{Parameter, barycentric};
 use super::surface::{Place, Surface};
-use super::topology::{NONE, Topology};
+use crate::subdivision::topology::{NONE, Topology};
 
 /// How many sides away a point is still looked for.
 const DEPTH: usize = 3;

@@ -1,8 +1,8 @@
 //! From real offsets to whole numbers and back, for encoder and decoder.
 
 use super::predict::{Frame, Predicted};
-use crate::geometry::{Vec3, add_scaled, dot, sub};
-use crate::snm::contents::{Header, Offset};
+use crate::base::geometry::{Vec3, add_scaled, dot, sub};
+use crate::subdivision::contents::{Header, Offset};
 
 /// The most that an offset can be off by, in steps.
 pub const ROUNDED_OFF: f64 = 0.6;

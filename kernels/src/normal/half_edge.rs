@@ -9,13 +9,13 @@ use super::associated::{Chains, TriangleSets};
 use super::parameters::Parameters;
 use super::surface::Surface;
 use super::unfold::soundness;
-use crate::engine::{Collapsed, Measure, Proposal};
-use crate::geometry::{Vec3, add_scaled, area, cross, distance2, dot, midpoint, norm2, sub, unit};
-use crate::ids::{EdgeId, HalfedgeId, VertexId};
-use crate::legality::keeps_triangles;
-use crate::mesh::Mesh;
-use crate::quadric::Quadric;
-use crate::star::Star;
+use crate::base::geometry::{Vec3, add_scaled, area, cross, distance2, dot, midpoint, norm2, sub, unit};
+use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::collapse::engine::{Collapsed, Measure, Proposal};
+use crate::mesh::legality::keeps_triangles;
+use crate::mesh::star::Star;
+use crate::mesh::triangle_mesh::Mesh;
+use crate::quadrics::quadric::Quadric;
 
 /// Weight of the squared length of an edge beside the squared distances: among collapses that do little harm, short
 /// edges go first, and the triangles stay even.

@@ -5,8 +5,8 @@
 //! meets. A trial tells. The root of what a base triangle contributes to its squared error, against the mean, is by how
 //! much the quadrics there count more in the next one.
 
-use super::base::Base;
-use crate::geometry::{Vec3, area};
+use super::base_mesh::Base;
+use crate::base::geometry::{Vec3, area};
 
 /// How much more or less a part may count after one trial.
 const MOST: f64 = 16.0;

@@ -1,12 +1,12 @@
 //! One level of a normal mesh, and the step to the next: what encoder and decoder do alike, bit for bit.
 
-use super::butterfly;
 use super::grid::{Steps, from_grid};
 use super::predict::{Predicted, predict};
-use super::topology::Topology;
-use crate::error::KernelError;
-use crate::geometry::{Vec3, dot, sub};
-use crate::snm::contents::{Base, Header, Refinement, Scheme};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, dot, sub};
+use crate::subdivision::butterfly;
+use crate::subdivision::contents::{Base, Header, Refinement, Scheme};
+use crate::subdivision::topology::Topology;
 
 /// What the coder is told of an offset the shape lets expect, in parts of a step.
 const PARTS: f64 = 16.0;

@@ -7,8 +7,8 @@
 
 use std::f64::consts::PI;
 
-use crate::geometry::{Vec3, dot, norm2, sub};
-use crate::star::Star;
+use crate::base::geometry::{Vec3, dot, norm2, sub};
+use crate::mesh::star::Star;
 
 const NONE: u32 = u32::MAX;
 /// Least part of its turn that a triangle keeps in the plane, in radians.

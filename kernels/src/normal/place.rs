@@ -7,16 +7,17 @@
 
 use super::associated::Sets;
 use super::domain::Domain;
+use super::found::Found;
 use super::grid::Steps;
 use super::level::Level;
 use super::parameters::Parameter;
 use super::predict::Predicted;
 use super::rim::{Rims, Span};
 use super::surface::{Place, Surface};
-use super::topology::NONE;
-use crate::geometry::{Vec3, distance2};
-use crate::parallel::fill;
-use crate::snm::contents::Offset;
+use crate::base::geometry::{Vec3, distance2};
+use crate::base::parallel::fill;
+use crate::subdivision::contents::Offset;
+use crate::subdivision::topology::NONE;
 
 /// How far a line may reach, in lengths of the edge that is split, and how far a nearest point may be.
 const REACH: f64 = 1.0;
@@ -45,14 +46,6 @@ pub struct Placed {
     /// The same on the base.
     pub parameters: Vec<Parameter>,
     pub rim: Rim,
-}
-
-/// A new vertex.
-#[derive(Clone, Copy, Debug)]
-pub struct Found {
-    pub offset: Offset,
-    pub point: Vec3,
-    pub place: Place,
 }
 
 /// The search for the new vertices of one level; they go by the edges of the level before.

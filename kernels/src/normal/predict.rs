@@ -4,9 +4,9 @@
 //! in a fixed order.
 
 use super::surface::vertex_normals;
-use super::topology::{NONE, Topology};
-use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
-use crate::snm::contents::Scheme;
+use crate::base::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
+use crate::subdivision::contents::Scheme;
+use crate::subdivision::topology::{NONE, Topology};
 
 /// How much of a turn of the Laplacian is taken, and the farthest it may take a vertex, in lengths of its edge.
 const DAMPING: f64 = 0.5;
@@ -31,7 +31,7 @@ pub fn predict(topology: &Topology, points: &[Vec3], scheme: Scheme, relaxations
     let normals = vertex_normals(points, &topology.triangles);
     let mut predicted = match scheme {
         Scheme::Linear => linear(topology, points),
-        Scheme::Butterfly => super::butterfly::middles(topology, points),
+        Scheme::Butterfly => crate::subdivision::butterfly::middles(topology, points),
     };
     let frames: Vec<Frame> = topology
         .edges

@@ -1,23 +1,25 @@
 //! From a mesh to its normal mesh.
 
-use super::base::{self, Base, Target};
+use super::base_mesh::Base;
 use super::carried::Carried;
+use super::coarsening::{Target, coarse};
 use super::distance::{Distance, Fine, largest, mean_square};
 use super::domain::Domain;
+use super::found::Found;
 use super::grid::{ROUNDED_OFF, Steps, on_grid};
 use super::importance::{insist, weigh};
 use super::level::Level;
-use super::place::{Found, Original, Placed, Search};
+use super::place::{Original, Placed, Search};
 use super::predict::Predicted;
 use super::rim::Rims;
 use super::surface::{Place, Surface};
 use super::unfold::unfold;
-use crate::error::KernelError;
-use crate::geometry::{Vec3, around, diagonal, sub};
-use crate::mesh::Mesh;
-use crate::progress::Progress;
-use crate::snm::contents::{self, Header, Refinement, Scheme};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, around, diagonal, sub};
+use crate::base::progress::Progress;
+use crate::mesh::triangle_mesh::Mesh;
 use crate::snm::{Writer, canonical};
+use crate::subdivision::contents::{self, Header, Refinement, Scheme};
 
 /// Bases that are tried; the one whose finest level comes closest is taken.
 const TRIALS: u64 = 4;
@@ -125,7 +127,7 @@ pub fn remesh(
     let input = Input { points, triangles: &proper, carried, surface, slots, places };
 
     let mut importance = vec![1.0; input.points.len()];
-    let coarse = base::coarse(mesh, &input.surface, settings.target, progress)?;
+    let coarse = coarse(mesh, &input.surface, settings.target, progress)?;
     let mut best: Option<(Rank, contents::Base, NormalMesh)> = None;
     for trial in 0..TRIALS + MENDS {
         if trial >= TRIALS && best.as_ref().is_some_and(|(rank, ..)| !rank.0) {

@@ -1,8 +1,8 @@
 //! The boundary: chains of original boundary edges, and where on them new boundary vertices lie.
 
-use super::base::Chain;
+use super::base_mesh::Chain;
 use super::surface::Place;
-use crate::geometry::{Vec3, dot, norm2, sub};
+use crate::base::geometry::{Vec3, dot, norm2, sub};
 
 /// Share of its part of the chain that a new vertex keeps from either end: no edge of the boundary may vanish.
 const APART: f64 = 0.15;

@@ -1,9 +1,9 @@
 //! The surface that is remeshed: where a line pierces it, and what is nearest.
 
-use crate::bvh::Bvh;
-use crate::geometry::{
+use crate::base::geometry::{
     Vec3, add_scaled, around, cross, dot, nearest_on_triangle, norm2, sub, triangle_distance2, unit,
 };
+use crate::mesh::bvh::Bvh;
 
 /// How far outside a triangle, in barycentric coordinates, a line still pierces it: it may not slip through between two.
 const SLACK: f64 = 1e-9;

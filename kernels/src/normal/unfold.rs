@@ -6,9 +6,10 @@
 //! neighbours and near the middle of their edge. What makes the worst triangle around better is taken. Where the
 //! input is not crumpled and a triangle looks away from the surface alone, only the line is tried: a vector costs more.
 
-use super::place::{Found, Search};
-use super::topology::NONE;
-use crate::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
+use super::found::Found;
+use super::place::Search;
+use crate::base::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
+use crate::subdivision::topology::NONE;
 
 /// Turns over all triangles that are not sound.
 const TURNS: usize = 12;

@@ -4,17 +4,18 @@
 //! latest with the input.
 
 use super::border::{Borders, trace};
+use super::patches::{Options, Patch, Patches, Planar};
 use super::polygon::Polygon;
+use super::reasons;
 use super::retriangulate::{Triangles, Unsound, is_left, triangulate};
 use super::straighten::{straighten, tolerance};
-use super::{Options, Patch, Patches, Planar, reasons};
-use crate::connectivity::Connectivity;
-use crate::error::KernelError;
-use crate::geometry::dot;
-use crate::ids::{HalfedgeId, TriangleId, VertexId};
-use crate::mesh::Mesh;
-use crate::parallel;
-use crate::progress::Progress;
+use crate::base::errors::KernelError;
+use crate::base::geometry::dot;
+use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
+use crate::base::parallel;
+use crate::base::progress::Progress;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
 
 /// After so many tries a patch gets all vertices of its border back, and then keeps its triangles.
 const MOST_TRIES: u8 = 8;

@@ -1,11 +1,11 @@
 //! Where patches end: loops of halfedges around each, and the vertices where more than two of them meet.
 
-use super::{Patches, is_border};
-use crate::connectivity::Connectivity;
-use crate::error::KernelError;
-use crate::ids::{HalfedgeId, VertexId};
-use crate::parallel;
-use crate::progress::Progress;
+use super::patches::{Patches, is_border};
+use crate::base::errors::KernelError;
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::base::parallel;
+use crate::base::progress::Progress;
+use crate::mesh::connectivity::Connectivity;
 
 /// Halfedges that one thread looks at in one go.
 const BATCH: u32 = 1 << 16;

@@ -1,6 +1,6 @@
 //! The plane of a patch and the linear function of its colours, from sums that grow with it.
 
-use crate::geometry::{Vec3, cross, dot, norm2, sub, unit};
+use crate::base::geometry::{Vec3, cross, dot, norm2, sub, unit};
 
 /// Sums over the vertices and triangles that joined a patch; places are counted from `origin`.
 #[derive(Clone, Debug)]

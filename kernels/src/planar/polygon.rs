@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use super::Patch;
 use super::border::Borders;
 use super::fit::frame;
-use crate::connectivity::Connectivity;
-use crate::geometry::{Vec3, dot, position, segment_distance2, sub};
-use crate::ids::{HalfedgeId, VertexId};
-use crate::mesh::Mesh;
+use super::patches::Patch;
+use crate::base::geometry::{Vec3, dot, position, segment_distance2, sub};
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
 
 /// A vertex that stays, with the border halfedge that leaves it.
 #[derive(Clone, Copy, Debug)]

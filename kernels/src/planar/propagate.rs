@@ -6,13 +6,13 @@
 
 use super::fit::{Fit, Moments, frame};
 use super::overlap::{Flat, Sheet};
-use super::{Facet, Options, Patch, Patches};
-use crate::connectivity::Connectivity;
-use crate::error::KernelError;
-use crate::geometry::{Vec3, dot, norm2, position, sub};
-use crate::ids::{HalfedgeId, TriangleId, VertexId};
-use crate::mesh::{Mesh, Pin};
-use crate::progress::Progress;
+use super::patches::{Facet, Options, Patch, Patches};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, dot, norm2, position, sub};
+use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
+use crate::base::progress::Progress;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 const NONE: u32 = u32::MAX;
 
@@ -99,7 +99,7 @@ struct Growth<'a, const D: usize, const K: usize> {
     mesh: &'a Mesh<D>,
     options: &'a Options,
     facets: &'a [Facet],
-    has_pins: bool,
+    has_locks: bool,
     of: Vec<u32>,
     grown: Vec<Grown<K>>,
     releases: Vec<u8>,
@@ -136,7 +136,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
             mesh,
             options,
             facets,
-            has_pins: mesh.pins.iter().any(|pin| *pin != Pin::Free),
+            has_locks: mesh.locks.iter().any(|lock| *lock != Lock::Free),
             of: vec![NONE; count],
             grown: vec![],
             releases: vec![0; count],
@@ -154,7 +154,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
     /// Some triangles sorted by the sharpest of their edges; in a class as they were.
     fn flattest_first(&self, triangles: &[u32]) -> Vec<u32> {
         let mut classes = vec![0u8; triangles.len()];
-        crate::parallel::fill(&mut classes, self.options.threads, |i| {
+        crate::base::parallel::fill(&mut classes, self.options.threads, |i| {
             let t = triangles[i];
             let sharpest = self
                 .beside(t)
@@ -189,9 +189,9 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         self.mesh.connectivity.corners(TriangleId(t)).map(|v| self.mesh.point(v))
     }
 
-    fn is_pinned(&self, t: u32) -> bool {
-        let is_pinned = |&v: &VertexId| self.mesh.pin(v) != Pin::Free;
-        self.has_pins && self.mesh.connectivity.corners(TriangleId(t)).iter().any(is_pinned)
+    fn is_locked(&self, t: u32) -> bool {
+        let is_locked = |&v: &VertexId| self.mesh.lock(v) != Lock::Free;
+        self.has_locks && self.mesh.connectivity.corners(TriangleId(t)).iter().any(is_locked)
     }
 
     fn grow_all(&mut self, seeds: &[u32], progress: &mut Progress) -> Result<(), KernelError> {
@@ -201,7 +201,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
             if self.of[seed as usize] == NONE {
                 // Asked to be content, what is left stays as it is.
                 let alone =
-                    self.is_pinned(seed) || self.facets[seed as usize].1 == 0.0 || progress.is_enough();
+                    self.is_locked(seed) || self.facets[seed as usize].1 == 0.0 || progress.is_enough();
                 self.grow(seed, alone);
             }
         }
@@ -294,7 +294,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                         || fit.residual2(p) <= self.residual2
                         || (is_young && fit.residual2_of_mean(p) <= self.residual2);
                     let fits = fit.height(p).abs() <= half && suits;
-                    if fits && !self.is_pinned(to) {
+                    if fits && !self.is_locked(to) {
                         self.join(to, id);
                         self.vertices.push(across);
                         moments.add_vertex(p);
@@ -341,7 +341,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
                 let height = fit.height(p);
                 let wider = [heights[0].min(height), heights[1].max(height)];
                 let is_flat = wider[1] - wider[0] <= self.thickness;
-                let fits = is_flat && (K == 0 || fit.residual2(p) <= self.residual2) && !self.is_pinned(to);
+                let fits = is_flat && (K == 0 || fit.residual2(p) <= self.residual2) && !self.is_locked(to);
                 let is_over = |sheet: &mut Sheet| !sheet.add(self.flat(to, &frame(&fit.normal)));
                 if fits && !sheet.as_mut().is_some_and(is_over) {
                     heights = wider;
@@ -471,7 +471,7 @@ impl<'a, const D: usize, const K: usize> Growth<'a, D, K> {
         let grown = &self.grown[id as usize];
         let stands = area == 0.0 || dot(&normal, &grown.fit.normal) > self.options.noise.max(LEAST_COSINE);
         let stands = stands && self.have_one_label(grown.patch.seed, to);
-        if !grown.is_open || self.of[to as usize] != NONE || !stands || self.is_pinned(to) {
+        if !grown.is_open || self.of[to as usize] != NONE || !stands || self.is_locked(to) {
             return false;
         }
         let (mut heights, mut residual2) = (grown.heights, grown.residual2);

@@ -1,14 +1,14 @@
 //! What keeps two patches apart.
 
 use super::border::Borders;
+use super::patches::{Options, Patches};
 use super::propagate::FOR_THICKNESS;
-use super::{Options, Patches};
-use crate::connectivity::Connectivity;
-use crate::geometry::{cross, dot, position, sub, unit};
-use crate::ids::TriangleId;
-use crate::mesh::Mesh;
+use crate::base::geometry::{cross, dot, position, sub, unit};
+use crate::base::ids::TriangleId;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
 
-/// The paper's two criteria; the bound on distance; else colours, a pinned vertex, or that another patch was there
+/// The paper's two criteria; the bound on distance; else colours, a locked vertex, or that another patch was there
 /// first.
 pub const REASONS: [&str; 4] = ["fidelity", "detail", "shape", "other"];
 

@@ -5,13 +5,13 @@
 //! reduction of the number of points required to represent a digitized line", 1973).
 
 use super::border::{Borders, next_border};
-use super::{Options, Patch, Patches, is_border};
-use crate::connectivity::Connectivity;
-use crate::error::KernelError;
-use crate::geometry::{Vec3, norm2, position, segment_distance2, sub};
-use crate::ids::{HalfedgeId, VertexId};
-use crate::mesh::{Mesh, Pin};
-use crate::progress::Progress;
+use super::patches::{Options, Patch, Patches, is_border};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, norm2, position, segment_distance2, sub};
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::base::progress::Progress;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 /// A longer chain is cut, as the time for a chain can grow with the square of its length.
 const LONGEST: usize = 512;
@@ -39,7 +39,7 @@ pub fn straighten<const D: usize>(
     progress: &mut Progress,
 ) -> Result<Vec<bool>, KernelError> {
     let connectivity = &mesh.connectivity;
-    let is_corner = |v: VertexId| borders.degree[v.index()] != 2 || mesh.pin(v) != Pin::Free;
+    let is_corner = |v: VertexId| borders.degree[v.index()] != 2 || mesh.lock(v) != Lock::Free;
     let mut stays: Vec<bool> = (0..mesh.points.len()).map(VertexId::from_index).map(is_corner).collect();
     let mut is_done = vec![false; mesh.points.len()];
     let mut chain = Chain { mesh, vertices: vec![], stack: vec![], is_closed: false };

@@ -7,7 +7,7 @@ use numpy::{Element, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyRea
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::error::KernelError;
+use crate::base::errors::KernelError;
 
 /// Points with their attributes, and triangles.
 type PointsAndTriangles<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);

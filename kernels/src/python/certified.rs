@@ -7,11 +7,11 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
-use crate::certified::{Options, simplify};
+use crate::certified::simplify::{Options, simplify};
+use crate::certified::tracked::Bound;
 use crate::certify::{self, Deviation};
-use crate::engine::Refusal;
-use crate::legality::Illegal;
-use crate::tracked::Bound;
+use crate::collapse::engine::Refusal;
+use crate::mesh::legality::Illegal;
 
 /// A simplified mesh and what is proven of it. Pairs are (shape in metres, colour in levels).
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -30,7 +30,7 @@ pub struct Proven {
 
 /// Simplify within bounds that are proven to hold everywhere; infinite for none.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, bounds, weight, share, tolerance, effort, close,
+#[pyo3(signature = (vertices, attributes, triangles, locked, importance, *, bounds, weight, share, tolerance, effort, close,
                     running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_certified(
@@ -38,7 +38,7 @@ pub fn simplify_certified(
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
-    fixed: PyReadonlyArray1<'_, bool>,
+    locked: PyReadonlyArray1<'_, bool>,
     importance: PyReadonlyArray1<'_, f64>,
     bounds: (f64, f64),
     weight: f64,
@@ -56,7 +56,7 @@ pub fn simplify_certified(
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
-    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let locked = inputs.by_vertex("locked", &locked)?;
     let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
     let options = Options {
         weight,
@@ -67,9 +67,9 @@ pub fn simplify_certified(
         ..Options::new(Deviation { shape: bounds.0, color: bounds.1 })
     };
     match inputs.attribute_count() {
-        0 => simplify_points::<3, 0>(py, &inputs, fixed, &options, &running, &progress),
-        1 => simplify_points::<4, 1>(py, &inputs, fixed, &options, &running, &progress),
-        3 => simplify_points::<6, 3>(py, &inputs, fixed, &options, &running, &progress),
+        0 => simplify_points::<3, 0>(py, &inputs, locked, &options, &running, &progress),
+        1 => simplify_points::<4, 1>(py, &inputs, locked, &options, &running, &progress),
+        3 => simplify_points::<6, 3>(py, &inputs, locked, &options, &running, &progress),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -77,23 +77,23 @@ pub fn simplify_certified(
 fn simplify_points<const D: usize, const K: usize>(
     py: Python<'_>,
     inputs: &Inputs<'_>,
-    fixed: Vec<bool>,
+    locked: Vec<bool>,
     options: &Options,
     running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Py<Proven>> {
     let (points, triangles) = inputs.copied::<D>()?;
     let result = detached(py, Some(progress), running.partial, |progress| {
-        simplify::<D, K>(points, triangles, fixed, options, &running.goal(), progress)
+        simplify::<D, K>(points, triangles, locked, options, &running.goal(), progress)
     })?;
-    let count = |wanted| result.held.iter().filter(|r| **r == wanted).count();
-    let standing = [
+    let count = |wanted| result.refused.iter().filter(|r| **r == wanted).count();
+    let refused = [
         ("shape", count(Refusal::Bound(Bound::Shape))),
         ("color", count(Refusal::Bound(Bound::Color))),
         ("needle", count(Refusal::Bound(Bound::Needle))),
         ("topology", count(Refusal::Illegal(Illegal::Topology))),
         ("bridge", count(Refusal::Illegal(Illegal::Bridge))),
-        ("pinned", count(Refusal::Illegal(Illegal::Pinned))),
+        ("locked", count(Refusal::Illegal(Illegal::Locked))),
         ("fold", count(Refusal::Illegal(Illegal::Fold))),
     ];
     // The loop has at least one turn; the last one is that of the result.
@@ -116,6 +116,6 @@ fn simplify_points<const D: usize, const K: usize>(
         unproven: (own, original),
     };
     let simplified =
-        Simplified::new(py, &result.mesh, result.stop, standing, collapses, attempts, &result.way)?;
+        Simplified::new(py, &result.mesh, result.stop, refused, collapses, attempts, &result.way)?;
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(proven))
 }

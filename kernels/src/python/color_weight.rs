@@ -5,11 +5,11 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
-use crate::balance::balanced;
-use crate::connect::check_indices;
-use crate::mesh::check_points;
-use crate::parallel::threads;
-use crate::trial::affordable;
+use crate::base::parallel::threads;
+use crate::mesh::connect::check_indices;
+use crate::mesh::triangle_mesh::check_points;
+use crate::quadric::balance::balanced;
+use crate::quadric::trial::affordable;
 
 /// The length that should count as much as one level of the attributes in a result of `target` triangles: the balanced
 /// one, or, where it is to be tried, what is affordable of that.

@@ -8,8 +8,8 @@ use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::types::PyBool;
 
-use crate::error::KernelError;
-use crate::progress::{Control, Progress};
+use crate::base::errors::KernelError;
+use crate::base::progress::{Control, Progress};
 
 /// How often the waiting thread looks for Ctrl-C, and every how many looks it reports progress.
 const LOOK: Duration = Duration::from_millis(40);

@@ -6,12 +6,12 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, columns, unknown_attributes};
 use super::detached::detached;
-use crate::connect::check_indices;
-use crate::fit::Input;
-use crate::ids::VertexId;
-use crate::mesh::check_points;
-use crate::parallel::threads;
-use crate::patch::Whole;
+use crate::base::ids::VertexId;
+use crate::base::parallel::threads;
+use crate::collapse::region::Whole;
+use crate::fitting::fit::Input;
+use crate::mesh::connect::check_indices;
+use crate::mesh::triangle_mesh::check_points;
 
 /// Vertices and attributes.
 type Points = (Py<PyArray2<f64>>, Py<PyArray2<f64>>);
@@ -19,7 +19,7 @@ type Points = (Py<PyArray2<f64>>, Py<PyArray2<f64>>);
 /// Fit a simplified mesh to its input: `became` holds the vertex of the result that each vertex of the input
 /// became part of, −1 for none. Returns vertices and attributes of the result.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, fixed, original_vertices, original_attributes,
+#[pyo3(signature = (vertices, attributes, triangles, locked, original_vertices, original_attributes,
                     original_triangles, became, *, threads, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn fit(
@@ -27,7 +27,7 @@ pub fn fit(
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
-    fixed: PyReadonlyArray1<'_, bool>,
+    locked: PyReadonlyArray1<'_, bool>,
     original_vertices: PyReadonlyArray2<'_, f64>,
     original_attributes: Attributes<'_>,
     original_triangles: PyReadonlyArray2<'_, i32>,
@@ -41,11 +41,11 @@ pub fn fit(
         attributes: original_attributes,
         triangles: original_triangles,
     };
-    let fixed = result.by_vertex("fixed", &fixed)?;
+    let locked = result.by_vertex("locked", &locked)?;
     match result.attribute_count() {
-        0 => fit_points::<3>(py, &result, fixed, &original, &became, threads, &progress),
-        1 => fit_points::<4>(py, &result, fixed, &original, &became, threads, &progress),
-        3 => fit_points::<6>(py, &result, fixed, &original, &became, threads, &progress),
+        0 => fit_points::<3>(py, &result, locked, &original, &became, threads, &progress),
+        1 => fit_points::<4>(py, &result, locked, &original, &became, threads, &progress),
+        3 => fit_points::<6>(py, &result, locked, &original, &became, threads, &progress),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -53,7 +53,7 @@ pub fn fit(
 fn fit_points<const D: usize>(
     py: Python<'_>,
     result: &Inputs<'_>,
-    fixed: Vec<bool>,
+    locked: Vec<bool>,
     original: &Inputs<'_>,
     became: &PyReadonlyArray1<'_, i32>,
     wanted_threads: usize,
@@ -71,12 +71,12 @@ fn fit_points<const D: usize>(
         return Err(PyValueError::new_err("became needs one value for each original vertex"));
     }
     let points = detached(py, Some(progress), false, |progress| {
-        let whole = Whole::<D, ()>::new(points, triangles, fixed)?;
+        let whole = Whole::<D, ()>::new(points, triangles, locked)?;
         check_points(&original_points)?;
         check_indices(original_points.len(), &original_triangles)?;
         let mut mesh = whole.connected()?;
         let input = Input { points: &original_points, triangles: &original_triangles, became: &became };
-        crate::fit::fit(&mut mesh, &input, threads(wanted_threads), progress)?;
+        crate::fitting::fit::fit(&mut mesh, &input, threads(wanted_threads), progress)?;
         Ok(mesh.points)
     })?;
     Ok((columns(py, &points, 0..3)?, columns(py, &points, 3..D)?))

@@ -7,12 +7,12 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
-use crate::error::KernelError;
-use crate::geometry::distance2;
-use crate::jia01::{self, Limits, Options, Standing};
-use crate::mesh::Compact;
-use crate::parallel::{fill, threads};
-use crate::patch::Whole;
+use crate::base::errors::KernelError;
+use crate::base::geometry::distance2;
+use crate::base::parallel::{fill, threads};
+use crate::collapse::region::Whole;
+use crate::jia01::{self, Limits, Options, Refused};
+use crate::mesh::triangle_mesh::Compact;
 
 /// A mesh simplified with JIA01, and the sums that came up.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -29,7 +29,7 @@ type Split = (Py<PyArray2<f64>>, Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArra
 
 /// Simplify a mesh with JIA01. Bounds are infinite where there is none.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, fixed, *, bounds, scales, attribute_scale, paper_rule,
+#[pyo3(signature = (vertices, attributes, triangles, locked, *, bounds, scales, attribute_scale, paper_rule,
                     triangle_limit, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify(
@@ -37,7 +37,7 @@ pub fn simplify(
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
-    fixed: PyReadonlyArray1<'_, bool>,
+    locked: PyReadonlyArray1<'_, bool>,
     bounds: (f64, f64, f64),
     scales: (f64, f64, f64),
     attribute_scale: f64,
@@ -64,11 +64,11 @@ pub fn simplify(
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
-    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let locked = inputs.by_vertex("locked", &locked)?;
     match inputs.attribute_count() {
-        0 => simplify_points::<3>(py, &inputs, fixed, &options, &running, &progress),
-        1 => simplify_points::<4>(py, &inputs, fixed, &options, &running, &progress),
-        3 => simplify_points::<6>(py, &inputs, fixed, &options, &running, &progress),
+        0 => simplify_points::<3>(py, &inputs, locked, &options, &running, &progress),
+        1 => simplify_points::<4>(py, &inputs, locked, &options, &running, &progress),
+        3 => simplify_points::<6>(py, &inputs, locked, &options, &running, &progress),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -76,30 +76,30 @@ pub fn simplify(
 fn simplify_points<const D: usize>(
     py: Python<'_>,
     inputs: &Inputs<'_>,
-    fixed: Vec<bool>,
+    locked: Vec<bool>,
     options: &Options,
     running: &Running,
     progress: &Py<PyAny>,
 ) -> PyResult<Py<BySums>> {
     let (points, triangles) = inputs.copied::<D>()?;
     let result = detached(py, Some(progress), running.partial, |progress| {
-        jia01::simplify(Whole::new(points, triangles, fixed)?, options, &running.goal(), progress)
+        jia01::simplify(Whole::new(points, triangles, locked)?, options, &running.goal(), progress)
     })?;
-    let Standing { length, shape, texture, topology, bridge, pinned, fold } = result.standing;
-    let standing = [
+    let Refused { length, shape, texture, topology, bridge, locked, fold } = result.refused;
+    let refused = [
         ("length", length),
         ("shape", shape),
         ("texture", texture),
         ("topology", topology),
         ("bridge", bridge),
-        ("pinned", pinned),
+        ("locked", locked),
         ("fold", fold),
     ];
     let simplified = Simplified::new(
         py,
         &result.mesh,
         result.stop,
-        standing,
+        refused,
         result.collapses,
         result.attempts,
         &result.way,

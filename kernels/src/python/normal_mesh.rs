@@ -8,15 +8,15 @@ use pyo3::types::PyBytes;
 
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
-use crate::geometry::Vec3;
-use crate::normal::base::Target;
+use crate::base::geometry::Vec3;
+use crate::base::parallel::threads;
 use crate::normal::carried::{Carried, to_levels};
+use crate::normal::coarsening::Target;
 use crate::normal::decode::decode;
 use crate::normal::grid::Steps;
 use crate::normal::level::Level;
 use crate::normal::remesh::{NormalMesh as Made, Settings, Step, remesh as make};
-use crate::parallel::threads;
-use crate::snm::contents::{Offset, Scheme};
+use crate::subdivision::contents::{Offset, Scheme};
 
 create_exception!(
     stages._kernels,

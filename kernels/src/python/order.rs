@@ -4,9 +4,9 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs};
-use crate::connect::check_indices;
-use crate::mesh::check_points;
-use crate::spatial;
+use crate::mesh::connect::check_indices;
+use crate::mesh::spatial;
+use crate::mesh::triangle_mesh::check_points;
 
 type Rows = Py<PyArray1<u32>>;
 

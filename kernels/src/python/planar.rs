@@ -8,8 +8,8 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
 use super::detached::detached;
-use crate::mesh::{Mesh, Pin};
-use crate::parallel::threads;
+use crate::base::parallel::threads;
+use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::planar::{Options, Patches, Planar, facets, propagate, reasons, simplify};
 
 /// The near-planar patches of a mesh, largest area first.
@@ -91,22 +91,22 @@ fn options(
     Ok(Options { labels, fidelity, detail, noise, max_distance, max_color, threads: threads(wanted_threads) })
 }
 
-/// The mesh with its pinned vertices.
+/// The mesh with its locked vertices.
 fn mesh_of<const D: usize>(
     points: Vec<[f64; D]>,
     triangles: &[[u32; 3]],
-    fixed: &[bool],
-) -> Result<Mesh<D>, crate::error::KernelError> {
+    locked: &[bool],
+) -> Result<Mesh<D>, crate::base::errors::KernelError> {
     let mut mesh = Mesh::<D>::new(points, triangles)?;
-    for (pin, _) in mesh.pins.iter_mut().zip(fixed).filter(|(_, fixed)| **fixed) {
-        *pin = Pin::Fixed;
+    for (lock, _) in mesh.locks.iter_mut().zip(locked).filter(|(_, locked)| **locked) {
+        *lock = Lock::Locked;
     }
     Ok(mesh)
 }
 
 /// Simplify a mesh by near-planar patches, each of triangles of one of the `labels` (m,), (0,) for none. `cosines` are (fidelity, detail, noise), `bounds` (shape, colour).
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, labels, fixed, *, cosines, bounds, threads, partial, progress))]
+#[pyo3(signature = (vertices, attributes, triangles, labels, locked, *, cosines, bounds, threads, partial, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_planar(
     py: Python<'_>,
@@ -114,7 +114,7 @@ pub fn simplify_planar(
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
     labels: PyReadonlyArray1<'_, i32>,
-    fixed: PyReadonlyArray1<'_, bool>,
+    locked: PyReadonlyArray1<'_, bool>,
     cosines: (f64, f64, f64),
     bounds: (f64, f64),
     threads: usize,
@@ -122,12 +122,12 @@ pub fn simplify_planar(
     progress: Py<PyAny>,
 ) -> PyResult<Py<ByPatches>> {
     let inputs = Inputs { vertices, attributes, triangles };
-    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let locked = inputs.by_vertex("locked", &locked)?;
     let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
     match inputs.attribute_count() {
-        0 => simplify_points::<3, 0>(py, &inputs, &fixed, &options, partial, &progress),
-        1 => simplify_points::<4, 1>(py, &inputs, &fixed, &options, partial, &progress),
-        3 => simplify_points::<6, 3>(py, &inputs, &fixed, &options, partial, &progress),
+        0 => simplify_points::<3, 0>(py, &inputs, &locked, &options, partial, &progress),
+        1 => simplify_points::<4, 1>(py, &inputs, &locked, &options, partial, &progress),
+        3 => simplify_points::<6, 3>(py, &inputs, &locked, &options, partial, &progress),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -135,7 +135,7 @@ pub fn simplify_planar(
 fn simplify_points<const D: usize, const K: usize>(
     py: Python<'_>,
     inputs: &Inputs<'_>,
-    fixed: &[bool],
+    locked: &[bool],
     options: &Options,
     partial: bool,
     progress: &Py<PyAny>,
@@ -143,7 +143,7 @@ fn simplify_points<const D: usize, const K: usize>(
     let (points, triangles) = inputs.copied::<D>()?;
     let (mesh, result, is_partial): (Mesh<D>, Planar, bool) =
         detached(py, Some(progress), partial, |progress| {
-            let mesh = mesh_of(points, &triangles, fixed)?;
+            let mesh = mesh_of(points, &triangles, locked)?;
             let result = simplify::<D, K>(&mesh, options, progress)?;
             Ok((mesh, result, progress.is_enough()))
         })?;

@@ -7,11 +7,11 @@ use pyo3::prelude::*;
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
-use crate::engine::Refusal;
-use crate::legality::Illegal;
-use crate::patch::Whole;
-use crate::qem::QemRecords;
-use crate::rounds::{Log, Way, collapse};
+use crate::collapse::engine::Refusal;
+use crate::collapse::region::Whole;
+use crate::collapse::rounds::{Log, Way, collapse};
+use crate::mesh::legality::Illegal;
+use crate::quadric::qem::QemRecords;
 
 /// A mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = Simplified)]
@@ -23,14 +23,14 @@ pub struct ByQuadrics {
 /// Simplify a mesh by attribute quadrics to a number of triangles. `weight` is the length that counts as much as one
 /// level of an attribute; `importance` multiplies the error around a vertex (empty for 1 everywhere).
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, fixed, importance, *, weight, running, progress))]
+#[pyo3(signature = (vertices, attributes, triangles, locked, importance, *, weight, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_by_quadrics(
     py: Python<'_>,
     vertices: PyReadonlyArray2<'_, f64>,
     attributes: Attributes<'_>,
     triangles: PyReadonlyArray2<'_, i32>,
-    fixed: PyReadonlyArray1<'_, bool>,
+    locked: PyReadonlyArray1<'_, bool>,
     importance: PyReadonlyArray1<'_, f64>,
     weight: f64,
     running: PyRef<'_, Running>,
@@ -40,12 +40,12 @@ pub fn simplify_by_quadrics(
         return Err(PyValueError::new_err("the weight must not be negative"));
     }
     let inputs = Inputs { vertices, attributes, triangles };
-    let fixed = inputs.by_vertex("fixed", &fixed)?;
+    let locked = inputs.by_vertex("locked", &locked)?;
     let importance = inputs.by_vertex("importance", &importance)?;
     match inputs.attribute_count() {
-        0 => simplify_points::<3, 0>(py, &inputs, fixed, importance, weight, &running, &progress),
-        1 => simplify_points::<4, 1>(py, &inputs, fixed, importance, weight, &running, &progress),
-        3 => simplify_points::<6, 3>(py, &inputs, fixed, importance, weight, &running, &progress),
+        0 => simplify_points::<3, 0>(py, &inputs, locked, importance, weight, &running, &progress),
+        1 => simplify_points::<4, 1>(py, &inputs, locked, importance, weight, &running, &progress),
+        3 => simplify_points::<6, 3>(py, &inputs, locked, importance, weight, &running, &progress),
         k => Err(unknown_attributes(k)),
     }
 }
@@ -53,7 +53,7 @@ pub fn simplify_by_quadrics(
 fn simplify_points<const D: usize, const K: usize>(
     py: Python<'_>,
     inputs: &Inputs<'_>,
-    fixed: Vec<bool>,
+    locked: Vec<bool>,
     importance: Vec<f64>,
     weight: f64,
     running: &Running,
@@ -61,26 +61,26 @@ fn simplify_points<const D: usize, const K: usize>(
 ) -> PyResult<Py<ByQuadrics>> {
     let (points, triangles) = inputs.copied::<D>()?;
     let vertices = points.len();
-    let (mesh, standing, stop, collapses, became, way, attempts) =
+    let (mesh, refused, stop, collapses, became, way, attempts) =
         detached(py, Some(progress), running.partial, |progress| {
-            let whole = Whole::new(points, triangles, fixed)?;
+            let whole = Whole::new(points, triangles, locked)?;
             let records = QemRecords::<K> { weight, importance };
             let outcome = collapse(whole, records, &running.goal(), progress)?;
-            let held = outcome.mesh.held_edges();
-            let count = |wanted| held.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
-            let standing = [
+            let refused = outcome.mesh.refused_edges();
+            let count = |wanted| refused.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
+            let refused = [
                 ("topology", count(Illegal::Topology)),
                 ("bridge", count(Illegal::Bridge)),
-                ("pinned", count(Illegal::Pinned)),
+                ("locked", count(Illegal::Locked)),
                 ("fold", count(Illegal::Fold)),
             ];
             let mesh = outcome.mesh.into_compact();
             let became = follow(vertices, &mesh.vertex_source, &outcome.logs);
             let way = Way::new(&outcome.logs);
-            Ok((mesh, standing, outcome.stop, outcome.collapses, became, way, outcome.attempts))
+            Ok((mesh, refused, outcome.stop, outcome.collapses, became, way, outcome.attempts))
         })?;
     let became = PyArray1::from_vec(py, became).unbind();
-    let simplified = Simplified::new(py, &mesh, stop, standing, collapses as u64, attempts, &way)?;
+    let simplified = Simplified::new(py, &mesh, stop, refused, collapses as u64, attempts, &way)?;
     Py::new(py, PyClassInitializer::from(simplified).add_subclass(ByQuadrics { became }))
 }
 

@@ -9,9 +9,8 @@ use pyo3::prelude::*;
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
 use super::simplified::{Running, stopped_by};
-use crate::seams::measure::Knobs;
 use crate::seams::weld::{UNTIED, weld};
-use crate::seams::{Goal, Outcome, Surface, simplify};
+use crate::seams::{Goal, Knobs, Outcome, Surface, simplify};
 
 /// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::measure::Knobs`.
 #[pyclass(frozen)]
@@ -49,7 +48,7 @@ pub struct BySeams {
     vertex_source: Py<PyArray1<i32>>,
     triangle_source: Py<PyArray1<i32>>,
     stopped_by: &'static str,
-    standing: BTreeMap<&'static str, usize>,
+    refused: BTreeMap<&'static str, usize>,
     collapses: u64,
     attempts: u64,
     seam_drift: f64,
@@ -78,7 +77,7 @@ pub struct SeamLog {
 /// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
 /// then three or six more. `importance` (m,) multiplies the error around triangles, (0,) for 1.
 #[pyfunction]
-#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, fixed, *, knobs, fit, running, progress))]
+#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, locked, *, knobs, fit, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_seams(
     py: Python<'_>,
@@ -90,7 +89,7 @@ pub fn simplify_seams(
     materials: PyReadonlyArray1<'_, i32>,
     parts: PyReadonlyArray1<'_, i32>,
     importance: PyReadonlyArray1<'_, f64>,
-    fixed: PyReadonlyArray1<'_, bool>,
+    locked: PyReadonlyArray1<'_, bool>,
     knobs: PyRef<'_, SeamKnobs>,
     fit: bool,
     running: PyRef<'_, Running>,
@@ -101,7 +100,7 @@ pub fn simplify_seams(
     let sets = sets.as_array();
     let lengths = [
         (sets.len(), points.len()),
-        (fixed.as_array().len(), points.len()),
+        (locked.as_array().len(), points.len()),
         (textured.as_array().len(), triangles.len()),
         (materials.as_array().len(), triangles.len()),
         (parts.as_array().len(), triangles.len()),
@@ -111,7 +110,7 @@ pub fn simplify_seams(
         || sets.iter().any(|&s| s < 0 || s as usize >= points.len())
     {
         return Err(PyValueError::new_err(
-            "sets, fixed, corners, textured, materials and parts must fit the mesh",
+            "sets, locked, corners, textured, materials and parts must fit the mesh",
         ));
     }
     let importance = importance.as_array().to_vec();
@@ -126,7 +125,7 @@ pub fn simplify_seams(
         materials: materials.as_array().to_vec(),
         parts: parts.as_array().to_vec(),
         importance,
-        fixed: fixed.as_array().to_vec(),
+        locked: locked.as_array().to_vec(),
     };
     let (knobs, running) = (knobs.0, &*running);
     match corners.as_array().ncols() {
@@ -178,7 +177,7 @@ struct Light {
     materials: Vec<i32>,
     parts: Vec<i32>,
     importance: Vec<f64>,
-    fixed: Vec<bool>,
+    locked: Vec<bool>,
 }
 
 impl Light {
@@ -200,7 +199,7 @@ impl Light {
             materials: self.materials,
             parts: self.parts,
             importance: self.importance,
-            fixed: self.fixed,
+            locked: self.locked,
         };
         let running_goal = running.goal();
         let goal = Goal {
@@ -245,7 +244,7 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
         vertex_source: id_array(py, outcome.vertex_source.into_iter()),
         triangle_source: id_array(py, outcome.triangle_source.into_iter()),
         stopped_by: stopped_by(outcome.stop),
-        standing: outcome.standing.into_iter().collect(),
+        refused: outcome.refused.into_iter().collect(),
         collapses: outcome.collapses as u64,
         attempts: outcome.attempts,
         seam_drift: outcome.seam_drift,

@@ -6,18 +6,18 @@ use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 use super::arrays::{columns, id_array, triangle_array};
-use crate::engine::Stop;
-use crate::mesh::Compact;
-use crate::parallel::threads;
-use crate::rounds::{Goal, PATCH, Way};
+use crate::base::parallel::threads;
+use crate::collapse::engine::Stop;
+use crate::collapse::rounds::{Goal, REGION_TRIANGLES, Way};
+use crate::mesh::triangle_mesh::Compact;
 
-/// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in patches of how many
+/// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in regions of how many
 /// triangles, whether to record the path of the collapses, and whether Ctrl-C gives out what there is.
 #[pyclass(frozen, get_all)]
 pub struct Running {
     target_triangles: usize,
     threads: usize,
-    patch_triangles: usize,
+    region_triangles: usize,
     record: bool,
     pub partial: bool,
 }
@@ -25,15 +25,15 @@ pub struct Running {
 #[pymethods]
 impl Running {
     #[new]
-    #[pyo3(signature = (*, target_triangles = 0, threads = 0, patch_triangles = PATCH, record = false, partial = false))]
+    #[pyo3(signature = (*, target_triangles = 0, threads = 0, region_triangles = REGION_TRIANGLES, record = false, partial = false))]
     fn new(
         target_triangles: usize,
         threads: usize,
-        patch_triangles: usize,
+        region_triangles: usize,
         record: bool,
         partial: bool,
     ) -> Self {
-        Self { target_triangles, threads, patch_triangles, record, partial }
+        Self { target_triangles, threads, region_triangles, record, partial }
     }
 }
 
@@ -42,7 +42,7 @@ impl Running {
         Goal {
             triangles: self.target_triangles,
             threads: threads(self.threads),
-            patch: self.patch_triangles.max(1),
+            region: self.region_triangles.max(1),
             record: self.record,
         }
     }
@@ -58,7 +58,7 @@ pub struct Simplified {
     triangle_source: Py<PyArray1<i32>>,
     stopped_by: &'static str,
     /// How many edges each rule holds at the end.
-    standing: BTreeMap<&'static str, usize>,
+    refused: BTreeMap<&'static str, usize>,
     collapses: u64,
     attempts: u64,
     /// Each collapse, if that was asked for: the vertex that vanished, the one it became part of, where that went.
@@ -81,7 +81,7 @@ impl Simplified {
         py: Python<'_>,
         mesh: &Compact<D>,
         stop: Stop,
-        standing: [(&'static str, usize); RULES],
+        refused: [(&'static str, usize); RULES],
         collapses: u64,
         attempts: u64,
         way: &Way<D>,
@@ -93,7 +93,7 @@ impl Simplified {
             vertex_source: id_array(py, mesh.vertex_source.iter().copied()),
             triangle_source: id_array(py, mesh.triangle_source.iter().copied()),
             stopped_by: stopped_by(stop),
-            standing: standing.into(),
+            refused: refused.into(),
             collapses,
             attempts,
             removed: id_array(py, way.removed.iter().copied()),

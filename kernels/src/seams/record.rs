@@ -1,6 +1,6 @@
 //! The progressive record: all that has to be known to have the surface at any number of triangles.
 
-use crate::ids::VertexId;
+use crate::base::ids::VertexId;
 
 /// Collapses in their order, and what each did to wedges.
 #[derive(Clone, Debug, Default)]

@@ -1,9 +1,9 @@
 //! The image of the surface in its texture: where a texture coordinate may go.
 
 use super::wedges::Wedges;
-use crate::connectivity::Connectivity;
-use crate::ids::{EdgeId, HalfedgeId};
-use crate::mesh::Mesh;
+use crate::base::ids::{EdgeId, HalfedgeId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
 
 pub type Uv = [f64; 2];
 

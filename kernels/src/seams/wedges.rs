@@ -2,10 +2,10 @@
 //! "New quadric metric for simplifying meshes with appearance attributes", 1999). A vertex inside a chart has one, one
 //! on a seam two or more.
 
-use super::Surface;
-use crate::connectivity::Connectivity;
-use crate::ids::{EdgeId, HalfedgeId, VertexId};
-use crate::mesh::Mesh;
+use super::surface::Surface;
+use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
 
 /// No corner of the input, no triangle.
 pub const NONE: u32 = u32::MAX;

@@ -5,10 +5,10 @@
 //! open there. What still touches without being joined, at an edge or only at a vertex, is *tied*: it must stay
 //! where it is, or the surface would come apart.
 
-use crate::connect::check_indices;
-use crate::connectivity::Connectivity;
-use crate::error::KernelError;
-use crate::ids::{HalfedgeId, VertexId};
+use crate::base::errors::KernelError;
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::mesh::connect::check_indices;
+use crate::mesh::connectivity::Connectivity;
 
 /// No set: the vertex may move.
 pub const UNTIED: u32 = u32::MAX;

@@ -10,17 +10,17 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use crate::connectivity::Connectivity;
-use crate::ids::{HalfedgeId, VertexId};
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::mesh::connectivity::Connectivity;
 
 use super::border::Left;
 use super::coder::{Coder, Exhausted, Rehearsal};
-use super::contents::Base;
 use super::corners::{Corners, Guess};
 use super::error::SnmError;
 use super::given::Given;
 use super::lefts::Lefts;
 use super::region::Region;
+use crate::subdivision::contents::Base;
 
 /// A base mesh in the order of its coder.
 #[derive(Clone, Debug, Default)]

@@ -7,7 +7,7 @@
 //!   … → u → v → …       loop becomes two, or two become one.
 //! ```
 
-use crate::ids::{HalfedgeId, VertexId};
+use crate::base::ids::{HalfedgeId, VertexId};
 
 pub(super) const NONE: u32 = u32::MAX;
 

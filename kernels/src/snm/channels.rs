@@ -1,6 +1,6 @@
 //! Channels of new vertices: by how much each differs from what the caller predicts.
 
-use crate::normal::topology::NONE;
+use crate::subdivision::topology::NONE;
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::Rates;

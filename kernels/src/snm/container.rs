@@ -1,15 +1,15 @@
 //! Writing and reading an `.snm` file part by part.
 
-use crate::normal::topology::Topology;
+use crate::subdivision::topology::Topology;
 
 use super::base::Walk;
 use super::chunks;
 use super::coder::{Decoder, Encoder, Exhausted};
-use super::contents::{Base, Header, Refinement};
 use super::error::SnmError;
 use super::given::Given;
 use super::header;
 use super::levels::Levels;
+use crate::subdivision::contents::{Base, Header, Refinement};
 
 /// How every file begins: three letters, and the version of the format.
 const MAGIC: [u8; 4] = *b"snm\x01";

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::error::KernelError;
+use crate::base::errors::KernelError;
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum SnmError {

@@ -1,11 +1,11 @@
 //! The base mesh to encode, seen from the border of the part that is coded.
 
-use crate::connectivity::Connectivity;
-use crate::ids::{HalfedgeId, TriangleId, VertexId};
+use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
+use crate::mesh::connectivity::Connectivity;
 
 use super::border::{Border, Left, NONE};
-use super::contents::Base;
 use super::error::SnmError;
+use crate::subdivision::contents::Base;
 
 /// The mesh to encode, and how much of it has been met.
 pub(super) struct Given<'a> {

@@ -1,7 +1,7 @@
 //! The header, in the same stream as the base mesh.
 
 use super::coder::{Coder, Exhausted};
-use super::contents::{Header, Scheme};
+use crate::subdivision::contents::{Header, Scheme};
 
 /// Code the header; what a decoder is given counts for nothing.
 pub(super) fn code<C: Coder>(coder: &mut C, header: &Header) -> Result<Header, Exhausted> {

@@ -1,7 +1,7 @@
 //! What is on the left of an edge of the border, as decisions: is it nothing, is the tip the next vertex of
 //! the border, the previous, a new one; or which of all others.
 
-use crate::ids::VertexId;
+use crate::base::ids::VertexId;
 
 use super::border::Left;
 use super::coder::{Coder, Exhausted};

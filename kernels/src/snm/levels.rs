@@ -1,14 +1,14 @@
 //! Refinements: an offset for every edge, and what its vertex carries.
 
-use crate::normal::topology::Topology;
+use crate::subdivision::topology::Topology;
 
 use super::channels::Channels;
 use super::coder::{Coder, Exhausted};
-use super::contents::{Base, Header, Offset, Refinement};
 use super::exceptions::{Exceptions, Kind};
 use super::relations::Relations;
 use super::scalars::Scalars;
 use super::vectors::Vectors;
+use crate::subdivision::contents::{Base, Header, Offset, Refinement};
 
 /// What the levels so far have taught.
 pub(super) struct Levels {

@@ -1,8 +1,8 @@
 //! The part of a base mesh that is coded.
 
 use super::border::Border;
-use super::contents::Base;
 use super::frame::{Frame, dot, minus};
+use crate::subdivision::contents::Base;
 
 #[derive(Default)]
 pub(super) struct Region {

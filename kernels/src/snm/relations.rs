@@ -1,6 +1,6 @@
 //! What an edge of a level has to do with other edges, of its level and of the one before.
 
-use crate::normal::topology::{NONE, Topology};
+use crate::subdivision::topology::{NONE, Topology};
 
 /// Relations between the edges of a level.
 pub(super) struct Relations<'a> {

@@ -5,7 +5,7 @@
 //! coded; and one that also knows what the caller expects from the shape. What is left is coded with a
 //! magnitude that its surroundings tell.
 
-use crate::normal::topology::NONE;
+use crate::subdivision::topology::NONE;
 
 use super::coder::{Coder, Exhausted};
 use super::decisions::Rates;

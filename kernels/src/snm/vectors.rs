@@ -1,12 +1,12 @@
 //! Offsets that are vectors: of the vertices on the boundary, and of the few that no scalar can place.
 
 use super::coder::{Coder, Exhausted};
-use super::contents::Offset;
 use super::decisions::Rates;
 use super::integers::{Integers, Known};
 use super::linear::Linear;
 use super::logistic::{class, ln};
 use super::relations::Relations;
+use crate::subdivision::contents::Offset;
 
 const LEAST: f32 = 1.0 / 16.0;
 

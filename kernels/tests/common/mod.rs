@@ -1,5 +1,4 @@
 //! Small meshes with a name, and one noise for all tests.
-#![allow(dead_code)] // every test file uses some of them
 
 pub type Triangles = Vec<[u32; 3]>;
 

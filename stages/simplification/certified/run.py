@@ -17,7 +17,7 @@ from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.surface.mesh import Mesh
 
-PATCH_TRIANGLES = 8192
+REGION_TRIANGLES = 8192
 
 # The bound on shape where only colours have one.
 _SHAPE_PER_DIAGONAL = 0.005
@@ -96,7 +96,7 @@ def simplify_certified(
     running = _kernels.Running(
         target_triangles=triangles,
         threads=threads,
-        patch_triangles=PATCH_TRIANGLES,
+        region_triangles=REGION_TRIANGLES,
         record=record,
         partial=partial,
     )
@@ -139,7 +139,7 @@ def simplify_certified(
         triangle_source=result.triangle_source,
         method="certified",
         stopped_by=stopped_by,
-        refused=result.standing,
+        refused=result.refused,
         attribute_scale_m_per_level=weight,
         splits=0,
         collapses=result.collapses,

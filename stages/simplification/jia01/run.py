@@ -19,7 +19,7 @@ from stages.surface.mesh import Mesh
 
 # Triangles worked on at a time. Sums that grow from collapse to collapse mind the rims more than quadrics do,
 # and want larger patches.
-PATCH_TRIANGLES = 16384
+REGION_TRIANGLES = 16384
 
 # What splitting may lead to: about 4 GB.
 _TRIANGLE_LIMIT = 20_000_000
@@ -94,7 +94,7 @@ def by_sums(
         triangle_source=result.triangle_source,
         method="jia01",
         stopped_by=result.stopped_by,
-        refused=result.standing,
+        refused=result.refused,
         attribute_scale_m_per_level=limits.attribute_scale,
         splits=result.splits,
         collapses=result.collapses,

@@ -17,7 +17,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.spatial_order import Rows, is_scattered
 
 # Triangles worked on at a time: small enough for the caches.
-PATCH_TRIANGLES = 8192
+REGION_TRIANGLES = 8192
 
 
 def by_quadrics(
@@ -122,7 +122,7 @@ def _as_it_is(
         triangle_source=result.triangle_source,
         method="quadric",
         stopped_by=stopped_by,
-        refused=result.standing,
+        refused=result.refused,
         attribute_scale_m_per_level=weight,
         splits=0,
         collapses=result.collapses,

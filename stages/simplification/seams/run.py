@@ -108,7 +108,7 @@ def _as_it_is(
         triangle_source=found.triangle_source,
         method="seams",
         stopped_by=found.stopped_by,
-        refused=found.standing,
+        refused=found.refused,
         attribute_scale_m_per_level=attributes.color_scale,
         splits=0,
         collapses=found.collapses,

@@ -40,7 +40,7 @@ def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:
     result = simplify(mesh, lock=np.ones(len(mesh.vertices), bool), **changes)
     np.testing.assert_array_equal(result.mesh.vertices, mesh.vertices)
     np.testing.assert_array_equal(result.mesh.triangles, mesh.triangles)
-    assert result.refused["pinned"] == topology(mesh).edges
+    assert result.refused["locked"] == topology(mesh).edges
 
 
 @pytest.mark.parametrize("method", ["certified", "jia01"])

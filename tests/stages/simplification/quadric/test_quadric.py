@@ -95,12 +95,12 @@ def test_no_triangle_turns_over(ratio: float) -> None:
     assert (np.einsum("ij,ij->i", normals(light), outwards) > 0).all()
 
 
-@pytest.mark.parametrize("patch", [40, 300, 2000, 1_000_000])
+@pytest.mark.parametrize("region", [40, 300, 2000, 1_000_000])
 @pytest.mark.parametrize("name", MESHES)
-def test_patches_of_any_size_keep_the_mesh_whole(name: str, patch: int) -> None:
+def test_regions_of_any_size_keep_the_mesh_whole(name: str, region: int) -> None:
     mesh = MESHES[name]()
     assert mesh.colors is not None
-    running = _kernels.Running(target_triangles=200, patch_triangles=patch)
+    running = _kernels.Running(target_triangles=200, region_triangles=region)
     result = _kernels.simplify_by_quadrics(
         mesh.vertices,
         mesh.colors.astype(np.float64),

@@ -1,0 +1,17 @@
+//! What every room uses.
+//!
+//! | file | what |
+//! | --- | --- |
+//! | [`ids`] | numbers of vertices, halfedges, edges and triangles |
+//! | [`errors`] | what can be wrong with a mesh |
+//! | [`geometry`] | vectors, triangles, distances |
+//! | [`parallel`] | work on several threads, with the same result for any number of them |
+//! | [`progress`] | how far a run is, and whether to stop |
+//! | [`memory`] | giving back what is free |
+
+pub mod errors;
+pub mod geometry;
+pub mod ids;
+pub mod memory;
+pub mod parallel;
+pub mod progress;

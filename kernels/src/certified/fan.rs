@@ -1,0 +1,131 @@
+//! The triangles around a new vertex, ready to be asked for the nearest of their points.
+
+use super::original::blend;
+use crate::base::geometry::{Vec3, cross, dot, nearest_on_triangle, norm2, position, sub};
+use crate::mesh::star::Star;
+
+/// One triangle of the fan, its places relative to the new vertex.
+struct Blade<const D: usize> {
+    /// Index among the star's wings.
+    wing: u32,
+    from: [f64; D],
+    to: [f64; D],
+    /// Unit normal; none where the triangle has no area.
+    normal: Vec3,
+    /// Gradients of the barycentric coordinates of `from` and `to`.
+    at_from: Vec3,
+    at_to: Vec3,
+    /// Squared heights of the corners new vertex, from and to over the sides across.
+    heights2: [f64; 3],
+}
+
+/// The star of an edge after its collapse.
+#[derive(Default)]
+pub struct Fan<const D: usize> {
+    blades: Vec<Blade<D>>,
+    tip: Option<[f64; D]>,
+}
+
+/// The nearest point of a fan.
+#[derive(Clone, Copy, Debug)]
+pub struct FanFoot<const D: usize> {
+    pub wing: u32,
+    pub distance2: f64,
+    pub point: [f64; D],
+}
+
+impl<const D: usize> Fan<D> {
+    /// The triangles of `star` that stay, with both ends moved to `tip`.
+    pub fn spread(&mut self, star: &Star<D>, tip: &[f64; D]) {
+        self.tip = Some(*tip);
+        self.blades.clear();
+        let centre = position(tip);
+        for (i, wing) in star.wings.iter().enumerate() {
+            let a = sub(&position(&wing.from_point), &centre);
+            let b = sub(&position(&wing.to_point), &centre);
+            let normal = cross(&a, &b);
+            let area2 = norm2(&normal);
+            let (mut unit, mut at_from, mut at_to, mut heights2) = ([0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3]);
+            if area2 > 0.0 {
+                let length = area2.sqrt();
+                unit = normal.map(|x| x / length);
+                at_from = cross(&b, &normal).map(|x| x / area2);
+                at_to = cross(&normal, &a).map(|x| x / area2);
+                heights2 = [area2 / norm2(&sub(&b, &a)), area2 / norm2(&b), area2 / norm2(&a)];
+            }
+            self.blades.push(Blade {
+                wing: i as u32,
+                from: wing.from_point,
+                to: wing.to_point,
+                normal: unit,
+                at_from,
+                at_to,
+                heights2,
+            });
+        }
+    }
+
+    /// Whether the collapse makes a needle of a triangle: twice its area at most `flatness` of its longest side squared.
+    pub fn has_needle(&self, star: &Star<D>, flatness: f64) -> bool {
+        let is_needle = |p: &Vec3, a: &Vec3, b: &Vec3| {
+            let (pa, pb, ab) = (sub(a, p), sub(b, p), sub(b, a));
+            let side2 = norm2(&pa).max(norm2(&pb)).max(norm2(&ab));
+            norm2(&cross(&pa, &pb)) <= (flatness * side2).powi(2)
+        };
+        let Some(tip) = self.tip.as_ref().map(position) else { return false };
+        star.wings.iter().any(|w| {
+            let (a, b) = (position(&w.from_point), position(&w.to_point));
+            is_needle(&tip, &a, &b) && !is_needle(&position(star.end_point(w.end)), &a, &b)
+        })
+    }
+
+    /// The point of one triangle that is straight above or below `p`, if there is one.
+    pub fn straight(&self, p: &Vec3, wing: u32) -> Option<FanFoot<D>> {
+        let tip = self.tip.as_ref()?;
+        let blade = &self.blades[wing as usize];
+        let q = sub(p, &position(tip));
+        let (u, v) = (dot(&blade.at_from, &q), dot(&blade.at_to, &q));
+        let is_inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && blade.heights2[0] > 0.0;
+        is_inside.then(|| {
+            let height = dot(&blade.normal, &q);
+            let point = blend(&[1.0 - u - v, u, v], [tip, &blade.from, &blade.to]);
+            FanFoot { wing, distance2: height * height, point }
+        })
+    }
+
+    /// The point of the fan nearest to `p`; none if the fan has no triangle.
+    pub fn nearest(&self, p: &Vec3) -> Option<FanFoot<D>> {
+        let tip = self.tip.as_ref()?;
+        let centre = position(tip);
+        let q = sub(p, &centre);
+        let mut best: Option<(f64, usize, [f64; 3])> = None;
+        let mut least = f64::INFINITY;
+        for (i, blade) in self.blades.iter().enumerate() {
+            let height = dot(&blade.normal, &q);
+            let (u, v) = (dot(&blade.at_from, &q), dot(&blade.at_to, &q));
+            let outside = [u + v - 1.0, -u, -v];
+            // How far it is beyond the line of each side.
+            let beyond2 = (0..3)
+                .map(|k| if outside[k] > 0.0 { outside[k] * outside[k] * blade.heights2[k] } else { 0.0 })
+                .fold(0.0, f64::max);
+            let at_least = height * height + beyond2;
+            if at_least >= least {
+                continue;
+            }
+            let has_area = blade.heights2[0] > 0.0;
+            let (at, distance2) = if has_area && outside.iter().all(|&x| x <= 0.0) {
+                ([1.0 - u - v, u, v], height * height)
+            } else {
+                nearest_on_triangle(p, [&centre, &position(&blade.from), &position(&blade.to)])
+            };
+            if distance2 < least {
+                least = distance2;
+                best = Some((distance2, i, at));
+            }
+        }
+        best.map(|(distance2, i, at)| {
+            let blade = &self.blades[i];
+            FanFoot { wing: blade.wing, distance2, point: blend(&at, [tip, &blade.from, &blade.to]) }
+        })
+    }
+}

@@ -1,0 +1,219 @@
+//! Simplify, prove, take back, until all is proven.
+
+use super::original::Original;
+use super::tracked::{Bound, Limits, Lists, TrackedRecords};
+use crate::base::errors::KernelError;
+use crate::base::geometry::position;
+use crate::base::progress::Progress;
+use crate::certify::{self, Certificate, Deviation, Surface};
+use crate::collapse::engine::{Refusal, Stop};
+use crate::collapse::region::Whole;
+use crate::collapse::rounds::{Goal, Way, collapse};
+use crate::mesh::triangle_mesh::Compact;
+
+use super::history::History;
+use super::ledger::Ledger;
+use super::retreat::Retreat;
+use super::watched::Watched;
+
+/// What samples may use of a bound, so that the points between them have some left.
+const SHARE: f64 = 0.9;
+
+/// What a limit is multiplied with where the proof failed.
+const TIGHTER: f32 = 0.6;
+
+/// Pieces a triangle, on average over those looked at together, that may be spent on those that few pieces leave open.
+const EFFORT: f64 = 8.0;
+
+/// Proofs that may fail before it is asked whether they can succeed at all,
+const HOPE: usize = 6;
+
+/// and failures at one place before nothing there is simplified any more: what is locked makes its neighbours fail, so that
+/// they must have their chances too,
+const PATIENCE: usize = 8;
+
+/// and before the place is given up.
+const END: usize = 20;
+
+/// After so many times as many passes there is no patience with any place.
+const IMPATIENCE: usize = 4;
+
+/// Colours are stored in whole levels. Closer bounds would ask for more than that, and proofs of them for too much.
+const LEAST_COLOR: f64 = 0.5;
+
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Two-sided distance in metres and difference of colour in levels, infinite for none. What is less than
+    /// can be proven in single precision counts as that.
+    pub bounds: Deviation,
+    /// Length that counts as much as one level when a vertex is placed.
+    pub weight: f64,
+    /// By vertex: multiplies the error there, and divides what a sample may use of the bounds; empty for 1.
+    pub importance: Vec<f64>,
+    /// How the proof is made; its limit is not used.
+    pub proof: certify::Options,
+    /// Whether to bound each triangle as closely as `proof` says, and not only by the bounds that were asked for.
+    pub close: bool,
+    /// What samples may use of a bound, so that the points between them have some left.
+    pub share: f64,
+}
+
+impl Options {
+    pub fn new(bounds: Deviation) -> Self {
+        Self {
+            bounds,
+            weight: 0.0,
+            importance: vec![],
+            proof: certify::Options::default(),
+            close: true,
+            share: SHARE,
+        }
+    }
+}
+
+/// One turn of the loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pass {
+    pub triangles: usize,
+    /// Triangles of the result, and of the input, without a proof.
+    pub unproven: [usize; 2],
+    /// Collapses that were not taken back, of all that were tried so far.
+    pub collapses: usize,
+    pub attempts: u64,
+}
+
+#[derive(Clone, Debug)]
+pub struct Certified<const D: usize> {
+    pub mesh: Compact<D>,
+    pub certificate: Certificate,
+    /// Whether the bounds are proven. If not, the caller stopped the work, or they do not even hold between the input
+    /// and itself: where sheets of different colours touch.
+    pub proven: bool,
+    pub stop: Stop,
+    pub passes: Vec<Pass>,
+    /// Why edges may not collapse.
+    pub refused: Vec<Refusal<Bound>>,
+    /// The collapses that were not taken back, if a record was asked for.
+    pub way: Way<D>,
+}
+
+/// The least bounds that can be proven for surfaces of this size: a proof spends the slack of single precision.
+fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
+    let corners = original.triangles.iter().flatten().map(|&v| position(&original.points[v as usize]));
+    Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: LEAST_COLOR }
+}
+
+/// Simplify as far as the bounds can be proven to hold for every point of both surfaces.
+///
+/// # Errors
+/// As [`crate::mesh::connectivity::Connectivity::from_triangles`], and [`KernelError::Interrupted`].
+pub fn simplify<const D: usize, const K: usize>(
+    points: Vec<[f64; D]>,
+    triangles: Vec<[u32; 3]>,
+    locked: Vec<bool>,
+    options: &Options,
+    goal: &Goal,
+    progress: &mut Progress,
+) -> Result<Certified<D>, KernelError> {
+    let given = triangles.len();
+    let whole = Whole::<D, Bound>::new(points, triangles, locked)?;
+    let mut locked = whole.locked;
+    let proper = (whole.triangles.len() < given).then_some(whole.triangle_source);
+    progress.check()?;
+    let original = Original::new(whole.points, whole.triangles);
+    progress.check()?;
+    let least = least_bounds(&original, &options.proof);
+    let bounds = options.bounds.max(least);
+    let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
+    let mut limits = Limits {
+        shape: options.share * (bounds.shape - 0.5 * least.shape),
+        color: options.share * (bounds.color - certify::COLOR_SLACK),
+        factors: (0..original.points.len()).map(|v| 1.0 / factor(v)).collect(),
+    };
+    let decision =
+        certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
+    let recorded = goal.record;
+    let mut history = History::new(&original, recorded);
+    let goal = Goal { record: true, ..*goal };
+    let mut ledger = None;
+    let mut passes: Vec<Pass> = vec![];
+    let mut attempts = 0;
+    let mut failures = vec![0u8; original.points.len()];
+    progress.check()?;
+    let mut mesh = Whole::new(original.points.clone(), original.triangles.clone(), locked.clone())?;
+    let mut lists = Lists::of_input(&original);
+    loop {
+        let importance = importance_of(&mesh, &history, &options.importance);
+        let records = TrackedRecords::<D, K>::new(&original, &limits, options.weight, importance, lists);
+        let outcome = collapse(mesh, records, &goal, progress)?;
+        (mesh, lists) = (outcome.mesh, outcome.records.lists);
+        attempts += outcome.attempts;
+        history.append(outcome.logs);
+        let ledger = match &mut ledger {
+            Some(ledger) => ledger,
+            none => none.insert(Ledger::new(&original, decision)?),
+        };
+        let unproven = ledger.look(&mesh, progress)?;
+        passes.push(Pass { triangles: mesh.triangles.len(), unproven, collapses: history.kept(), attempts });
+        let proven = unproven == [0, 0];
+        let news = if passes.len() >= HOPE { ledger.look_for_hopeless(progress)? } else { 0 };
+        let open = ledger.open();
+        let settled = open.is_empty() && (proven || passes.len() >= HOPE && news == 0);
+        if settled || outcome.stop == Stop::Enough || history.kept() == 0 {
+            let refused = mesh.refused_edges();
+            let mut mesh = mesh.into_compact();
+            let certificate = if options.close {
+                let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
+                let proof = certify::Options { limit: None, threads: goal.threads, ..options.proof };
+                let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
+                if proven { ledger.closer(close) } else { close }
+            } else {
+                ledger.certificate(&mesh, &options.proof, progress)?
+            };
+            // With more effort the rest may be within the bounds after all.
+            let proven = proven || certificate.bound.within(bounds);
+            if let Some(last) = passes.last_mut().filter(|_| proven) {
+                last.unproven = [0, 0];
+            }
+            let way = if recorded { history.way() } else { Way::default() };
+            if let Some(proper) = proper {
+                mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
+            }
+            return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, refused, way });
+        }
+        progress.check()?;
+        let watched = Watched::new(&original, &mesh.triangle_source, &lists);
+        let mut retreat = Retreat::new(&original, history, watched);
+        let around = retreat.samples_around(&mesh, &open);
+        around.iter().for_each(|&v| limits.factors[v as usize] *= TIGHTER);
+        around.iter().for_each(|&v| failures[v as usize] = failures[v as usize].saturating_add(1));
+        let stubborn = |times: usize| {
+            let times = if passes.len() < IMPATIENCE * times { times as u8 } else { 0 };
+            retreat.stubborn(&open, &failures, times)
+        };
+        let mut for_good = retreat.vertices_around(&stubborn(PATIENCE));
+        for_good.extend(ledger.hopeless.iter().flat_map(|&t| original.triangles[t as usize]));
+        let given_up = stubborn(END);
+        ledger.give_up(retreat.take_back(&open, &failures));
+        ledger.give_up([given_up.of_result, given_up.of_input].concat());
+        retreat.lock(&for_good, &mut locked);
+        (mesh, lists, history) = retreat.mesh(mesh, &locked);
+    }
+}
+
+/// Importance of the vertices of the current mesh: the most of any that became part of one.
+fn importance_of<const D: usize>(
+    mesh: &Whole<D, Bound>,
+    history: &History<'_, D>,
+    importance: &[f64],
+) -> Vec<f64> {
+    if importance.is_empty() {
+        return vec![];
+    }
+    let most = |&v: &u32| {
+        let mut most = 0.0;
+        history.visit_members(v, |member| most = f64::max(most, importance[member as usize]));
+        most
+    };
+    mesh.vertex_source.iter().map(most).collect()
+}

@@ -1,0 +1,200 @@
+//! A priority queue of edges whose keys can change: a 4-ary heap that knows where each edge stands.
+//!
+//! Four children lie in one cache line, and the tree is half as deep as a binary one. Equal keys come out
+//! in the order of the edge numbers, so a run never depends on the history of the heap.
+
+use crate::base::ids::EdgeId;
+
+const ARITY: usize = 4;
+const ABSENT: u32 = u32::MAX;
+
+#[derive(Clone, Copy, Debug)]
+struct Entry {
+    key: f64,
+    edge: EdgeId,
+}
+
+impl Entry {
+    #[inline]
+    fn before(&self, other: &Self) -> bool {
+        self.key < other.key || (self.key == other.key && self.edge < other.edge)
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Queue {
+    heap: Vec<Entry>,
+    place: Vec<u32>,
+}
+
+impl Queue {
+    /// A queue for edges numbered below `slots` with those given, in linear time.
+    pub fn new(slots: usize, entries: impl Iterator<Item = (EdgeId, f64)>) -> Self {
+        let mut queue = Self { heap: Vec::with_capacity(slots), place: vec![ABSENT; slots] };
+        for (edge, key) in entries {
+            debug_assert!(!key.is_nan());
+            queue.place[edge.index()] = queue.heap.len() as u32;
+            queue.heap.push(Entry { key, edge });
+        }
+        for at in (0..queue.heap.len().div_ceil(ARITY)).rev() {
+            queue.sift_down(at);
+        }
+        queue
+    }
+
+    pub fn len(&self) -> usize {
+        self.heap.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.heap.is_empty()
+    }
+
+    /// The edge with the smallest key, and that key.
+    #[inline]
+    pub fn first(&self) -> Option<(EdgeId, f64)> {
+        self.heap.first().map(|entry| (entry.edge, entry.key))
+    }
+
+    #[inline]
+    pub fn holds(&self, edge: EdgeId) -> bool {
+        self.place.get(edge.index()).is_some_and(|&place| place != ABSENT)
+    }
+
+    /// All keys, in no order.
+    pub fn keys(&self) -> impl Iterator<Item = f64> + '_ {
+        self.heap.iter().map(|entry| entry.key)
+    }
+
+    /// Take all edges out, with their keys, in no order.
+    pub fn drain(&mut self) -> impl Iterator<Item = (EdgeId, f64)> + '_ {
+        let Self { heap, place } = self;
+        heap.drain(..).map(|entry| {
+            place[entry.edge.index()] = ABSENT;
+            (entry.edge, entry.key)
+        })
+    }
+
+    /// Take out the edge with the smallest key.
+    pub fn pop(&mut self) -> Option<EdgeId> {
+        let edge = self.heap.first()?.edge;
+        self.discard(edge);
+        Some(edge)
+    }
+
+    /// Insert an edge, or change its key.
+    pub fn set(&mut self, edge: EdgeId, key: f64) {
+        debug_assert!(!key.is_nan());
+        if edge.index() >= self.place.len() {
+            self.place.resize(edge.index() + 1, ABSENT);
+        }
+        let entry = Entry { key, edge };
+        let place = self.place[edge.index()];
+        if place == ABSENT {
+            self.heap.push(entry);
+            self.sift_up(self.heap.len() - 1);
+            return;
+        }
+        let at = place as usize;
+        let sooner = entry.before(&self.heap[at]);
+        self.heap[at] = entry;
+        if sooner { self.sift_up(at) } else { self.sift_down(at) }
+    }
+
+    /// Take an edge out, if it is in.
+    pub fn discard(&mut self, edge: EdgeId) {
+        let place = std::mem::replace(&mut self.place[edge.index()], ABSENT);
+        if place == ABSENT {
+            return;
+        }
+        let at = place as usize;
+        let last = self.heap.pop().expect("an edge with a place is in the heap");
+        if at == self.heap.len() {
+            return;
+        }
+        let sooner = last.before(&self.heap[at]);
+        self.heap[at] = last;
+        if sooner { self.sift_up(at) } else { self.sift_down(at) }
+    }
+
+    fn sift_up(&mut self, mut at: usize) {
+        let entry = self.heap[at];
+        while at > 0 {
+            let parent = (at - 1) / ARITY;
+            if !entry.before(&self.heap[parent]) {
+                break;
+            }
+            self.put(at, self.heap[parent]);
+            at = parent;
+        }
+        self.put(at, entry);
+    }
+
+    fn sift_down(&mut self, mut at: usize) {
+        let entry = self.heap[at];
+        loop {
+            let first = ARITY * at + 1;
+            let children = first..(first + ARITY).min(self.heap.len());
+            let Some(child) = children.reduce(|a, b| if self.heap[b].before(&self.heap[a]) { b } else { a })
+            else {
+                break;
+            };
+            if !self.heap[child].before(&entry) {
+                break;
+            }
+            self.put(at, self.heap[child]);
+            at = child;
+        }
+        self.put(at, entry);
+    }
+
+    #[inline]
+    fn put(&mut self, at: usize, entry: Entry) {
+        self.heap[at] = entry;
+        self.place[entry.edge.index()] = at as u32;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn drain(queue: &mut Queue) -> Vec<u32> {
+        let mut order = vec![];
+        while let Some(edge) = queue.pop() {
+            order.push(edge.0);
+        }
+        order
+    }
+
+    #[test]
+    fn equal_keys_come_in_the_order_of_their_edges() {
+        let mut queue = Queue::new(9, (0..9).rev().map(|e| (EdgeId(e), f64::from(e / 3))));
+        assert_eq!(drain(&mut queue), (0..9).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn keys_change_both_ways() {
+        let mut queue = Queue::new(6, (0..6).map(|e| (EdgeId(e), f64::from(e))));
+        queue.set(EdgeId(5), -1.0);
+        queue.set(EdgeId(0), 2.5);
+        queue.set(EdgeId(3), 0.5);
+        queue.discard(EdgeId(1));
+        queue.discard(EdgeId(1));
+        assert_eq!(queue.len(), 5);
+        assert_eq!(drain(&mut queue), [5, 3, 2, 0, 4]);
+    }
+
+    #[test]
+    fn agrees_with_sorting_after_many_changes() {
+        let key = |e: u32, round: u32| f64::from((e * 7919 + round * 104_729) % 1009);
+        let mut queue = Queue::new(500, (0..500).map(|e| (EdgeId(e), key(e, 0))));
+        let mut expected: Vec<(u32, f64)> = (0..500).map(|e| (e, key(e, 0))).collect();
+        for e in (0..500).step_by(3) {
+            queue.set(EdgeId(e), key(e, 1));
+            expected[e as usize].1 = key(e, 1);
+        }
+        expected.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        assert_eq!(drain(&mut queue), expected.iter().map(|e| e.0).collect::<Vec<_>>());
+    }
+}

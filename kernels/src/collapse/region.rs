@@ -1,0 +1,439 @@
+//! A mesh as a whole, and the regions it is worked on in.
+//!
+//! A region is small enough for the cache and is nobody else's while it is worked on. Vertices it shares with
+//! other regions are its rim and stay; what it leaves is put together again with the other regions' remains, and
+//! the next partition runs elsewhere.
+
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use crate::base::errors::KernelError;
+use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::base::parallel::{each, map};
+use crate::collapse::engine::{Measure, Merge, Refusal, Refusals};
+use crate::collapse::partition::Partition;
+use crate::mesh::connect::check_indices;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, Sources, check_points};
+
+/// Why the edge at each corner of a triangle may not collapse.
+pub type CornerRefusals<B> = [Option<Refusal<B>>; 3];
+
+/// The whole mesh between two rounds.
+pub struct Whole<const D: usize, B> {
+    pub points: Vec<[f64; D]>,
+    pub triangles: Vec<[u32; 3]>,
+    /// Which vertices and triangles of the mesh of the first round these are.
+    pub vertex_source: Vec<u32>,
+    pub triangle_source: Vec<u32>,
+    /// Vertices that must stay; empty for none.
+    pub locked: Vec<bool>,
+    /// Empty before the first round.
+    pub refused: Vec<CornerRefusals<B>>,
+}
+
+/// What a measure remembers of the whole mesh.
+pub trait Records<const D: usize>: Sized + Send + Sync {
+    type Measure: Measure<D>;
+    /// What is left of a region's records.
+    type Piece: Send;
+
+    /// Whether all merges of a run are kept, also where nobody asks for them.
+    const KEEPS_MERGES: bool = true;
+
+    /// How much there is to look at in a mesh of so many triangles, counted in triangles of their own.
+    fn size(&self, triangles: usize) -> usize {
+        triangles
+    }
+
+    /// A measure for a region, whose sources are numbers of the whole mesh.
+    fn load(&self, region: &Mesh<D>) -> Self::Measure;
+
+    /// Records of the vertices that are not on the rim, and of the triangles, in their order.
+    fn unload(measure: Self::Measure, region: &Mesh<D>) -> Self::Piece;
+
+    /// Records of the next whole mesh: its vertices are those of `rim` (numbers of this one), then those of
+    /// each piece.
+    fn join(self, rim: &[u32], pieces: Vec<Self::Piece>) -> Self;
+}
+
+const NOBODY: u32 = u32::MAX;
+const SHARED: u32 = u32::MAX - 1;
+
+/// Which vertices more than one region uses.
+pub fn find_rim(vertices: usize, triangles: &[[u32; 3]], partition: &Partition, threads: usize) -> Vec<bool> {
+    if partition.len() == 1 {
+        return vec![false; vertices];
+    }
+    // Whoever comes first, a vertex of two regions ends up shared.
+    let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NOBODY)).collect();
+    let claim = |(): &mut (), p: usize| {
+        for &v in partition.region(p).iter().flat_map(|&t| &triangles[t as usize]) {
+            let slot = &owner[v as usize];
+            let seen = slot.load(Relaxed);
+            if seen == p as u32 || seen == SHARED {
+                continue;
+            }
+            if seen != NOBODY || slot.compare_exchange(NOBODY, p as u32, Relaxed, Relaxed).is_err() {
+                slot.store(SHARED, Relaxed);
+            }
+        }
+    };
+    map(partition.len(), threads, || (), claim);
+    owner.iter().map(|slot| slot.load(Relaxed) == SHARED).collect()
+}
+
+/// One number for each vertex of the whole mesh, used again from region to region.
+pub struct Scratch {
+    local: Vec<u32>,
+}
+
+impl Scratch {
+    pub fn new(vertices: usize) -> Self {
+        Self { local: vec![NOBODY; vertices] }
+    }
+}
+
+impl<const D: usize, B: Copy> Whole<D, B> {
+    /// Points and triangles as they come. A triangle that names a vertex twice has no area and no side: it is left
+    /// out. That the rest is an oriented manifold is checked when it is cut.
+    ///
+    /// # Errors
+    /// An index out of range, or a value that is not finite or beyond ±1e60.
+    pub fn new(
+        points: Vec<[f64; D]>,
+        mut triangles: Vec<[u32; 3]>,
+        locked: Vec<bool>,
+    ) -> Result<Self, KernelError> {
+        check_points(&points)?;
+        check_indices(points.len(), &triangles)?;
+        let proper = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
+        let triangle_source: Vec<u32> =
+            (0..triangles.len() as u32).filter(|&t| proper(&triangles[t as usize])).collect();
+        if triangle_source.len() < triangles.len() {
+            triangles.retain(proper);
+        }
+        let vertex_source = (0..points.len() as u32).collect();
+        Ok(Self { points, triangles, vertex_source, triangle_source, locked, refused: vec![] })
+    }
+
+    /// The mesh in one piece, with halfedges.
+    ///
+    /// # Errors
+    /// As [`Connectivity::from_triangles`].
+    pub fn connected(self) -> Result<Mesh<D>, KernelError> {
+        let locks = (0..self.points.len())
+            .map(|v| if self.locked.get(v) == Some(&true) { Lock::Locked } else { Lock::Free })
+            .collect();
+        Ok(Mesh {
+            connectivity: Connectivity::from_triangles(self.points.len(), &self.triangles)?,
+            points: self.points,
+            vertex_source: self.vertex_source,
+            triangle_source: self.triangle_source,
+            locks,
+        })
+    }
+
+    /// A mesh to start from, and where its parts came from before.
+    pub fn from_mesh(mesh: Mesh<D>) -> (Self, Sources) {
+        let corners = |t| mesh.connectivity.corners(t).map(|v| v.0);
+        let triangles: Vec<[u32; 3]> = mesh.connectivity.triangles().map(corners).collect();
+        let whole = Self {
+            vertex_source: (0..mesh.points.len() as u32).collect(),
+            triangle_source: (0..triangles.len() as u32).collect(),
+            points: mesh.points,
+            triangles,
+            locked: mesh.locks.iter().map(|&lock| lock == Lock::Locked).collect(),
+            refused: vec![],
+        };
+        (whole, Sources { vertices: mesh.vertex_source, triangles: mesh.triangle_source })
+    }
+
+    /// Why edges may not collapse: one entry for each that may not.
+    pub fn refused_edges(&self) -> Vec<Refusal<B>> {
+        let mut refused: Vec<(u32, u32, Refusal<B>)> = vec![];
+        for (corners, refusals) in self.triangles.iter().zip(&self.refused) {
+            for (corner, refusal) in refusals.iter().enumerate() {
+                let (a, b) = (corners[corner], corners[(corner + 1) % 3]);
+                refused.extend(refusal.map(|refusal| (a.min(b), a.max(b), refusal)));
+            }
+        }
+        refused.sort_unstable_by_key(|edge| (edge.0, edge.1));
+        refused.dedup_by_key(|edge| (edge.0, edge.1));
+        refused.into_iter().map(|edge| edge.2).collect()
+    }
+
+    /// The mesh with vertices and triangles in the order of their sources, without vertices no triangle uses.
+    pub fn into_compact(self) -> Compact<D> {
+        let used = {
+            let mut used = vec![false; self.points.len()];
+            self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+            used
+        };
+        let mut vertices: Vec<(u32, u32)> = (0..self.points.len() as u32)
+            .filter(|&v| used[v as usize])
+            .map(|v| (self.vertex_source[v as usize], v))
+            .collect();
+        vertices.sort_unstable();
+        let mut number = vec![0u32; self.points.len()];
+        for (new, &(_, v)) in vertices.iter().enumerate() {
+            number[v as usize] = new as u32;
+        }
+        let mut triangles: Vec<(u32, u32)> =
+            self.triangle_source.iter().zip(0..).map(|(&source, t)| (source, t)).collect();
+        triangles.sort_unstable();
+        Compact {
+            points: vertices.iter().map(|&(_, v)| self.points[v as usize]).collect(),
+            triangles: triangles
+                .iter()
+                .map(|&(_, t)| self.triangles[t as usize].map(|v| number[v as usize]))
+                .collect(),
+            vertex_source: vertices.iter().map(|&(source, _)| source).collect(),
+            triangle_source: triangles.iter().map(|&(source, _)| source).collect(),
+        }
+    }
+
+    /// The mesh of a region, and what is known of its edges.
+    ///
+    /// # Errors
+    /// As [`Connectivity::from_region`], with the region's own numbers.
+    pub fn cut(
+        &self,
+        region: &[u32],
+        rim: &[bool],
+        scratch: &mut Scratch,
+    ) -> Result<(Mesh<D>, Refusals<B>), KernelError> {
+        // Neighbours in the input are mostly neighbours in memory.
+        let mut triangle_source = region.to_vec();
+        triangle_source.sort_unstable();
+        let mut vertex_source: Vec<u32> = Vec::with_capacity(region.len() / 2 + 64);
+        let mut triangles: Vec<[u32; 3]> = Vec::with_capacity(region.len());
+        for &t in &triangle_source {
+            triangles.push(self.triangles[t as usize].map(|v| {
+                let local = &mut scratch.local[v as usize];
+                if *local == NOBODY {
+                    *local = vertex_source.len() as u32;
+                    vertex_source.push(v);
+                }
+                *local
+            }));
+        }
+        for &v in &vertex_source {
+            scratch.local[v as usize] = NOBODY;
+        }
+        let is_rim = |v: VertexId| rim[vertex_source[v.index()] as usize];
+        let connectivity = Connectivity::from_region(vertex_source.len(), &triangles, is_rim)?;
+        let lock = |&v: &u32| match (rim[v as usize], self.locked.get(v as usize)) {
+            (true, _) => Lock::Rim,
+            (false, Some(true)) => Lock::Locked,
+            _ => Lock::Free,
+        };
+        let mut refusals = vec![None; connectivity.edge_slots()];
+        if !self.refused.is_empty() {
+            for (local, &t) in triangle_source.iter().enumerate() {
+                for corner in 0..3 {
+                    let edge = connectivity.edge(HalfedgeId((3 * local + corner) as u32));
+                    refusals[edge.index()] = self.refused[t as usize][corner];
+                }
+            }
+        }
+        let mesh = Mesh {
+            points: vertex_source.iter().map(|&v| self.points[v as usize]).collect(),
+            locks: vertex_source.iter().map(lock).collect(),
+            triangle_source,
+            vertex_source,
+            connectivity,
+        };
+        Ok((mesh, refusals))
+    }
+}
+
+/// What is left of a region.
+pub struct Piece<const D: usize, B, R> {
+    /// Vertices that are not on the rim.
+    points: Vec<[f64; D]>,
+    vertex_source: Vec<u32>,
+    /// Empty if the whole mesh has no locked vertices.
+    locked: Vec<bool>,
+    /// A vertex of the rim by its number in the whole mesh, `ON_RIM` added; another by its place in `points`.
+    triangles: Vec<[u32; 3]>,
+    triangle_source: Vec<u32>,
+    refused: Vec<CornerRefusals<B>>,
+    /// Until they are joined.
+    records: Option<R>,
+    /// In numbers of the whole mesh.
+    pub merges: Vec<Merge>,
+    path: Option<Vec<[f64; D]>>,
+}
+
+const ON_RIM: u32 = 1 << 31;
+
+impl<const D: usize, B: Copy, R> Piece<D, B, R> {
+    /// What happened, in the numbers that `source` has for the vertices of the whole mesh: merges, and where their
+    /// survivors went, if that was recorded.
+    pub fn take_merges(&mut self, source: &[u32]) -> (Vec<Merge>, Vec<[f64; D]>) {
+        let mut merges = std::mem::take(&mut self.merges);
+        for vertex in merges.iter_mut().flat_map(|m| [&mut m.removed, &mut m.survivor]) {
+            *vertex = VertexId(source[vertex.index()]);
+        }
+        let mut path = self.path.take().unwrap_or_default();
+        path.shrink_to_fit();
+        (merges, path)
+    }
+
+    /// Triangles that are left.
+    pub fn triangles(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// What is left of a region of `whole`.
+    pub fn new(
+        mesh: &Mesh<D>,
+        whole: &Whole<D, B>,
+        refusal: impl Fn(EdgeId) -> Option<Refusal<B>>,
+        merges: &[Merge],
+        path: Option<Vec<[f64; D]>>,
+        records: R,
+    ) -> Self {
+        let connectivity = &mesh.connectivity;
+        let inside = connectivity.vertices().filter(|&v| mesh.lock(v) != Lock::Rim).count();
+        let mut number = vec![0; connectivity.vertex_slots()];
+        let mut points = Vec::with_capacity(inside);
+        let mut vertex_source = Vec::with_capacity(inside);
+        let mut locked = Vec::with_capacity(if whole.locked.is_empty() { 0 } else { inside });
+        for v in connectivity.vertices() {
+            let here = mesh.vertex_source[v.index()];
+            if mesh.lock(v) == Lock::Rim {
+                number[v.index()] = here | ON_RIM;
+            } else {
+                number[v.index()] = points.len() as u32;
+                points.push(*mesh.point(v));
+                vertex_source.push(whole.vertex_source[here as usize]);
+                locked.extend(whole.locked.get(here as usize));
+            }
+        }
+        let left = connectivity.triangle_count();
+        let mut triangles = Vec::with_capacity(left);
+        let mut triangle_source = Vec::with_capacity(left);
+        let mut refused = Vec::with_capacity(left);
+        for t in connectivity.triangles() {
+            triangles.push(connectivity.corners(t).map(|v| number[v.index()]));
+            triangle_source.push(whole.triangle_source[mesh.triangle_source[t.index()] as usize]);
+            refused.push(std::array::from_fn(|corner| {
+                refusal(connectivity.edge(HalfedgeId(3 * t.0 + corner as u32)))
+            }));
+        }
+        let here = |v: VertexId| VertexId(mesh.vertex_source[v.index()]);
+        let merges = merges
+            .iter()
+            .map(|m| Merge { removed: here(m.removed), survivor: here(m.survivor), ..*m })
+            .collect();
+        let records = Some(records);
+        Self { points, vertex_source, locked, triangles, triangle_source, refused, records, merges, path }
+    }
+}
+
+/// Where a piece goes in the next whole mesh.
+struct Place<'a, const D: usize, B> {
+    /// Number of its first vertex.
+    first: u32,
+    points: &'a mut [[f64; D]],
+    vertex_source: &'a mut [u32],
+    locked: &'a mut [bool],
+    triangles: &'a mut [[u32; 3]],
+    triangle_source: &'a mut [u32],
+    refused: &'a mut [CornerRefusals<B>],
+}
+
+impl<const D: usize, B: Copy> Place<'_, D, B> {
+    fn take<R>(self, piece: Piece<D, B, R>, rim_number: &[u32]) {
+        self.points.copy_from_slice(&piece.points);
+        self.vertex_source.copy_from_slice(&piece.vertex_source);
+        self.locked.copy_from_slice(&piece.locked);
+        self.triangle_source.copy_from_slice(&piece.triangle_source);
+        self.refused.copy_from_slice(&piece.refused);
+        let number = |v: u32| {
+            if v & ON_RIM != 0 { rim_number[(v & !ON_RIM) as usize] } else { self.first + v }
+        };
+        for (corners, own) in self.triangles.iter_mut().zip(&piece.triangles) {
+            *corners = own.map(number);
+        }
+    }
+}
+
+impl<const D: usize, B: Copy + Send> Whole<D, B> {
+    /// Put the pieces of all regions together, in the memory of this mesh, which is never smaller. Vertices of
+    /// the rim come first.
+    pub fn join<R: Records<D>>(
+        mut self,
+        rim: &[bool],
+        records: R,
+        mut pieces: Vec<Piece<D, B, R::Piece>>,
+        threads: usize,
+    ) -> (Self, R) {
+        let rim_vertices: Vec<u32> = (0..rim.len() as u32).filter(|&v| rim[v as usize]).collect();
+        let mut rim_number = vec![NOBODY; rim.len()];
+        for (number, &v) in (0..).zip(&rim_vertices) {
+            rim_number[v as usize] = number;
+            // No number is larger than the one it replaces.
+            let (number, v) = (number as usize, v as usize);
+            self.points[number] = self.points[v];
+            self.vertex_source[number] = self.vertex_source[v];
+            if !self.locked.is_empty() {
+                self.locked[number] = self.locked[v];
+            }
+        }
+        let vertices = rim_vertices.len() + pieces.iter().map(|p| p.points.len()).sum::<usize>();
+        let triangles = pieces.iter().map(|p| p.triangles.len()).sum();
+        shorten(&mut self.points, vertices);
+        shorten(&mut self.vertex_source, vertices);
+        shorten(&mut self.locked, vertices);
+        shorten(&mut self.triangles, triangles);
+        shorten(&mut self.triangle_source, triangles);
+        self.refused.resize(triangles, [None; 3]);
+        let kept = pieces.iter_mut().filter_map(|piece| piece.records.take()).collect();
+        let places = self.places(rim_vertices.len(), &pieces);
+        let parts: Vec<_> = places.into_iter().zip(pieces).collect();
+        each(parts, threads, |(place, piece)| place.take(piece, &rim_number));
+        let records = records.join(&rim_vertices, kept);
+        (self, records)
+    }
+
+    /// One place after the other, the first after the vertices of the rim.
+    fn places<R>(&mut self, rim: usize, pieces: &[Piece<D, B, R>]) -> Vec<Place<'_, D, B>> {
+        let mut points = &mut self.points[rim..];
+        let mut vertex_source = &mut self.vertex_source[rim..];
+        let mut locked = if self.locked.is_empty() { &mut [][..] } else { &mut self.locked[rim..] };
+        let mut triangles = &mut self.triangles[..];
+        let mut triangle_source = &mut self.triangle_source[..];
+        let mut refused = &mut self.refused[..];
+        let mut first = rim as u32;
+        let mut places = Vec::with_capacity(pieces.len());
+        for piece in pieces {
+            let (vertices, count) = (piece.points.len(), piece.triangles.len());
+            places.push(Place {
+                first,
+                points: split_off(&mut points, vertices),
+                vertex_source: split_off(&mut vertex_source, vertices),
+                locked: split_off(&mut locked, piece.locked.len()),
+                triangles: split_off(&mut triangles, count),
+                triangle_source: split_off(&mut triangle_source, count),
+                refused: split_off(&mut refused, count),
+            });
+            first += vertices as u32;
+        }
+        places
+    }
+}
+
+/// Give back what is no longer needed.
+fn shorten<T>(values: &mut Vec<T>, length: usize) {
+    values.truncate(length);
+    values.shrink_to_fit();
+}
+
+/// The first `count` of `rest`, which keeps the others.
+fn split_off<'a, T>(rest: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+    let (first, others) = std::mem::take(rest).split_at_mut(count);
+    *rest = others;
+    first
+}

@@ -1,0 +1,403 @@
+//! Fitting a simplified mesh to its input by least squares, connectivity as it is.
+//!
+//! Samples of the input go to the nearest point of the result; vertices then move along their normals, and their
+//! attributes change, until the squared differences at the samples are least: the inner problem of Hoppe, DeRose,
+//! Duchamp, McDonald and Stuetzle, "Mesh optimization", 1993, with one unknown a vertex instead of three.
+//! Samples are the centres of the input's triangles, each with the triangle's area; where there are few of
+//! them to a triangle of the result, the corners count too, a twelfth of the area each and three quarters for
+//! the centre: exact for the integral of what is quadratic on the triangle.
+
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, add_scaled, area, cross, dot, nearest_on_triangle, norm2, position, sub};
+use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
+use crate::base::parallel::{each, fill};
+use crate::base::progress::Progress;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::{Lock, Mesh};
+
+/// Strength of the spring that holds every unknown, as a share of the samples' weight at a vertex: without it
+/// a vertex with few samples would follow their noise.
+const SPRING: f64 = 0.05;
+
+/// Steps of the conjugate gradient method; the systems are well conditioned.
+const STEPS: usize = 12;
+
+/// No triangle may turn by more than 60° (cosine).
+const LEAST_COSINE: f64 = 0.5;
+
+/// Samples a thread takes at a time.
+const CHUNK: usize = 1 << 14;
+
+/// The input, and which vertex of the result each of its vertices became part of.
+pub struct Input<'a, const D: usize> {
+    pub points: &'a [[f64; D]],
+    pub triangles: &'a [[u32; 3]],
+    pub became: &'a [VertexId],
+}
+
+/// With this many triangles of the input to one of the result, their centres are samples enough.
+const ENOUGH_CENTRES: usize = 6;
+
+/// Samples of the input: the centres of its triangles, and then perhaps its vertices.
+struct Samples<'a, const D: usize> {
+    input: &'a Input<'a, D>,
+    /// Weights of the vertices; empty if they do not count.
+    vertices: Vec<f64>,
+}
+
+impl<'a, const D: usize> Samples<'a, D> {
+    fn new(input: &'a Input<'a, D>, with_vertices: bool) -> Self {
+        let mut samples = Self { input, vertices: vec![] };
+        if with_vertices {
+            samples.vertices = vec![0.0; input.points.len()];
+            for corners in input.triangles {
+                let share = samples.area(corners) / 12.0;
+                corners.iter().for_each(|&v| samples.vertices[v as usize] += share);
+            }
+        }
+        samples
+    }
+
+    fn len(&self) -> usize {
+        self.input.triangles.len() + self.vertices.len()
+    }
+
+    fn area(&self, corners: &[u32; 3]) -> f64 {
+        let points = corners.map(|v| position(&self.input.points[v as usize]));
+        area(points.each_ref())
+    }
+
+    fn weight(&self, i: usize) -> f64 {
+        match self.input.triangles.get(i) {
+            Some(corners) if self.vertices.is_empty() => self.area(corners),
+            Some(corners) => 0.75 * self.area(corners),
+            None => self.vertices[i - self.input.triangles.len()],
+        }
+    }
+
+    /// The place and attributes of a sample, and a vertex of the result to start the search from.
+    fn get(&self, i: usize) -> ([f64; D], VertexId) {
+        let Some(corners) = self.input.triangles.get(i) else {
+            let v = i - self.input.triangles.len();
+            return (self.input.points[v], self.input.became[v]);
+        };
+        let corners = corners.map(|v| v as usize);
+        let [a, b, c] = corners.map(|v| &self.input.points[v]);
+        let near = corners.into_iter().map(|v| self.input.became[v]).find(|v| v.is_some());
+        (std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0), near.unwrap_or(VertexId::NONE))
+    }
+}
+
+/// The nearest point of a sample on the result; single precision is enough for weights.
+#[derive(Clone, Copy)]
+struct Hit {
+    triangle: TriangleId,
+    at: [f32; 2],
+}
+
+impl Hit {
+    fn weights(&self) -> [f64; 3] {
+        let [b, c] = self.at.map(f64::from);
+        [1.0 - b - c, b, c]
+    }
+}
+
+/// Look for the nearest point from vertex to vertex: around `start`, then around the corners of the nearest triangle
+/// so far, as long as that helps.
+fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<Hit> {
+    let mut best: Option<(f64, TriangleId, [f64; 3])> = None;
+    let mut from = start;
+    loop {
+        let mut closer = false;
+        for h in mesh.connectivity.fan(from) {
+            let triangle = Connectivity::triangle(h);
+            let corners = mesh.connectivity.corners(triangle).map(|v| position(mesh.point(v)));
+            let (at, distance2) = nearest_on_triangle(p, corners.each_ref());
+            if best.is_none_or(|(least, _, _)| distance2 < least) {
+                best = Some((distance2, triangle, at));
+                closer = true;
+            }
+        }
+        let (_, triangle, at) = best?;
+        let corners = mesh.connectivity.corners(triangle);
+        // On a side or a corner, the surface may come closer beyond it.
+        let beyond = (0..3).find(|&i| at[i] > EDGE && corners[i] != from);
+        match beyond {
+            Some(i) if closer && at.iter().any(|&x| x <= EDGE) => from = corners[i],
+            _ => return Some(Hit { triangle, at: [at[1] as f32, at[2] as f32] }),
+        }
+    }
+}
+
+/// A weight below this lies on the side across.
+const EDGE: f64 = 1e-9;
+
+/// Fit `mesh` to `input`. Locked vertices stay as they are, those on the boundary keep their place.
+///
+/// # Errors
+/// [`KernelError::Interrupted`].
+pub fn fit<const D: usize>(
+    mesh: &mut Mesh<D>,
+    input: &Input<'_, D>,
+    threads: usize,
+    progress: &Progress,
+) -> Result<(), KernelError> {
+    let with_vertices = input.triangles.len() < ENOUGH_CENTRES * mesh.connectivity.triangle_count();
+    let samples = Samples::new(input, with_vertices);
+    let find = |(chunk, hits): (usize, &mut [Option<Hit>])| {
+        if progress.check().is_err() {
+            return;
+        }
+        for (i, hit) in (CHUNK * chunk..).zip(hits) {
+            let (point, near) = samples.get(i);
+            *hit = if near.is_none() { None } else { nearest(mesh, &position(&point), near) };
+        }
+    };
+    let mut hits = vec![None; samples.len()];
+    each(hits.chunks_mut(CHUNK).enumerate().collect(), threads, find);
+    progress.check()?;
+    let normals = vertex_normals(mesh);
+    let system = System::new(mesh, &samples, &hits, &normals, threads);
+    progress.check()?;
+    let solution = system.solve();
+    for (point, step) in mesh.points.iter_mut().zip(&solution) {
+        (3..D).for_each(|j| point[j] += step[j]);
+    }
+    move_along_normals(mesh, &normals, &solution);
+    Ok(())
+}
+
+/// The normal equations: unknown 0 of a vertex is its way along the normal, the others its attributes.
+struct System<const D: usize> {
+    /// Of shape and of any attribute; infinite where the unknown is held.
+    diagonal: Vec<[f64; 2]>,
+    /// Edge by edge.
+    across: Vec<([u32; 2], [f64; 2])>,
+    right: Vec<[f64; D]>,
+}
+
+/// What the samples of one triangle add to the system: corner by corner, and side by side from corner to corner.
+#[derive(Clone, Copy)]
+struct Share<const D: usize> {
+    diagonal: [[f64; 2]; 3],
+    across: [[f64; 2]; 3],
+    right: [[f64; D]; 3],
+}
+
+/// Triangles whose shares are made at a time.
+const BLOCK: usize = 1 << 15;
+
+impl<const D: usize> Share<D> {
+    const NONE: Self = Self { diagonal: [[0.0; 2]; 3], across: [[0.0; 2]; 3], right: [[0.0; D]; 3] };
+
+    fn add(
+        &mut self,
+        weight: f64,
+        sample: &[f64; D],
+        at: [f64; 3],
+        points: [&[f64; D]; 3],
+        normals: [&Vec3; 3],
+    ) {
+        let off: [f64; D] = std::array::from_fn(|j| {
+            sample[j] - (at[0] * points[0][j] + at[1] * points[1][j] + at[2] * points[2][j])
+        });
+        let [a, b, c] = points.map(position);
+        let is_inside = at.iter().all(|&x| x > EDGE);
+        let away = position(&off);
+        // Beyond a side, the distance is not along the normal of the triangle.
+        let towards = if is_inside || norm2(&away) == 0.0 { cross(&sub(&b, &a), &sub(&c, &a)) } else { away };
+        let length = norm2(&towards).sqrt();
+        if length == 0.0 {
+            return;
+        }
+        let towards = towards.map(|x| x / length);
+        let distance = dot(&away, &towards);
+        let lever: [f64; 3] = std::array::from_fn(|k| at[k] * dot(&towards, normals[k]));
+        for k in 0..3 {
+            let next = (k + 1) % 3;
+            self.diagonal[k][0] += weight * (lever[k] * lever[k] + SPRING * at[k] * at[k]);
+            self.diagonal[k][1] += weight * (1.0 + SPRING) * at[k] * at[k];
+            self.across[k][0] += weight * lever[k] * lever[next];
+            self.across[k][1] += weight * at[k] * at[next];
+            self.right[k][0] += weight * lever[k] * distance;
+            (3..D).for_each(|j| self.right[k][j] += weight * at[k] * off[j]);
+        }
+    }
+}
+
+/// Samples grouped by the triangle they are nearest to: those of `t` are `order[starts[t]..starts[t + 1]]`.
+fn by_triangle(hits: &[Option<Hit>], triangles: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut starts = vec![0u32; triangles + 1];
+    for hit in hits.iter().flatten() {
+        starts[hit.triangle.index() + 1] += 1;
+    }
+    for t in 0..triangles {
+        starts[t + 1] += starts[t];
+    }
+    let mut next = starts.clone();
+    let mut order = vec![0u32; starts[triangles] as usize];
+    for (hit, i) in hits.iter().zip(0..) {
+        if let Some(hit) = hit {
+            let place = &mut next[hit.triangle.index()];
+            order[*place as usize] = i;
+            *place += 1;
+        }
+    }
+    (order, starts)
+}
+
+impl<const D: usize> System<D> {
+    fn new(
+        mesh: &Mesh<D>,
+        samples: &Samples<'_, D>,
+        hits: &[Option<Hit>],
+        normals: &[Vec3],
+        threads: usize,
+    ) -> Self {
+        let connectivity = &mesh.connectivity;
+        let triangles = connectivity.triangle_slots();
+        let (order, starts) = by_triangle(hits, triangles);
+        let share = |t: usize| {
+            let mut share = Share::NONE;
+            let corners = connectivity.corners(TriangleId::from_index(t));
+            let (points, normals) = (corners.map(|v| mesh.point(v)), corners.map(|v| &normals[v.index()]));
+            for &i in &order[starts[t] as usize..starts[t + 1] as usize] {
+                let at = hits[i as usize].map_or([0.0; 3], |hit| hit.weights());
+                share.add(samples.weight(i as usize), &samples.get(i as usize).0, at, points, normals);
+            }
+            share
+        };
+        let mut diagonal = vec![[0.0; 2]; mesh.points.len()];
+        let mut across = vec![[0.0; 2]; connectivity.edge_slots()];
+        let mut right = vec![[0.0; D]; mesh.points.len()];
+        let mut shares = vec![Share::<D>::NONE; BLOCK.min(triangles)];
+        for block in (0..triangles).step_by(BLOCK) {
+            let shares = &mut shares[..BLOCK.min(triangles - block)];
+            fill(shares, threads, |i| share(block + i));
+            for (share, t) in shares.iter().zip(block..) {
+                let corners = connectivity.corners(TriangleId::from_index(t));
+                for (k, v) in corners.into_iter().map(VertexId::index).enumerate() {
+                    let edge = connectivity.edge(HalfedgeId((3 * t + k) as u32)).index();
+                    (0..2).for_each(|i| diagonal[v][i] += share.diagonal[k][i]);
+                    (0..2).for_each(|i| across[edge][i] += share.across[k][i]);
+                    (0..D).for_each(|j| right[v][j] += share.right[k][j]);
+                }
+            }
+        }
+        for v in connectivity.vertices() {
+            let (is_locked, i) = (mesh.lock(v) == Lock::Locked, v.index());
+            if is_locked || connectivity.is_boundary_vertex(v) {
+                (diagonal[i][0], right[i][0]) = (f64::INFINITY, 0.0);
+            }
+            if is_locked {
+                (diagonal[i][1], right[i]) = (f64::INFINITY, [0.0; D]);
+            }
+        }
+        let across = connectivity.edges().map(|e| (connectivity.ends(e).map(|v| v.0), across[e.index()]));
+        Self { diagonal, across: across.collect(), right }
+    }
+
+    /// The conjugate gradient method, preconditioned with the diagonal, for all unknowns side by side.
+    fn solve(&self) -> Vec<[f64; D]> {
+        let n = self.right.len();
+        let matrix = |j: usize| usize::from(j > 0);
+        let scaled = |v: usize, r: &[f64; D]| -> [f64; D] {
+            let d = self.diagonal[v];
+            std::array::from_fn(|j| if d[matrix(j)] > 0.0 { r[j] / d[matrix(j)] } else { 0.0 })
+        };
+        let mut x = vec![[0.0; D]; n];
+        let mut r = self.right.clone();
+        let mut z: Vec<[f64; D]> = (0..n).map(|v| scaled(v, &r[v])).collect();
+        let mut p = z.clone();
+        let mut q = vec![[0.0; D]; n];
+        let mut rz = inner(&r, &z);
+        for _ in 0..STEPS {
+            self.times(&p, &mut q);
+            let pq = inner(&p, &q);
+            let alpha: [f64; D] = std::array::from_fn(|j| if pq[j] > 0.0 { rz[j] / pq[j] } else { 0.0 });
+            for v in 0..n {
+                for j in 0..D {
+                    x[v][j] += alpha[j] * p[v][j];
+                    r[v][j] -= alpha[j] * q[v][j];
+                }
+                z[v] = scaled(v, &r[v]);
+            }
+            let next = inner(&r, &z);
+            let beta: [f64; D] = std::array::from_fn(|j| if rz[j] > 0.0 { next[j] / rz[j] } else { 0.0 });
+            for v in 0..n {
+                (0..D).for_each(|j| p[v][j] = z[v][j] + beta[j] * p[v][j]);
+            }
+            rz = next;
+        }
+        x
+    }
+
+    fn times(&self, p: &[[f64; D]], q: &mut [[f64; D]]) {
+        for (v, diagonal) in self.diagonal.iter().enumerate() {
+            // What is held has no share in any direction.
+            let d = diagonal.map(|d| if d.is_finite() { d } else { 0.0 });
+            (0..D).for_each(|j| q[v][j] = d[usize::from(j > 0)] * p[v][j]);
+        }
+        for &([a, b], m) in &self.across {
+            let (a, b) = (a as usize, b as usize);
+            for j in 0..D {
+                let m = m[usize::from(j > 0)];
+                q[a][j] += m * p[b][j];
+                q[b][j] += m * p[a][j];
+            }
+        }
+    }
+}
+
+fn inner<const D: usize>(a: &[[f64; D]], b: &[[f64; D]]) -> [f64; D] {
+    let mut sum = [0.0; D];
+    for (a, b) in a.iter().zip(b) {
+        (0..D).for_each(|j| sum[j] += a[j] * b[j]);
+    }
+    sum
+}
+
+fn vertex_normals<const D: usize>(mesh: &Mesh<D>) -> Vec<Vec3> {
+    let mut normals = vec![[0.0; 3]; mesh.points.len()];
+    for t in mesh.connectivity.triangles() {
+        let [a, b, c] = mesh.triangle_points(t).map(|q| position(&q));
+        let normal = cross(&sub(&b, &a), &sub(&c, &a));
+        for v in mesh.connectivity.corners(t) {
+            normals[v.index()] = add_scaled(&normals[v.index()], 1.0, &normal);
+        }
+    }
+    for normal in &mut normals {
+        let length = norm2(normal).sqrt();
+        if length > 0.0 {
+            *normal = normal.map(|x| x / length);
+        }
+    }
+    normals
+}
+
+/// Move every vertex as the solution says, and put back the corners of triangles that would turn too far.
+fn move_along_normals<const D: usize>(mesh: &mut Mesh<D>, normals: &[Vec3], solution: &[[f64; D]]) {
+    let before: Vec<Vec3> = mesh.points.iter().map(position).collect();
+    for v in 0..mesh.points.len() {
+        (0..3).for_each(|i| mesh.points[v][i] += solution[v][0] * normals[v][i]);
+    }
+    loop {
+        let mut undone = false;
+        for t in mesh.connectivity.triangles() {
+            let corners = mesh.connectivity.corners(t);
+            let [a, b, c] = corners.map(|v| before[v.index()]);
+            let old = cross(&sub(&b, &a), &sub(&c, &a));
+            let [a, b, c] = corners.map(|v| position(mesh.point(v)));
+            let new = cross(&sub(&b, &a), &sub(&c, &a));
+            if dot(&old, &new) < LEAST_COSINE * (norm2(&old) * norm2(&new)).sqrt() {
+                for v in corners {
+                    undone |= position(mesh.point(v)) != before[v.index()];
+                    mesh.points[v.index()][..3].copy_from_slice(&before[v.index()]);
+                }
+            }
+        }
+        if !undone {
+            break;
+        }
+    }
+}

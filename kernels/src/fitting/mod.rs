@@ -1,0 +1,3 @@
+//! Fitting a result to its input by least squares.
+
+pub mod fit;

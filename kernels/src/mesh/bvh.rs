@@ -1,0 +1,346 @@
+//! A tree of boxes over any shapes: the nearest one to a point, and all whose box meets a box.
+//!
+//! Median splits along the longest axis of the centres, so that the depth is known and the tree depends on
+//! nothing but the input. The shapes themselves stay with the caller, who puts them in the tree's `order`;
+//! a *slot* is a place in that order, and neighbouring slots are neighbours in space.
+//!
+//! Boxes are in single precision, rounded outwards, and relative to the box around everything: they are as good
+//! far from the origin, and for any unit of length.
+
+use crate::base::geometry::Vec3;
+use crate::base::parallel::both;
+
+/// Shapes in a leaf: half as many are no faster, and their boxes take twice the memory.
+const LEAF: usize = 8;
+/// Both children of a node wait while one is looked at: one entry a level, and a level halves the shapes.
+const STACK: usize = 64;
+/// Squares of lengths, in any unit, stay far from the ends of double precision.
+const LEAST_EXPONENT: i32 = 250;
+/// Fewer shapes are not worth another thread.
+const ALONE: usize = 1 << 13;
+const NOTHING: [Vec3; 2] = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
+
+/// Lowest and highest corner, in the tree's own unit.
+type Box = [[f32; 3]; 2];
+
+/// A range of slots, or a node; with the box around it.
+#[derive(Clone, Copy, Debug)]
+struct Branch {
+    around: Box,
+    /// First slot, or the node's number if `count` is 0.
+    start: u32,
+    count: u32,
+}
+
+#[derive(Clone, Debug)]
+pub struct Bvh {
+    root: Option<Branch>,
+    nodes: Vec<[Branch; 2]>,
+    /// What is 0 in the tree's own unit, and how many of them make one of the caller's: a power of two.
+    origin: Vec3,
+    scale: f64,
+}
+
+impl Bvh {
+    /// The tree over so many shapes, and the order (shape number of each slot) it asks for. `around` gives the lowest
+    /// and highest corner of each box. It is the same for any number of threads.
+    pub fn new(count: usize, threads: usize, around: impl Fn(usize) -> [Vec3; 2]) -> (Self, Vec<u32>) {
+        let [low, high] = (0..count).map(&around).fold(NOTHING, |all, one| {
+            [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
+        });
+        let mut tree = Self { root: None, nodes: vec![], origin: [0.0; 3], scale: 1.0 };
+        let mut order: Vec<u32> = (0..count as u32).collect();
+        if count > 0 {
+            tree.origin = [0, 1, 2].map(|i| 0.5 * (low[i] + high[i]));
+            let extent = (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max);
+            let exponent = (extent.to_bits() >> 52) as i32 - 1023;
+            tree.scale = 2f64.powi(-exponent.clamp(-LEAST_EXPONENT, LEAST_EXPONENT));
+            let boxes: Vec<Box> = (0..count).map(|i| tree.outside(around(i))).collect();
+            tree.nodes.reserve_exact(count / (LEAF / 2));
+            tree.root = Some(build(&boxes, &mut order, 0, &mut tree.nodes, threads));
+            tree.nodes.shrink_to_fit();
+        }
+        (tree, order)
+    }
+
+    #[inline]
+    fn local(&self, p: &Vec3) -> Vec3 {
+        [0, 1, 2].map(|i| (p[i] - self.origin[i]) * self.scale)
+    }
+
+    /// A box in the tree's own unit that is never smaller.
+    #[inline]
+    fn outside(&self, [low, high]: [Vec3; 2]) -> Box {
+        [self.local(&low).map(down), self.local(&high).map(|x| -down(-x))]
+    }
+
+    /// The slot nearest to `p` among those nearer than `best` (slot, squared distance), or `best` itself.
+    #[inline]
+    pub fn nearest(&self, p: &Vec3, best: (u32, f64), distance2: impl Fn(u32) -> f64) -> (u32, f64) {
+        let (mut slot, mut least) = best;
+        let Some(root) = self.root else { return best };
+        let (local, unit2) = (self.local(p), self.scale * self.scale);
+        let mut far = least * unit2;
+        let mut stack = [(0.0, 0, 0); STACK];
+        stack[0] = (box_distance2(&local, &root.around), root.start, root.count);
+        let mut height = 1;
+        while height > 0 {
+            height -= 1;
+            let (distance, start, count) = stack[height];
+            if distance >= far {
+                continue;
+            }
+            if count > 0 {
+                for s in start..start + count {
+                    let d = distance2(s);
+                    if d < least {
+                        (slot, least) = (s, d);
+                        far = least * unit2;
+                    }
+                }
+                continue;
+            }
+            let both = &self.nodes[start as usize];
+            let d = both.each_ref().map(|child| box_distance2(&local, &child.around));
+            // The nearer one on top.
+            let first = usize::from(d[0] > d[1]);
+            for child in [1 - first, first] {
+                if d[child] < far {
+                    stack[height] = (d[child], both[child].start, both[child].count);
+                    height += 1;
+                }
+            }
+        }
+        (slot, least)
+    }
+
+    /// Visit every slot whose leaf's box meets the box `low`–`high`, until `visit` returns false. Branches, given by
+    /// their node's number and 0 or 1, are left out where `skip` says so.
+    #[inline]
+    pub fn meeting(
+        &self,
+        low: &Vec3,
+        high: &Vec3,
+        mut skip: impl FnMut(u32, usize) -> bool,
+        mut visit: impl FnMut(u32) -> bool,
+    ) {
+        let [low, high] = self.outside([*low, *high]);
+        let meets = |b: &Branch| (0..3).all(|i| b.around[0][i] <= high[i] && b.around[1][i] >= low[i]);
+        let Some(root) = self.root.filter(meets) else { return };
+        let mut stack = [(0, 0); STACK];
+        stack[0] = (root.start, root.count);
+        let mut height = 1;
+        while height > 0 {
+            height -= 1;
+            let (start, count) = stack[height];
+            if count > 0 {
+                for s in start..start + count {
+                    if !visit(s) {
+                        return;
+                    }
+                }
+                continue;
+            }
+            for (i, child) in self.nodes[start as usize].iter().enumerate().rev() {
+                if meets(child) && !skip(start, i) {
+                    stack[height] = (child.start, child.count);
+                    height += 1;
+                }
+            }
+        }
+    }
+
+    /// Visit every slot whose leaf's box the line through `p` along `direction` meets within `reach` times its length,
+    /// in both directions. `visit` says how far the search still has to reach.
+    #[inline]
+    pub fn along(&self, p: &Vec3, direction: &Vec3, reach: f64, mut visit: impl FnMut(u32, f64) -> f64) {
+        let Some(root) = self.root else { return };
+        let local = self.local(p);
+        let inverse = direction.map(|x| 1.0 / (x * self.scale));
+        let mut reach = reach;
+        let mut stack = [(0.0, 0, 0); STACK];
+        stack[0] = (line_distance(&local, &inverse, &root.around), root.start, root.count);
+        let mut height = 1;
+        while height > 0 {
+            height -= 1;
+            let (distance, start, count) = stack[height];
+            if distance > reach {
+                continue;
+            }
+            if count > 0 {
+                for s in start..start + count {
+                    reach = visit(s, reach);
+                }
+                continue;
+            }
+            let both = &self.nodes[start as usize];
+            let d = both.each_ref().map(|child| line_distance(&local, &inverse, &child.around));
+            // The nearer one on top.
+            let first = usize::from(d[0] > d[1]);
+            for child in [1 - first, first] {
+                if d[child] <= reach {
+                    stack[height] = (d[child], both[child].start, both[child].count);
+                    height += 1;
+                }
+            }
+        }
+    }
+
+    /// A value for both branches of every node: of the slots in a leaf, and joined upwards.
+    pub fn gathered<T: Copy>(
+        &self,
+        leaf: impl Fn(std::ops::Range<usize>) -> T,
+        join: impl Fn(T, T) -> T,
+    ) -> Vec<[T; 2]> {
+        let mut upwards: Vec<[T; 2]> = Vec::with_capacity(self.nodes.len());
+        // A node is numbered before those below it.
+        for both in self.nodes.iter().rev() {
+            let value = both.each_ref().map(|b| {
+                if b.count > 0 {
+                    leaf(b.start as usize..(b.start + b.count) as usize)
+                } else {
+                    let [left, right] = upwards[self.nodes.len() - 1 - b.start as usize];
+                    join(left, right)
+                }
+            });
+            upwards.push(value);
+        }
+        upwards.reverse();
+        upwards
+    }
+}
+
+fn build(
+    boxes: &[Box],
+    order: &mut [u32],
+    offset: usize,
+    nodes: &mut Vec<[Branch; 2]>,
+    threads: usize,
+) -> Branch {
+    if order.len() <= LEAF {
+        let around = join(order.iter().map(|&i| boxes[i as usize]));
+        return Branch { around, start: offset as u32, count: order.len() as u32 };
+    }
+    // Twice the centre; halving it would change nothing.
+    let centre = |i: u32, axis: usize| boxes[i as usize][0][axis] + boxes[i as usize][1][axis];
+    let [low, high] = join(order.iter().map(|&i| [[0, 1, 2].map(|axis| centre(i, axis)); 2]));
+    let axis = (0..3).max_by(|&i, &j| (high[i] - low[i]).total_cmp(&(high[j] - low[j]))).unwrap_or(0);
+    let middle = order.len() / 2;
+    // Equal centres are told apart by number: the result is then one and the same set, however it is found.
+    order
+        .select_nth_unstable_by(middle, |&i, &j| centre(i, axis).total_cmp(&centre(j, axis)).then(i.cmp(&j)));
+    let node = nodes.len();
+    let unknown = Branch { around: [low, high], start: 0, count: 0 };
+    nodes.push([unknown; 2]);
+    let (left, right) = order.split_at_mut(middle);
+    let children = if threads > 1 && middle > ALONE {
+        let mut beyond = vec![];
+        let (mut first, mut second) = (unknown, unknown);
+        both(
+            threads,
+            || second = build(boxes, right, offset + middle, &mut beyond, threads / 2),
+            || first = build(boxes, left, offset, nodes, threads - threads / 2),
+        );
+        let before = nodes.len() as u32;
+        let moved = |b: Branch| if b.count > 0 { b } else { Branch { start: b.start + before, ..b } };
+        nodes.extend(beyond.iter().map(|children| children.map(moved)));
+        [first, moved(second)]
+    } else {
+        [build(boxes, left, offset, nodes, 1), build(boxes, right, offset + middle, nodes, 1)]
+    };
+    nodes[node] = children;
+    Branch { around: join(children.iter().map(|b| b.around)), start: node as u32, count: 0 }
+}
+
+fn join(boxes: impl Iterator<Item = Box>) -> Box {
+    boxes.fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |all, one| {
+        [[0, 1, 2].map(|i| all[0][i].min(one[0][i])), [0, 1, 2].map(|i| all[1][i].max(one[1][i]))]
+    })
+}
+
+/// The greatest number in single precision that is not above `x`.
+#[inline]
+fn down(x: f64) -> f32 {
+    let near = x as f32;
+    if f64::from(near) > x { near.next_down() } else { near }
+}
+
+#[inline]
+fn box_distance2(p: &Vec3, [low, high]: &Box) -> f64 {
+    let gap = |i: usize| (f64::from(low[i]) - p[i]).max(p[i] - f64::from(high[i])).max(0.0);
+    let (x, y, z) = (gap(0), gap(1), gap(2));
+    x * x + y * y + z * z
+}
+
+/// How far along a line, in either direction, a box is; infinity for one it misses. `inverse` holds one over each
+/// coordinate of its direction.
+#[inline]
+fn line_distance(p: &Vec3, inverse: &Vec3, [low, high]: &Box) -> f64 {
+    let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+    for i in 0..3 {
+        // A line within a face of the box, parallel to it, gives 0 · ∞: what is not a number bounds nothing.
+        let a = (f64::from(low[i]) - p[i]) * inverse[i];
+        let b = (f64::from(high[i]) - p[i]) * inverse[i];
+        let (near, far) = if a < b { (a, b) } else { (b, a) };
+        enter = if near > enter { near } else { enter };
+        leave = if far < leave { far } else { leave };
+    }
+    // Rounding of the products must not lose a box that is only touched.
+    let slack = 1e-12 * (enter.abs() + leave.abs());
+    if enter > leave + slack { f64::INFINITY } else { enter.max(-leave).max(0.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points on a lattice, many of them equal.
+    fn cloud(count: u32) -> Vec<Vec3> {
+        (0..count).map(|i| [i % 7, i / 7 % 5, i * i % 11].map(f64::from)).collect()
+    }
+
+    fn distance2(a: &Vec3, b: &Vec3) -> f64 {
+        (0..3).map(|i| (a[i] - b[i]).powi(2)).sum()
+    }
+
+    #[test]
+    fn finds_the_nearest_point_and_those_in_a_box() {
+        for count in [0, 1, 4, 5, 300] {
+            let points = cloud(count);
+            let (bvh, order) = Bvh::new(points.len(), 1, |i| [points[i]; 2]);
+            for query in [[3.2, 1.7, 5.1], [-4.0, 9.0, 2.0]] {
+                let d = |slot: u32| distance2(&query, &points[order[slot as usize] as usize]);
+                let (_, found) = bvh.nearest(&query, (0, f64::INFINITY), d);
+                let least = points.iter().map(|p| distance2(p, &query)).fold(f64::INFINITY, f64::min);
+                assert_eq!(found, least);
+            }
+            let (low, high) = ([1.0, 0.5, 2.0], [4.0, 3.0, 9.0]);
+            let inside = |p: &Vec3| (0..3).all(|i| low[i] <= p[i] && p[i] <= high[i]);
+            let mut found = vec![];
+            bvh.meeting(
+                &low,
+                &high,
+                |_, _| false,
+                |slot| {
+                    found.push(order[slot as usize]);
+                    true
+                },
+            );
+            for (i, p) in points.iter().enumerate() {
+                assert!(!inside(p) || found.contains(&(i as u32)));
+            }
+        }
+    }
+
+    #[test]
+    fn any_number_of_threads_builds_the_same_tree() {
+        let points = cloud(60_000);
+        let build = |threads| Bvh::new(points.len(), threads, |i| [points[i]; 2]);
+        let (tree, order) = build(1);
+        for threads in [2, 3] {
+            let (other, other_order) = build(threads);
+            assert_eq!(order, other_order);
+            assert_eq!(format!("{tree:?}"), format!("{other:?}"));
+        }
+    }
+}

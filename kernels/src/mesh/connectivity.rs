@@ -1,0 +1,344 @@
+//! Which triangle is beside which: a halfedge structure without pointers.
+//!
+//! Triangle `t` owns halfedges `3t`, `3t+1`, `3t+2`, one from each corner to the next, so `next`, `prev`
+//! and the triangle are arithmetic. A halfedge keeps its origin, its twin in the neighbouring triangle
+//! (none on a boundary) and its edge. A vertex keeps one outgoing halfedge; a boundary vertex keeps the one
+//! that has no twin, from which turning counter-clockwise meets every triangle of its fan.
+
+use crate::base::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Halfedge {
+    pub origin: VertexId,
+    pub twin: HalfedgeId,
+    pub edge: EdgeId,
+}
+
+/// Connectivity of an oriented manifold of triangles, with or without boundary.
+#[derive(Clone, Debug)]
+pub struct Connectivity {
+    pub(crate) halfedges: Vec<Halfedge>,
+    pub(crate) outgoing: Vec<HalfedgeId>,
+    pub(crate) edges: Vec<HalfedgeId>,
+    pub(crate) triangle_count: usize,
+}
+
+/// What a collapse did to the connectivity.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Collapsed {
+    pub survivor: VertexId,
+    pub removed: VertexId,
+    /// On each side that has a triangle: the edge that stays and the one that became part of it.
+    pub merged: [Option<(EdgeId, EdgeId)>; 2],
+}
+
+impl Connectivity {
+    /// Every halfedge needs a 32-bit number of its own, and one number means "none".
+    pub const MOST_TRIANGLES: usize = (u32::MAX as usize - 1) / 3;
+
+    /// Triangles that are left.
+    pub fn triangle_count(&self) -> usize {
+        self.triangle_count
+    }
+
+    /// Length of a per-vertex array; collapsed vertices keep their number.
+    pub fn vertex_slots(&self) -> usize {
+        self.outgoing.len()
+    }
+
+    /// Length of a per-edge array.
+    pub fn edge_slots(&self) -> usize {
+        self.edges.len()
+    }
+
+    /// Length of a per-triangle array.
+    pub fn triangle_slots(&self) -> usize {
+        self.halfedges.len() / 3
+    }
+
+    pub fn vertices(&self) -> impl Iterator<Item = VertexId> + '_ {
+        let alive = |v: &VertexId| self.outgoing[v.index()].is_some();
+        (0..self.outgoing.len()).map(VertexId::from_index).filter(alive)
+    }
+
+    pub fn edges(&self) -> impl Iterator<Item = EdgeId> + '_ {
+        let alive = |e: &EdgeId| self.edges[e.index()].is_some();
+        (0..self.edges.len()).map(EdgeId::from_index).filter(alive)
+    }
+
+    pub fn triangles(&self) -> impl Iterator<Item = TriangleId> + '_ {
+        let alive = |t: &TriangleId| self.halfedges[3 * t.index()].origin.is_some();
+        (0..self.triangle_slots()).map(TriangleId::from_index).filter(alive)
+    }
+
+    pub fn corners(&self, triangle: TriangleId) -> [VertexId; 3] {
+        let first = 3 * triangle.index();
+        [0, 1, 2].map(|corner| self.halfedges[first + corner].origin)
+    }
+
+    #[inline]
+    pub fn next(h: HalfedgeId) -> HalfedgeId {
+        HalfedgeId(if h.0 % 3 == 2 { h.0 - 2 } else { h.0 + 1 })
+    }
+
+    #[inline]
+    pub fn prev(h: HalfedgeId) -> HalfedgeId {
+        HalfedgeId(if h.0 % 3 == 0 { h.0 + 2 } else { h.0 - 1 })
+    }
+
+    #[inline]
+    pub fn triangle(h: HalfedgeId) -> TriangleId {
+        TriangleId(h.0 / 3)
+    }
+
+    #[inline]
+    pub fn origin(&self, h: HalfedgeId) -> VertexId {
+        self.halfedges[h.index()].origin
+    }
+
+    #[inline]
+    pub fn target(&self, h: HalfedgeId) -> VertexId {
+        self.origin(Self::next(h))
+    }
+
+    #[inline]
+    pub fn twin(&self, h: HalfedgeId) -> HalfedgeId {
+        self.halfedges[h.index()].twin
+    }
+
+    #[inline]
+    pub fn edge(&self, h: HalfedgeId) -> EdgeId {
+        self.halfedges[h.index()].edge
+    }
+
+    /// One halfedge of an edge; on a boundary the only one.
+    #[inline]
+    pub fn halfedge(&self, edge: EdgeId) -> HalfedgeId {
+        self.edges[edge.index()]
+    }
+
+    /// Whether an edge is still there.
+    #[inline]
+    pub fn is_edge(&self, edge: EdgeId) -> bool {
+        self.halfedge(edge).is_some()
+    }
+
+    #[inline]
+    pub fn ends(&self, edge: EdgeId) -> [VertexId; 2] {
+        let h = self.halfedge(edge);
+        [self.origin(h), self.target(h)]
+    }
+
+    #[inline]
+    pub fn is_boundary_edge(&self, edge: EdgeId) -> bool {
+        self.twin(self.halfedge(edge)).is_none()
+    }
+
+    #[inline]
+    pub fn is_boundary_vertex(&self, v: VertexId) -> bool {
+        self.twin(self.outgoing[v.index()]).is_none()
+    }
+
+    /// Outgoing halfedges of a vertex, counter-clockwise: one for each triangle that touches it.
+    #[inline]
+    pub fn fan(&self, v: VertexId) -> Fan<'_> {
+        let start = self.outgoing[v.index()];
+        Fan { connectivity: self, start, at: start }
+    }
+
+    /// Edges of a vertex and their other ends, counter-clockwise; on a boundary one more than triangles.
+    #[inline]
+    pub fn spokes(&self, v: VertexId) -> Spokes<'_> {
+        Spokes { fan: self.fan(v), last: HalfedgeId::NONE }
+    }
+
+    /// Collapse `edge` into its end `survivor`; ask `legality::can_collapse` first.
+    ///
+    /// ```text
+    ///        a                   a
+    ///      / | \                 |        The triangles on both sides vanish, and on each
+    ///     /  |  \                |        side the two edges that met at the far corner
+    ///   v1 --e-- v2     →        v        (a, b) become one. On a boundary there is only
+    ///     \  |  /                |        one side.
+    ///      \ | /                 |
+    ///        b                   b
+    /// ```
+    pub fn collapse(&mut self, edge: EdgeId, survivor: VertexId) -> Collapsed {
+        let first = self.halfedge(edge);
+        let second = self.twin(first);
+        let [v1, v2] = self.ends(edge);
+        let removed = if survivor == v1 { v2 } else { v1 };
+        let on_boundary = self.is_boundary_vertex(v1) || self.is_boundary_vertex(v2);
+
+        let mut h = self.outgoing[removed.index()];
+        let start = h;
+        loop {
+            self.halfedges[h.index()].origin = survivor;
+            h = self.twin(Self::prev(h));
+            if h.is_none() || h == start {
+                break;
+            }
+        }
+
+        let (merged_first, spoke) = self.close_triangle(first);
+        let merged_second = second.is_some().then(|| self.close_triangle(second).0);
+        self.outgoing[survivor.index()] = if on_boundary { self.clockwise_most(spoke) } else { spoke };
+        self.outgoing[removed.index()] = HalfedgeId::NONE;
+        self.edges[edge.index()] = HalfedgeId::NONE;
+        Collapsed { survivor, removed, merged: [Some(merged_first), merged_second] }
+    }
+
+    /// Remove the triangle of `h`, whose edge has become a point, and sew its other two sides together.
+    /// Returns the merged edges and a halfedge that leaves the point.
+    fn close_triangle(&mut self, h: HalfedgeId) -> ((EdgeId, EdgeId), HalfedgeId) {
+        let (from_point, to_point) = (Self::next(h), Self::prev(h));
+        let apex = self.origin(to_point);
+        let arriving = self.twin(from_point);
+        let leaving = self.twin(to_point);
+        let (kept, gone) = (self.edge(to_point), self.edge(from_point));
+
+        if arriving.is_some() {
+            self.halfedges[arriving.index()].twin = leaving;
+            self.halfedges[arriving.index()].edge = kept;
+        }
+        if leaving.is_some() {
+            self.halfedges[leaving.index()].twin = arriving;
+        }
+        self.edges[kept.index()] = if leaving.is_some() { leaving } else { arriving };
+        self.edges[gone.index()] = HalfedgeId::NONE;
+        if self.outgoing[apex.index()] == to_point {
+            self.outgoing[apex.index()] = arriving;
+        }
+        for dead in [h, from_point, to_point] {
+            self.halfedges[dead.index()].origin = VertexId::NONE;
+        }
+        self.triangle_count -= 1;
+        ((kept, gone), if leaving.is_some() { leaving } else { Self::next(arriving) })
+    }
+
+    fn clockwise_most(&self, outgoing: HalfedgeId) -> HalfedgeId {
+        let mut h = outgoing;
+        loop {
+            let twin = self.twin(h);
+            if twin.is_none() {
+                return h;
+            }
+            h = Self::next(twin);
+            if h == outgoing {
+                return h;
+            }
+        }
+    }
+
+    /// Split `edge` at a new vertex. Returns the vertex and the new edges: the far half of `edge`, then
+    /// one to the far corner of each triangle beside it.
+    ///
+    /// ```text
+    ///        a                   a
+    ///      /   \               / | \
+    ///     /     \             /  |  \
+    ///   v1 --e-- v2     →   v1-e-m---v2
+    ///     \     /             \  |  /
+    ///      \   /               \ | /
+    ///        b                   b
+    /// ```
+    pub fn split(&mut self, edge: EdgeId) -> (VertexId, [EdgeId; 3]) {
+        let first = self.halfedge(edge);
+        let second = self.twin(first);
+        let middle = VertexId::from_index(self.outgoing.len());
+        let far_half = EdgeId::from_index(self.edges.len());
+
+        let (near, across_first) = self.halve_triangle(first, middle, far_half);
+        self.outgoing.push(near);
+        self.edges[far_half.index()] = near;
+        let mut across_second = EdgeId::NONE;
+        if second.is_some() {
+            let (back, across) = self.halve_triangle(second, middle, edge);
+            across_second = across;
+            // The halves that face each other: first | back along `edge`, near | second along the far half.
+            self.halfedges[first.index()].twin = back;
+            self.halfedges[back.index()].twin = first;
+            self.halfedges[near.index()].twin = second;
+            self.halfedges[second.index()].twin = near;
+            self.halfedges[second.index()].edge = far_half;
+        }
+        (middle, [far_half, across_first, across_second])
+    }
+
+    /// Cut the triangle of `h` from `middle`, on `h`, to the corner across. The triangle keeps the part
+    /// at the origin of `h`; returns the new halfedge on the other part, which gets the edge `beyond`, and
+    /// the edge of the cut.
+    fn halve_triangle(&mut self, h: HalfedgeId, middle: VertexId, beyond: EdgeId) -> (HalfedgeId, EdgeId) {
+        let (side, apex) = (Self::next(h), self.origin(Self::prev(h)));
+        let old = self.halfedges[side.index()];
+        let new = HalfedgeId::from_index(self.halfedges.len());
+        let (new_side, new_cut) = (Self::next(new), Self::prev(new));
+
+        if beyond.index() == self.edges.len() {
+            self.edges.push(new);
+        }
+        let cut = EdgeId::from_index(self.edges.len());
+        self.edges.push(side);
+        self.halfedges.push(Halfedge { origin: middle, twin: HalfedgeId::NONE, edge: beyond });
+        self.halfedges.push(old);
+        self.halfedges.push(Halfedge { origin: apex, twin: side, edge: cut });
+
+        self.halfedges[side.index()] = Halfedge { origin: middle, twin: new_cut, edge: cut };
+        if old.twin.is_some() {
+            self.halfedges[old.twin.index()].twin = new_side;
+        }
+        if self.edges[old.edge.index()] == side {
+            self.edges[old.edge.index()] = new_side;
+        }
+        if self.outgoing[old.origin.index()] == side {
+            self.outgoing[old.origin.index()] = new_side;
+        }
+        self.triangle_count += 1;
+        (new, cut)
+    }
+}
+
+/// See [`Connectivity::fan`].
+pub struct Fan<'a> {
+    connectivity: &'a Connectivity,
+    start: HalfedgeId,
+    at: HalfedgeId,
+}
+
+impl Iterator for Fan<'_> {
+    type Item = HalfedgeId;
+
+    #[inline]
+    fn next(&mut self) -> Option<HalfedgeId> {
+        if self.at.is_none() {
+            return None;
+        }
+        let here = self.at;
+        let turned = self.connectivity.twin(Connectivity::prev(here));
+        self.at = if turned == self.start { HalfedgeId::NONE } else { turned };
+        Some(here)
+    }
+}
+
+/// See [`Connectivity::spokes`].
+pub struct Spokes<'a> {
+    fan: Fan<'a>,
+    last: HalfedgeId,
+}
+
+impl Iterator for Spokes<'_> {
+    type Item = (EdgeId, VertexId);
+
+    #[inline]
+    fn next(&mut self) -> Option<(EdgeId, VertexId)> {
+        let connectivity = self.fan.connectivity;
+        if let Some(h) = self.fan.next() {
+            let closing = Connectivity::prev(h);
+            let at_boundary = connectivity.twin(closing).is_none();
+            self.last = if at_boundary { closing } else { HalfedgeId::NONE };
+            return Some((connectivity.edge(h), connectivity.target(h)));
+        }
+        let last = std::mem::replace(&mut self.last, HalfedgeId::NONE);
+        last.is_some().then(|| (connectivity.edge(last), connectivity.origin(last)))
+    }
+}

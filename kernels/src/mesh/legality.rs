@@ -1,0 +1,127 @@
+//! What no collapse may do, whatever its measure allows. Nothing here changes the mesh.
+
+use crate::base::geometry::{Vec3, cross, dot, norm2, position, sub};
+use crate::base::ids::{EdgeId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::star::Star;
+
+/// Why a collapse is not legal.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Illegal {
+    /// It would change the topology: the link condition fails, or a component or a hole would vanish.
+    Topology,
+    /// An edge across the interior between two boundary vertices: the surface would be pinched there.
+    Bridge,
+    /// Both ends must stay where they are.
+    Locked,
+    /// A triangle would turn over or lose its area.
+    Fold,
+}
+
+/// Least cosine between a triangle's normals before and after: a turn of 75° in one step. With 90° a few
+/// steps in a row turn a triangle over.
+const LEAST_COSINE: f64 = 0.25;
+
+/// A triangle is degenerate when twice its area is below this share of its longest side squared, a
+/// height of a thousandth of the side.
+const LEAST_FLATNESS: f64 = 1e-3;
+
+/// Marks on vertices that are forgotten all at once.
+#[derive(Clone, Debug)]
+pub struct Marks {
+    stamps: Vec<u32>,
+    stamp: u32,
+}
+
+impl Marks {
+    pub fn new(slots: usize) -> Self {
+        Self { stamps: vec![0; slots], stamp: 0 }
+    }
+
+    fn clear(&mut self) {
+        if self.stamp == u32::MAX {
+            self.stamps.fill(0);
+            self.stamp = 0;
+        }
+        self.stamp += 1;
+    }
+
+    #[inline]
+    fn mark(&mut self, v: VertexId) {
+        self.stamps[v.index()] = self.stamp;
+    }
+
+    #[inline]
+    fn is_marked(&self, v: VertexId) -> bool {
+        self.stamps[v.index()] == self.stamp
+    }
+}
+
+/// Whether collapsing `edge` leaves an oriented manifold of the same topology.
+///
+/// The link condition (Dey, Edelsbrunner, Guha and Nekhayev 1999) for a surface with boundary: the ends share
+/// no neighbour but the corners across from the edge, both lie on the boundary only if the edge does, and the
+/// links share no edge. The last fails exactly for a tetrahedron and for a lone triangle.
+pub fn can_collapse(mesh: &Connectivity, edge: EdgeId, marks: &mut Marks) -> Result<(), Illegal> {
+    let [v1, v2] = mesh.ends(edge);
+    let first = mesh.halfedge(edge);
+    let on_boundary = mesh.is_boundary_edge(edge);
+    let ends_on_boundary = [v1, v2].map(|v| mesh.is_boundary_vertex(v));
+    if !on_boundary && ends_on_boundary == [true, true] {
+        return Err(Illegal::Bridge);
+    }
+    let is_open = |h| mesh.twin(h).is_none();
+    if on_boundary && is_open(Connectivity::next(first)) && is_open(Connectivity::prev(first)) {
+        return Err(Illegal::Topology);
+    }
+    marks.clear();
+    let mut valence = [0, 0];
+    for (_, v) in mesh.spokes(v1) {
+        marks.mark(v);
+        valence[0] += 1;
+    }
+    let mut shared = 0;
+    for (_, v) in mesh.spokes(v2) {
+        shared += usize::from(marks.is_marked(v));
+        valence[1] += 1;
+    }
+    let beside = if on_boundary { 1 } else { 2 };
+    let tetrahedron = valence == [3, 3] && ends_on_boundary == [false, false];
+    if shared != beside || tetrahedron { Err(Illegal::Topology) } else { Ok(()) }
+}
+
+/// Whether every triangle that stays keeps its side up and its area when both ends move to `point`.
+///
+/// A triangle that is a needle already may stay one as long as it gets no thinner; one without any normal is
+/// held against the mean normal of the star.
+pub fn keeps_triangles<const D: usize>(star: &Star<D>, point: &[f64; D]) -> Result<(), Illegal> {
+    let to = position(point);
+    let ends = star.end_points.map(|p| position(&p));
+    for wing in &star.wings {
+        let (a, b) = (position(&wing.from_point), position(&wing.to_point));
+        let (old, old_side2) = shape(&ends[wing.end], &a, &b);
+        let (new, new_side2) = shape(&to, &a, &b);
+        let (old_area2, new_area2) = (norm2(&old), norm2(&new));
+        let least2 = LEAST_FLATNESS * LEAST_FLATNESS;
+        if new_area2 <= least2 * new_side2 * new_side2
+            && new_area2 * old_side2 * old_side2 < old_area2 * new_side2 * new_side2
+        {
+            return Err(Illegal::Fold);
+        }
+        let flat = old_area2 <= least2 * least2 * old_side2 * old_side2;
+        let reference = if flat { star.mean_normal() } else { old };
+        let cosine = dot(&reference, &new);
+        let least = if flat { 0.0 } else { LEAST_COSINE };
+        if cosine < least * (old_area2 * new_area2).sqrt() {
+            return Err(Illegal::Fold);
+        }
+    }
+    Ok(())
+}
+
+/// Normal of a triangle, twice its area long, and its longest side squared.
+#[inline]
+fn shape(p: &Vec3, a: &Vec3, b: &Vec3) -> (Vec3, f64) {
+    let (pa, pb) = (sub(a, p), sub(b, p));
+    (cross(&pa, &pb), norm2(&pa).max(norm2(&pb)).max(norm2(&sub(b, a))))
+}

@@ -1,0 +1,138 @@
+//! The edge star N_c(e): every triangle that touches either end of an edge, gathered once per attempt.
+
+use crate::base::geometry::{Vec3, cross, midpoint, position, sub};
+use crate::base::ids::{EdgeId, TriangleId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
+
+/// A triangle of the star that the collapse keeps: one end of the edge and the side across from it.
+#[derive(Clone, Copy, Debug)]
+pub struct Wing<const D: usize> {
+    pub triangle: TriangleId,
+    /// Which end of the edge it hangs on, 0 or 1.
+    pub end: usize,
+    /// The side across, counter-clockwise; seen from the end the triangle is (end, from, to).
+    pub from: VertexId,
+    pub to: VertexId,
+    pub from_point: [f64; D],
+    pub to_point: [f64; D],
+}
+
+/// The star of one edge; the buffers are used again for the next.
+#[derive(Clone, Debug)]
+pub struct Star<const D: usize> {
+    pub edge: EdgeId,
+    pub ends: [VertexId; 2],
+    pub end_points: [[f64; D]; 2],
+    pub middle: [f64; D],
+    /// Ends that a collapse must leave where they are; see [`Mesh::staying_ends`].
+    pub end_stays: [bool; 2],
+    /// Triangles that a collapse removes, and their corners across from the edge.
+    pub vanishing: Vec<(TriangleId, VertexId, [f64; D])>,
+    pub wings: Vec<Wing<D>>,
+    /// Edges from an end, 0 or 1, to a neighbour that is not the other end.
+    pub spokes: Vec<(usize, [f64; D])>,
+    /// Edges of the star without `edge` itself: spokes of both ends and the ring around.
+    pub others: Vec<EdgeId>,
+    /// For a boundary edge: the boundary vertices before its first and after its second end.
+    pub boundary_neighbours: Option<[VertexId; 2]>,
+}
+
+impl<const D: usize> Default for Star<D> {
+    fn default() -> Self {
+        Self {
+            edge: EdgeId::NONE,
+            ends: [VertexId::NONE; 2],
+            end_points: [[0.0; D]; 2],
+            middle: [0.0; D],
+            end_stays: [false; 2],
+            vanishing: vec![],
+            wings: vec![],
+            spokes: vec![],
+            others: vec![],
+            boundary_neighbours: None,
+        }
+    }
+}
+
+impl<const D: usize> Star<D> {
+    /// Fill with the star of `edge`.
+    pub fn gather(&mut self, mesh: &Mesh<D>, edge: EdgeId) {
+        let connectivity = &mesh.connectivity;
+        self.edge = edge;
+        self.ends = connectivity.ends(edge);
+        self.end_points = self.ends.map(|v| *mesh.point(v));
+        self.end_stays = mesh.staying_ends(edge);
+        self.middle = midpoint(&self.end_points[0], &self.end_points[1]);
+        self.vanishing.clear();
+        self.wings.clear();
+        self.spokes.clear();
+        self.others.clear();
+
+        let first = connectivity.halfedge(edge);
+        for h in [first, connectivity.twin(first)] {
+            if h.is_some() {
+                let apex = connectivity.origin(Connectivity::prev(h));
+                self.vanishing.push((Connectivity::triangle(h), apex, *mesh.point(apex)));
+            }
+        }
+        let before = self.gather_end(mesh, 0);
+        self.gather_end(mesh, 1);
+        self.boundary_neighbours = connectivity.is_boundary_edge(edge).then(|| {
+            let after = connectivity.target(connectivity.outgoing[self.ends[1].index()]);
+            [before, after]
+        });
+    }
+
+    /// Wings and edges of one end; returns its last neighbour in counter-clockwise order.
+    fn gather_end(&mut self, mesh: &Mesh<D>, end: usize) -> VertexId {
+        let connectivity = &mesh.connectivity;
+        let (v, opposite) = (self.ends[end], self.ends[1 - end]);
+        for h in connectivity.fan(v) {
+            let side = Connectivity::next(h);
+            let (from, to) = (connectivity.origin(side), connectivity.target(side));
+            if from != opposite && to != opposite {
+                self.others.push(connectivity.edge(side));
+                self.wings.push(Wing {
+                    triangle: Connectivity::triangle(h),
+                    end,
+                    from,
+                    to,
+                    from_point: *mesh.point(from),
+                    to_point: *mesh.point(to),
+                });
+            }
+        }
+        let mut last = VertexId::NONE;
+        for (spoke, neighbour) in connectivity.spokes(v) {
+            if neighbour != opposite {
+                self.others.push(spoke);
+                self.spokes.push((end, *mesh.point(neighbour)));
+            }
+            last = neighbour;
+        }
+        last
+    }
+
+    #[inline]
+    pub fn end_point(&self, end: usize) -> &[f64; D] {
+        &self.end_points[end]
+    }
+
+    /// Sum of the normals of all triangles, each weighted with its area.
+    pub fn mean_normal(&self) -> Vec3 {
+        let ends = self.end_points.map(|p| position(&p));
+        let mut sum = [0.0; 3];
+        let mut add = |p: &Vec3, a: &[f64; D], b: &[f64; D]| {
+            let normal = cross(&sub(&position(a), p), &sub(&position(b), p));
+            (0..3).for_each(|i| sum[i] += normal[i]);
+        };
+        for wing in &self.wings {
+            add(&ends[wing.end], &wing.from_point, &wing.to_point);
+        }
+        for (side, (_, _, apex)) in self.vanishing.iter().enumerate() {
+            add(&ends[side], &self.end_points[1 - side], apex);
+        }
+        sum
+    }
+}

@@ -1,0 +1,134 @@
+//! Every invariant of the connectivity, spelled out. Slow: for tests.
+
+use crate::base::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+
+/// An element that breaks a rule.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Defect {
+    /// The twin of a halfedge does not run back along the same edge.
+    Twin(HalfedgeId),
+    /// An edge points at a halfedge that is not its own.
+    Edge(EdgeId),
+    /// A vertex points at a halfedge that does not leave it, or, on a boundary, not at the first of its fan.
+    Outgoing(VertexId),
+    /// A vertex whose fan misses some of its triangles.
+    Pinched(VertexId),
+    /// A triangle with a vertex that is gone or there twice.
+    Corners(TriangleId),
+    /// Two edges with the same ends.
+    Parallel(EdgeId, EdgeId),
+    /// The count of triangles is wrong.
+    Count,
+}
+
+/// Numbers that no collapse or split may change.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct Topology {
+    pub euler: i64,
+    pub boundary_loops: usize,
+    pub components: usize,
+}
+
+impl Connectivity {
+    /// # Errors
+    /// The first defect.
+    pub fn validate(&self) -> Result<(), Defect> {
+        let mut degree = vec![0usize; self.vertex_slots()];
+        for t in self.triangles() {
+            let corners = self.corners(t);
+            let alive = |v: VertexId| v.index() < degree.len() && self.outgoing[v.index()].is_some();
+            let distinct = corners[0] != corners[1] && corners[1] != corners[2] && corners[2] != corners[0];
+            if !distinct || !corners.into_iter().all(alive) {
+                return Err(Defect::Corners(t));
+            }
+            for (corner, v) in corners.into_iter().enumerate() {
+                degree[v.index()] += 1;
+                self.validate_halfedge(HalfedgeId(3 * t.0 + corner as u32))?;
+            }
+        }
+        for e in self.edges() {
+            let h = self.halfedge(e);
+            if self.origin(h).is_none() || self.edge(h) != e {
+                return Err(Defect::Edge(e));
+            }
+        }
+        for v in self.vertices() {
+            let h = self.outgoing[v.index()];
+            let on_boundary = self.spokes(v).any(|(e, _)| self.is_boundary_edge(e));
+            if self.origin(h) != v || on_boundary != self.twin(h).is_none() {
+                return Err(Defect::Outgoing(v));
+            }
+            if self.fan(v).count() != degree[v.index()] {
+                return Err(Defect::Pinched(v));
+            }
+        }
+        self.find_parallel_edges()?;
+        if self.triangles().count() == self.triangle_count() { Ok(()) } else { Err(Defect::Count) }
+    }
+
+    fn validate_halfedge(&self, h: HalfedgeId) -> Result<(), Defect> {
+        let twin = self.twin(h);
+        let runs_back = twin.is_none()
+            || (self.twin(twin) == h
+                && self.origin(twin) == self.target(h)
+                && self.target(twin) == self.origin(h)
+                && self.edge(twin) == self.edge(h));
+        if !runs_back {
+            return Err(Defect::Twin(h));
+        }
+        let own = self.halfedge(self.edge(h));
+        if own != h && (twin.is_none() || own != twin) { Err(Defect::Edge(self.edge(h))) } else { Ok(()) }
+    }
+
+    fn find_parallel_edges(&self) -> Result<(), Defect> {
+        let mut edges: Vec<([VertexId; 2], EdgeId)> = self
+            .edges()
+            .map(|e| {
+                let [a, b] = self.ends(e);
+                ([a.min(b), a.max(b)], e)
+            })
+            .collect();
+        edges.sort_unstable();
+        match edges.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+            Some(pair) => Err(Defect::Parallel(pair[0].1, pair[1].1)),
+            None => Ok(()),
+        }
+    }
+
+    /// Euler characteristic, boundary loops and components.
+    pub fn topology(&self) -> Topology {
+        let vertices = self.vertices().count() as i64;
+        let edges = self.edges().count() as i64;
+        let euler = vertices - edges + self.triangle_count() as i64;
+        Topology { euler, boundary_loops: self.boundary_loops(), components: self.components() }
+    }
+
+    fn boundary_loops(&self) -> usize {
+        let mut seen = vec![false; self.vertex_slots()];
+        let mut loops = 0;
+        for start in self.vertices().filter(|&v| self.is_boundary_vertex(v)) {
+            let mut v = start;
+            loops += usize::from(!seen[v.index()]);
+            while !std::mem::replace(&mut seen[v.index()], true) {
+                v = self.target(self.outgoing[v.index()]);
+            }
+        }
+        loops
+    }
+
+    fn components(&self) -> usize {
+        let mut seen = vec![false; self.vertex_slots()];
+        let mut components = 0;
+        for start in self.vertices() {
+            components += usize::from(!seen[start.index()]);
+            let mut reached = vec![start];
+            while let Some(v) = reached.pop() {
+                if !std::mem::replace(&mut seen[v.index()], true) {
+                    reached.extend(self.spokes(v).map(|(_, w)| w));
+                }
+            }
+        }
+        components
+    }
+}

@@ -1,0 +1,79 @@
+//! The thin layer that Python sees as `stages._kernels`, a file for each kernel.
+//!
+//! Arrays are checked and copied while the GIL is held; the work runs without it (see [`detached`]).
+
+mod arrays;
+mod certified;
+mod certify;
+mod color_weight;
+mod detached;
+mod fit;
+mod jia01;
+mod normal_mesh;
+mod order;
+mod planar;
+mod quadric;
+mod seams;
+mod simplified;
+
+use pyo3::create_exception;
+use pyo3::exceptions::{PyOverflowError, PyValueError};
+use pyo3::prelude::*;
+
+use crate::base::errors::KernelError;
+
+create_exception!(
+    stages._kernels,
+    InvalidMeshError,
+    PyValueError,
+    "The mesh breaks a rule the kernels need; the message names the elements."
+);
+create_exception!(
+    stages._kernels,
+    LimitError,
+    PyOverflowError,
+    "The result would be larger than the stated limit."
+);
+
+impl From<KernelError> for PyErr {
+    fn from(error: KernelError) -> Self {
+        match error {
+            KernelError::TooManyTriangles { .. } => LimitError::new_err(error.to_string()),
+            _ => InvalidMeshError::new_err(error.to_string()),
+        }
+    }
+}
+
+#[pymodule(gil_used = false)]
+fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
+    module.add("LimitError", module.py().get_type::<LimitError>())?;
+    module.add_class::<simplified::Running>()?;
+    module.add_class::<simplified::Simplified>()?;
+    module.add_class::<quadric::ByQuadrics>()?;
+    module.add_function(wrap_pyfunction!(quadric::simplify_by_quadrics, module)?)?;
+    module.add_class::<seams::BySeams>()?;
+    module.add_class::<seams::SeamKnobs>()?;
+    module.add_class::<seams::SeamLog>()?;
+    module.add_class::<seams::WeldedSheets>()?;
+    module.add_function(wrap_pyfunction!(seams::simplify_seams, module)?)?;
+    module.add_function(wrap_pyfunction!(seams::weld_sheets, module)?)?;
+    module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
+    module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
+    module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;
+    module.add_class::<certified::Proven>()?;
+    module.add_function(wrap_pyfunction!(certified::simplify_certified, module)?)?;
+    module.add_class::<jia01::BySums>()?;
+    module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
+    module.add_function(wrap_pyfunction!(jia01::side_lengths, module)?)?;
+    module.add_class::<normal_mesh::NormalMesh>()?;
+    module.add("SnmError", module.py().get_type::<normal_mesh::SnmError>())?;
+    module.add_function(wrap_pyfunction!(normal_mesh::remesh, module)?)?;
+    module.add_function(wrap_pyfunction!(normal_mesh::decode_normal_mesh, module)?)?;
+    module.add_class::<planar::PlanarPatches>()?;
+    module.add_class::<planar::ByPatches>()?;
+    module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
+    module.add_function(wrap_pyfunction!(planar::planar_patches, module)?)?;
+    module.add_class::<certify::Certified>()?;
+    module.add_function(wrap_pyfunction!(certify::certify, module)?)
+}

@@ -1,0 +1,220 @@
+//! How much a level of colour should count in metres: what a mesh of the wanted size cannot show of either.
+//!
+//! Over a piece of surface as large as one triangle of the result, the input's distance to its best plane is about
+//! the error of shape that has to be expected, and its colours' difference to their best linear fit that of
+//! colour. A weight that makes both equal follows the data; one relative to the mesh's extent does not.
+
+use crate::base::geometry::{Vec3, around, cross, diagonal, norm2, position, sub};
+use crate::base::parallel::fill;
+
+/// A cell needs this many triangles for a plane and a linear fit to say something.
+const LEAST_TRIANGLES: usize = 12;
+
+/// Cells whose normals cancel out to less than this share hold more than one sheet.
+const LEAST_AGREEMENT: f64 = 0.7;
+
+/// Triangles to look at; more would not change the mean.
+const SAMPLE: usize = 100_000;
+
+/// Below a level of colour lies the rounding of the input.
+const LEAST_LEVELS: f64 = 0.5;
+
+/// Share of the balanced weight. With it, the shape error of two scans and a globe is at most a sixth larger than without
+/// colours (`benches/simplify.py`, default against default × 0).
+const SHARE: f64 = 0.4;
+
+/// On a flat mesh any weight above rounding lets colours decide: so much of the diagonal does.
+const LEAST_WEIGHT: f64 = 1e-7;
+
+/// Where the mesh is too small to tell, a level counts as a hundredth of a percent of its diagonal.
+const USUAL_WEIGHT: f64 = 1e-4;
+
+/// The length that counts as much as one level, so that shape and colour count alike in a result of `target` triangles,
+/// with some preference for shape.
+pub fn balanced<const D: usize>(
+    points: &[[f64; D]],
+    triangles: &[[u32; 3]],
+    target: usize,
+    threads: usize,
+) -> f64 {
+    let bounds = around(points.iter().map(position));
+    let diagonal = diagonal(&bounds);
+    match residuals(points, triangles, &bounds[0], target, threads) {
+        Some((shape, colour)) => (SHARE * shape / colour).max(LEAST_WEIGHT * diagonal),
+        None => USUAL_WEIGHT * diagonal,
+    }
+}
+
+/// Root mean square of the distance to the plane and of the difference to the linear fit, over pieces as large as
+/// a triangle of a result with `target` triangles. No point is below `low`. None where no piece is large enough, or nothing has a colour.
+fn residuals<const D: usize>(
+    points: &[[f64; D]],
+    triangles: &[[u32; 3]],
+    low: &Vec3,
+    target: usize,
+    threads: usize,
+) -> Option<(f64, f64)> {
+    if D == 3 || triangles.is_empty() {
+        return None;
+    }
+    let corner = |t: &[u32; 3]| t.map(|v| &points[v as usize]);
+    let normal = |t: &[u32; 3]| -> Vec3 {
+        let [a, b, c] = corner(t).map(position);
+        cross(&sub(&b, &a), &sub(&c, &a)).map(|x| 0.5 * x)
+    };
+    // What is added up, or looked at, in the order of the triangles is the same for any number of threads.
+    let mut areas = vec![0.0; triangles.len()];
+    fill(&mut areas, threads, |t| norm2(&normal(&triangles[t])).sqrt());
+    let area: f64 = areas.into_iter().sum();
+    let pieces = target.clamp(1, (triangles.len() / LEAST_TRIANGLES).max(1));
+    let side = (area / pieces as f64).sqrt();
+    if side <= 0.0 {
+        return None;
+    }
+    let stride = (triangles.len() / SAMPLE).max(1) as u64;
+    let mut cells = vec![0; triangles.len()];
+    fill(&mut cells, threads, |t| cell(corner(&triangles[t]), low, side));
+    let mut chosen: Vec<(u64, u32)> =
+        cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell) % stride == 0).collect();
+    chosen.sort_unstable();
+    let (mut areas, mut shape, mut colour) = (0.0, 0.0, 0.0);
+    for cell in chosen.chunk_by(|a, b| a.0 == b.0).filter(|cell| cell.len() >= LEAST_TRIANGLES) {
+        let mut moments = Moments::<D>::default();
+        for &(_, t) in cell {
+            let t = &triangles[t as usize];
+            let [a, b, c] = corner(t);
+            let centre: [f64; D] =
+                std::array::from_fn(|i| (a[i] + b[i] + c[i]) / 3.0 - if i < 3 { low[i] } else { 0.0 });
+            moments.add(&centre, &normal(t));
+        }
+        if norm2(&moments.normal).sqrt() < LEAST_AGREEMENT * moments.area {
+            continue;
+        }
+        let (off_plane, off_fit) = moments.residuals();
+        areas += moments.area;
+        shape += moments.area * off_plane;
+        colour += moments.area * off_fit;
+    }
+    (areas > 0.0).then(|| ((shape / areas).sqrt(), (colour / areas).sqrt().max(LEAST_LEVELS)))
+}
+
+/// The grid cell of a triangle's centre, as one number.
+pub fn cell<const D: usize>(corners: [&[f64; D]; 3], low: &Vec3, side: f64) -> u64 {
+    (0..3).fold(0, |key, i| {
+        let centre = corners.iter().map(|p| p[i]).sum::<f64>() / 3.0;
+        key << 21 | (((centre - low[i]) / side) as u64 & 0x1f_ffff)
+    })
+}
+
+/// Spread cell numbers evenly (Fibonacci hashing), so that the chosen ones lie all over the mesh.
+pub fn scrambled(cell: u64) -> u64 {
+    cell.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32
+}
+
+/// Sums over a piece of surface, weighted with area.
+struct Moments<const D: usize> {
+    area: f64,
+    normal: Vec3,
+    first: [f64; D],
+    /// Products of each value with the three coordinates, and of each value with itself.
+    with_place: [Vec3; D],
+    square: [f64; D],
+}
+
+impl<const D: usize> Default for Moments<D> {
+    fn default() -> Self {
+        Self { area: 0.0, normal: [0.0; 3], first: [0.0; D], with_place: [[0.0; 3]; D], square: [0.0; D] }
+    }
+}
+
+impl<const D: usize> Moments<D> {
+    fn add(&mut self, at: &[f64; D], normal: &Vec3) {
+        let area = norm2(normal).sqrt();
+        self.area += area;
+        (0..3).for_each(|i| self.normal[i] += normal[i]);
+        for j in 0..D {
+            self.first[j] += area * at[j];
+            (0..3).for_each(|i| self.with_place[j][i] += area * at[j] * at[i]);
+            self.square[j] += area * at[j] * at[j];
+        }
+    }
+
+    /// Mean squares of the distance to the plane through the mean, at a right angle to the mean normal, and of
+    /// the attributes' difference to their linear fit along that plane.
+    fn residuals(&self) -> (f64, f64) {
+        let mean = self.first.map(|x| x / self.area);
+        let covariance = |j: usize, i: usize| self.with_place[j][i] / self.area - mean[j] * mean[i];
+        let length = norm2(&self.normal).sqrt();
+        let n = self.normal.map(|x| x / length);
+        let smallest = (0..3).fold(0, |s, i| if n[i].abs() < n[s].abs() { i } else { s });
+        let across = cross(&n, &std::array::from_fn(|i| f64::from(u8::from(i == smallest))));
+        let u = across.map(|x| x / norm2(&across).sqrt());
+        let v = cross(&n, &u);
+        let along = |j: usize, axis: &Vec3| (0..3).map(|i| covariance(j, i) * axis[i]).sum::<f64>();
+        let quadratic = |a: &Vec3, b: &Vec3| (0..3).map(|j| a[j] * along(j, b)).sum::<f64>();
+        let off_plane = quadratic(&n, &n).max(0.0);
+        let (uu, uv, vv) = (quadratic(&u, &u), quadratic(&u, &v), quadratic(&v, &v));
+        let determinant = uu * vv - uv * uv;
+        let mut off_fit = 0.0;
+        for (j, mean) in mean.iter().enumerate().skip(3) {
+            let variance = self.square[j] / self.area - mean * mean;
+            let (cu, cv) = (along(j, &u), along(j, &v));
+            let explained = if determinant > 1e-12 * uu * vv {
+                (cu * cu * vv - 2.0 * cu * cv * uv + cv * cv * uu) / determinant
+            } else {
+                0.0
+            };
+            off_fit += (variance - explained).max(0.0);
+        }
+        (off_plane, off_fit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LOW: Vec3 = [0.0, 0.0, -1.0];
+
+    fn ramp(bump: f64, stripes: f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
+        let n = 60;
+        let wave = |x: u32| if x % 2 == 0 { 1.0 } else { -1.0 };
+        let point = |x: u32, y: u32| {
+            [f64::from(x), f64::from(y), bump * wave(x), 2.0 * f64::from(x) + stripes * wave(y)]
+        };
+        let points = (0..=n).flat_map(|y| (0..=n).map(move |x| point(x, y))).collect();
+        let square = |x, y| {
+            let a = y * (n + 1) + x;
+            [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]
+        };
+        (points, (0..n).flat_map(|y| (0..n).flat_map(move |x| square(x, y))).collect())
+    }
+
+    #[test]
+    fn ramps_and_planes_leave_nothing() {
+        let (points, triangles) = ramp(0.0, 0.0);
+        let (shape, colour) = residuals(&points, &triangles, &LOW, 72, 1).unwrap();
+        assert!(shape < 1e-6 && colour == LEAST_LEVELS, "{shape} {colour}");
+    }
+
+    #[test]
+    fn each_residual_grows_with_its_own_cause() {
+        let of = |bump, stripes| {
+            let (points, triangles) = ramp(bump, stripes);
+            residuals(&points, &triangles, &LOW, 72, 1).unwrap()
+        };
+        let (shape, colour) = of(0.01, 30.0);
+        let (higher, same) = of(0.02, 30.0);
+        assert!((higher / shape - 2.0).abs() < 0.05 && (same / colour - 1.0).abs() < 0.05);
+        let (same, stronger) = of(0.01, 60.0);
+        assert!((same / shape - 1.0).abs() < 0.05 && (stronger / colour - 2.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn nothing_to_weigh() {
+        let (points, triangles) = ramp(0.1, 10.0);
+        assert_eq!(residuals(&points, &triangles[..5], &LOW, 1, 1), None);
+        let bare: Vec<[f64; 3]> = points.iter().map(|p| [p[0], p[1], p[2]]).collect();
+        assert_eq!(residuals(&bare, &triangles, &LOW, 72, 1), None);
+    }
+}

@@ -1,0 +1,293 @@
+//! What a weight of colour costs in shape, tried on a sample of the mesh.
+//!
+//! How far colours may lead vertices away from the best shape cannot be told from the input alone: on a machined part
+//! with a photograph on it, planes and edges are met exactly, unless colours count. So a small mesh, or pieces of a large
+//! one, are simplified with and without them.
+
+use crate::base::errors::KernelError;
+use crate::base::geometry::{around, cross, diagonal, norm2, position, sub};
+use crate::base::parallel::fill;
+use crate::base::progress::Progress;
+use crate::certify::Surface;
+use crate::collapse::region::Whole;
+use crate::collapse::rounds::{Goal, REGION_TRIANGLES, collapse};
+use crate::quadric::balance::{cell, scrambled};
+use crate::quadric::qem::QemRecords;
+
+/// The error of shape that is allowed, against that without colours.
+const MOST: f64 = 1.2;
+
+/// Triangles of a first sample, and of one that decides.
+const SAMPLE: usize = 1 << 13;
+const LARGE_SAMPLE: usize = 1 << 15;
+
+/// Triangles of a piece, on average, and at least.
+const PIECE: usize = 1 << 11;
+const LEAST_PIECE: usize = 1 << 9;
+
+/// Errors of shape below this share of the diagonal are none.
+const LEAST_ERROR: f64 = 1e-6;
+
+/// Weights that are tried; each is chosen as if the additional error grew with the weight.
+const TRIALS: usize = 6;
+
+/// The largest weight up to `weight` that was found to make the error of shape at most a fifth larger than it is without
+/// colours, when `target` triangles are left. A mesh that is no manifold keeps the weight.
+///
+/// # Errors
+/// [`KernelError::Interrupted`].
+pub fn affordable<const D: usize, const K: usize>(
+    points: &[[f64; D]],
+    triangles: &[[u32; 3]],
+    target: usize,
+    weight: f64,
+    threads: usize,
+    progress: &mut Progress,
+) -> Result<f64, KernelError> {
+    let share = target as f64 / triangles.len() as f64;
+    let mut tried = |size, trials| {
+        sample(points, triangles, size, threads).affordable::<K>(share, weight, trials, threads, progress)
+    };
+    // A small sample may be wrong; where it finds fault a larger one decides.
+    if is_larger(triangles, SAMPLE) && tried(SAMPLE, 1)? == weight {
+        return Ok(weight);
+    }
+    tried(LARGE_SAMPLE, TRIALS)
+}
+
+/// Whether a sample of this size is not the whole mesh.
+fn is_larger(triangles: &[[u32; 3]], size: usize) -> bool {
+    triangles.len() > size + size / 2
+}
+
+struct Sample<const D: usize> {
+    points: Vec<[f64; D]>,
+    triangles: Vec<[u32; 3]>,
+}
+
+/// The mesh, or pieces of it that a grid cuts out; the same for any number of threads.
+fn sample<const D: usize>(
+    points: &[[f64; D]],
+    triangles: &[[u32; 3]],
+    size: usize,
+    threads: usize,
+) -> Sample<D> {
+    if !is_larger(triangles, size) {
+        return Sample { points: points.to_vec(), triangles: triangles.to_vec() };
+    }
+    let corner = |t: &[u32; 3]| t.map(|v| &points[v as usize]);
+    let stride = triangles.len() / size;
+    let area = |t: &[u32; 3]| {
+        let [a, b, c] = corner(t).map(position);
+        0.5 * norm2(&cross(&sub(&b, &a), &sub(&c, &a))).sqrt()
+    };
+    let seen = triangles.iter().step_by(stride);
+    let mean = seen.clone().map(area).sum::<f64>() / seen.len() as f64;
+    let side = (mean * PIECE as f64).sqrt();
+    let [low, _] = around(points.iter().map(position));
+    let mut cells = vec![0; triangles.len()];
+    fill(&mut cells, threads, |t| cell(corner(&triangles[t]), &low, side));
+    let mut chosen: Vec<(u64, u32)> =
+        cells.into_iter().zip(0..).filter(|(cell, _)| scrambled(*cell) % stride as u64 == 0).collect();
+    chosen.sort_unstable();
+    let large = chosen.chunk_by(|a, b| a.0 == b.0).filter(|piece| piece.len() >= LEAST_PIECE);
+    let kept = large.flatten().take(size).map(|&(_, t)| triangles[t as usize]);
+    by_fans(points, kept.collect())
+}
+
+/// A mesh of some triangles of another. Where they leave several fans around a vertex, each has one of its own.
+fn by_fans<const D: usize>(points: &[[f64; D]], triangles: Vec<[u32; 3]>) -> Sample<D> {
+    // Corners that are one vertex, joined across the edges.
+    let mut parent: Vec<u32> = (0..3 * triangles.len() as u32).collect();
+    let mut sides: Vec<(u32, u32, u32, u32)> = Vec::with_capacity(parent.len());
+    for (t, corners) in triangles.iter().enumerate() {
+        for i in 0..3 {
+            let (j, first) = ((i + 1) % 3, 3 * t as u32);
+            let (a, b) = ((corners[i], first + i as u32), (corners[j], first + j as u32));
+            let (a, b) = if a.0 < b.0 { (a, b) } else { (b, a) };
+            sides.push((a.0, b.0, a.1, b.1));
+        }
+    }
+    sides.sort_unstable();
+    for pair in sides.windows(2).filter(|pair| (pair[0].0, pair[0].1) == (pair[1].0, pair[1].1)) {
+        join(&mut parent, pair[0].2, pair[1].2);
+        join(&mut parent, pair[0].3, pair[1].3);
+    }
+    let mut number = vec![u32::MAX; parent.len()];
+    let mut sample = Sample { points: vec![], triangles: Vec::with_capacity(triangles.len()) };
+    for (t, corners) in triangles.iter().enumerate() {
+        let own = std::array::from_fn(|i| {
+            let root = root(&mut parent, (3 * t + i) as u32) as usize;
+            if number[root] == u32::MAX {
+                number[root] = sample.points.len() as u32;
+                sample.points.push(points[corners[i] as usize]);
+            }
+            number[root]
+        });
+        sample.triangles.push(own);
+    }
+    sample
+}
+
+fn root(parent: &mut [u32], mut corner: u32) -> u32 {
+    while parent[corner as usize] != corner {
+        parent[corner as usize] = parent[parent[corner as usize] as usize];
+        corner = parent[corner as usize];
+    }
+    corner
+}
+
+fn join(parent: &mut [u32], a: u32, b: u32) {
+    let (a, b) = (root(parent, a), root(parent, b));
+    parent[a.max(b) as usize] = a.min(b);
+}
+
+impl<const D: usize> Sample<D> {
+    /// The largest weight found in so many trials, `weight` the first of them, when a share of the triangles is left.
+    fn affordable<const K: usize>(
+        &self,
+        share: f64,
+        weight: f64,
+        trials: usize,
+        threads: usize,
+        progress: &mut Progress,
+    ) -> Result<f64, KernelError> {
+        let left = ((share * self.triangles.len() as f64) as usize).max(1);
+        if left >= self.triangles.len() {
+            return Ok(weight);
+        }
+        let mut error = |weight| self.shape_error::<K>(left, weight, threads, progress);
+        let least = LEAST_ERROR * diagonal(&around(self.points.iter().map(position)));
+        // All of it may be one point.
+        let alone = error(0.0)?.map(|e| e.max(least)).filter(|e| *e > 0.0);
+        let Some(alone) = alone else { return Ok(weight) };
+        let mut tried = weight;
+        for _ in 0..trials {
+            let Some(ratio) = error(tried)?.map(|e| e / alone) else { return Ok(weight) };
+            if ratio <= MOST {
+                break;
+            }
+            tried *= ((MOST * MOST - 1.0) / (ratio * ratio - 1.0)).sqrt().clamp(0.1, 0.8);
+        }
+        Ok(tried)
+    }
+
+    /// Root mean square of the distance of its vertices from what is left of it; none if it is no manifold, or nothing is
+    /// left.
+    fn shape_error<const K: usize>(
+        &self,
+        left: usize,
+        weight: f64,
+        threads: usize,
+        progress: &mut Progress,
+    ) -> Result<Option<f64>, KernelError> {
+        let whole = Whole::<D, _>::new(self.points.clone(), self.triangles.clone(), vec![])?;
+        let records = QemRecords::<K> { weight, importance: vec![] };
+        let goal = Goal { triangles: left, threads, region: REGION_TRIANGLES, record: false };
+        let mesh = match collapse(whole, records, &goal, progress) {
+            Ok(outcome) => outcome.mesh,
+            Err(KernelError::Interrupted) => return Err(KernelError::Interrupted),
+            Err(_) => return Ok(None),
+        };
+        if mesh.triangles.is_empty() {
+            return Ok(None);
+        }
+        let surface = Surface::new(&mesh.points, &mesh.triangles, threads)?;
+        let mut squares = vec![0.0; self.points.len()];
+        fill(&mut squares, threads, |v| surface.nearest(&position(&self.points[v]), 0).distance.powi(2));
+        Ok(Some((squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::progress::Control;
+
+    /// A sheet of n² squares, z by place, and stripes one square wide.
+    fn sheet(n: u32, z: impl Fn(f64, f64) -> f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
+        let point = |x: u32, y: u32| {
+            let (u, v) = (f64::from(x), f64::from(y));
+            [u, v, z(u, v), f64::from(x * 7 % 11 + y * 5 % 13) * 20.0]
+        };
+        let points = (0..=n).flat_map(|y| (0..=n).map(move |x| (x, y))).map(|(x, y)| point(x, y)).collect();
+        let square = |x, y| {
+            let a = y * (n + 1) + x;
+            [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]
+        };
+        (points, (0..n).flat_map(|y| (0..n).flat_map(move |x| square(x, y))).collect())
+    }
+
+    fn found(mesh: &(Vec<[f64; 4]>, Vec<[u32; 3]>), weight: f64, threads: usize) -> f64 {
+        let control = Control::default();
+        let target = mesh.1.len() / 10;
+        affordable::<4, 1>(&mesh.0, &mesh.1, target, weight, threads, &mut Progress::new(&control)).unwrap()
+    }
+
+    #[test]
+    fn colours_leave_a_folded_sheet_its_edges() {
+        let fold = |u: f64, v: f64| 0.3 * ((u + 0.3 * v) % 16.0 - 8.0).abs();
+        let mesh = sheet(60, fold);
+        let weight = found(&mesh, 0.1, 1);
+        assert!(weight < 0.05, "{weight}");
+        let (points, triangles) = mesh;
+        let sample = Sample { points, triangles };
+        let control = Control::default();
+        let error = |weight| {
+            let left = sample.triangles.len() / 10;
+            sample.shape_error::<1>(left, weight, 1, &mut Progress::new(&control)).unwrap().unwrap()
+        };
+        assert!(error(0.1) > MOST * error(0.0));
+        assert!(error(weight) <= MOST * error(0.0));
+    }
+
+    #[test]
+    fn what_costs_little_is_kept() {
+        let bumps = |u: f64, v: f64| (u * 1.7).sin() * (v * 2.3).cos();
+        for n in [60, 200] {
+            assert_eq!(found(&sheet(n, bumps), 1e-4, 1), 1e-4);
+        }
+    }
+
+    #[test]
+    fn any_number_of_threads_finds_the_same() {
+        let fold = |u: f64, v: f64| 0.3 * ((u + 0.3 * v) % 16.0 - 8.0).abs();
+        let mesh = sheet(200, fold);
+        let one = found(&mesh, 0.1, 1);
+        assert!(one < 0.1);
+        assert_eq!(one, found(&mesh, 0.1, 2));
+    }
+
+    #[test]
+    fn fans_are_taken_apart() {
+        let (points, triangles) = sheet(2, |_, _| 0.0);
+        // Two squares that share one corner.
+        let kept = [&triangles[..2], &triangles[6..]].concat();
+        let sample = by_fans(&points, kept);
+        assert_eq!((sample.points.len(), sample.triangles.len()), (8, 4));
+        assert_eq!(by_fans(&points, triangles).points.len(), 9);
+    }
+
+    #[test]
+    fn a_mesh_of_which_nothing_is_left_keeps_the_weight() {
+        let (points, triangles) = sheet(30, |u, v| (u * v).sin());
+        let none = triangles.iter().map(|t| [t[0], t[0], t[1]]).collect();
+        assert_eq!(found(&(points, none), 0.5, 1), 0.5);
+        assert_eq!(found(&(vec![], vec![]), 0.5, 1), 0.5);
+    }
+
+    #[test]
+    fn a_mesh_that_is_one_point_keeps_the_weight() {
+        let (points, triangles) = sheet(30, |u, v| (u * v).sin());
+        let one = points.iter().map(|p| [1.0, 2.0, 3.0, p[3]]).collect();
+        assert_eq!(found(&(one, triangles), 0.5, 1), 0.5);
+    }
+
+    #[test]
+    fn a_mesh_that_is_no_manifold_keeps_the_weight() {
+        let (points, mut triangles) = sheet(30, |u, v| (u * v).sin());
+        triangles.push([0, 1, 100]);
+        triangles.push([1, 0, 200]);
+        assert_eq!(found(&(points, triangles), 0.5, 1), 0.5);
+    }
+}

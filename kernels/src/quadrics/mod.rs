@@ -1,0 +1,3 @@
+//! Quadrics of shape and attributes, for every method that is led by them.
+
+pub mod quadric;

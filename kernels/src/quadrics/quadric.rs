@@ -1,0 +1,247 @@
+//! Attribute quadrics: where a merged vertex does least harm to shape and colour together.
+//!
+//! Garland and Heckbert, "Surface simplification using quadric error metrics", 1997; Hoppe, "New quadric metric
+//! for simplifying meshes with appearance attributes", 1999. The error of a vertex at p with attributes s is the
+//! integral, over the input triangles it stands for, of the squared distance of p to each triangle's plane plus
+//! the squared difference of s to what the triangle's linear attributes are at p:
+//!
+//! ```text
+//! Q(p, s) = Σ area · [ (n·p + d)² + w² Σ_j (g_j·p + d_j − s_j)² ]
+//! ```
+//!
+//! For any p the best s is the mean of the predictions, so that only a system of three equations is left, however
+//! many attributes there are.
+
+use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, position, sub};
+
+/// Symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz.
+pub type Symmetric = [f64; 6];
+
+#[inline]
+fn add_outer(m: &mut Symmetric, w: f64, v: &Vec3) {
+    m[0] += w * v[0] * v[0];
+    m[1] += w * v[0] * v[1];
+    m[2] += w * v[0] * v[2];
+    m[3] += w * v[1] * v[1];
+    m[4] += w * v[1] * v[2];
+    m[5] += w * v[2] * v[2];
+}
+
+#[inline]
+fn times(m: &Symmetric, v: &Vec3) -> Vec3 {
+    [
+        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
+        m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
+        m[2] * v[0] + m[4] * v[1] + m[5] * v[2],
+    ]
+}
+
+/// Solution of M x = r for a positive definite M, by Cramer's rule.
+#[inline]
+fn solve(m: &Symmetric, r: &Vec3) -> Option<Vec3> {
+    let c0 = m[3] * m[5] - m[4] * m[4];
+    let c1 = m[2] * m[4] - m[1] * m[5];
+    let c2 = m[1] * m[4] - m[2] * m[3];
+    let determinant = m[0] * c0 + m[1] * c1 + m[2] * c2;
+    let c3 = m[0] * m[5] - m[2] * m[2];
+    let c4 = m[1] * m[2] - m[0] * m[4];
+    let c5 = m[0] * m[3] - m[1] * m[1];
+    let solvable = determinant > 0.0;
+    solvable.then(|| times(&[c0, c1, c2, c3, c4, c5], r).map(|x| x / determinant))
+}
+
+/// The quadratic form Q with K attributes, each multiplied by w.
+#[derive(Clone, Copy, Debug)]
+pub struct Quadric<const K: usize> {
+    /// Σ area · n nᵀ, and of the attributes Σ area · g gᵀ
+    shape: Symmetric,
+    /// Σ area · d n, likewise
+    linear: Vec3,
+    /// Σ area · d², likewise
+    constant: f64,
+    /// Σ area
+    pub area: f64,
+    /// Σ area · (g_j, d_j)
+    attributes: [[f64; 4]; K],
+}
+
+impl<const K: usize> Default for Quadric<K> {
+    fn default() -> Self {
+        Self { shape: [0.0; 6], linear: [0.0; 3], constant: 0.0, area: 0.0, attributes: [[0.0; 4]; K] }
+    }
+}
+
+impl<const K: usize> Quadric<K> {
+    /// The quadric of one triangle, whose attributes stand behind its coordinates. One without area has none.
+    pub fn of_triangle<const D: usize>([p, q, r]: [&[f64; D]; 3], weight: f64) -> Self {
+        const { assert!(D == K + 3) };
+        let mut quadric = Self::default();
+        let origin = position(p);
+        let (u, v) = (sub(&position(q), &origin), sub(&position(r), &origin));
+        let normal = cross(&u, &v);
+        let norm2 = norm2(&normal);
+        if norm2 <= 0.0 {
+            return quadric;
+        }
+        let area = 0.5 * norm2.sqrt();
+        let unit = normal.map(|x| x / norm2.sqrt());
+        quadric.add_plane(area, &unit, -dot(&unit, &origin));
+        quadric.area = area;
+        // Gradients of the two barycentric coordinates that grow along u and v.
+        let along_u = cross(&v, &normal).map(|x| x / norm2);
+        let along_v = cross(&normal, &u).map(|x| x / norm2);
+        for j in 0..K {
+            let (p, q, r) = (p[3 + j], q[3 + j], r[3 + j]);
+            let (du, dv) = (q - p, r - p);
+            let gradient: Vec3 = std::array::from_fn(|i| weight * (du * along_u[i] + dv * along_v[i]));
+            let offset = weight * p - dot(&gradient, &origin);
+            add_outer(&mut quadric.shape, area, &gradient);
+            let [x, y, z] = gradient.map(|x| area * x);
+            quadric.linear = add_scaled(&quadric.linear, area * offset, &gradient);
+            quadric.constant += area * offset * offset;
+            quadric.attributes[j] = [x, y, z, area * offset];
+        }
+        quadric
+    }
+
+    /// Add the squared distance to a plane.
+    #[inline]
+    pub fn add_plane(&mut self, weight: f64, normal: &Vec3, offset: f64) {
+        add_outer(&mut self.shape, weight, normal);
+        self.linear = add_scaled(&self.linear, weight * offset, normal);
+        self.constant += weight * offset * offset;
+    }
+
+    /// Add the squared distance to the wall that stands on the side a–b of a triangle, at a right angle to it; `weight`
+    /// is against the area of the square over the side.
+    #[inline]
+    pub fn add_wall(&mut self, weight: f64, [a, b, c]: [&Vec3; 3]) {
+        let along = sub(b, a);
+        let outwards = cross(&along, &cross(&along, &sub(c, a)));
+        let length = norm2(&outwards).sqrt();
+        if length > 0.0 {
+            let normal = outwards.map(|x| x / length);
+            self.add_plane(weight * norm2(&along), &normal, -dot(&normal, a));
+        }
+    }
+
+    /// Multiply the error by a factor.
+    pub fn scale(&mut self, factor: f64) {
+        self.shape.iter_mut().for_each(|x| *x *= factor);
+        self.linear.iter_mut().for_each(|x| *x *= factor);
+        self.constant *= factor;
+        self.area *= factor;
+        self.attributes.iter_mut().flatten().for_each(|x| *x *= factor);
+    }
+
+    #[inline]
+    pub fn add(&mut self, other: &Self) {
+        (0..6).for_each(|i| self.shape[i] += other.shape[i]);
+        (0..3).for_each(|i| self.linear[i] += other.linear[i]);
+        self.constant += other.constant;
+        self.area += other.area;
+        for j in 0..K {
+            (0..4).for_each(|i| self.attributes[j][i] += other.attributes[j][i]);
+        }
+    }
+
+    #[inline]
+    pub fn subtract(&mut self, other: &Self) {
+        self.replace(other, &Self::default());
+    }
+
+    /// Take one out and put another in.
+    #[inline]
+    pub fn replace(&mut self, old: &Self, new: &Self) {
+        (0..6).for_each(|i| self.shape[i] += new.shape[i] - old.shape[i]);
+        (0..3).for_each(|i| self.linear[i] += new.linear[i] - old.linear[i]);
+        self.constant += new.constant - old.constant;
+        self.area += new.area - old.area;
+        for (mine, (new, old)) in self.attributes.iter_mut().zip(new.attributes.iter().zip(&old.attributes)) {
+            (0..4).for_each(|i| mine[i] += new[i] - old[i]);
+        }
+    }
+
+    #[inline]
+    pub fn sum(&self, other: &Self) -> Self {
+        let mut sum = *self;
+        sum.add(other);
+        sum
+    }
+
+    /// Q as a function of the position alone, the attributes being the best ones.
+    #[inline]
+    fn reduced(&self) -> (Symmetric, Vec3, f64) {
+        let (mut shape, mut linear, mut constant) = (self.shape, self.linear, self.constant);
+        if self.area > 0.0 {
+            let minus = -1.0 / self.area;
+            for j in 0..K {
+                let [x, y, z, d] = self.attributes[j];
+                let gradient = [x, y, z];
+                add_outer(&mut shape, minus, &gradient);
+                linear = add_scaled(&linear, minus * d, &gradient);
+                constant += minus * d * d;
+            }
+        }
+        (shape, linear, constant)
+    }
+
+    /// The position of least error, drawn towards `anchor` with a spring of strength `tether` (a share of the
+    /// quadric's area), and the error there, spring included.
+    #[inline]
+    pub fn minimum(&self, anchor: &Vec3, tether: f64) -> (Vec3, f64) {
+        let (mut shape, linear, constant) = self.reduced();
+        let residual = times(&shape, anchor);
+        let slope: Vec3 = std::array::from_fn(|i| residual[i] + linear[i]);
+        let at_anchor = dot(anchor, &residual) + 2.0 * dot(anchor, &linear) + constant;
+        let spring = tether * self.area;
+        shape[0] += spring;
+        shape[3] += spring;
+        shape[5] += spring;
+        match solve(&shape, &slope) {
+            Some(step) => (sub(anchor, &step), (at_anchor - dot(&slope, &step)).max(0.0)),
+            None => (*anchor, at_anchor.max(0.0)),
+        }
+    }
+
+    /// The error at `p` with the best attributes.
+    #[inline]
+    pub fn error(&self, p: &Vec3) -> f64 {
+        let (shape, linear, constant) = self.reduced();
+        (dot(p, &times(&shape, p)) + 2.0 * dot(p, &linear) + constant).max(0.0)
+    }
+
+    /// The error at `p` with attributes `s`, which are lengths already.
+    #[inline]
+    pub fn error_with(&self, p: &Vec3, s: &[f64; K]) -> f64 {
+        let mut error = dot(p, &times(&self.shape, p)) + 2.0 * dot(p, &self.linear) + self.constant;
+        for (s, [x, y, z, d]) in s.iter().zip(&self.attributes) {
+            error += s * (s * self.area - 2.0 * (dot(p, &[*x, *y, *z]) + d));
+        }
+        error.max(0.0)
+    }
+
+    /// The attributes of least error at `p`; `fallback` where there is no area to tell.
+    #[inline]
+    pub fn attributes_at(&self, p: &Vec3, fallback: &[f64; K]) -> [f64; K] {
+        if self.area <= 0.0 {
+            return *fallback;
+        }
+        self.attributes.map(|[x, y, z, d]| (dot(p, &[x, y, z]) + d) / self.area)
+    }
+
+    /// `p` with the best attributes for it; `fallback` where there is no area to tell.
+    #[inline]
+    pub fn with_attributes<const D: usize>(&self, p: &Vec3, weight: f64, fallback: &[f64; D]) -> [f64; D] {
+        if self.area <= 0.0 || weight <= 0.0 {
+            return std::array::from_fn(|i| if i < 3 { p[i] } else { fallback[i] });
+        }
+        std::array::from_fn(|i| {
+            if i < 3 {
+                return p[i];
+            }
+            let [x, y, z, d] = self.attributes[i - 3];
+            (dot(p, &[x, y, z]) + d) / (self.area * weight)
+        })
+    }
+}

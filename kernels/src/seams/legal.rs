@@ -1,0 +1,145 @@
+//! What a collapse may not do to the image and to sheets that touch; what it may not do to triangles in space is the business
+//! of [`crate::mesh::legality`].
+
+use super::classes::{Candidate, Plan};
+use super::state::{Rule, Seams};
+use super::texture::keeps_side;
+use super::wedges::{NONE, uv_of};
+use super::weld::UNTIED;
+use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::legality::keeps_triangles;
+use crate::mesh::star::Star;
+use crate::mesh::triangle_mesh::Mesh;
+
+impl<const D: usize, const K: usize> Seams<D, K> {
+    /// Whether a candidate leaves all triangles of space and image their sides up, every texture coordinate in its
+    /// chart and seams near where they were; completes the plan.
+    pub(super) fn try_candidate(
+        &self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        plan: &mut Plan<K>,
+        candidate: Candidate,
+    ) -> Result<(), Rule> {
+        keeps_triangles(star, &candidate.place).map_err(|_| Rule::Fold)?;
+        let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
+        for i in 0..plan.classes.len() {
+            let class = plan.classes[i];
+            plan.classes[i].value = match exact.filter(|_| class.is_only_at(exact)) {
+                Some(end) => self.wedges.attributes[class.at_end[end] as usize],
+                None => self.value(plan, &class, &candidate.place, candidate.keep),
+            };
+        }
+        if !self.images_keep_their_side(mesh, star, plan) || !self.find_homes(plan, candidate.keep.is_some())
+        {
+            return Err(Rule::Chart);
+        }
+        plan.runs = [None; 2];
+        if let Some(end) = candidate.keep.filter(|_| self.is_seam[star.edge.index()]) {
+            if candidate.drift > self.knobs.seam_drift {
+                return Err(Rule::Drift);
+            }
+            let mut runs = self.follow_seam(mesh, star.edge, plan.sides, end);
+            let runs = [runs.next(), runs.next()];
+            plan.runs = runs;
+        }
+        Ok(())
+    }
+
+    /// Whether every triangle of the star that has an image keeps its side up in it.
+    fn images_keep_their_side(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &Plan<K>) -> bool {
+        star.wings.iter().all(|wing| {
+            let v = star.ends[wing.end];
+            let corners = [0, 1, 2].map(|i| HalfedgeId(3 * wing.triangle.0 + i));
+            let wedges = corners.map(|h| self.wedges.of(h));
+            let moved = corners.iter().position(|&h| mesh.connectivity.origin(h) == v);
+            let to =
+                moved.and_then(|corner| plan.class_of(wing.end, wedges[corner]).map(|class| (corner, class)));
+            let (true, Some((corner, class))) = (self.is_textured(wedges[0]), to) else {
+                return true;
+            };
+            let before = wedges.map(|w| self.wedges.uv(w));
+            let mut after = before;
+            after[corner] = uv_of(&class.value);
+            keeps_side(before, after)
+        })
+    }
+
+    /// Find the triangle of the input that holds each class's texture coordinate. Whether there is one for all: of a
+    /// coordinate that `is_kept` from an end that is known, and only the way there can leave the chart.
+    fn find_homes(&self, plan: &mut Plan<K>, is_kept: bool) -> bool {
+        plan.classes.iter_mut().all(|class| {
+            let mut own = class.at_end.into_iter().filter(|&w| w != NONE);
+            let some = class.some();
+            let uv = uv_of(&class.value);
+            let start = self.wedges.home[some as usize];
+            let home = if !self.is_textured(some) {
+                Some(start)
+            } else if let Some(same) = own.find(|&w| self.wedges.uv(w) == uv) {
+                Some(self.wedges.home[same as usize])
+            } else {
+                self.charts.locate(start, uv).or(is_kept.then_some(start))
+            };
+            class.home = home.unwrap_or(start);
+            home.is_some()
+        })
+    }
+
+    /// Whether a collapse would lay an edge or a triangle where there is one already that the link condition does not see,
+    /// since it is of another fan of the same set.
+    pub(super) fn meets_another_sheet(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        !self.sheets.is_empty()
+            && (self.lays_an_edge_twice(mesh, star, survivor)
+                || self.lays_a_triangle_twice(mesh, star, survivor))
+    }
+
+    /// A new spoke of the survivor, to or from a tied vertex.
+    fn lays_an_edge_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
+        let own = self.tie[kept.index()];
+        let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
+        // Whether a vertex has a neighbour in a set, beside one it is known to have.
+        let reaches = |from: VertexId, set: u32, known: VertexId| {
+            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.tie[v.index()] == set)
+        };
+        mesh.connectivity.spokes(gone).filter(|(_, v)| *v != kept).any(|(_, v)| {
+            let tie = self.tie[v.index()];
+            if tie != UNTIED {
+                (own != UNTIED && (own == tie || !is_apex(v))) || reaches(kept, tie, v)
+            } else {
+                own != UNTIED && !is_apex(v) && reaches(v, own, kept)
+            }
+        })
+    }
+
+    /// A triangle with the corners of another one. Two of them are tied then: elsewhere the link condition sees it.
+    fn lays_a_triangle_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
+        let connectivity = &mesh.connectivity;
+        let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
+        // What a vertex is afterwards, in space: its set, or itself.
+        let place = |v: VertexId| {
+            let v = if v == gone { kept } else { v };
+            let set = self.tie[v.index()];
+            if set == UNTIED { (UNTIED, v) } else { (set, VertexId::NONE) }
+        };
+        let is_tied = |v: VertexId| place(v).0 != UNTIED;
+        let vanishes = |t: TriangleId| star.vanishing.iter().any(|(vanishing, ..)| *vanishing == t);
+        let own = self.tie[kept.index()];
+        let first = self.sheets.partition_point(|&(set, _)| set < own);
+        let others = self.sheets[first..].iter().take_while(|(set, _)| *set == own).map(|&(_, v)| v);
+        let is_another = |v: &VertexId| *v != kept;
+        let fans = || [kept, gone].into_iter().chain(others.clone().filter(is_another));
+        let moved = star.wings.iter().filter(|wing| wing.end != survivor);
+        moved.filter(|wing| [kept, wing.from, wing.to].into_iter().filter(|&v| is_tied(v)).count() > 1).any(
+            |wing| {
+                let [from, to] = [wing.from, wing.to].map(place);
+                fans().flat_map(|v| connectivity.fan(v)).any(|h| {
+                    let sides = [h, Connectivity::next(h)].map(|h| place(connectivity.target(h)));
+                    let t = Connectivity::triangle(h);
+                    t != wing.triangle && !vanishes(t) && (sides == [from, to] || sides == [to, from])
+                })
+            },
+        )
+    }
+}

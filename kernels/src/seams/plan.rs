@@ -1,0 +1,242 @@
+//! What a collapse costs: the wedges around an edge, the places its vertex may go to, and the price of each.
+
+use super::classes::{Candidate, Class, Member, Plan, Run};
+use super::state::{HIGH_VALENCE, Rule, SEVERAL, SHORTER_FIRST, Seams, TETHER, common};
+use super::texture::{from_segment, seam_after, seam_before};
+use super::wedges::NONE;
+use crate::base::geometry::{Vec3, distance2, midpoint};
+use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
+
+impl<const D: usize, const K: usize> Seams<D, K> {
+    /// The factor that the penalties come to.
+    pub(super) fn penalty(&self, ends: [VertexId; 2], wedges: usize) -> f64 {
+        let [a, b] = ends.map(|v| &self.spots[v.index()]);
+        let valence = (a.valence + b.valence).saturating_sub(4 + HIGH_VALENCE);
+        let mut factor = 1.0 + self.knobs.valence * f64::from(valence);
+        if common(a.material, b.material) == SEVERAL {
+            factor += self.knobs.across_materials;
+        }
+        if common(a.part, b.part) == SEVERAL {
+            factor += self.knobs.across_parts;
+        }
+        factor + self.knobs.wedges * wedges.saturating_sub(2) as f64
+    }
+
+    /// Work out what wedges become and where the edge may go, the cheapest place first.
+    pub(super) fn plan(&self, mesh: &Mesh<3>, edge: EdgeId, plan: &mut Plan<K>) -> Result<(), Rule> {
+        let connectivity = &mesh.connectivity;
+        let ends = connectivity.ends(edge);
+        let stays = mesh.staying_ends(edge);
+        if stays == [true, true] {
+            return Err(Rule::Locked);
+        }
+        let on_seam = self.is_seam[edge.index()];
+        // Beside a seam, what lies on it stays there.
+        let may_go = |end: usize| !stays[end] && (on_seam || self.spots[ends[end].index()].seam_degree == 0);
+        if !may_go(0) && !may_go(1) {
+            return Err(Rule::Seam);
+        }
+        let first = connectivity.halfedge(edge);
+        plan.is_plain = self.is_plain(ends);
+        self.group(connectivity, ends, [first, connectivity.twin(first)], plan);
+        // The tip of a seam has one wedge for both sides: nothing tells which side it would go to.
+        let [goes_to_first, goes_to_second] =
+            [0, 1].map(|end| may_go(1 - end) && plan.classes.iter().all(|class| !class.is_torn[end]));
+
+        let places = ends.map(|v| *mesh.point(v));
+        let shape = self.shape[ends[0].index()].sum(&self.shape[ends[1].index()]);
+        plan.candidates.clear();
+        let has_image = plan.sides.iter().flatten().any(|&[wedge, _]| self.is_textured(wedge));
+        let mut wanted = [None; 4];
+        if goes_to_first && goes_to_second {
+            let middle = midpoint(&places[0], &places[1]);
+            if plan.is_plain {
+                // No place is better; its ends are for where that one is not legal.
+                let best = plan.classes[0].quadric.minimum(&middle, TETHER).0;
+                plan.candidates.push(self.priced(mesh, edge, plan, best, None));
+                return Ok(());
+            }
+            let best = shape.minimum(&middle, TETHER).0;
+            if on_seam && has_image {
+                wanted[..2].copy_from_slice(&[Some((best, Some(0))), Some((best, Some(1)))]);
+            } else {
+                wanted[0] = Some((best, None));
+            }
+        }
+        wanted[2] = goes_to_first.then_some((places[0], Some(0)));
+        wanted[3] = goes_to_second.then_some((places[1], Some(1)));
+        for (place, keep) in wanted.into_iter().flatten() {
+            plan.candidates.push(self.priced(mesh, edge, plan, place, keep));
+        }
+        plan.candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        if plan.candidates.is_empty() { Err(Rule::Seam) } else { Ok(()) }
+    }
+
+    /// A place for the edge's vertex, and what it costs.
+    pub(super) fn priced(
+        &self,
+        mesh: &Mesh<3>,
+        edge: EdgeId,
+        plan: &Plan<K>,
+        place: Vec3,
+        keep: Option<usize>,
+    ) -> Candidate {
+        let ends = mesh.connectivity.ends(edge);
+        let places = ends.map(|v| mesh.point(v));
+        let exact = keep.filter(|&end| place == *places[end]);
+        let [a, b] = ends.map(|v| &self.shape[v.index()]);
+        let mut cost = SHORTER_FIRST * (a.area + b.area) * distance2(places[0], places[1]);
+        for class in plan.classes.iter().filter(|class| !class.is_only_at(exact)) {
+            cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
+        }
+        if !plan.is_plain {
+            cost += self.knobs.shape * (a.error(&place) + b.error(&place));
+        }
+        let mut drift: f64 = 0.0;
+        if let Some(end) = keep.filter(|_| self.is_seam[edge.index()]) {
+            for run in self.follow_seam(mesh, edge, plan.sides, end) {
+                drift = drift.max(run.drift);
+                cost += run.drift * run.drift * run.length2;
+            }
+        }
+        Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost, drift }
+    }
+
+    /// Put the wedges of both ends into classes: those that meet along the edge, on one side of it, become one.
+    fn group(
+        &self,
+        connectivity: &Connectivity,
+        ends: [VertexId; 2],
+        [first, second]: [HalfedgeId; 2],
+        plan: &mut Plan<K>,
+    ) {
+        let wedges = &self.wedges;
+        plan.members.clear();
+        plan.classes.clear();
+        plan.sides = [
+            Some([wedges.of(first), wedges.of(Connectivity::next(first))]),
+            second.is_some().then(|| [wedges.of(Connectivity::next(second)), wedges.of(second)]),
+        ];
+        for (end, &v) in ends.iter().enumerate() {
+            let own = plan.members.len();
+            let mut join = |wedge: u32| {
+                if !plan.members[own..].iter().any(|m| m.wedge == wedge) {
+                    plan.members.push(Member { wedge, end, class: plan.members.len() });
+                }
+            };
+            match self.spots[v.index()].only {
+                NONE => connectivity.fan(v).for_each(|h| join(wedges.of(h))),
+                wedge => join(wedge),
+            }
+        }
+        for [a, b] in plan.sides.into_iter().flatten() {
+            let class = |end: usize, wedge: u32| {
+                plan.members.iter().find(|m| m.end == end && m.wedge == wedge).map_or(0, |m| m.class)
+            };
+            let (one, other) = (class(0, a), class(1, b));
+            let (kept, gone) = (one.min(other), one.max(other));
+            plan.members.iter_mut().filter(|m| m.class == gone).for_each(|m| m.class = kept);
+        }
+        // Classes without gaps, in the order of their first member.
+        for i in 0..plan.members.len() {
+            let Member { wedge, end, class } = plan.members[i];
+            let quadric = &self.quadrics[wedge as usize];
+            if class == i {
+                let mut at_end = [NONE; 2];
+                at_end[end] = wedge;
+                plan.members[i].class = plan.classes.len();
+                plan.classes.push(Class {
+                    quadric: *quadric,
+                    at_end,
+                    is_torn: [false; 2],
+                    is_merged: false,
+                    value: wedges.attributes[wedge as usize],
+                    home: wedges.home[wedge as usize],
+                });
+            } else {
+                let class = plan.members[class].class;
+                plan.members[i].class = class;
+                let class = &mut plan.classes[class];
+                class.quadric.add(quadric);
+                class.is_merged = true;
+                match class.at_end[end] {
+                    NONE => class.at_end[end] = wedge,
+                    other => class.is_torn[end] |= !wedges.is_same_place(other, wedge),
+                }
+            }
+        }
+    }
+
+    /// Attributes of a class at a place.
+    pub(super) fn value(
+        &self,
+        plan: &Plan<K>,
+        class: &Class<K>,
+        place: &Vec3,
+        keep: Option<usize>,
+    ) -> [f64; K] {
+        let attributes = &self.wedges.attributes;
+        let some = class.some();
+        let mut value = class.quadric.attributes_at(place, &attributes[some as usize]);
+        if !self.is_textured(some) {
+            return value;
+        }
+        let uv = match keep {
+            Some(end) if class.at_end[end] != NONE => Some(self.wedges.uv(class.at_end[end])),
+            Some(end) => {
+                // A wedge of the other end alone may differ by colour or normal only from one that meets the
+                // edge. Where it is in another chart, it stays at its place in there.
+                let own = class.at_end[1 - end];
+                let meets = |side: &&[u32; 2]| self.wedges.is_same_place(side[1 - end], own);
+                let beside = plan.sides.iter().flatten().find(meets).map(|side| side[end]);
+                Some(self.wedges.uv(beside.unwrap_or(own)))
+            }
+            None => {
+                let [a, b] = class.at_end;
+                let is_one = a != NONE && b != NONE && self.wedges.uv(a) == self.wedges.uv(b);
+                is_one.then(|| self.wedges.uv(a))
+            }
+        };
+        if let Some(uv) = uv {
+            value[..2].copy_from_slice(&uv);
+        }
+        // To the bit, so that what has not changed is known for it.
+        if let Some(end) = keep.filter(|&end| K == 2 && class.at_end[end] != NONE) {
+            value = attributes[class.at_end[end] as usize];
+        }
+        value
+    }
+
+    /// The runs of seam that change when a seam edge shrinks to its end `keep`: on each side of it the next seam
+    /// edge beyond the other end, and how far the image is then from what it was.
+    pub(super) fn follow_seam<'a>(
+        &'a self,
+        mesh: &'a Mesh<3>,
+        edge: EdgeId,
+        sides: [Option<[u32; 2]>; 2],
+        keep: usize,
+    ) -> impl Iterator<Item = Run> + 'a {
+        let connectivity = &mesh.connectivity;
+        let first = connectivity.halfedge(edge);
+        let halfedges = [first, connectivity.twin(first)].into_iter().enumerate();
+        halfedges.zip(sides).filter_map(move |((side, h), wedges)| {
+            let uvs = wedges?.map(|w| if self.is_textured(w) { self.wedges.uv(w) } else { [0.0; 2] });
+            // Halfedges of the second side run from the second end to the first.
+            let beyond = if side == keep {
+                Connectivity::next(seam_after(mesh, &self.is_seam, h))
+            } else {
+                seam_before(mesh, &self.is_seam, h)
+            };
+            let next = connectivity.edge(if side == keep { Connectivity::prev(beyond) } else { beyond });
+            let (kept, gone) = (uvs[keep], uvs[1 - keep]);
+            let wedge = self.wedges.of(beyond);
+            let far = if self.is_textured(wedge) { self.wedges.uv(wedge) } else { kept };
+            let before = self.drifts.of(edge).max(self.drifts.of(next));
+            let length2 =
+                distance2(mesh.point(connectivity.origin(beyond)), mesh.point(connectivity.ends(edge)[keep]));
+            Some(Run { next, drift: before + from_segment(gone, kept, far), length2 })
+        })
+    }
+}

@@ -1,0 +1,145 @@
+//! Collapses taken back: what is left is a mesh that there was, and taking back all of them leads to the input.
+
+use crate::common::{Noise, Triangles, coloured, gallery, torus};
+use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::certified::history::History;
+use scanloom_kernels::certified::original::Original;
+use scanloom_kernels::collapse::region::Whole;
+use scanloom_kernels::collapse::rounds::{Goal, Log, collapse};
+use scanloom_kernels::mesh::connectivity::Connectivity;
+use scanloom_kernels::quadric::qem::QemRecords;
+
+/// A triangle that is left: its number and its corners' in the input, and where they are.
+type Left = (u32, [u32; 3], [[f64; 4]; 3]);
+
+/// Simplify as far as it goes, in small regions; what is left, and how it came to be.
+fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<Left>, Vec<Log<4>>) {
+    let whole = Whole::<4, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
+    let records = QemRecords::<1> { weight: 0.01, importance: vec![] };
+    let goal = Goal { triangles: triangles.len() / 10, threads: 2, region: 60, record: true };
+    let control = Control::default();
+    let outcome = collapse(whole, records, &goal, &mut Progress::new(&control)).unwrap();
+    let mesh = outcome.mesh;
+    let left = mesh.triangles.iter().zip(&mesh.triangle_source).map(|(corners, &source)| {
+        (source, corners.map(|v| mesh.vertex_source[v as usize]), corners.map(|v| mesh.points[v as usize]))
+    });
+    (left.collect(), outcome.logs)
+}
+
+fn kept(history: &History<'_, 4>, triangles: &Triangles) -> Triangles {
+    (0..triangles.len() as u32).filter_map(|t| history.corners(t)).collect()
+}
+
+fn meshes() -> Vec<(&'static str, Vec<[f64; 4]>, Triangles)> {
+    let mut all = gallery();
+    let (points, triangles) = torus(24, 16);
+    all.push(("large torus", points, triangles));
+    all.into_iter()
+        .map(|(name, points, triangles)| (name, coloured::<4>(&points, 0.1, 7), triangles))
+        .collect()
+}
+
+#[test]
+fn the_history_knows_the_mesh_it_led_to() {
+    for (name, points, triangles) in meshes() {
+        let (left, logs) = simplified(&points, &triangles);
+        let original = Original::new(points, triangles.clone());
+        let mut history = History::new(&original, false);
+        history.append(logs);
+        assert_eq!(kept(&history, &triangles).len(), left.len(), "{name}");
+        for (source, corners, places) in left {
+            let mut known = history.corners(source).unwrap();
+            // The same corners in the same sense, beginning with any of them.
+            while known[0] != corners[0] {
+                known.rotate_left(1);
+            }
+            assert_eq!(known, corners, "{name}");
+            assert_eq!(corners.map(|v| history.point(v)), places, "{name}");
+        }
+    }
+}
+
+#[test]
+fn what_is_left_after_taking_some_back_is_the_same_surface() {
+    let mut noise = Noise(11);
+    for (name, points, triangles) in meshes() {
+        let topology = Connectivity::from_triangles(points.len(), &triangles).unwrap().topology();
+        let (_, logs) = simplified(&points, &triangles);
+        let original = Original::new(points.clone(), triangles.clone());
+        let mut history = History::new(&original, false);
+        history.append(logs);
+        while history.kept() > 0 {
+            let before = kept(&history, &triangles);
+            let corners = before[noise.below(before.len())];
+            let Some(latest) = history.latest(&corners) else { continue };
+            let (count, mut splits) = (history.kept(), 0);
+            history.undo(latest, &mut |history, around_one, around_both| {
+                splits += 1;
+                // Each gives back the one or two triangles it took.
+                let gained = around_both.len() - around_one.len();
+                assert!(gained == 1 || gained == 2, "{name}: {gained}");
+                assert!(around_one.iter().all(|t| around_both.contains(t)), "{name}");
+                assert!(around_both.iter().all(|&t| history.corners(t).is_some()), "{name}");
+            });
+            assert_eq!(history.kept() + splits, count, "{name}");
+            let now = kept(&history, &triangles);
+            assert!(now.len() > before.len(), "{name}");
+            let mesh = Connectivity::from_triangles(points.len(), &now).unwrap();
+            assert_eq!(mesh.topology(), topology, "{name}");
+        }
+        assert_eq!(kept(&history, &triangles), triangles, "{name}");
+        assert!((0..points.len() as u32).all(|v| history.point(v) == points[v as usize]), "{name}");
+    }
+}
+
+#[test]
+fn only_what_was_built_on_a_collapse_goes_with_it() {
+    let (points, triangles) = torus(24, 16);
+    let points = coloured::<4>(&points, 0.1, 7);
+    let (_, logs) = simplified(&points, &triangles);
+    let original = Original::new(points, triangles.clone());
+    for number in [0, 40, 150, 250] {
+        let mut history = History::new(&original, false);
+        history.append(logs.clone());
+        let before: Vec<_> = (0..triangles.len() as u32).map(|t| history.corners(t)).collect();
+        let mut touched = vec![];
+        history.undo(number, &mut |_, _, around_both| touched.extend_from_slice(around_both));
+        for (t, corners) in before.into_iter().enumerate() {
+            assert!(history.corners(t as u32) == corners || touched.contains(&(t as u32)));
+        }
+        // A second time there is nothing to take back.
+        let kept = history.kept();
+        history.undo(number, &mut |_, _, _| panic!("taken back twice"));
+        assert_eq!(history.kept(), kept);
+    }
+}
+
+#[test]
+fn the_way_leads_to_what_stands() {
+    for (name, points, triangles) in meshes() {
+        let (_, logs) = simplified(&points, &triangles);
+        let original = Original::new(points.clone(), triangles.clone());
+        let mut history = History::new(&original, true);
+        history.append(logs);
+        for share in 1..4 {
+            let numbers: Vec<u32> = (0..points.len() as u32).filter_map(|v| history.last(v)).collect();
+            let some = numbers.iter().filter(|number| *number % 4 == share);
+            some.for_each(|&number| history.undo(number, &mut |_, _, _| ()));
+            let way = history.way();
+            assert_eq!(way.path.len(), history.kept(), "{name}");
+            let (mut places, mut into) = (points.clone(), (0..points.len() as u32).collect::<Vec<_>>());
+            for ((&removed, &survivor), to) in way.removed.iter().zip(&way.survivor).zip(&way.path) {
+                assert_eq!((into[removed as usize], into[survivor as usize]), (removed, survivor), "{name}");
+                into[removed as usize] = survivor;
+                places[survivor as usize] = *to;
+            }
+            for v in 0..points.len() as u32 {
+                let mut root = v;
+                while into[root as usize] != root {
+                    root = into[root as usize];
+                }
+                assert_eq!((root, places[root as usize]), (history.root(v), history.point(root)), "{name}");
+            }
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! Bounded simplification: samples stay within their limits after every collapse, and the proof at the end holds.
+
+use crate::common::{Noise, coloured, gallery, sheet, torus};
+use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position};
+use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::certified::original::Original;
+use scanloom_kernels::certified::simplify::{Options, simplify};
+use scanloom_kernels::certified::tracked::{Limits, Lists, TrackedRecords};
+use scanloom_kernels::certify::{self, Deviation, Surface};
+use scanloom_kernels::collapse::engine::{Engine, Step};
+use scanloom_kernels::collapse::region::{Records, Whole};
+use scanloom_kernels::collapse::rounds::Goal;
+use scanloom_kernels::mesh::connectivity::Connectivity;
+
+fn goal(threads: usize, region: usize) -> Goal {
+    Goal { triangles: 0, threads, region, record: false }
+}
+
+/// A torus dense enough to lose most of its triangles, shaken a little, with colours that turn smoothly.
+fn painted_torus() -> (Vec<[f64; 6]>, Vec<[u32; 3]>) {
+    let (points, triangles) = torus(60, 30);
+    let mut noise = Noise(5);
+    let painted = points.iter().map(|p| {
+        let wave = |phase: f64| 128.0 + 60.0 * (p[0] + phase).sin() * (p[1] - phase).cos();
+        let [x, y, z] = p.map(|x| x + 1e-3 * noise.next());
+        [x, y, z, wave(0.0).round(), wave(1.0).round(), wave(2.0).round()]
+    });
+    (painted.collect(), triangles)
+}
+
+/// The nearest point on any of some triangles, by looking at all of them: distance and attributes.
+fn nearest<const D: usize>(p: &Vec3, points: &[[f64; D]], triangles: &[[u32; 3]]) -> (f64, Vec<f64>) {
+    let mut best = (f64::INFINITY, vec![]);
+    for corners in triangles {
+        let corners = corners.map(|v| &points[v as usize]);
+        let (at, distance2) = nearest_on_triangle(p, corners.map(position).each_ref());
+        if distance2 < best.0 {
+            let attribute = |i: usize| (0..3).map(|k| at[k] * corners[k][i]).sum();
+            best = (distance2, (3..D).map(attribute).collect());
+        }
+    }
+    (best.0.sqrt(), best.1)
+}
+
+fn difference<const D: usize>(point: &[f64; D], attributes: &[f64]) -> f64 {
+    point[3..].iter().zip(attributes).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+#[test]
+fn after_every_collapse_all_samples_are_within_their_limits() {
+    for (name, points, triangles) in gallery() {
+        let points = coloured::<4>(&points, 0.2, 3);
+        let original = Original::new(points.clone(), triangles.clone());
+        let mut factors = vec![1.0; points.len()];
+        factors[0] = 0.25;
+        let limits = Limits { shape: 0.2, color: 60.0, factors };
+        let records =
+            TrackedRecords::<4, 1>::new(&original, &limits, 0.01, vec![], Lists::of_input(&original));
+        let mesh =
+            Whole::<4, ()>::new(points.clone(), triangles.clone(), vec![]).unwrap().connected().unwrap();
+        let before = mesh.connectivity.vertices().count();
+        let measure = records.load(&mesh);
+        let mut engine = Engine::new(mesh, measure);
+        let mut collapses = 0;
+        loop {
+            match engine.step() {
+                Step::Finished => break,
+                Step::Refused(..) => continue,
+                Step::Collapsed(_) => collapses += 1,
+            }
+            let mesh = engine.mesh();
+            let now: Vec<[u32; 3]> =
+                mesh.connectivity.triangles().map(|t| mesh.connectivity.corners(t).map(|v| v.0)).collect();
+            for v in triangles.iter().flatten().map(|&v| v as usize) {
+                let point = &points[v];
+                let (distance, _) = nearest(&position(point), &mesh.points, &now);
+                let limit = limits.shape * f64::from(limits.factors[v]);
+                assert!(distance <= limit * (1.0 + 1e-9), "{name}: vertex {v} is {distance} away");
+            }
+            for v in mesh.connectivity.vertices() {
+                let (distance, _) = nearest(&position(mesh.point(v)), &points, &triangles);
+                assert!(distance <= limits.shape * (1.0 + 1e-9), "{name}: {v:?} strayed by {distance}");
+            }
+        }
+        assert_eq!(engine.mesh().connectivity.vertices().count(), before - collapses);
+    }
+}
+
+#[test]
+fn what_is_proven_holds_between_the_samples_too() {
+    let (points, triangles) = painted_torus();
+    let bounds = Deviation { shape: 0.03, color: 12.0 };
+    let options = Options { weight: 0.0025, ..Options::new(bounds) };
+    let control = Control::default();
+    let result = simplify::<6, 3>(
+        points.clone(),
+        triangles.clone(),
+        vec![],
+        &options,
+        &goal(1, 500),
+        &mut Progress::new(&control),
+    )
+    .unwrap();
+    assert!(result.proven && result.certificate.bound.within(bounds));
+    assert!(result.mesh.triangles.len() < triangles.len() / 3, "{}", result.mesh.triangles.len());
+    let mut noise = Noise(9);
+    let meshes = [(&result.mesh.points, &result.mesh.triangles), (&points, &triangles)];
+    for (from, to) in [(0, 1), (1, 0)] {
+        let (points, triangles) = meshes[from];
+        for _ in 0..400 {
+            let corners = triangles[noise.below(triangles.len())].map(|v| &points[v as usize]);
+            let (a, b) = (noise.next(), noise.next());
+            let (a, b) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
+            let at = [1.0 - a - b, a, b];
+            let point: [f64; 6] = std::array::from_fn(|i| (0..3).map(|k| at[k] * corners[k][i]).sum());
+            let (distance, attributes) = nearest(&position(&point), meshes[to].0, meshes[to].1);
+            assert!(distance <= result.certificate.bound.shape);
+            assert!(difference(&point, &attributes) <= result.certificate.bound.color);
+        }
+    }
+}
+
+#[test]
+fn the_result_has_the_same_bits_for_any_number_of_threads() {
+    let (points, triangles) = painted_torus();
+    let options = Options { weight: 0.0025, ..Options::new(Deviation { shape: 0.02, color: f64::INFINITY }) };
+    let run = |threads| {
+        let control = Control::default();
+        let mut progress = Progress::new(&control);
+        let (points, triangles) = (points.clone(), triangles.clone());
+        simplify::<6, 3>(points, triangles, vec![], &options, &goal(threads, 300), &mut progress).unwrap()
+    };
+    let (one, three) = (run(1), run(3));
+    assert_eq!(one.mesh, three.mesh);
+    assert_eq!(one.passes, three.passes);
+    assert_eq!(one.certificate.result, three.certificate.result);
+}
+
+#[test]
+fn bounds_of_nothing_let_a_flat_sheet_go_and_keep_a_bent_one() {
+    let (flat, triangles) = sheet(8, 8);
+    let bent: Vec<[f64; 3]> =
+        flat.iter().map(|p| [p[0], p[1], 0.01 * p[0] * p[0] + 0.02 * p[1] * p[1]]).collect();
+    let options = Options::new(Deviation { shape: 0.0, color: f64::INFINITY });
+    let left = |points: Vec<[f64; 3]>| {
+        let control = Control::default();
+        let mut progress = Progress::new(&control);
+        let result =
+            simplify::<3, 0>(points, triangles.clone(), vec![], &options, &goal(1, 8192), &mut progress);
+        let result = result.unwrap();
+        assert!(result.proven);
+        result.mesh.triangles.len()
+    };
+    assert!(left(flat) <= 16);
+    assert_eq!(left(bent), triangles.len());
+}
+
+#[test]
+fn fixed_vertices_stay_and_the_topology_does_too() {
+    let (points, triangles) = painted_torus();
+    let mut locked = vec![false; points.len()];
+    (0..points.len()).step_by(97).for_each(|v| locked[v] = true);
+    let control = Control::default();
+    let options = Options { weight: 0.01, ..Options::new(Deviation { shape: 0.1, color: f64::INFINITY }) };
+    let result = simplify::<6, 3>(
+        points.clone(),
+        triangles,
+        locked.clone(),
+        &options,
+        &goal(2, 600),
+        &mut Progress::new(&control),
+    )
+    .unwrap();
+    let mesh = result.mesh;
+    for (v, _) in locked.iter().enumerate().filter(|(_, is_locked)| **is_locked) {
+        let place =
+            mesh.vertex_source.iter().position(|&s| s as usize == v).expect("a locked vertex is gone");
+        assert_eq!(mesh.points[place], points[v]);
+    }
+    let connectivity = Connectivity::from_triangles(mesh.points.len(), &mesh.triangles).unwrap();
+    let (v, e, f) = (mesh.points.len(), connectivity.edges().count(), mesh.triangles.len());
+    assert_eq!(v + f, e);
+    assert!(connectivity.edges().all(|e| !connectivity.is_boundary_edge(e)));
+}
+
+#[test]
+fn what_is_proven_part_by_part_is_proven_of_the_whole() {
+    // Two rough sheets close to each other: a nearest point changes from one to the other between the samples.
+    let (flat, one) = sheet(40, 40);
+    let mut noise = Noise(21);
+    let mut layer = |height: f64, grey: f64| -> Vec<[f64; 4]> {
+        let shake = |p: &[f64; 3]| {
+            let z = height + 0.3 * (0.4 * p[0]).sin() + 0.06 * noise.next();
+            [p[0], p[1], z, (grey + 40.0 * (0.3 * p[1]).cos() + 6.0 * noise.next()).round()]
+        };
+        flat.iter().map(shake).collect()
+    };
+    let mut points = layer(0.0, 100.0);
+    points.extend(layer(0.25, 130.0));
+    let mut triangles = one.clone();
+    triangles.extend(one.iter().map(|t| t.map(|v| v + flat.len() as u32)));
+    let original = Surface::new(&points, &triangles, 1).unwrap();
+    let mut again = 0;
+    for (shape, color) in [(0.1, 60.0), (0.2, 80.0), (0.05, 40.0)] {
+        let bounds = Deviation { shape, color };
+        let options = Options { weight: 0.004, close: false, share: 1.0, ..Options::new(bounds) };
+        let control = Control::default();
+        let mut progress = Progress::new(&control);
+        let result = simplify::<4, 1>(
+            points.clone(),
+            triangles.clone(),
+            vec![],
+            &options,
+            &goal(2, 500),
+            &mut progress,
+        )
+        .unwrap();
+        again += result.passes.len() - 1;
+        let light = Surface::new(&result.mesh.points, &result.mesh.triangles, 1).unwrap();
+        let decision = certify::Options { limit: Some(bounds), ..certify::Options::default() };
+        let whole = certify::certify(&light, &original, &decision, &mut progress).unwrap();
+        assert_eq!(result.proven, whole.bound.within(bounds), "{:?}", result.passes);
+        assert!(result.mesh.triangles.len() < triangles.len());
+        assert!(whole.attained.within(result.certificate.bound));
+    }
+    assert!(again > 3, "nothing was taken back");
+}

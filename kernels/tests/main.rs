@@ -1,0 +1,36 @@
+//! What the rooms of the crate promise, room by room.
+
+mod common;
+
+mod mesh {
+    mod connectivity;
+}
+mod collapse {
+    mod engine;
+    mod rounds;
+}
+mod fitting {
+    mod fit;
+}
+mod jia01 {
+    mod simplify;
+}
+mod certify {
+    mod proof;
+}
+mod certified {
+    mod history;
+    mod tracked;
+}
+mod seams {
+    mod simplify;
+}
+mod planar {
+    mod simplify;
+}
+mod normal {
+    mod remesh;
+}
+mod snm {
+    mod container;
+}

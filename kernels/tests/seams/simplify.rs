@@ -1,0 +1,202 @@
+//! Surfaces with seams: what is one in space stays one, and charts keep their triangles' side up.
+
+use crate::common::{Noise, torus};
+use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::collapse::engine::Stop;
+use scanloom_kernels::mesh::connectivity::Connectivity;
+use scanloom_kernels::seams::texture::signed_area;
+use scanloom_kernels::seams::weld::{UNTIED, weld};
+use scanloom_kernels::seams::{Goal, Knobs, Outcome, Surface, simplify};
+
+const KNOBS: Knobs = Knobs {
+    across_materials: 0.5,
+    across_parts: 0.5,
+    valence: 0.1,
+    wedges: 0.1,
+    shape: 1.0,
+    seam_drift: f64::INFINITY,
+};
+
+/// A torus whose image is its w × h grid: a seam around and one along, with every triangle a vertex of its own for
+/// each corner, as the worst files have it.
+fn painted(w: u32, h: u32) -> Surface<2> {
+    let (points, triangles) = torus(w, h);
+    let mut noise = Noise(11);
+    let points: Vec<[f64; 3]> = points.iter().map(|p| p.map(|x| x + 0.02 * noise.next())).collect();
+    let grid = |i: usize| (i as u32 / 2 % w, i as u32 / 2 / w);
+    let corners: Vec<[f64; 2]> = (0..triangles.len())
+        .flat_map(|i| {
+            let (x, y) = grid(i);
+            let offsets = if i % 2 == 0 { [(0, 0), (1, 0), (1, 1)] } else { [(0, 0), (1, 1), (0, 1)] };
+            offsets.map(|(dx, dy)| [f64::from(x + dx), f64::from(y + dy)])
+        })
+        .collect();
+    let count = triangles.len();
+    Surface {
+        points: triangles.iter().flatten().map(|&v| points[v as usize]).collect(),
+        sets: triangles.iter().flatten().copied().collect(),
+        triangles: (0..count as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
+        corners,
+        textured: vec![true; count],
+        materials: vec![0; count],
+        parts: vec![0; count],
+        importance: vec![],
+        locked: vec![false; 3 * count],
+    }
+}
+
+fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
+    let control = Control::default();
+    let goal = Goal { triangles: target, fit: true, record: true, threads: 1 };
+    simplify::<5, 2>(surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
+}
+
+fn euler(outcome: &Outcome<2>) -> i64 {
+    let connectivity =
+        Connectivity::from_triangles(outcome.points.len(), &outcome.triangles).expect("an oriented manifold");
+    assert!(connectivity.edges().all(|e| !connectivity.is_boundary_edge(e)), "a closed surface");
+    outcome.points.len() as i64 - connectivity.edges().count() as i64 + outcome.triangles.len() as i64
+}
+
+#[test]
+fn a_torus_cut_open_twice_stays_a_torus_at_every_number_of_triangles() {
+    let surface = painted(24, 16);
+    let all = surface.triangles.len();
+    for target in [all, all / 2, all / 4, all / 8, all / 16, 0] {
+        let outcome = run(surface.clone(), KNOBS, target);
+        assert_eq!(euler(&outcome), 0);
+        assert!(outcome.triangles.len() <= target.max(60));
+        assert_eq!(outcome.stop == Stop::Target, outcome.triangles.len() <= target);
+        for corners in outcome.corners.chunks_exact(3) {
+            assert!(signed_area(corners[0], corners[1], corners[2]) > 0.0);
+        }
+        let inside = |uv: &[f64; 2]| (0.0..=24.0).contains(&uv[0]) && (0.0..=16.0).contains(&uv[1]);
+        assert!(outcome.corners.iter().all(inside));
+    }
+}
+
+#[test]
+fn straight_seams_do_not_drift_and_a_bound_of_zero_is_kept() {
+    let surface = painted(24, 16);
+    let outcome = run(surface, Knobs { seam_drift: 0.0, ..KNOBS }, 200);
+    assert_eq!(outcome.seam_drift, 0.0);
+    assert_eq!(outcome.stop, Stop::Target);
+}
+
+#[test]
+fn what_has_not_changed_names_its_corner() {
+    let surface = painted(24, 16);
+    let outcome = run(surface.clone(), KNOBS, 300);
+    let sources = outcome.corners.iter().zip(&outcome.corner_source);
+    let kept: Vec<_> = sources.filter(|(_, source)| **source != u32::MAX).collect();
+    assert!(!kept.is_empty());
+    assert!(kept.iter().all(|(uv, source)| surface.corners[**source as usize] == **uv));
+    // Coordinates on the border of the image are those of vertices that lay there.
+    let on_border = |uv: &[f64; 2]| uv[0] == 0.0 || uv[0] == 24.0 || uv[1] == 0.0 || uv[1] == 16.0;
+    let border = outcome.corners.iter().zip(&outcome.corner_source).filter(|(uv, _)| on_border(uv));
+    assert!(border.clone().count() > 0);
+    assert!(border.clone().all(|(_, source)| *source != u32::MAX));
+}
+
+#[test]
+fn copies_are_one_vertex_and_what_only_touches_is_tied() {
+    // Two triangles that share an edge by copies, and one that touches at a corner only.
+    let sets = [0, 1, 2, 1, 0, 3, 2, 4, 5];
+    let welded = weld(&sets, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]]).expect("indices in range");
+    assert_eq!(welded.connectivity.vertices().count(), 7);
+    let tied: Vec<bool> = welded.corner_vertex.iter().map(|v| welded.tie[v.index()] != UNTIED).collect();
+    assert_eq!(tied, [false, false, true, false, false, false, true, false, false]);
+}
+
+#[test]
+fn three_triangles_at_an_edge_and_two_back_to_back_stay_open_there() {
+    let fan = weld(&[0, 1, 2, 3, 4], &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]).expect("indices in range");
+    assert!(fan.connectivity.edges().all(|e| fan.connectivity.is_boundary_edge(e)));
+    let ends =
+        |v: u32| fan.corner_vertex.iter().zip([0, 1, 2, 1, 0, 3, 0, 1, 4]).filter(move |(_, w)| *w == v);
+    assert!(ends(0).chain(ends(1)).all(|(v, _)| fan.tie[v.index()] != UNTIED));
+    let pillow = weld(&[0, 1, 2], &[[0, 1, 2], [0, 2, 1]]).expect("indices in range");
+    assert_eq!(pillow.connectivity.edges().filter(|&e| pillow.connectivity.is_boundary_edge(e)).count(), 6);
+    assert!(pillow.tie.iter().all(|&tie| tie != UNTIED));
+}
+
+/// Three shallow pyramids over one triangle: their rims are tied, and each of them alone could become that triangle.
+#[test]
+fn sheets_with_one_rim_do_not_become_the_same_triangle() {
+    let rim = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let mut points = vec![];
+    let mut triangles = vec![];
+    for height in [0.1, 0.2, -0.1] {
+        let first = points.len() as u32;
+        points.extend(rim);
+        points.push([0.3, 0.3, height]);
+        triangles.extend([[0, 1, 3], [1, 2, 3], [2, 0, 3]].map(|t: [u32; 3]| t.map(|v| first + v)));
+    }
+    let sets = (0..points.len() as u32).map(|v| if v % 4 == 3 { v } else { v % 4 }).collect();
+    let outcome = run(flat(points, sets, triangles), KNOBS, 0);
+    assert_eq!(doubled(&outcome), 0);
+    assert_eq!(outcome.triangles.len(), 1 + 3 + 3, "one of them is flat");
+}
+
+/// A plank that stands on one edge, where it meets a corner of walls: there it is open, and could fold up to two
+/// triangles.
+#[test]
+fn a_plank_on_an_edge_does_not_fold_up() {
+    let (x, y, z) = ([0.0, 140.0], [0.0, 8.0], [0.0, 1.0]);
+    let corner = |i: usize, j: usize, k: usize| [x[i], y[j], z[k]];
+    let mut points = vec![corner(0, 1, 0), corner(0, 0, 0), corner(1, 0, 0), corner(1, 1, 0)];
+    points.extend([corner(1, 1, 1), corner(1, 0, 1), corner(0, 0, 1), corner(0, 1, 1)]);
+    points.extend([[140.0, -6.0, 0.0], [0.0, 0.0, 105.0]]);
+    let plank = [
+        [3, 1, 0],
+        [3, 2, 1],
+        [7, 5, 4],
+        [7, 6, 5],
+        [7, 3, 0],
+        [7, 4, 3],
+        [6, 0, 1],
+        [6, 7, 0],
+        [5, 1, 2],
+        [5, 6, 1],
+        [4, 2, 3],
+        [4, 5, 2],
+    ];
+    let walls = [[1, 2, 8], [9, 2, 1]];
+    let outcome = run(flat(points, (0..10).collect(), [&plank[..], &walls[..]].concat()), KNOBS, 0);
+    println!("{:?}", outcome.triangles);
+    assert_eq!(doubled(&outcome), 0);
+    assert!(outcome.triangles.len() > 4, "the plank has an inside");
+}
+
+/// How many triangles have the corners of another one.
+fn doubled(outcome: &Outcome<2>) -> usize {
+    let mut sorted: Vec<[[u64; 3]; 3]> = outcome
+        .triangles
+        .iter()
+        .map(|t| {
+            let mut corners = t.map(|v| outcome.points[v as usize].map(f64::to_bits));
+            corners.sort_unstable();
+            corners
+        })
+        .collect();
+    let count = sorted.len();
+    sorted.sort_unstable();
+    sorted.dedup();
+    count - sorted.len()
+}
+
+/// A surface without an image.
+fn flat(points: Vec<[f64; 3]>, sets: Vec<u32>, triangles: Vec<[u32; 3]>) -> Surface<2> {
+    let (vertices, count) = (points.len(), triangles.len());
+    Surface {
+        points,
+        sets,
+        triangles,
+        corners: vec![[0.0; 2]; 3 * count],
+        textured: vec![false; count],
+        materials: vec![0; count],
+        parts: vec![0; count],
+        importance: vec![],
+        locked: vec![false; vertices],
+    }
+}
