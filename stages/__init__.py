@@ -26,7 +26,8 @@ from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.simplification.planar.params import PatchParams
 from stages.simplification.planar.patches import Patches
 from stages.simplification.planar.run import planar_patches
-from stages.simplification.records.record import CollapseRecord, load_record
+from stages.simplification.records.load import load_record
+from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.steps import ReplayParams
 from stages.simplification.regions import Box, Sphere
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify

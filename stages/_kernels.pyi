@@ -90,7 +90,7 @@ class SeamKnobs:
 
 @final
 class SeamLog:
-    """All collapses of `simplify_seams`; the properties are those of a `SeamRecord`."""
+    """All collapses of `simplify_seams`; the properties are those of a `CollapseRecord` and its `Wedges`."""
 
     @property
     def removed(self) -> NDArray[np.int32]: ...

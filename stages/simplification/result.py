@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from stages.simplification.planar.patches import Patches
 from stages.simplification.records.record import CollapseRecord
-from stages.simplification.records.seam_record import SeamRecord
 from stages.surface.edges import edges_of
 from stages.surface.mesh import Mesh
 
@@ -127,7 +126,7 @@ class Simplified:
     attempts: int
     triangles_before: int
     fitted: bool = False
-    record: CollapseRecord | SeamRecord | None = None
+    record: CollapseRecord | None = None
     shape_bound: NDArray[np.float64] | None = None
     color_bound: NDArray[np.float64] | None = None
     shape_bound_m: float | None = None

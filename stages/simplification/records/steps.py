@@ -1,4 +1,4 @@
-"""Numbers of collapses and of triangles: what every record of collapses has in common."""
+"""How many collapses lead to how many triangles, and which are left after them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stages.errors import UsageError
 from stages.params import check, param
+from stages.simplification.records.meetings import Meetings
 from stages.surface.mesh import Mesh, Triangles
 from stages.surface.topology import repeats_vertex
 
@@ -58,6 +59,26 @@ class Replayed:
 
 
 @dataclass(frozen=True, eq=False)
+class After:
+    """Vertices and triangles after some collapses.
+
+    Attributes
+    ----------
+    collapses : how many.
+    vertices : (p,) int64, those that are left.
+    rows : (q,) int64, the triangles that are left.
+    triangles : (q, 3) int32, their corners, as numbers into `vertices`.
+    became : (n,) int32, which of `vertices` each vertex is part of; −1 for none.
+    """
+
+    collapses: int
+    vertices: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    triangles: Triangles
+    became: NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
 class Steps:
     """Triangles, and the collapses they vanish in.
 
@@ -79,15 +100,11 @@ class Steps:
 
         Triangles that repeat a vertex in the input count as gone before the first, −1.
         """
-        last = len(self.removed)
-        parent = np.arange(self.vertices)
-        parent[self.removed] = self.survivor
-        when = np.full(self.vertices, last)
-        when[self.removed] = np.arange(last)
-        ends = np.full(len(self.triangles), last)
+        meetings = Meetings(self.vertices, self.removed, self.survivor)
+        ends = np.full(len(self.triangles), len(self.removed))
         for side in range(3):
             a, b = self.triangles[:, side], self.triangles[:, (side + 1) % 3]
-            np.minimum(ends, _meeting(a, b, parent, when, last), out=ends)
+            np.minimum(ends, meetings.of(a, b), out=ends)
         ends[repeats_vertex(self.triangles)] = -1
         return ends
 
@@ -125,6 +142,18 @@ class Steps:
         going = len(self.ends) - wanted
         return 0 if going <= 0 else max(int(self._sorted_ends[going - 1]) + 1, 0)
 
+    def after(self, collapses: int) -> After:
+        """Return what is left after so many collapses."""
+        root = roots(self.vertices, self.removed[:collapses], self.survivor[:collapses])
+        rows = np.flatnonzero(self.ends >= collapses)
+        corners = root[self.triangles[rows]]
+        used = np.zeros(self.vertices, bool)
+        used[corners] = True
+        vertices = np.flatnonzero(used)
+        number = np.full(self.vertices, -1, np.int32)
+        number[vertices] = np.arange(len(vertices))
+        return After(collapses, vertices, rows, number[corners], number[root])
+
 
 def roots(count: int, removed: NDArray[np.int32], survivor: NDArray[np.int32]) -> NDArray[np.int64]:
     """Return which of `count` elements each is part of after `removed` went into `survivor`, in order."""
@@ -133,29 +162,3 @@ def roots(count: int, removed: NDArray[np.int32], survivor: NDArray[np.int32]) -
     while (root[root] != root).any():
         root = root[root]
     return root
-
-
-def _meeting(
-    a: NDArray[np.int32],
-    b: NDArray[np.int32],
-    parent: NDArray[np.int64],
-    when: NDArray[np.int64],
-    never: int,
-) -> NDArray[np.int64]:
-    """Return for each pair of vertices the number of the collapse that makes them one; `never` for none.
-
-    Whichever of the two is removed first goes on to its survivor, until both are the same.
-    """
-    met = np.full(len(a), never)
-    pairs = np.flatnonzero(a != b)
-    first, second = a[pairs].astype(np.int64), b[pairs].astype(np.int64)
-    while len(pairs):
-        in_order = when[first] < when[second]
-        first, second = np.where(in_order, first, second), np.where(in_order, second, first)
-        step = when[first]
-        first = parent[first]
-        same = first == second
-        met[pairs[same]] = step[same]
-        open_still = ~same & (step < never)
-        pairs, first, second = pairs[open_still], first[open_still], second[open_still]
-    return met

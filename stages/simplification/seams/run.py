@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.progress import Progress
 from stages.simplification.color_weight import color_weight
+from stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from stages.simplification.kernel_input import attributes_of
 from stages.simplification.params import SimplifyParams
-from stages.simplification.records.seam_record import LOGGED, SeamRecord
+from stages.simplification.records.record import CollapseRecord
+from stages.simplification.records.wedges import Wedges
 from stages.simplification.reordered import reordered
 from stages.simplification.result import Simplified
 from stages.simplification.seams import defaults
-from stages.simplification.seams.attributes import SeamAttributes, SeamState
 from stages.simplification.seams.similar import joinable_sets, similar_sets
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
@@ -90,7 +91,7 @@ def _as_it_is(
         running=running,
         progress=progress,
     )
-    left = SeamState(
+    left = LightCorners(
         places=found.vertices,
         triangles=found.triangles,
         corners=found.corners,
@@ -99,9 +100,7 @@ def _as_it_is(
         triangle_source=found.triangle_source,
     )
     light, vertex_source = attributes.as_mesh(mesh, left)
-    record = None
-    if found.log is not None:
-        record = SeamRecord(mesh, attributes, **{name: getattr(found.log, name) for name in LOGGED})
+    record = None if found.log is None else _record(mesh, attributes, lock, found.log)
     return Simplified(
         mesh=light,
         vertex_source=vertex_source,
@@ -123,9 +122,27 @@ def _as_it_is(
     )
 
 
+def _record(
+    mesh: Mesh, attributes: CornerAttributes, lock: NDArray[np.bool_], log: _kernels.SeamLog
+) -> CollapseRecord:
+    wedges = Wedges(
+        attributes,
+        corner_vertex=log.corner_vertex,
+        corner_wedge=log.corner_wedge,
+        removed=log.wedge_removed,
+        survivor=log.wedge_survivor,
+        when=log.wedge_when,
+        changed=log.changed,
+        changed_to=log.changed_to,
+        changed_source=log.changed_source,
+        changed_when=log.changed_when,
+    )
+    return CollapseRecord(mesh, log.removed, log.survivor, log.places, lock, wedges=wedges)
+
+
 def _attributes(
     mesh: Mesh, positions: Floats, origin: Floats, params: SimplifyParams, running: _kernels.Running
-) -> SeamAttributes:
+) -> CornerAttributes:
     """Return what the corners carry, each attribute in metres by its weight."""
     corners = mesh.triangles.reshape(-1)
     columns: list[NDArray[np.floating[Any]]] = []
@@ -151,7 +168,7 @@ def _attributes(
         weight = _given(params.normal_weight, defaults.NORMAL_WEIGHT)
         normal_scale = max(weight * _metres_per_normal(mesh, positions, running.target_triangles), 1e-12)
         columns.append(normals * normal_scale)
-    return SeamAttributes(
+    return CornerAttributes(
         origin=origin,
         positions=positions,
         columns=np.ascontiguousarray(np.hstack(columns)),

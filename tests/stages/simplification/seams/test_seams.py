@@ -22,9 +22,8 @@ from seamed_meshes import (
 )
 
 from stages.cleaning.clean import clean
-from stages.errors import InputError, UsageError
-from stages.simplification.records.record import load_record
-from stages.simplification.records.seam_record import SeamRecord
+from stages.errors import UsageError
+from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.seams.similar import joinable_sets, similar_sets
 from stages.simplification.simplify import simplify
@@ -84,7 +83,7 @@ def corner_attributes(mesh: Mesh) -> np.ndarray:
 def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts(name: str) -> None:
     mesh = textured(name)
     result = simplify(mesh, method="seams", ratio=TEN[-1], record=True)
-    assert isinstance(result.record, SeamRecord)
+    assert result.record is not None
     for ratio in TEN:
         # A collapse on a boundary takes one triangle, all others two.
         wanted = max(int(ratio * len(mesh.triangles)), len(result.mesh.triangles))
@@ -146,7 +145,7 @@ def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
     result = simplify(
         cut, method="seams", ratio=float(rng.uniform(0.02, 0.9)), record=True, fit=rng.random() < 0.5
     )
-    assert isinstance(result.record, SeamRecord)
+    assert result.record is not None
     assert_sound(result.mesh, result.triangle_source, cut)
     assert outside_charts(result.mesh, result.triangle_source, cut) == 0
     for collapses in rng.integers(0, len(result.record.removed) + 1, 3):
@@ -548,12 +547,12 @@ def test_a_mesh_without_triangles_stays_one() -> None:
 # -- the progressive record ------------------------------------------------------------------------------
 
 
-def recorded() -> tuple[Mesh, Simplified, SeamRecord]:
+def recorded() -> tuple[Mesh, Simplified, CollapseRecord]:
     mesh = folded_strips(24, 9)
     colors = np.arange(3 * len(mesh.vertices)).reshape(-1, 3) % 256
     mesh = mesh.with_(colors=colors.astype(np.uint8), part_ids=None)
     result = simplify(mesh, ratio=0.1, record=True, fit=False)
-    assert isinstance(result.record, SeamRecord)
+    assert result.record is not None
     return mesh, result, result.record
 
 
@@ -575,35 +574,3 @@ def test_the_record_replays_to_the_result_and_to_every_mesh_on_the_way() -> None
     assert_equal(record.replay(ratio=0.4).mesh, stopped.mesh)
     with pytest.raises(UsageError, match="the record ends at"):
         record.replay(triangles=1)
-
-
-def test_the_record_survives_its_file(tmp_path: Path) -> None:
-    _, result, record = recorded()
-    record.save(tmp_path / "light.npz")
-    loaded = load_record(tmp_path / "light.npz")
-    assert isinstance(loaded, SeamRecord)
-    assert_equal(loaded.replay().mesh, result.mesh)
-    texture = loaded.mesh.texture
-    assert texture is not None
-    assert texture.materials[0].image is not None
-    assert texture.materials[0].name == "sheet"
-    assert record.mesh.texture is not None
-    np.testing.assert_array_equal(texture.images[0].pixels, record.mesh.texture.images[0].pixels)
-
-
-@pytest.mark.parametrize(
-    "name", ["removed", "wedge_survivor", "changed_to", "corner_wedge", "columns", "words"]
-)
-@pytest.mark.parametrize("damage", ["missing", "cut", "out of range"])
-def test_a_damaged_record_is_refused(tmp_path: Path, name: str, damage: str) -> None:
-    _, _, record = recorded()
-    record.save(tmp_path / "light.npz")
-    with np.load(tmp_path / "light.npz") as content:
-        arrays = dict(content)
-    whole = arrays.pop(name)
-    if damage != "missing":
-        beyond = np.full_like(whole, np.nan if whole.dtype.kind == "f" else 10**9) if whole.ndim else whole
-        arrays[name] = (whole[:-1] if damage == "cut" else beyond) if whole.ndim else np.array("{")
-    np.savez(tmp_path / "bad.npz", **arrays)
-    with pytest.raises(InputError, match=r"bad\.npz"):
-        load_record(tmp_path / "bad.npz")

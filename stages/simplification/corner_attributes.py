@@ -1,4 +1,7 @@
-"""Attributes of corners as the kernel of method `seams` takes them, and meshes made of what it gives back."""
+"""A mesh whose corners have attributes of their own as kernels take it, and their results as meshes again.
+
+Beside `kernel_input`, where colours belong to vertices and everything else stays behind.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ Ids = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
-class SeamState:
-    """What is left of a mesh after some collapses.
+class LightCorners:
+    """What is left of a mesh, with the attributes of its corners.
 
     Attributes
     ----------
@@ -36,7 +39,7 @@ class SeamState:
 
 
 @dataclass(frozen=True, eq=False)
-class SeamAttributes:
+class CornerAttributes:
     """Where vertices are, and what corners carry.
 
     Attributes
@@ -67,7 +70,7 @@ class SeamAttributes:
         normals = others[:, -3:] / self.normal_scale if self.has_normals else None
         return uvs, colors, normals
 
-    def as_mesh(self, mesh: Mesh, left: SeamState) -> tuple[Mesh, Ids]:
+    def as_mesh(self, mesh: Mesh, left: LightCorners) -> tuple[Mesh, Ids]:
         """Return what `mesh` has become, and the vertex of it that each vertex was.
 
         What has not changed has its value to the bit. A vertex whose corners differ in colour is doubled.
@@ -93,7 +96,7 @@ class SeamAttributes:
         return (light if normals is None else _with_normals(light, normals)), vertex_source
 
 
-def _shared(left: SeamState) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _shared(left: LightCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return which vertices there are, and the triangles between them.
 
     Where sheets touch without being joined, each has a vertex of its own; they share it if the input's did.

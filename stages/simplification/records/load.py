@@ -1,0 +1,69 @@
+"""A record read from its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+from stages.simplification.records.archive import Arrays, json_object, read_arrays
+from stages.simplification.records.record import FORMAT_VERSION, CollapseRecord
+from stages.simplification.records.sound import require_sound
+from stages.simplification.records.stored_mesh import mesh_of
+from stages.simplification.records.stored_wedges import wedges_of
+from stages.simplification.records.version_1 import WITH_WEDGES, as_version_2
+from stages.surface.mesh import validated
+
+_NEEDED = ("mesh/vertices", "mesh/triangles", "removed", "survivor", "path", "lock")
+# What the arrays of a file can raise that are not those of a record.
+_STRANGE = (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
+
+
+def load_record(path: Path | str) -> CollapseRecord:
+    """Read a record that `CollapseRecord.save` wrote, in this version or in version 1.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, damaged, no record, or of a later version.
+    """
+    path = Path(path)
+    arrays = read_arrays(path)
+    version = arrays.get("scanloom_collapse_record", arrays.get(WITH_WEDGES))
+    if version is None:
+        raise InputError("is no record of collapses.", path)
+    if version.shape != () or version not in (1, FORMAT_VERSION):
+        raise InputError(
+            f"is a record of version {version}; this scanloom reads versions 1 and {FORMAT_VERSION}.", path
+        )
+    try:
+        arrays, about = as_version_2(arrays) if version == 1 else (arrays, json_object(arrays["about"]))
+        missing = [name for name in _NEEDED if name not in arrays]
+        if missing:
+            raise InputError(f"is damaged: it has no {missing[0]}.", path)
+        record = _record_of(arrays, about, path)
+    except _STRANGE as error:
+        raise InputError(f"is damaged, or no record of collapses ({error}).", path) from error
+    require_sound(record, path)
+    return record
+
+
+def _record_of(arrays: Arrays, about: dict[str, Any], path: Path) -> CollapseRecord:
+    wedges = None
+    if "wedges" in about:
+        wedges = wedges_of(_group(arrays, "wedges/"), about["wedges"])
+    mesh = validated(mesh_of(_group(arrays, "mesh/"), about["mesh"]), str(path))
+    return CollapseRecord(
+        mesh,
+        removed=arrays["removed"],
+        survivor=arrays["survivor"],
+        path=arrays["path"],
+        lock=arrays["lock"],
+        vertex_source=arrays.get("vertex_source"),
+        triangle_source=arrays.get("triangle_source"),
+        wedges=wedges,
+    )
+
+
+def _group(arrays: Arrays, prefix: str) -> Arrays:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -1,0 +1,132 @@
+"""Whether the collapses of a file can have taken place on its mesh."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.simplification.kernel_input import Ids, attributes_of
+from stages.simplification.records.record import CollapseRecord
+from stages.simplification.records.wedges import Wedges
+
+Shape = tuple[int, ...]
+
+
+def require_sound(record: CollapseRecord, path: Path) -> None:
+    """Refuse a record whose collapses cannot have taken place on its mesh.
+
+    Parameters
+    ----------
+    path : the file it is from.
+
+    Raises
+    ------
+    InputError
+        It says which array is wrong.
+    """
+    wedges, mesh = record.wedges, record.mesh
+    count, triangles = len(mesh.vertices), len(mesh.triangles)
+    collapses = record.removed.size
+    columns = 3 if wedges is not None else 3 + attributes_of(mesh).shape[1]
+    _require_arrays(
+        {
+            "removed": (record.removed, np.int32, (collapses,)),
+            "survivor": (record.survivor, np.int32, (collapses,)),
+            "path": (record.path, np.float64, (collapses, columns)),
+            "lock": (record.lock, np.bool_, (count,)),
+            "vertex_source": (record.vertex_source, np.int32, (count,)),
+            "triangle_source": (record.triangle_source, np.int32, (triangles,)),
+        },
+        path,
+    )
+    for name, source in (
+        ("vertex_source", record.vertex_source),
+        ("triangle_source", record.triangle_source),
+    ):
+        if source is not None and (source < 0).any():
+            raise InputError(f"is damaged: {name} names what is not there.", path)
+    if not np.isfinite(record.path).all():
+        raise InputError("is damaged: a vertex goes to a place that is not finite.", path)
+    vertices = count
+    if wedges is not None:
+        _require_sound_wedges(wedges, count, 3 * triangles, collapses, path)
+        vertices = wedges.vertices
+    _require_within("removed", record.removed, 0, vertices, "a vertex", path)
+    _require_within("survivor", record.survivor, 0, vertices, "a vertex", path)
+    _require_there("collapse", record.removed, record.survivor, vertices, "a vertex", path)
+
+
+def _require_sound_wedges(wedges: Wedges, vertices: int, corners: int, collapses: int, path: Path) -> None:
+    attributes = wedges.attributes
+    width = 2 + 3 * attributes.has_colors + 3 * attributes.has_normals
+    merged, changed = wedges.removed.size, wedges.changed.size
+    arrays: dict[str, tuple[NDArray[Any] | None, type, Shape]] = {
+        "origin": (attributes.origin, np.float64, (3,)),
+        "positions": (attributes.positions, np.float64, (vertices, 3)),
+        "columns": (attributes.columns, np.float64, (corners, width)),
+        "corner_vertex": (wedges.corner_vertex, np.int32, (corners,)),
+        "corner_wedge": (wedges.corner_wedge, np.int32, (corners,)),
+        "removed": (wedges.removed, np.int32, (merged,)),
+        "survivor": (wedges.survivor, np.int32, (merged,)),
+        "when": (wedges.when, np.int32, (merged,)),
+        "changed": (wedges.changed, np.int32, (changed,)),
+        "changed_to": (wedges.changed_to, np.float64, (changed, width)),
+        "changed_source": (wedges.changed_source, np.int32, (changed,)),
+        "changed_when": (wedges.changed_when, np.int32, (changed,)),
+    }
+    _require_arrays({f"wedges/{name}": expected for name, expected in arrays.items()}, path)
+    for name, (array, _, _) in arrays.items():
+        if array is not None and not np.isfinite(array).all():
+            raise InputError(f"is damaged: wedges/{name} has numbers that are not finite.", path)
+    scales = (
+        (attributes.has_uvs, attributes.uv_scale),
+        (attributes.has_colors, attributes.color_scale),
+        (attributes.has_normals, attributes.normal_scale),
+    )
+    if any(is_there and not 0 < scale < math.inf for is_there, scale in scales):
+        raise InputError("is damaged: a weight of attributes is no length.", path)
+    # A number beyond those of corners would make room for as many.
+    for name, ids in (("corner_vertex", wedges.corner_vertex), ("corner_wedge", wedges.corner_wedge)):
+        _require_within(f"wedges/{name}", ids, -1, corners, "a number", path)
+    count = int(wedges.corner_wedge.max(initial=-1)) + 1
+    _require_within("wedges/removed", wedges.removed, 0, count, "a wedge", path)
+    _require_within("wedges/survivor", wedges.survivor, 0, count, "a wedge", path)
+    _require_within("wedges/changed", wedges.changed, 0, count, "a wedge", path)
+    _require_within("wedges/changed_source", wedges.changed_source, -1, corners, "a corner", path)
+    for name, when in (("when", wedges.when), ("changed_when", wedges.changed_when)):
+        if (np.diff(when) < 0).any():
+            raise InputError(f"is damaged: wedges/{name} is not in order.", path)
+        _require_within(f"wedges/{name}", when, 0, collapses, "a collapse", path)
+    left_out = wedges.corner_vertex.reshape(-1, 3) < 0
+    kept = ~left_out.reshape(-1)
+    if (left_out != left_out[:, :1]).any() or (wedges.corner_wedge[kept] < 0).any():
+        raise InputError("is damaged: a triangle has corners without vertices or wedges.", path)
+    _require_there("change", wedges.removed, wedges.survivor, count, "a wedge", path)
+
+
+def _require_arrays(expected: dict[str, tuple[NDArray[Any] | None, type, Shape]], path: Path) -> None:
+    for name, (array, kind, shape) in expected.items():
+        if array is not None and (array.dtype != kind or array.shape != shape):
+            raise InputError(f"is damaged: {name} is {array.dtype} of shape {array.shape}.", path)
+
+
+def _require_within(name: str, ids: Ids, low: int, end: int, thing: str, path: Path) -> None:
+    if len(ids) and not (ids.min() >= low and ids.max() < end):
+        raise InputError(f"is damaged: {name} names {thing} that is not there.", path)
+
+
+def _require_there(step: str, removed: Ids, survivor: Ids, count: int, thing: str, path: Path) -> None:
+    """Refuse what is removed twice, or goes into what is gone or is itself."""
+    steps = np.arange(len(removed))
+    when = np.full(count, len(removed))
+    when[removed] = steps
+    # What is removed twice has the later number; what went into itself has its own.
+    in_order = (when[removed] == steps) & (when[survivor] > steps)
+    if not in_order.all():
+        wrong = int(np.flatnonzero(~in_order)[0])
+        raise InputError(f"is damaged: {step} {wrong} has {thing} that is gone already.", path)

@@ -1,0 +1,84 @@
+"""A mesh as arrays of a file, and as a mesh again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.simplification.records.archive import Arrays
+from stages.surface.mesh import Mesh
+from stages.surface.texture import WRAPS, Image, Material, Texture
+
+
+def stored_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:
+    """Return the arrays of a mesh by name, and what else there is to say of it, fit for JSON.
+
+    Left out are its notes, and what materials keep for the writer of the format they were read from.
+    """
+    arrays: dict[str, NDArray[Any] | None] = {
+        "vertices": mesh.vertices,
+        "triangles": mesh.triangles,
+        "colors": mesh.colors,
+        "normals": mesh.normals,
+        "corner_normals": mesh.corner_normals,
+        "part_ids": mesh.part_ids,
+    }
+    words: dict[str, Any] = {"part_names": mesh.part_names}
+    texture = mesh.texture
+    if texture is not None:
+        number = {id(image): i for i, image in enumerate(texture.images)}
+        arrays |= {"uvs": texture.uvs, "material_ids": texture.material_ids}
+        arrays |= {
+            f"image_{i}": np.frombuffer(im.file_bytes, np.uint8) for i, im in enumerate(texture.images)
+        }
+        words["images"] = [image.name for image in texture.images]
+        words["materials"] = [
+            [m.name, None if m.image is None else number[id(m.image)], m.base_color, m.wrap]
+            for m in texture.materials
+        ]
+    return {name: array for name, array in arrays.items() if array is not None}, words
+
+
+def mesh_of(arrays: Arrays, words: dict[str, Any]) -> Mesh:
+    """Return the mesh that `stored_mesh` took apart; it has still to be `validated`.
+
+    Raises
+    ------
+    ValueError, KeyError, IndexError, TypeError, OverflowError
+        For what `stored_mesh` does not give.
+    """
+    texture = None
+    if "uvs" in arrays:
+        images = [
+            Image(str(name), _bytes(arrays[f"image_{i}"])) for i, name in enumerate(words.get("images", ()))
+        ]
+        materials = tuple(_material(images, *of_one) for of_one in words.get("materials", ()))
+        texture = Texture(arrays["uvs"], arrays["material_ids"], materials)
+    return Mesh(
+        arrays["vertices"],
+        arrays["triangles"],
+        arrays.get("colors"),
+        arrays.get("normals"),
+        texture,
+        arrays.get("corner_normals"),
+        arrays.get("part_ids"),
+        tuple(map(str, words.get("part_names", ()))),
+    )
+
+
+def _bytes(array: NDArray[Any]) -> bytes:
+    if array.dtype != np.uint8:
+        raise ValueError(f"an image is {array.dtype}")
+    return array.tobytes()
+
+
+def _material(images: list[Image], name: Any, image: int | None, color: Any, wrap: Any) -> Material:
+    if not set(wrap) <= set(WRAPS):
+        raise ValueError(f"a texture goes on as {wrap}")
+    if color is not None:
+        red, green, blue, alpha = map(float, color)
+        color = red, green, blue, alpha
+    along_u, along_v = wrap
+    return Material(str(name), None if image is None else images[image], color, (along_u, along_v))
