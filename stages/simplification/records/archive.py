@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -17,8 +19,21 @@ from stages.files.replacing import replacing
 
 Arrays = dict[str, NDArray[Any]]
 
-# What reading an archive can raise; RuntimeError is for an encryption nobody asked for.
-_DAMAGE = (ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+# What reading an archive can raise; RuntimeError is for an encryption nobody asked for, and the last line for
+# an array whose first lines are no Python.
+_DAMAGE = (
+    *(
+        ValueError,
+        KeyError,
+        EOFError,
+        RuntimeError,
+        MemoryError,
+        zipfile.BadZipFile,
+        zlib.error,
+        struct.error,
+    ),
+    *(SyntaxError, tokenize.TokenError, TypeError, IndexError, AttributeError, OverflowError),
+)
 # Records are written as they are. One that somebody packed again shrinks to a half or a third; the limit
 # leaves room for grids of equal numbers, and none for a file that unpacks a thousandfold.
 _MOST_UNPACKED = 32

@@ -336,6 +336,28 @@ def test_no_room_is_made_for_what_is_only_promised(tmp_path: Path, shape: tuple[
         load_record(path)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "Z'descr': '<f8', 'shape': (3, 3), }",
+        "  {\n 'descr'\n",
+        "{[]: 3}",
+        "(" * 5000,
+        "{'descr': '<f8', 'fortran_order': 3, 'shape': 'a'}",
+        "{'descr': [(3,)], 'fortran_order': True, 'shape': (3,)}",
+    ],
+)
+def test_first_lines_that_are_none_are_refused(tmp_path: Path, words: str) -> None:
+    path = saved("vertices", tmp_path)
+    first = words.encode() + b"\n"
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(
+            "other.npy", b"\x93NUMPY\x01\x00" + len(first).to_bytes(2, "little") + first + bytes(64)
+        )
+    with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+        load_record(path)
+
+
 def test_an_archive_that_unpacks_a_thousandfold_is_not_unpacked(tmp_path: Path) -> None:
     path = saved("vertices", tmp_path)
     np.savez_compressed(path, **arrays_of(path), other=np.zeros(50_000_000, np.uint8))
