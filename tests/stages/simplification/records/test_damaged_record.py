@@ -1,0 +1,190 @@
+"""Files that are cut short, changed, or of something else: one sentence says so and names the file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from saved_records import arrays_of, recorded, saved
+
+from stages.errors import InputError
+from stages.simplification.records.load import load_record
+
+
+@pytest.mark.parametrize("kind", ["vertices", "wedges"])
+def test_a_file_cut_short_anywhere_is_bad_input(tmp_path: Path, kind: str) -> None:
+    path = saved(kind, tmp_path)
+    whole = path.read_bytes()
+    for length in (0, 1, 30, 1000, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+            load_record(path)
+
+
+def test_a_changed_byte_is_bad_input(tmp_path: Path) -> None:
+    record, path = recorded("vertices"), saved("vertices", tmp_path)
+    whole = path.read_bytes()
+    for array in (record.mesh.vertices, record.mesh.triangles, record.removed, record.survivor, record.path):
+        place = whole.index(array.tobytes()) + array.nbytes // 2
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+            load_record(path)
+
+
+def test_an_archive_nobody_wrote_like_this_is_bad_input(tmp_path: Path) -> None:
+    path = saved("vertices", tmp_path)
+    content = bytearray(path.read_bytes())
+    entry = content.index(b"PK\x01\x02")  # in the archive's directory; its compression is two bytes at 10
+    content[entry + 10] = 99
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"light\.npz: is damaged, or no record"):
+        load_record(path)
+
+
+def test_other_files_are_no_records(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"missing\.npz: cannot be read: No such file"):
+        load_record(tmp_path / "missing.npz")
+    for name, content in (("a.npz", b"ply\nformat"), ("b.npz", b"\x93NUMPY\x01")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match="is damaged, or no record"):
+            load_record(tmp_path / name)
+    np.save(tmp_path / "c.npy", np.arange(3))
+    with pytest.raises(InputError, match="no record of collapses"):
+        load_record(tmp_path / "c.npy")
+
+
+def changed(arrays: dict[str, Any], name: str) -> dict[str, Any]:
+    """Arrays of a file of collapses of vertices with one thing wrong."""
+    removed, survivor, path = (arrays[key].copy() for key in ("removed", "survivor", "path"))
+    match name:
+        case "version":
+            return arrays | {"scanloom_collapse_record": np.array(3)}
+        case "versions":
+            return arrays | {"scanloom_collapse_record": np.array([2, 2])}
+        case "other":
+            del arrays["scanloom_collapse_record"]
+        case "missing":
+            del arrays["path"]
+        case "no words":
+            del arrays["about"]
+        case "no json":
+            return arrays | {"about": np.array("{")}
+        case "no object":
+            return arrays | {"about": np.array("[1, 2]")}
+        case "deep":
+            return arrays | {"about": np.array("[" * 100_000)}
+        case "type":
+            return arrays | {"removed": removed.astype(np.float64)}
+        case "scalar":
+            return arrays | {"removed": np.array(3, np.int32)}
+        case "length":
+            return arrays | {"survivor": survivor[:-1]}
+        case "columns":
+            return arrays | {"path": path[:, :3]}
+        case "range":
+            survivor[5] = len(arrays["mesh/vertices"])
+        case "finite":
+            path[5, 1] = np.nan
+        case "twice":
+            removed[9] = removed[2]
+        case "itself":
+            survivor[0] = removed[0]
+        case "gone":
+            survivor[9] = removed[2]
+        case "mesh":
+            return arrays | {"mesh/triangles": arrays["mesh/triangles"] + 1}
+        case "object":
+            return arrays | {"lock": np.array([None, 1], object)}
+    return arrays | {"removed": removed, "survivor": survivor} | ({"path": path} if "path" in arrays else {})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("version", "is a record of version 3; this scanloom reads versions 1 and 2"),
+        ("versions", r"is a record of version \[2 2\]; this scanloom reads"),
+        ("other", "is no record of collapses"),
+        ("missing", "it has no path"),
+        ("no words", r"is damaged, or no record of collapses \('about'\)"),
+        ("no json", "is damaged, or no record of collapses"),
+        ("no object", "a text is no JSON object"),
+        ("deep", "is damaged, or no record of collapses"),
+        ("type", "removed is float64 of shape"),
+        ("scalar", r"removed is int32 of shape \(\)"),
+        ("length", "survivor is int32 of shape"),
+        ("columns", "path is float64 of shape"),
+        ("range", "survivor names a vertex that is not there"),
+        ("finite", "a vertex goes to a place that is not finite"),
+        ("twice", "collapse 2 has a vertex that is gone already"),
+        ("itself", "collapse 0 has a vertex that is gone already"),
+        ("gone", "collapse 9 has a vertex that is gone already"),
+        ("mesh", "triangle .* uses vertices"),
+        ("object", "is damaged, or no record"),
+    ],
+)
+def test_a_record_that_cannot_be_is_named(tmp_path: Path, name: str, message: str) -> None:
+    path = saved("vertices", tmp_path)
+    np.savez(path, **changed(arrays_of(path), name))
+    with pytest.raises(InputError, match=rf"light\.npz: .*{message}"):
+        load_record(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("removed", "survivor", "path", "lock", "wedges/origin", "wedges/positions", "wedges/columns"),
+        *("wedges/removed", "wedges/survivor", "wedges/when", "wedges/corner_wedge", "wedges/corner_vertex"),
+        *("wedges/changed", "wedges/changed_to", "wedges/changed_source", "wedges/changed_when"),
+        *("mesh/vertices", "mesh/triangles", "mesh/uvs", "mesh/material_ids", "mesh/image_0"),
+    ],
+)
+@pytest.mark.parametrize("damage", ["missing", "cut", "out of range"])
+def test_a_damaged_array_is_refused(tmp_path: Path, name: str, damage: str) -> None:
+    path = saved("wedges", tmp_path)
+    arrays = arrays_of(path)
+    whole = arrays.pop(name)
+    if damage == "cut":
+        # An image cut short is noticed where it is decoded.
+        arrays[name] = whole[:-1] if name != "mesh/image_0" else whole.astype(np.int32)
+    elif damage == "out of range":
+        odd = np.nan if whole.dtype.kind == "f" else 10**9 if whole.dtype.kind == "i" else "?"
+        arrays[name] = np.full_like(whole, odd, dtype=None if odd != "?" else "U1")
+    np.savez(path, **arrays)
+    if name == "mesh/uvs" and damage == "missing":
+        # That is a mesh without texture.
+        assert load_record(path).replay().mesh.texture is None
+    else:
+        with pytest.raises(InputError, match=r"light\.npz: "):
+            load_record(path)
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"mesh": {}},
+        {"mesh": None},
+        {"wedges": {}},
+        {"wedges": 3},
+        {"wedges": {"uv_scale": 10**400}},
+        {"wedges": {"uv_scale": 0}},
+        {"wedges": {"color_scale": float("nan")}},
+        {"wedges": {"has_colors": False}},
+        {"mesh": {"images": []}},
+        {"mesh": {"materials": [["sheet", 7, None, ["repeat", "repeat"]]]}},
+        {"mesh": {"materials": [["sheet", 0, None, ["sideways", "repeat"]]]}},
+        {"mesh": {"materials": [["sheet", 0, [1, 2], ["repeat", "repeat"]]]}},
+        {"mesh": {"materials": [["sheet"]]}},
+    ],
+)
+def test_words_that_cannot_be_are_refused(tmp_path: Path, about: dict[str, Any]) -> None:
+    path = saved("wedges", tmp_path)
+    arrays = arrays_of(path)
+    words = json.loads(str(arrays["about"]))
+    for part, changes in about.items():
+        words[part] = words[part] | changes if changes and isinstance(changes, dict) else changes
+    np.savez(path, **arrays | {"about": np.array(json.dumps(words))})
+    with pytest.raises(InputError, match=r"light\.npz: "):
+        load_record(path)
