@@ -1,7 +1,8 @@
-"""The images of a topic of a ROS recording, plain or compressed."""
+"""The images of a topic, plain or compressed."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -14,12 +15,18 @@ from stages.scans.ros.recording import Messages
 from stages.scans.scan import ColorImage
 
 
-def ros_images(name: str, topic: Messages) -> Images:
-    """Return the images of a topic, to be read when asked for; `name` stands in messages."""
+def topic_images(name: str, topic: Messages, stamp: Callable[[int], int] | None = None) -> Images:
+    """Return the images of a topic, to be read when asked for.
+
+    Parameters
+    ----------
+    name : of the images, for messages.
+    stamp : returns when an image was taken, nanoseconds; None where its own header says it.
+    """
     return Images(
         name,
         topic.times,
-        partial(_stamp, topic),
+        stamp or partial(_stamp, topic),
         partial(_color, name, topic),
         partial(_depth, name, topic),
         topic.file,

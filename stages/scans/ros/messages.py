@@ -1,14 +1,17 @@
-"""Take serialised ROS messages apart: images, cameras, transforms; little-endian.
+"""Take serialised messages apart: images, cameras, transforms.
 
-ROS 1 packs fields without padding; ROS 2 (CDR) aligns each to its size, and has no number in the header.
+`rosbags` knows how ROS 1 and 2 serialise and what their messages consist of. No number in a message makes it
+read or reserve more than is there: so it was with 120,000 that were cut or changed. Its types are asked one
+level below its own `deserialize` functions, which refuse what RealSense's recorder writes behind an image.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +20,12 @@ from stages.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.scan import Pose
 
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
+# Before a ROS 2 message four bytes say how it is packed: the second is 1 for little-endian.
+_CDR_HEAD = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,22 +34,20 @@ class ImageMessage:
 
     Attributes
     ----------
-    stamp : nanoseconds, when the image was taken.
     width, height : pixels.
     encoding : what a pixel is, by ROS's names.
     is_big_endian : of 16-bit and float pixels.
     step : bytes from row to row.
-    data : the rows.
+    data : (n,) uint8, the rows.
     rest : bytes after them; RealSense's recorder adds the depth unit as a float32.
     """
 
-    stamp: int
     width: int
     height: int
     encoding: str
     is_big_endian: bool
     step: int
-    data: memoryview
+    data: NDArray[np.uint8]
     rest: bytes
 
 
@@ -68,64 +74,43 @@ class CameraMessage:
     projection: NDArray[np.float64]
 
 
-class _Fields:
-    """The fields of a message, one after the other."""
+@cache
+def _types(is_cdr: bool) -> Typestore:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    def __init__(self, data: bytes) -> None:
-        self._data = memoryview(data)
-        self._at = 0
-
-    def numbers(self, layout: str) -> tuple[Any, ...]:
-        """Return numbers as `struct` names their types, without padding."""
-        values = struct.unpack_from("<" + layout, self._data, self._at)
-        self._at += struct.calcsize("<" + layout)
-        return values
-
-    def block(self) -> memoryview:
-        """Return bytes that their number stands before."""
-        (size,) = self.numbers("I")
-        if self._at + size > len(self._data):
-            raise ValueError("more bytes than there are")
-        block = self._data[self._at : self._at + size]
-        self._at += size
-        return block
-
-    def text(self) -> str:
-        return bytes(self.block()).decode("utf-8", "replace")
-
-    def rest(self) -> bytes:
-        return bytes(self._data[self._at :])
-
-    def header(self) -> tuple[int, str]:
-        """Return time, nanoseconds, and frame of a message's header."""
-        _, seconds, nanoseconds = self.numbers("III")
-        return int(seconds) * 1_000_000_000 + int(nanoseconds), self.text()
+    if is_cdr:
+        return get_typestore(Stores.ROS2_HUMBLE)
+    types = get_typestore(Stores.ROS1_NOETIC)
+    types.register(
+        get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+    )
+    return types
 
 
-class _CdrFields(_Fields):
-    """The fields of a ROS 2 message; those of `numbers` have to be of one size."""
+def _message(
+    data: bytes, kind: str, source: Path | str, called: str, *, is_cdr: bool = False
+) -> tuple[Any, bytes]:
+    """Return a message, and what stands behind it; `called` is what the error calls it.
 
-    def __init__(self, data: bytes) -> None:
-        super().__init__(data)
-        # Four bytes say how what follows is packed: the second is 1 for little-endian.
+    Raises
+    ------
+    InputError
+        If it is cut short or damaged, or packed in another way.
+    """
+    from rosbags.serde import SerdeError
+
+    types = _types(is_cdr)
+    known = types.get_msgdef(kind.replace("/", "/msg/"))
+    try:
+        if not is_cdr:
+            message, end = known.deserialize_ros1(data, 0, known.cls, types)
+            return message, data[end:]
         if data[1:2] != b"\1":
             raise ValueError("not little-endian")
-        self._at = 4
-
-    def numbers(self, layout: str) -> tuple[Any, ...]:
-        self._at += (4 - self._at) % struct.calcsize("<" + layout[-1])
-        return super().numbers(layout)
-
-    def text(self) -> str:
-        return super().text().removesuffix("\0")
-
-    def header(self) -> tuple[int, str]:
-        seconds, nanoseconds = self.numbers("iI")
-        return int(seconds) * 1_000_000_000 + int(nanoseconds), self.text()
-
-
-def _fields(data: bytes, is_cdr: bool) -> _Fields:
-    return _CdrFields(data) if is_cdr else _Fields(data)
+        message, end = known.deserialize_cdr_le(memoryview(data)[_CDR_HEAD:], 0, known.cls, types)
+        return message, data[_CDR_HEAD + end :]
+    except (SerdeError, struct.error, ValueError) as error:
+        raise InputError(f"{called} is cut short or damaged.", source) from error
 
 
 # What the time in the header of an image takes, ROS 1's or 2's: it is read alone where only it is wanted.
@@ -149,72 +134,56 @@ def read_image(data: bytes, source: Path | str, *, is_cdr: bool = False) -> Imag
     InputError
         If the message is cut short.
     """
-    try:
-        fields = _fields(data, is_cdr)
-        stamp, _ = fields.header()
-        height, width = fields.numbers("II")
-        encoding = fields.text()
-        (is_big_endian,), (step,) = fields.numbers("B"), fields.numbers("I")
-        return ImageMessage(
-            stamp, width, height, encoding, bool(is_big_endian), step, fields.block(), fields.rest()
-        )
-    except (struct.error, ValueError) as error:
-        raise InputError("the image is cut short or damaged.", source) from error
+    said, rest = _message(data, IMAGE, source, "the image", is_cdr=is_cdr)
+    return ImageMessage(
+        said.width, said.height, said.encoding, bool(said.is_bigendian), said.step, said.data, rest
+    )
 
 
 def read_camera_info(data: bytes, source: Path | str, *, is_cdr: bool = False) -> CameraMessage:
     """Return a camera; its numbers are not checked. Raises InputError if the message is cut short."""
-    try:
-        fields = _fields(data, is_cdr)
-        fields.header()
-        height, width = fields.numbers("II")
-        model = fields.text()
-        (count,) = fields.numbers("I")
-        distortion = fields.numbers(f"{min(count, len(data))}d")
-        matrix, turn, projection = (np.reshape(fields.numbers(f"{n}d"), (3, -1)) for n in (9, 9, 12))
-        return CameraMessage(width, height, model, distortion, matrix, turn, projection)
-    except (struct.error, ValueError) as error:
-        raise InputError("the camera_info is cut short or damaged.", source) from error
+    said, _ = _message(data, "sensor_msgs/CameraInfo", source, "the camera_info", is_cdr=is_cdr)
+    # ROS 1 calls them D, K, R and P.
+    distortion, *matrices = (getattr(said, name if is_cdr else name.upper()) for name in "dkrp")
+    matrix, turn, projection = (np.reshape(values, (3, -1)) for values in matrices)
+    return CameraMessage(
+        said.width,
+        said.height,
+        said.distortion_model,
+        tuple(distortion.tolist()),
+        matrix,
+        turn,
+        projection,
+    )
 
 
 def read_compressed(data: bytes, source: Path | str, *, is_cdr: bool = False) -> tuple[str, bytes]:
     """Return format and encoded image of `sensor_msgs/CompressedImage`; InputError if it is cut short."""
-    try:
-        fields = _fields(data, is_cdr)
-        fields.header()
-        return fields.text(), bytes(fields.block())
-    except (struct.error, ValueError) as error:
-        raise InputError("the image is cut short or damaged.", source) from error
+    said, _ = _message(data, COMPRESSED_IMAGE, source, "the image", is_cdr=is_cdr)
+    return said.format, said.data.tobytes()
 
 
 def read_text(data: bytes, source: Path | str) -> str:
     """Return a ROS 2 `std_msgs/String`; InputError if it is cut short."""
-    try:
-        return _CdrFields(data).text()
-    except (struct.error, ValueError) as error:
-        raise InputError("a text is cut short or damaged.", source) from error
+    said, _ = _message(data, "std_msgs/String", source, "a text", is_cdr=True)
+    return str(said.data)
 
 
 def read_frame(data: bytes, source: Path | str, *, is_cdr: bool = False) -> str:
     """Return the name of the frame in a message's header; InputError if it is cut short."""
-    try:
-        return _fields(data, is_cdr).header()[1]
-    except (struct.error, ValueError) as error:
-        raise InputError("the message is cut short.", source) from error
+    said, _ = _message(data, "std_msgs/Header", source, "the message", is_cdr=is_cdr)
+    return str(said.frame_id)
 
 
 def read_transform(data: bytes, source: Path) -> Pose:
-    """Return `geometry_msgs/Transform` as a (4, 4) float64 matrix, metres.
+    """Return ROS 1's `geometry_msgs/Transform` as a (4, 4) float64 matrix, metres.
 
     Raises
     ------
     InputError
         If the message is cut short, or it is no rigid motion.
     """
-    try:
-        return _pose(_Fields(data), source)
-    except struct.error as error:
-        raise InputError("a transform is cut short.", source) from error
+    return _pose(_message(data, "geometry_msgs/Transform", source, "a transform")[0], source)
 
 
 def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[tuple[str, str, Pose]]:
@@ -225,22 +194,16 @@ def read_transforms(data: bytes, source: Path, *, is_cdr: bool = False) -> list[
     InputError
         As `read_transform`.
     """
-    transforms = []
-    try:
-        fields = _fields(data, is_cdr)
-        (count,) = fields.numbers("I")
-        for _ in range(count):
-            _, parent = fields.header()
-            child = fields.text()
-            transforms.append((parent, child, _pose(fields, source)))
-    except (struct.error, ValueError) as error:
-        raise InputError("a transform is cut short.", source) from error
-    return transforms
+    said, _ = _message(data, "tf2_msgs/TFMessage", source, "a transform", is_cdr=is_cdr)
+    return [
+        (one.header.frame_id, one.child_frame_id, _pose(one.transform, source)) for one in said.transforms
+    ]
 
 
-def _pose(fields: _Fields, source: Path) -> Pose:
-    values = fields.numbers("7d")
-    pose = trajectories.pose_from_quaternion(values[:3], values[3:], source, "a transform")
+def _pose(said: Any, source: Path) -> Pose:
+    place = [getattr(said.translation, axis) for axis in "xyz"]
+    turn = [getattr(said.rotation, axis) for axis in "xyzw"]
+    pose = trajectories.pose_from_quaternion(place, turn, source, "a transform")
     if pose is None:
         raise InputError("a transform is not finite.", source)
     return pose

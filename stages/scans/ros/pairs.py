@@ -16,10 +16,10 @@ from stages.scans.formats import calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
 from stages.scans.reading.streams import Pair
-from stages.scans.ros.images import ros_images
+from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage
 from stages.scans.ros.pixels import is_color
-from stages.scans.ros.recording import RosRecording
+from stages.scans.ros.recording import Recording
 from stages.scans.ros.topics import ImageTopic, between, camera_message, image_topics
 from stages.scans.scan import StereoRig
 
@@ -27,7 +27,7 @@ from stages.scans.scan import StereoRig
 _SIDES = (("left", "right"), ("infra1", "infra2"), ("infrared1", "infrared2"), ("cam0", "cam1"))
 
 
-def ros_pair(recording: RosRecording, options: ReadingParams) -> Pair | None:
+def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
     """Return the pair of a ROS recording; None where no two topics are left and right.
 
     Raises
@@ -40,7 +40,7 @@ def ros_pair(recording: RosRecording, options: ReadingParams) -> Pair | None:
         return None
     left, right = min(couples, key=_unlikeness)
     warnings = [] if len(couples) == 1 else [f"of {len(couples)} pairs of topics, {left.name} is used"]
-    first, second = (ros_images(one.name, one.topic) for one in (left, right))
+    first, second = (topic_images(one.name, one.topic) for one in (left, right))
     stated = stated_rig(first, recording.path.parent, options)
     rig, said = stated or (_rig(recording, left, right, options), [])
     return Pair(first, second, rig, (*warnings, *said))
@@ -63,7 +63,7 @@ def _unlikeness(couple: tuple[ImageTopic, ImageTopic]) -> tuple[bool, bool, bool
     return not left.is_rectified, left.is_compressed, "gray" in left.name
 
 
-def _rig(recording: RosRecording, left: ImageTopic, right: ImageTopic, options: ReadingParams) -> StereoRig:
+def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: ReadingParams) -> StereoRig:
     first, second = (camera_message(recording, one) for one in (left, right))
     sides = {"left": first, "right": second}
     is_rectified = left.is_rectified and bool(first.projection.any() and second.projection.any())

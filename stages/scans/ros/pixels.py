@@ -137,5 +137,5 @@ def _rows(image: ImageMessage, size: int, source: Path | str) -> NDArray[np.uint
         raise InputError(
             f"the image does not hold the {width}×{height} pixels of {size} bytes that it claims.", source
         )
-    rows = np.frombuffer(image.data, np.uint8, image.step * height).reshape(height, image.step)
+    rows = image.data[: image.step * height].reshape(height, image.step)
     return np.ascontiguousarray(rows[:, :used])

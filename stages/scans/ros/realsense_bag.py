@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from functools import partial
 
-from stages.scans.ros.images import ros_images
+from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import (
     CameraMessage,
     read_camera_info,
@@ -18,31 +18,31 @@ from stages.scans.ros.messages import (
     read_transform,
 )
 from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
-from stages.scans.ros.recording import RosRecording
+from stages.scans.ros.recording import Recording
 from stages.scans.scan import Pose
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data")
 
 
-def realsense_bag(bag: RosRecording) -> RealSense | None:
+def realsense_bag(bag: Recording) -> RealSense | None:
     """Return what a RealSense recording says; None if the bag has no images of one."""
     streams = {}
     for name, topic in bag.topics.items():
         matched = _IMAGES.fullmatch(name)
         if matched is not None:
             stream, sensor, kind = matched.groups()
-            streams[stream] = RealSenseStream(kind.lower(), sensor, ros_images(stream, topic))
+            streams[stream] = RealSenseStream(kind.lower(), sensor, topic_images(stream, topic))
     if not streams:
         return None
     return RealSense(bag.path, streams, partial(_camera, bag), partial(_units, bag), partial(_places, bag))
 
 
-def _camera(bag: RosRecording, name: str) -> CameraMessage | None:
+def _camera(bag: Recording, name: str) -> CameraMessage | None:
     info = bag.topics.get(f"{name}/info/camera_info")
     return None if info is None else read_camera_info(info.read(0, None), f"{bag.path}: {name}")
 
 
-def _units(bag: RosRecording, stream: RealSenseStream) -> list[float]:
+def _units(bag: Recording, stream: RealSenseStream) -> list[float]:
     # Older recorders leave the blank in the option's name.
     names = (f"{stream.sensor}/option/{option}/value" for option in ("Depth_Units", "Depth Units"))
     option = next((bag.topics[name] for name in names if name in bag.topics), None)
@@ -55,7 +55,7 @@ def _units(bag: RosRecording, stream: RealSenseStream) -> list[float]:
     return [read_float(image.rest, bag.path)] if len(image.rest) == 4 else []
 
 
-def _places(bag: RosRecording, name: str) -> dict[str, Pose]:
+def _places(bag: Recording, name: str) -> dict[str, Pose]:
     start = f"{name}/tf/"
     return {
         topic.removeprefix(start): read_transform(bag.topics[topic].read(0, None), bag.path)

@@ -10,38 +10,28 @@ import math
 import re
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.scans.formats import trajectories
-from stages.scans.reading.streams import Images
-from stages.scans.ros.db3 import Db3, Db3Topic, read_row
+from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage, read_text
-from stages.scans.ros.pixels import color_in, depth_in
 from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
-from stages.scans.scan import ColorImage, Pose
+from stages.scans.ros.recording import Messages, Recording
+from stages.scans.scan import Pose
 
 _IMAGES = re.compile(r"((/device_\d+/sensor_\d+)/([A-Za-z]+)_\d+)/image/data(/compressed|/compressedDepth)?")
 
 
-def realsense_db3(recording: Db3) -> RealSense | None:
+def realsense_db3(recording: Recording) -> RealSense | None:
     """Return what a RealSense recording says; None if the file has no images of one."""
     streams = {}
     for name, topic in recording.topics.items():
         matched = _IMAGES.fullmatch(name)
         if matched is not None:
             stream, sensor, kind, _ = matched.groups()
-            images = Images(
-                stream,
-                topic.times,
-                partial(_stamp, recording, stream, topic),
-                partial(_color, recording, stream, topic),
-                partial(_depth, recording, stream, topic),
-                lambda _: recording.path,
-            )
+            images = topic_images(stream, topic, partial(_stamp, recording, stream, topic))
             streams[stream] = RealSenseStream(kind.lower(), sensor, images)
     if not streams:
         return None
@@ -54,7 +44,7 @@ def realsense_db3(recording: Db3) -> RealSense | None:
     )
 
 
-def _stamp(recording: Db3, name: str, topic: Db3Topic, number: int) -> int:
+def _stamp(recording: Recording, name: str, topic: Messages, number: int) -> int:
     """Return when an image was taken: the text recorded at the same time says it, in milliseconds."""
     texts = recording.topics.get(f"{name}/image/metadata")
     at = -1 if texts is None else int(np.searchsorted(texts.times, topic.times[number]))
@@ -69,17 +59,7 @@ def _stamp(recording: Db3, name: str, topic: Db3Topic, number: int) -> int:
     return round(milliseconds * 1e6)
 
 
-def _color(recording: Db3, name: str, topic: Db3Topic, number: int) -> ColorImage:
-    data = read_row(recording, int(topic.rows[number]))
-    return color_in(data, topic.kind, f"{recording.path}: {name} {number:06d}", is_cdr=True)
-
-
-def _depth(recording: Db3, name: str, topic: Db3Topic, number: int) -> NDArray[Any]:
-    data = read_row(recording, int(topic.rows[number]))
-    return depth_in(data, topic.kind, f"{recording.path}: {name} {number:06d}", is_cdr=True)
-
-
-def _camera(recording: Db3, name: str) -> CameraMessage | None:
+def _camera(recording: Recording, name: str) -> CameraMessage | None:
     topic = recording.topics.get(f"{name}/camera_info")
     if topic is None:
         return None
@@ -96,15 +76,15 @@ def _camera(recording: Db3, name: str) -> CameraMessage | None:
     )
 
 
-def _units(recording: Db3, stream: RealSenseStream) -> list[float]:
+def _units(recording: Recording, stream: RealSenseStream) -> list[float]:
     option = recording.topics.get(f"{stream.sensor}/option/Depth_Units/value")
     if option is None:
         return []
-    words = [_text(recording, option, number) for number in range(min(len(option.rows), MOST_OPTIONS))]
+    words = [_text(recording, option, number) for number in range(min(len(option.times), MOST_OPTIONS))]
     return [_numbers({"Depth_Units": word}, "Depth_Units", 1, recording.path)[0] for word in words]
 
 
-def _places(recording: Db3, name: str) -> dict[str, Pose]:
+def _places(recording: Recording, name: str) -> dict[str, Pose]:
     start = f"{name}/tf/"
     found = {}
     for topic in recording.topics:
@@ -119,13 +99,13 @@ def _places(recording: Db3, name: str) -> dict[str, Pose]:
     return found
 
 
-def _values(recording: Db3, topic: Db3Topic, number: int) -> dict[str, str]:
+def _values(recording: Recording, topic: Messages, number: int) -> dict[str, str]:
     entries = (entry.partition("=") for entry in _text(recording, topic, number).split(";"))
     return {name: value for name, _, value in entries}
 
 
-def _text(recording: Db3, topic: Db3Topic, number: int) -> str:
-    return read_text(read_row(recording, int(topic.rows[number])), recording.path)
+def _text(recording: Recording, topic: Messages, number: int) -> str:
+    return read_text(topic.read(number, None), recording.path)
 
 
 def _numbers(said: dict[str, str], key: str, count: int, path: Path) -> list[float]:

@@ -1,21 +1,19 @@
-"""The messages of a ROS recording, by topic, whichever kind of file holds them: a bag, a `.db3`, an MCAP."""
+"""The messages of a recording, by topic, whichever kind of file holds them: a bag, a `.db3`, an MCAP."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.ros.bag import RosBag, Topic, read_message
-from stages.scans.ros.db3 import Db3, read_row
-from stages.scans.ros.mcap import Mcap, McapTopic, read_mcap_message
+from stages.errors import InputError
+from stages.files import zstd_blocks
 
-# How MCAP files call ROS's two ways to serialise, and whether it is ROS 2's.
-_ENCODINGS = {"cdr": True, "ros1": False}
+# No camera makes a larger image.
+LARGEST_MESSAGE = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +37,7 @@ class Messages:
 
 
 @dataclass(frozen=True, eq=False)
-class RosRecording:
+class Recording:
     """The topics of a recording, by name; each has messages.
 
     Attributes
@@ -53,54 +51,30 @@ class RosRecording:
     fault: str | None
 
 
-def of_bag(bag: RosBag) -> RosRecording:
-    """Return what a ROS 1 bag holds."""
-
-    def read(topic: Topic, number: int, first: int | None) -> bytes:
-        return read_message(bag, topic, number, first=first)
-
-    topics = {
-        name: Messages(topic.kind, topic.times, False, partial(read, topic), lambda _: bag.path)
-        for name, topic in bag.topics.items()
-    }
-    return RosRecording(bag.path, topics, bag.fault)
+def as_ros_1(kind: str) -> str:
+    """Return a message type as ROS 1 calls it: without what ROS 2 puts in its middle."""
+    return kind.replace("/msg/", "/")
 
 
-def of_db3(db3: Db3) -> RosRecording:
-    """Return what a `.db3` of ROS 2 holds."""
+def unpacked(message: bytes, called: str, path: Path) -> bytes:
+    """Return a message of ROS 2, which it and some of RealSense's recorders can pack each for itself.
 
-    def read(rows: NDArray[np.int64], number: int, first: int | None) -> bytes:
-        return read_row(db3, int(rows[number]))[:first]
+    `called` is what the error calls it.
 
-    topics = {
-        name: Messages(
-            _as_ros_1(topic.kind), topic.times, True, partial(read, topic.rows), lambda _: db3.path
-        )
-        for name, topic in db3.topics.items()
-    }
-    return RosRecording(db3.path, topics, None)
-
-
-def of_mcap(mcap: Mcap) -> RosRecording:
-    """Return what an MCAP file holds; messages of another encoding have a type that nothing knows."""
-
-    def read(topic: McapTopic, number: int, first: int | None) -> bytes:
-        return read_mcap_message(mcap, topic, number, first=first)
-
-    topics = {
-        name: Messages(
-            _as_ros_1(topic.kind) if topic.encoding in _ENCODINGS else f"{topic.kind} as {topic.encoding}",
-            topic.times,
-            _ENCODINGS.get(topic.encoding, False),
-            partial(read, topic),
-            lambda _: mcap.path,
-        )
-        for name, topic in mcap.topics.items()
-    }
-    return RosRecording(mcap.path, topics, mcap.fault)
+    Raises
+    ------
+    InputError
+        If it is packed and damaged.
+    """
+    if not message.startswith(zstd_blocks.MAGIC):
+        return message
+    try:
+        return zstd_blocks.unpacked(message, LARGEST_MESSAGE)
+    except ValueError as error:
+        raise InputError(f"{called} does not decompress; it is damaged.", path) from error
 
 
-def joined(path: Path, parts: Sequence[RosRecording]) -> RosRecording:
+def joined(path: Path, parts: Sequence[Recording]) -> Recording:
     """Return one recording of several files that a recorder wrote one after the other."""
     kinds: dict[str, tuple[str, bool]] = {}
     for part in parts:
@@ -113,7 +87,7 @@ def joined(path: Path, parts: Sequence[RosRecording]) -> RosRecording:
             [one for one in found if one is not None and (one.kind, one.is_cdr) == kind]
         )
     fault = next((part.fault for part in parts if part.fault is not None), None)
-    return RosRecording(path, topics, fault)
+    return Recording(path, topics, fault)
 
 
 def _joined_messages(parts: Sequence[Messages]) -> Messages:
@@ -133,7 +107,3 @@ def _joined_messages(parts: Sequence[Messages]) -> Messages:
 
     times = np.concatenate([part.times for part in parts])
     return Messages(parts[0].kind, times, parts[0].is_cdr, read, file)
-
-
-def _as_ros_1(kind: str) -> str:
-    return kind.replace("/msg/", "/")

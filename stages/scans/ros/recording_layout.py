@@ -21,18 +21,21 @@ from stages.scans.ros.bag import read_bag
 from stages.scans.ros.db3 import read_db3
 from stages.scans.ros.files import SUFFIXES, recording_files, recordings
 from stages.scans.ros.mcap import read_mcap
-from stages.scans.ros.pairs import ros_pair
+from stages.scans.ros.pairs import topic_pair
 from stages.scans.ros.realsense_bag import realsense_bag
 from stages.scans.ros.realsense_db3 import realsense_db3
 from stages.scans.ros.realsense_streams import RealSense, realsense_streams
-from stages.scans.ros.recording import RosRecording, joined, of_bag, of_db3, of_mcap
-from stages.scans.ros.streams import ros_streams
+from stages.scans.ros.recording import Recording, joined
+from stages.scans.ros.streams import topic_streams
 from stages.scans.scan import Frame, Packed, Pose, Scan, SkippedFrame
 
 # Of the shorter interval between images: the nearest image of that stream is never more than half of it away.
 _TOLERANCE = 0.6
 # Nanoseconds; for a stream of one image, and for a trajectory from elsewhere.
 _FALLBACK_TOLERANCE = 20_000_000
+
+
+_READERS = {".bag": read_bag, ".db3": read_db3, ".mcap": read_mcap}
 
 
 def _matches(folder: Path) -> str | None:
@@ -71,29 +74,23 @@ def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str |
     recording, camera = _recording(recording_files(place), place)
     if camera is not None:
         return realsense_streams(camera, options), recording.fault
-    streams = ros_streams(recording, options) or ros_pair(recording, options)
+    streams = topic_streams(recording, options) or topic_pair(recording, options)
     if streams is None:
         raise InputError(_without_images(recording), place)
     return streams, recording.fault
 
 
-def _recording(files: Sequence[Path], place: Path) -> tuple[RosRecording, RealSense | None]:
+def _recording(files: Sequence[Path], place: Path) -> tuple[Recording, RealSense | None]:
     """Return what a recording holds, and what it says as one of the maker's library of RealSense cameras."""
-    parts: list[RosRecording] = []
-    for file in files:
-        suffix = file.suffix.lower()
-        if suffix == ".db3":
-            db3 = read_db3(file)
-            if len(files) == 1 and (camera := realsense_db3(db3)) is not None:
-                return of_db3(db3), camera
-            parts.append(of_db3(db3))
-        else:
-            parts.append(of_mcap(read_mcap(file)) if suffix == ".mcap" else of_bag(read_bag(file)))
+    parts = [_READERS.get(file.suffix.lower(), read_bag)(file) for file in files]
     recording = parts[0] if len(parts) == 1 else joined(place, parts)
-    return recording, realsense_bag(recording) if files[0].suffix.lower() == ".bag" else None
+    suffix = files[0].suffix.lower()
+    if suffix == ".db3" and len(files) == 1:
+        return recording, realsense_db3(recording)
+    return recording, realsense_bag(recording) if suffix == ".bag" else None
 
 
-def _without_images(recording: RosRecording) -> str:
+def _without_images(recording: Recording) -> str:
     """Say what a recording without depth and without a pair holds."""
     if not recording.topics:
         why = f" ({recording.fault})" if recording.fault else ""

@@ -13,9 +13,9 @@ from stages.errors import InputError
 from stages.scans.formats import calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Stream, Streams, stated_depth_camera, unknown_place
-from stages.scans.ros.images import ros_images
+from stages.scans.ros.images import topic_images
 from stages.scans.ros.pixels import is_color, is_depth
-from stages.scans.ros.recording import RosRecording
+from stages.scans.ros.recording import Recording
 from stages.scans.ros.topics import ImageTopic, between, camera_message, has_camera, image_topics
 from stages.scans.scan import Camera
 
@@ -34,7 +34,7 @@ _NOT_COLOR = (*_NOT_DEPTH, "depth")
 _COLOR_IN_DEPTH = "rgb_to_depth"
 
 
-def ros_streams(recording: RosRecording, options: ReadingParams) -> Streams | None:
+def topic_streams(recording: Recording, options: ReadingParams) -> Streams | None:
     """Return depth and colour of a ROS recording; None where it has no images of depth.
 
     Raises
@@ -51,7 +51,7 @@ def ros_streams(recording: RosRecording, options: ReadingParams) -> Streams | No
     if len(depths) > 1:
         warnings.append(f"of {len(depths)} topics of depth, {depth.name} is used")
     scale = options.depth_scale or (1.0 if depth.encoding.lower() == "32fc1" else 1000.0)
-    maps = ros_images(depth.name, depth.topic)
+    maps = topic_images(depth.name, depth.topic)
     stated = stated_depth_camera(maps, recording.path.parent, options)
     seen = Stream(maps, stated or _recorded_camera(recording, depth))
     colors = [one for one in found if _is_color(one)]
@@ -67,7 +67,7 @@ def ros_streams(recording: RosRecording, options: ReadingParams) -> Streams | No
     return Streams(
         seen,
         Stream(
-            ros_images(color.name, color.topic),
+            topic_images(color.name, color.topic),
             seen.camera
             if is_one_view and not has_camera(recording, color)
             else _recorded_camera(recording, color),
@@ -114,7 +114,7 @@ def _shared(name: list[str], other: list[str]) -> int:
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(name, other, strict=False)))
 
 
-def _recorded_camera(recording: RosRecording, images: ImageTopic) -> Camera:
+def _recorded_camera(recording: Recording, images: ImageTopic) -> Camera:
     """Return the camera of a topic as the `camera_info` beside it states it."""
     message = camera_message(recording, images)
     # K and D are of the image as it was taken, P of the rectified one.

@@ -21,7 +21,7 @@ from stages.scans.ros.messages import (
     read_transforms,
 )
 from stages.scans.ros.pixels import is_depth
-from stages.scans.ros.recording import Messages, RosRecording
+from stages.scans.ros.recording import Messages, Recording
 from stages.scans.scan import Pose
 
 # A tree of frames is sent anew now and then; a robot has some hundreds of them.
@@ -54,13 +54,13 @@ class ImageTopic:
         return re.search(r"[/_]rect", "/".join(self.name.split("/")[-3:])) is not None
 
 
-def image_topics(recording: RosRecording) -> Sequence[ImageTopic]:
+def image_topics(recording: Recording) -> Sequence[ImageTopic]:
     """Return the topics of images whose first can be read, by name."""
     found = (_image_topic(recording, name, topic) for name, topic in sorted(recording.topics.items()))
     return [one for one in found if one is not None]
 
 
-def _image_topic(recording: RosRecording, name: str, topic: Messages) -> ImageTopic | None:
+def _image_topic(recording: Recording, name: str, topic: Messages) -> ImageTopic | None:
     if topic.kind not in (IMAGE, COMPRESSED_IMAGE):
         return None
     try:
@@ -78,12 +78,12 @@ def _image_topic(recording: RosRecording, name: str, topic: Messages) -> ImageTo
         return None
 
 
-def has_camera(recording: RosRecording, images: ImageTopic) -> bool:
+def has_camera(recording: Recording, images: ImageTopic) -> bool:
     """Say whether a `camera_info` stands beside a topic of images."""
     return f"{images.place}/camera_info" in recording.topics
 
 
-def camera_message(recording: RosRecording, images: ImageTopic) -> CameraMessage:
+def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
     """Return the `camera_info` beside a topic of images.
 
     Raises
@@ -101,7 +101,7 @@ def camera_message(recording: RosRecording, images: ImageTopic) -> CameraMessage
     return read_camera_info(info.read(0, None), f"{recording.path}: {images.name}", is_cdr=info.is_cdr)
 
 
-def between(recording: RosRecording, first: ImageTopic, second: ImageTopic) -> Pose | None:
+def between(recording: Recording, first: ImageTopic, second: ImageTopic) -> Pose | None:
     """Return what takes points of the first camera to the second, by `/tf_static`; None if it does not say.
 
     Raises

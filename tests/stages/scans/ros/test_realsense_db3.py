@@ -84,7 +84,7 @@ def test_a_newer_recording_that_is_damaged(tmp_path, change, words):
 
 def test_a_message_that_is_too_large_is_not_read(tmp_path, monkeypatch):
     file = recording().write_db3(tmp_path / "take.db3")
-    monkeypatch.setattr(ros_db3, "_LARGEST_MESSAGE", 2000)
+    monkeypatch.setattr(ros_db3, "LARGEST_MESSAGE", 2000)
     scan = read_scan(file, complete=False)
     with pytest.raises(InputError, match=r"take\.db3: message \d+ is missing or too large"):
         read_color(scan.frames[0])

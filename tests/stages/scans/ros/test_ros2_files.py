@@ -8,7 +8,7 @@ from tiny_recordings import INTERVAL, START, color_image, depth_map, outcome, ro
 
 from stages.errors import InputError
 from stages.scans.read import read_scan
-from stages.scans.ros import mcap
+from stages.scans.ros import chunked
 
 FORMS = [
     ("mcap", "none"),
@@ -100,6 +100,6 @@ def test_files_that_are_no_mcap(tmp_path, data, words):
 
 def test_a_chunk_that_claims_too_much_is_not_unpacked(tmp_path, monkeypatch):
     file = take(tmp_path, "mcap", "storage")
-    monkeypatch.setattr(mcap, "_LARGEST_CHUNK", 100)
+    monkeypatch.setattr(chunked, "_LARGEST_CHUNK", 100)
     with pytest.raises(InputError, match=r"take\S*\.mcap"):
         read_scan(file)
