@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 from stages.errors import InputError
+from stages.files.images import image_size, read_raw_depth
 from stages.fusion.posed_depth import read_matching_color
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
-from stages.scans.images import image_size, read_color, read_depth, read_raw_depth, read_right
+from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
 from stages.scans.sharpness import least_sharp
 

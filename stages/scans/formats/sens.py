@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
-from stages.scans.images import decode_color
+from stages.files.images import decode_color
 from stages.scans.scan import ColorImage
 
 _VERSION = 4

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.images import read_stored
 from stages.scans.formats import calibration, trajectories
-from stages.scans.images import read_stored
 from stages.scans.reading.files import common_size, first_existing, has
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from stages.errors import InputError
-from stages.scans.images import image_size
+from stages.files.images import image_size
 from stages.scans.reading.files import has, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

@@ -9,9 +9,9 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.images import image_size
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import checked
-from stages.scans.images import image_size
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

@@ -18,8 +18,8 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.images import has_alpha, read_alpha
 from stages.scans.formats import calibration, trajectories
-from stages.scans.images import has_alpha, read_alpha
 from stages.scans.reading.files import IMAGES, common_size, inside, numbers
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

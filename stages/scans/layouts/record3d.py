@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents, lzfse_blocks
+from stages.files.images import decode_color, read_raw_depth
 from stages.scans.formats import calibration, trajectories
-from stages.scans.images import decode_color, read_raw_depth
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.images import read_raw_depth
 from stages.scans.formats import calibration, trajectories
-from stages.scans.images import read_raw_depth
 from stages.scans.reading.files import common_size, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.images import read_raw_depth, read_stored
 from stages.scans.formats import calibration, trajectories
-from stages.scans.images import read_raw_depth, read_stored
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.scans.images import decode_color, file_bytes
+from stages.files.images import decode_color, file_bytes
 
 # JPEG lets a little of the neighbours into the black.
 _BLACKEST = 8

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 
 from stages.errors import InputError
-from stages.scans.images import image_size
+from stages.files.images import image_size
 from stages.scans.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")

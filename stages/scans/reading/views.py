@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.images import image_size
 from stages.scans.depth_range import range_of_points
-from stages.scans.images import image_size
 from stages.scans.reading.phones import seen_in
 from stages.scans.scan import Camera, Frame, Packed, Pose
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
-from stages.scans.images import decode_color, decode_depth
+from stages.files.images import decode_color, decode_depth
 from stages.scans.ros.messages import ImageMessage, read_compressed, read_image
 from stages.scans.scan import ColorImage
 

@@ -7,7 +7,8 @@ import pytest
 
 from stages.errors import InputError
 from stages.files.exr import exr_size, read_exr
-from stages.scans.images import image_size, read_depth
+from stages.files.images import image_size
+from stages.scans.images import read_depth
 from stages.scans.scan import Camera, Frame
 
 DEPTH = np.random.default_rng(0).uniform(0.5, 4, (24, 32)).astype(np.float32)

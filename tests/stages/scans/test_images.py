@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
-from stages.scans.images import image_size, read_color, read_depth, read_right, read_seen
+from stages.files.images import image_size
+from stages.scans.images import read_color, read_depth, read_right, read_seen
 from stages.scans.scan import Camera, Frame
 
 CAMERA = Camera(32, 24, 100, 100, 16, 12)
