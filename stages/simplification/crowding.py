@@ -27,7 +27,7 @@ def crowded_by_topology(result: Simplified[Any]) -> tuple[str, ...]:
 
 def crowded_by_locks(result: Simplified[Any]) -> tuple[str, ...]:
     """Return a warning if most edges are between vertices that must stay, and nothing else is left."""
-    share = share_of_edges(result, "pinned")
+    share = share_of_edges(result, "locked")
     if result.stopped_by != "bounds" or share <= _CROWDED:
         return ()
     return (

@@ -127,8 +127,8 @@ else:
             namespace={
                 "__module__": __name__,
                 "__doc__": "How, and how far, `simplify` goes.\n\n"
-                "Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends "
-                "the work. A parameter that is None has the default of the method that is taken.",
+                "Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first "
+                "ends the work. A parameter that is None has the default of the method that is taken.",
             },
             frozen=True,
             kw_only=True,

@@ -61,7 +61,7 @@ class Simplified(Generic[D_co]):
         between two boundary vertices, "fold" for a flipped or degenerate triangle, "needle" for one too thin
         for a proof, "seam" for an edge that would cut or join texture seams, "chart" for one that would turn
         a triangle over in the image or take a texture coordinate out of its chart, "drift" for the bound
-        max_seam_drift, "pinned" for an edge between two vertices that must stay. Edges whose turn had not
+        max_seam_drift, "locked" for an edge between two vertices that must stay. Edges whose turn had not
         come are not counted. A method that collapses no edges has rules of its own.
     collapses, attempts : edges that collapsed; edges whose turn came, some repeatedly.
     triangles_before : triangles of the input.

@@ -47,7 +47,7 @@ class Task(Generic[P]):
         return _kernels.Running(
             target_triangles=self.triangles or 0,
             threads=self.threads,
-            patch_triangles=region_triangles,
+            region_triangles=region_triangles,
             record=self.record,
             partial=self.partial,
         )

@@ -90,7 +90,7 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
         triangle_source=result.triangle_source,
         method="certified",
         stopped_by=stopped_by,
-        refused=result.standing,
+        refused=result.refused,
         collapses=result.collapses,
         attempts=result.attempts,
         triangles_before=len(mesh.triangles),

@@ -75,7 +75,7 @@ def run(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
         triangle_source=result.triangle_source,
         method="jia01",
         stopped_by=result.stopped_by,
-        refused=result.standing,
+        refused=result.refused,
         collapses=result.collapses,
         attempts=result.attempts,
         triangles_before=len(mesh.triangles),

@@ -16,6 +16,10 @@ from stages.simplification.result import Details
 class PlanarDetails(Details):
     """The patches, and how far they are off.
 
+    `refused` of the result counts edges of the input between two patches, by the first of the rules that
+    keeps the patches on both sides apart: "fidelity" and "detail" are the angles with the patch and with the
+    neighbour, "shape" the distance, "other" colours, a locked vertex, or that another patch was there first.
+
     Attributes
     ----------
     shape_bound, color_bound : (q,) float64, metres and levels, how far each triangle's patch is off at most,

@@ -80,7 +80,7 @@ def _as_it_is(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
         triangle_source=result.triangle_source,
         method="quadric",
         stopped_by=stopped_by,
-        refused=result.standing,
+        refused=result.refused,
         collapses=result.collapses,
         attempts=result.attempts,
         triangles_before=len(mesh.triangles),
