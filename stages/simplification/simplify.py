@@ -143,13 +143,8 @@ def simplify(
     mesh = as_mesh(mesh)
     method = chosen(params, in_pieces=_is_in_pieces(mesh))
     locked, factors = resolve_control(mesh, lock, importance, regions)
-    wishes = {
-        "lock": bool(locked.any()),
-        "importance": len(factors) > 0,
-        "record": record,
-        "partial": partial,
-    }
-    require_taken(method, **wishes)
+    has_lock, has_importance = bool(locked.any()), len(factors) > 0
+    require_taken(method, lock=has_lock, importance=has_importance, record=record, partial=partial)
     task = Task(
         mesh=mesh,
         params=method.own(params),

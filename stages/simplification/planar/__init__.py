@@ -12,5 +12,5 @@ there is no importance, no record, and no number of triangles to go down to.
 
 References
 ----------
-Chen and Qin, "3-D surface reduction new algorithm". `kernels/src/planar.rs` says why the bounds hold.
+Chen and Qin, "3-D surface reduction new algorithm". `kernels/src/planar/mod.rs` says why the bounds hold.
 """
