@@ -127,8 +127,7 @@ def default_of(cls: type, name: str) -> Any:
 
 def help_of(about: Described, default: Any) -> str:
     """Return a parameter's text with its unit, range and default, as every help and comment shows it."""
-    facts = _facts(about, default)
-    return f"{about.text.rstrip().removesuffix('.')}.{f' ({facts})' if facts else ''}"
+    return f"{about.text.rstrip().removesuffix('.')}. ({_facts(about, default)})"
 
 
 def _facts(about: Described, default: Any) -> str:
@@ -139,8 +138,7 @@ def _facts(about: Described, default: Any) -> str:
     if bounds:
         facts.append(bounds)
     if default is None:
-        if "default" not in about.text.lower():
-            facts.append("no fixed default")  # the text says what then happens
+        facts.append("no fixed default")  # the text says what then happens
     elif isinstance(default, bool):
         facts.append(f"default: {'on' if default else 'off'}")
     else:
