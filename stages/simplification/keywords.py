@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
 
 from numpy.typing import ArrayLike
 
@@ -31,7 +30,7 @@ class SimplifyKeywords(
     method: str
 
 
-class _Call(GoalKeywords, TypedDict, total=False):
+class _Call(GoalKeywords, total=False):
     lock: ArrayLike | None
     importance: ArrayLike | None
     regions: Sequence[Region]

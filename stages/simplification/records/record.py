@@ -21,7 +21,15 @@ from stages.errors import MeshError, UsageError
 from stages.params import resolve
 from stages.progress import silent
 from stages.simplification.corner_attributes import LightCorners
-from stages.simplification.kernel_input import Floats, Ids, Light, as_result, attributes_of, fitted, kernel_input
+from stages.simplification.kernel_input import (
+    Floats,
+    Ids,
+    Light,
+    as_result,
+    attributes_of,
+    fitted,
+    kernel_input,
+)
 from stages.simplification.records.archive import Arrays, write_arrays
 from stages.simplification.records.steps import After, Replayed, ReplayParams, Steps
 from stages.simplification.records.stored_mesh import stored_mesh
