@@ -7,7 +7,7 @@ DATA holds `meshes/`; one Markdown table is printed. Peers, their settings and h
 `benches/simplify.py`. Each peer simplifies to a share of the triangles, and `attack` of `benches/bounds.py`
 looks for the largest distance between its result and the input, both ways. Ours then gets that distance as
 `max_shape`, and no number of triangles. Where the peer keeps colours, a second row has the largest difference
-of colour, found in the same way, as `max_texture` besides.
+of colour, found in the same way, as `max_color` besides.
 
 What is found is at most the peer's true maximum, while ours has to prove it for every point: the comparison
 favours the peer. But it is one of maxima alone: a single bad place of a peer's gives ours a wide bound.
@@ -26,6 +26,7 @@ from bounds import diagonal, worst
 from peers.tools import OURS, Tool
 from simplify import installed, results
 
+from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.simplify import Simplified, simplify
 from stages.surface.mesh import Mesh
 
@@ -43,12 +44,11 @@ def compared(
     for tool, setting, _, light in results(mesh, share, tools):
         distance, levels = worst(mesh, light, samples)
         for asked in (None,) if light.colors is None else (None, levels):
-            ours = simplify(mesh, method="certified", max_shape=distance, max_texture=asked)
-            assert ours.shape_bound_m is not None
-            proven = ours.shape_bound_m / distance
+            ours = simplify(mesh, method="certified", max_shape=distance, max_color=asked)
+            proven = ours.details.shape_bound_m / distance
             if asked is not None:
-                assert ours.color_bound_levels is not None
-                proven = max(proven, ours.color_bound_levels / asked)
+                assert ours.details.color_bound_levels is not None
+                proven = max(proven, ours.details.color_bound_levels / asked)
             ratio = len(ours.mesh.triangles) / len(light.triangles)
             cells = (
                 name,
@@ -65,7 +65,7 @@ def compared(
             yield "| " + " | ".join(cells) + " |", ratio
 
 
-def measured_over_proven(mesh: Mesh, ours: Simplified, samples: int) -> float:
+def measured_over_proven(mesh: Mesh, ours: Simplified[CertifiedDetails], samples: int) -> float:
     """Return the largest deviation that is found over the one that is proven, in shape or in colour.
 
     Raises
@@ -74,14 +74,14 @@ def measured_over_proven(mesh: Mesh, ours: Simplified, samples: int) -> float:
         If it is above 1.
     """
     distance, levels = worst(mesh, ours.mesh, samples)
-    assert ours.shape_bound_m is not None
-    ratio = distance / ours.shape_bound_m
-    if ours.color_bound_levels is not None:
-        ratio = max(ratio, levels / ours.color_bound_levels)
+    proven = ours.details
+    ratio = distance / proven.shape_bound_m
+    if proven.color_bound_levels is not None:
+        ratio = max(ratio, levels / proven.color_bound_levels)
     if ratio > 1:
         raise SystemExit(
             f"The proof is wrong: {distance:g} m and {levels:g} levels were found, proven were "
-            f"{ours.shape_bound_m:g} m and {ours.color_bound_levels or 0:g} levels."
+            f"{proven.shape_bound_m:g} m and {proven.color_bound_levels or 0:g} levels."
         )
     return ratio
 

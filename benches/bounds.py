@@ -58,7 +58,7 @@ def summed(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
     for relative, texture in SUMS:
         size = diagonal(mesh)
         bound = relative * size
-        light = simplify(mesh, method="jia01", max_shape=bound, max_texture=texture, resolution=size).mesh
+        light = simplify(mesh, method="jia01", max_shape=bound, max_color=texture, resolution=size).mesh
         ratio = worst(mesh, light, samples)[0] / bound
         yield f"| {name} | {relative:g} | {removed(mesh, light)} | {ratio:.4f} |", ratio
 
@@ -68,16 +68,15 @@ def proven(mesh: Mesh, name: str, samples: int) -> Iterator[tuple[str, float]]:
     for relative, levels in LEVELS:
         bound = relative * diagonal(mesh)
         asked = levels if mesh.colors is not None else None
-        result = simplify(mesh, method="certified", max_shape=bound, max_texture=asked)
+        result = simplify(mesh, method="certified", max_shape=bound, max_color=asked)
         distance, difference = worst(mesh, result.mesh, samples)
-        assert result.shape_bound_m is not None
-        ratio = distance / result.shape_bound_m
-        cells = f"{ratio:.3f} | {result.shape_bound_m / bound:.3f}"
-        if result.color_bound_levels is None:
+        ratio = distance / result.details.shape_bound_m
+        cells = f"{ratio:.3f} | {result.details.shape_bound_m / bound:.3f}"
+        if result.details.color_bound_levels is None:
             cells += " |  | "
         else:
-            of_color = difference / result.color_bound_levels
-            cells += f" | {of_color:.3f} | {result.color_bound_levels / levels:.3f}"
+            of_color = difference / result.details.color_bound_levels
+            cells += f" | {of_color:.3f} | {result.details.color_bound_levels / levels:.3f}"
             ratio = max(ratio, of_color)
         shown = "" if asked is None else f"{levels:g}"
         yield f"| {name} | {relative:g} | {shown} | {removed(mesh, result.mesh)} | {cells} |", ratio

@@ -19,12 +19,14 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import meshes
 import numpy as np
 
 from stages.comparing.compare import compare
+from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.simplify import Simplified, simplify
 from stages.surface.mesh import Colors, Mesh
 
@@ -47,9 +49,9 @@ class Globe:
     mesh: Mesh
     edge: float
 
-    def simplified(self, length: float | None, shape: float, texture: float, rule: str) -> Simplified:
+    def simplified(self, length: float | None, shape: float, texture: float, rule: str) -> Simplified[Any]:
         """Simplify within bounds given over the edge length, texture in levels."""
-        bounds = {"max_shape": shape * self.edge, "max_texture": texture}
+        bounds = {"max_shape": shape * self.edge, "max_color": texture}
         if rule == CERTIFIED:
             return simplify(self.mesh, method="certified", **bounds)
         resolution = NO_LIMIT if length is None else length * self.edge
@@ -132,7 +134,7 @@ def rows(name: str, globe: Globe) -> Iterator[str]:
                 )
 
 
-def measured(globe: Globe, result: Simplified) -> str:
+def measured(globe: Globe, result: Simplified[Any]) -> str:
     """Return the four cells of errors."""
     difference = compare(globe.mesh, result.mesh, samples=200_000)
     color = difference.color_a_to_b
@@ -144,14 +146,14 @@ def measured(globe: Globe, result: Simplified) -> str:
     )
 
 
-def proven(globe: Globe, result: Simplified) -> str:
+def proven(globe: Globe, result: Simplified[Any]) -> str:
     """Return the proven bounds of distance, over e, and of colour difference, in levels, or nothing."""
-    if result.shape_bound_m is None:
+    if not isinstance(result.details, CertifiedDetails):
         return ""
-    return f"{result.shape_bound_m / globe.edge:.3f} e, {result.color_bound_levels:.1f}"
+    return f"{result.details.shape_bound_m / globe.edge:.3f} e, {result.details.color_bound_levels:.1f}"
 
 
-def reduction(result: Simplified) -> float:
+def reduction(result: Simplified[Any]) -> float:
     """Return the share of triangles that went."""
     return 1 - len(result.mesh.triangles) / result.triangles_before
 

@@ -126,17 +126,17 @@ def sphere(triangles: int) -> Mesh:
 MESHES: dict[str, Callable[[int], Mesh]] = {"hills": hills, "shuffled": shuffled, "sphere": sphere}
 
 
-def certified(mesh: Mesh, threads: int) -> Simplified:
+def certified(mesh: Mesh, threads: int) -> Simplified[Any]:
     """Simplify within bounds that suit the size: a share of the spacing of vertices, and some levels."""
     low, high = bounding_box(mesh)
     spacing = float(np.linalg.norm(high - low)) / len(mesh.triangles) ** 0.5
     texture = None if mesh.colors is None else MAX_TEXTURE
     return simplify(
-        mesh, method="certified", max_shape=MAX_SHAPE * spacing, max_texture=texture, threads=threads
+        mesh, method="certified", max_shape=MAX_SHAPE * spacing, max_color=texture, threads=threads
     )
 
 
-MODES: dict[str, Callable[[Mesh, int], Simplified]] = {
+MODES: dict[str, Callable[[Mesh, int], Simplified[Any]]] = {
     "count": lambda mesh, threads: simplify(mesh, ratio=0.1, threads=threads),
     "jia01": lambda mesh, threads: simplify(mesh, method="jia01", threads=threads),
     "certified": certified,
@@ -225,7 +225,7 @@ def peak_bytes() -> int:
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
 
-def digest(result: Simplified) -> str:
+def digest(result: Simplified[Any]) -> str:
     """Return an MD5 over all arrays of a result."""
     mesh = result.mesh
     arrays = (mesh.vertices, mesh.triangles, mesh.colors, result.vertex_source, result.triangle_source)

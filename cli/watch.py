@@ -11,25 +11,18 @@ from cli.options import as_typed
 from cli.output import Output, at_most
 from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
 from stages.progress import Progress
+from stages.simplification.methods import METHODS
 
 # What is counted while a stage works.
 _UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles", "remesh": "levels"}
-# What came out of a stage and what was derived for it, in one line; all figures are in report.json. Where
-# methods differ in what they can tell, the method's name follows that of the stage.
+# What came out of a stage and what was derived for it, in one line; all figures are in report.json. That of
+# simplify is with the method's details.
 _HEADLINES = {
     "depth": "{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
     "up to {max_depth_m:.3g} m",
     "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
     "clean": "{triangles:,} triangles; {islands:,} islands removed",
-    "simplify": "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, largest "
-    "change of shape {largest_shape_change_m:.3g} m, of texture {largest_texture_change_levels:,.0f} levels",
-    "simplify quadric": "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "
-    "{attribute_scale_m_per_level:.3g} m",
-    "simplify certified": "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
-    "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off",
-    "simplify planar": "{triangles:,} triangles from {patches:,} patches, no more than "
-    "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off",
     "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",
     "report": "{pictures} pictures",
@@ -98,8 +91,12 @@ def line_of(event: StageFinished) -> str:
 
 def headline(stage: str, figures: Mapping[str, Any]) -> str:
     """Return the figures of a stage that say most, as one line."""
-    text = _HEADLINES.get(f"{stage} {figures.get('method')}", _HEADLINES.get(stage, ""))
-    return _Figures(figures).format(text)
+    lines = _HEADLINES | {"simplify": _of_method(figures.get("method"))}
+    return _Figures({**figures, **figures.get("details", {})}).format(lines.get(stage, ""))
+
+
+def _of_method(name: str | None) -> str:
+    return next((method.details.headline for method in METHODS if method.name == name), "")
 
 
 def tell_skipped(out: Output, who: str, figures: Mapping[str, Any]) -> None:

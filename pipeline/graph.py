@@ -31,7 +31,7 @@ from stages.registration.register import VERSION as REGISTER_VERSION
 from stages.registration.register import register
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
-from stages.simplification.simplify import VERSION as SIMPLIFY_VERSION
+from stages.simplification.simplify import RESULT_VERSION as SIMPLIFY_VERSION
 from stages.simplification.simplify import simplify
 from stages.stereo.depth import VERSION as DEPTH_VERSION
 from stages.stereo.depth import depth_scan

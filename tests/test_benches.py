@@ -248,7 +248,7 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
     asked = []
 
     def spied(*args: Any, **changes: Any) -> Any:
-        asked.append((changes["max_shape"], changes["max_texture"]))
+        asked.append((changes["max_shape"], changes["max_color"]))
         return simplify(*args, **changes)
 
     monkeypatch.setattr(at_a_bound, "simplify", spied)
@@ -265,12 +265,13 @@ def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound:
     from stages.simplification.simplify import simplify
 
     globe = meshes.globe(12, MAP)
-    ours = simplify(globe, max_shape=0.02, max_texture=40)
+    ours = simplify(globe, max_shape=0.02, max_color=40)
 
     assert 0 < at_a_bound.measured_over_proven(globe, ours, 1000) <= 1
     for less in ({"shape_bound_m": 1e-4}, {"color_bound_levels": 1.0}):
+        wrong = dataclasses.replace(ours, details=dataclasses.replace(ours.details, **less))
         with pytest.raises(SystemExit, match="proof is wrong"):
-            at_a_bound.measured_over_proven(globe, dataclasses.replace(ours, **less), 1000)
+            at_a_bound.measured_over_proven(globe, wrong, 1000)
 
 
 def test_the_near_cube_is_a_closed_unit_cube_facing_outward(normal_mesh: ModuleType):

@@ -79,12 +79,13 @@ def run(
     """
     from pipeline.config import Config
     from pipeline.run import run as run_pipeline
+    from stages.simplification.auto import chosen
 
     require_scan(scan)
     config = Config.load(config_file) if config_file is not None else Config()
     config = config.set(settings or ())
     config = replace(config, scan=replace(config.scan, **scan_options))
-    config.simplify.chosen()  # what does not go together is said now, not after hours of fusion
+    chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
     require_writable(target)
     with watching(out) as events:
         result = run_pipeline(

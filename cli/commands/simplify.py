@@ -11,10 +11,13 @@ import typer
 import stages
 from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
-from cli.output import Output, at_most, lines_of
+from cli.options import option_name
+from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
-from stages import BakeParams, SimplifyParams, UsageError
+from stages import BakeParams, Simplified, SimplifyParams, UsageError
+from stages.simplification.auto import chosen
+from stages.simplification.methods import METHODS
 from stages.simplification.regions import parse_region
 
 
@@ -62,13 +65,12 @@ def simplify(
     """Make a mesh light: collapse edges to a number of triangles, or within bounds on shape and colour.
 
     With --triangles or --ratio: to that number, with the least error.
-    With --max-shape, --max-texture or both: as far as these are proven to hold at every point.
+    With --max-shape, --max-color or both: as far as these are proven to hold at every point.
     With a number and bounds: down to the number, never beyond the bounds; "stopped by" says which came first.
-    With neither: within the default bounds of --method jia01.
+    With neither: within default bounds.
 
-    --close-bounds and --save-bounds go with bounds. The input must be a manifold mesh; run `scanloom clean`
-    on it first when it is not. Methods seams and planar take any mesh; auto takes seams for a model with
-    texture, materials or parts.
+    --close-bounds and --save-bounds go with bounds. --method says what each method is for, and which one is
+    taken. Most want a manifold mesh; run `scanloom clean` on it first when it is not.
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1
 
@@ -76,7 +78,7 @@ def simplify(
 
     Example: scanloom simplify clean.ply light.ply --ratio 0.1 --region "sphere 0 0 1.2 0.3 20"
 
-    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-texture 20
+    Example: scanloom simplify clean.ply light.ply --max-shape 0.005 --max-color 20
 
     Example: scanloom simplify clean.ply light.ply --triangles 20000 --max-shape 0.005
 
@@ -87,11 +89,8 @@ def simplify(
         require_new_file(save_record, (".npz",))
     if save_bounds is not None:
         require_new_file(save_bounds, (".ply",))
-        if params.chosen() != "certified":
-            raise UsageError(
-                "--save-bounds is for bounds that are proven; give --max-shape or --max-texture, and what "
-                "leads to no other method than certified."
-            )
+        if not chosen(params).proves:
+            raise UsageError(f"--save-bounds is for bounds that are proven; {_how_to_prove()}.")
     regions = [parse_region(text) for text in region or ()]
     mesh = read_file(source, out)
     with about_file(source), out.progress("simplify", "triangles") as progress:
@@ -110,29 +109,35 @@ def simplify(
         save_record.parent.mkdir(parents=True, exist_ok=True)
         simplified.record.save(save_record)
     if save_bounds is not None:
-        write_bounds(save_bounds, simplified.mesh, simplified.shape_bound, simplified.color_bound, out)
+        proven = simplified.details
+        write_bounds(save_bounds, simplified.mesh, proven.shape_bound, proven.color_bound, out)
     figures = {"output": str(target), **simplified.figures()}
     for warning in simplified.warnings:
         out.remark(f"warning: {warning}")
-    text = lines_of(
-        {name: value for name, value in figures.items() if name not in ("warnings", "largest_patches")}
-    )
+    text = _text(simplified, figures)
     if baked is not None:
         figures["baked"] = baked
         text += f"\n\n{baked_text(baked)}"
-    out.result(figures, f"{text}\n\n{_proof_text(figures)}" if simplified.method == "certified" else text)
+    if simplified.details.text():
+        text += f"\n\n{simplified.details.text()}"
+    out.result(figures, text)
 
 
-def _proof_text(figures: Mapping[str, Any]) -> str:
-    """Say what is proven of a simplified mesh, and whether that is what was asked for."""
-    most = f"{at_most(figures['shape_bound_m'])} m"
-    if figures["color_bound_levels"] is not None:
-        most += f" and {at_most(figures['color_bound_levels'])} levels"
-    text = f"Proven: no point is more than {most} off."
-    if figures["proven"]:
-        return text
-    own, original = figures["unproven_triangles"]
-    return (
-        f"{text}\nNot proven: the bounds that were asked for, at {own:,} triangles of the result and "
-        f"{original:,} of the original."
-    )
+def _text(simplified: Simplified[Any], figures: Mapping[str, Any]) -> str:
+    """Return the figures for a person: warnings are said apart, and tables are for programs."""
+    shown = {**figures, **simplified.details.figures()}
+    for name in ("details", "warnings"):
+        del shown[name]
+    return lines_of({name: value for name, value in shown.items() if not _is_table(value)})
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, list) and any(isinstance(row, Mapping) for row in value)
+
+
+def _how_to_prove() -> str:
+    """Say which options lead to a method that proves its bounds."""
+    proving = [method for method in METHODS if method.proves]
+    options = [option_name(name) for method in proving if method.needs for name in method.needs.names]
+    names = " or ".join(method.name for method in proving)
+    return f"give {' or '.join(options)}, and what leads to no other method than {names}"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.errors import UsageError
 from stages.progress import Progress
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
@@ -18,7 +19,7 @@ Levels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class Centred:
+class KernelInput:
     """A mesh about the middle of its bounding box: far from the origin, products of coordinates lose digits.
 
     Attributes
@@ -43,14 +44,20 @@ class Centred:
         return np.where(moved, points + self.origin, self.mesh.vertices.take(source, axis=0))
 
 
-def centred(mesh: Mesh) -> Centred:
+def kernel_input(mesh: Mesh) -> KernelInput:
     """Return the mesh about the middle of its bounding box."""
     if len(mesh.triangles):
         low, high = bounding_box(mesh)
         origin = 0.5 * low + 0.5 * high
     else:
         origin = np.zeros(3)
-    return Centred(mesh, origin, mesh.vertices - origin, attributes_of(mesh))
+    return KernelInput(mesh, origin, mesh.vertices - origin, attributes_of(mesh))
+
+
+def require_colors(mesh: Mesh, max_color: float | None) -> None:
+    """Raise UsageError for a bound on the colours of a mesh that has none."""
+    if max_color is not None and mesh.colors is None:
+        raise UsageError("max_color is given, but the mesh has no vertex colours; leave it out.")
 
 
 def attributes_of(mesh: Mesh) -> Levels:
@@ -79,7 +86,7 @@ class Light:
 
 
 def fitted(
-    light: Light, given: Centred, lock: NDArray[np.bool_], threads: int, progress: Progress
+    light: Light, given: KernelInput, lock: NDArray[np.bool_], threads: int, progress: Progress
 ) -> tuple[Floats, Floats]:
     """Return vertices and attributes of `light`, moved to fit the mesh it was made from by least squares.
 

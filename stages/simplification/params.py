@@ -1,106 +1,57 @@
-"""How far `simplify` goes, and by which method."""
+"""How, and how far, `simplify` goes: the parameters of all methods in one flat class, made from the table."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, fields, make_dataclass
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from stages.errors import UsageError
-from stages.params import check, param
-from stages.simplification.planar import params as planar_params
-from stages.simplification.seams import defaults as seam_defaults
+from stages.params import check, described, param, with_former_names
+from stages.simplification.methods import METHODS, Method
+from stages.simplification.shared_params import HOW_FAR
 
-# Headings of the command's help.
-_HOW_FAR = "How far: a number, bounds or both"
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from stages.simplification.keywords import SimplifyKeywords
+
+AUTO = "auto"
+
 _HOW = "How"
-_ONE_METHOD = "For one method only"
-_SEAMS = "For textured meshes"
+# What may differ between methods that have the same parameter: what it means, and where the help shows it.
+_COMMON_TRAITS = ("unit", "low", "high", "low_open", "choices", "invalidates", "was")
 
-# Parameters that only some of the methods know.
-_ONLY_FOR = {
-    "max_shape": ("certified", "jia01", "planar"),
-    "max_texture": ("certified", "jia01", "planar"),
-    "close_bounds": ("certified",),
-    "resolution": ("jia01",),
-    "paper_rule": ("jia01",),
-    "similar_distance": ("seams",),
-    "texture_weight": ("seams",),
-    "normal_weight": ("seams",),
-    "shape_weight": ("seams",),
-    "across_textures": ("seams",),
-    "across_parts": ("seams",),
-    "valence_penalty": ("seams",),
-    "set_penalty": ("seams",),
-    "max_seam_drift": ("seams",),
-    "patch_angle": ("planar",),
-    "crease_angle": ("planar",),
-    "noise_angle": ("planar",),
-}
+
+def _method_text(methods: Sequence[Method[Any, Any]]) -> str:
+    """Say what each method is for, and which one `auto` takes."""
+    asked = ", ".join(method.name for method in methods if method.auto)
+    carrying = " or ".join(method.name for method in methods if method.auto and method.takes.texture)
+    texts = " ".join(f"{method.name}: {method.text}" for method in methods)
+    return (
+        f"{texts} {AUTO}: the first of {asked} that has all parameters that are given, and is given what it "
+        f"needs; {carrying} comes first if the mesh has texture, materials, parts or normals of corners."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimplifyParams:
-    """How, and how far, `simplify` goes.
-
-    Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first ends the work.
-    For jia01 with one of these, a bound that is not given does not limit; its default then only helps to say
-    which edges go first.
-    """
+class _Goal:
+    """What every method is told."""
 
     triangles: int | None = param(
-        None, "Stop when at most this many triangles are left.", group=_HOW_FAR, low=1
+        None, "Stop when at most this many triangles are left.", group=HOW_FAR, low=1
     )
     ratio: float | None = param(
         None,
         "Stop when at most this share of the input's triangles is left.",
-        group=_HOW_FAR,
+        group=HOW_FAR,
         low=0,
         high=1,
         low_open=True,
     )
-    max_shape: float | None = param(
-        None,
-        "certified: largest distance of any point of either surface from the other; default: 0.5 % of the "
-        "bounding box's diagonal. jia01: largest shape change, summed over the collapses around an edge; "
-        "default: 0.1 of the resolution, but at most 0.5 % of the diagonal. planar: as certified.",
-        group=_HOW_FAR,
-        unit="m",
-        low=0,
-        low_open=True,
-    )
-    max_texture: float | None = param(
-        None,
-        "certified: largest difference, Euclidean over the channels, between the colour at any point of "
-        "either surface and that at any nearest point of the other; no bound if not given. jia01: the "
-        "strongest contrast in the neighbourhood of a collapse, summed over the collapses around an edge, "
-        "which far exceeds the colour error that results; default: 400. planar: largest difference "
-        "between the colours of a point and of its counterpart on the other surface; default for coloured "
-        f"meshes: {planar_params.MAX_TEXTURE:g}, and 1000 is no bound in effect.",
-        group=_HOW_FAR,
-        unit="8-bit levels",
-        low=0,
-    )
     method: str = param(
-        "auto",
-        "quadric: to a number of triangles, with the least squared error of shape and colour. certified: as "
-        "far as bounds on the distance and on the difference of colour are proven for every point, or to a "
-        "number of triangles within them. seams: to a number of triangles, with the texture coordinates, "
-        "colours and normals of every corner, and no crack along texture seams. jia01: within bounds on the "
-        "summed change of shape and texture. planar: near-planar patches with as few triangles as their "
-        "borders need, within bounds; fast, for walls, floors and machined parts. auto: jia01 with "
-        "resolution or paper_rule, else certified with max_shape or max_texture, else with triangles or "
-        "ratio seams if the mesh has texture, materials, parts or normals of corners and quadric if not, "
-        "else jia01.",
-        group=_HOW,
-        choices=("auto", "quadric", "certified", "jia01", "planar", "seams"),
-    )
-    attribute_scale: float | None = param(
-        None,
-        "Length that weighs as much as one level of colour. Default: quadric derives it from the mesh and "
-        "the number of triangles, certified from the mesh; jia01 takes max_shape / max_texture.",
-        group=_HOW,
-        unit="m per level",
-        low=0,
+        AUTO, _method_text(METHODS), group=_HOW, choices=(AUTO, *(method.name for method in METHODS))
     )
     threads: int | None = param(
         None,
@@ -110,169 +61,76 @@ class SimplifyParams:
         high=256,
         invalidates=False,
     )
-    fit: bool = param(
-        True,
-        "quadric, seams: move vertices to fit the input by least squares at the end, with quadric their "
-        "colours too; boundaries stay.",
-        group=_ONE_METHOD,
-    )
-    close_bounds: bool = param(
-        False,
-        "certified: bound each triangle as closely as can be, in two to four times the time. Otherwise the "
-        "bounds of a triangle may be as large as max_shape and max_texture though less is true.",
-        group=_ONE_METHOD,
-    )
-    resolution: float | None = param(
-        None,
-        "jia01: wanted edge length: longer edges are split first, and do not collapse. Default: 36 times the "
-        "mean edge length, more where splitting would add over 5 % of triangles.",
-        group=_ONE_METHOD,
-        unit="m",
-        low=0,
-        low_open=True,
-    )
-    paper_rule: bool = param(
-        False,
-        "jia01: follow the paper: check the bounds after each collapse, so that the last one may overshoot, "
-        "and measure shape at vertices only. Default: check before, and between vertices too; bounds then "
-        "hold.",
-        group=_ONE_METHOD,
-    )
-
-    patch_angle: float | None = planar_params.patch_angle(None, _ONE_METHOD)
-    crease_angle: float | None = planar_params.crease_angle(None, _ONE_METHOD)
-    noise_angle: float | None = planar_params.noise_angle(None, _ONE_METHOD)
-    similar_distance: float | None = param(
-        None,
-        "seams: vertices closer than this are one. A larger one joins parts that only touch. Default: "
-        f"{seam_defaults.SIMILAR_DISTANCE:g} of the bounding box's diagonal.",
-        group=_SEAMS,
-        unit="m",
-        low=0,
-    )
-    texture_weight: float | None = param(
-        None,
-        "seams: weight of a shift of the texture along the surface against a shift of the surface itself; "
-        f"default: {seam_defaults.TEXTURE_WEIGHT:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    normal_weight: float | None = param(
-        None,
-        "seams: weight of normals, if the mesh has any, against 1 where an edge that is left turns as much "
-        f"by them as by its shape; default: {seam_defaults.NORMAL_WEIGHT:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    shape_weight: float | None = param(
-        None,
-        "seams: weight of the quadric of shape alone against that of shape and attributes, where a seam is "
-        f"near; default: {seam_defaults.SHAPE_WEIGHT:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    across_textures: float | None = param(
-        None,
-        "seams: penalty for a collapse where several materials meet, as a share of its cost; default: "
-        f"{seam_defaults.ACROSS_TEXTURES:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    across_parts: float | None = param(
-        None,
-        f"seams: the same where several parts meet; default: {seam_defaults.ACROSS_PARTS:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    valence_penalty: float | None = param(
-        None,
-        "seams: penalty for each edge beyond eight that a vertex would have, as a share of its cost; "
-        f"default: {seam_defaults.VALENCE_PENALTY:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    set_penalty: float | None = param(
-        None,
-        "seams: the same for each copy of the ends of an edge beyond two; default: "
-        f"{seam_defaults.SET_PENALTY:g}.",
-        group=_SEAMS,
-        low=0,
-    )
-    max_seam_drift: float | None = param(
-        None,
-        "seams: largest distance in the image between a seam and what it was, as a share of the image's "
-        "side; no bound if not given.",
-        group=_SEAMS,
-        low=0,
-    )
 
     def __post_init__(self) -> None:
         check(self)
-        for name in ("resolution", "max_shape", "max_texture", "attribute_scale"):
-            if getattr(self, name) == math.inf:
-                raise UsageError(f"{name} is infinite; leave it out, and give triangles or ratio instead.")
         if self.triangles is not None and self.ratio is not None:
             raise UsageError("triangles and ratio are both given; give one of them.")
+        # What a method's own class refuses is refused now, before any work.
+        for method in METHODS:
+            method.own(self)
 
-    @property
-    def has_count(self) -> bool:
-        """Whether a number of triangles is wanted."""
-        return self.triangles is not None or self.ratio is not None
+    def target(self, triangles: int) -> int | None:
+        """Return how many of so many triangles are wanted; None if there is no such wish."""
+        return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles
 
-    def target(self, triangles: int) -> int:
-        """Return how many of so many triangles are wanted; 0 if there is no such wish."""
-        return math.floor(self.ratio * triangles) if self.ratio is not None else self.triangles or 0
 
-    def chosen(self, *, in_pieces: bool = False) -> str:
-        """Return the method that `auto` stands for here, or the one that is given.
+def _of_methods() -> list[tuple[str, Any, Any]]:
+    """Return name, type and field of each parameter that only some methods have; all default to None."""
+    names = dict.fromkeys(name for method in METHODS for name in described(method.params))
+    return [_flat_field(name, [method for method in METHODS if method.knows(name)]) for name in names]
 
-        Parameters
-        ----------
-        in_pieces : whether the mesh has texture, materials, parts or normals of corners.
 
-        Raises
-        ------
-        UsageError
-            If the parameters do not suit the method.
-        """
-        has_bound = self.max_shape is not None or self.max_texture is not None
-        method = self.method
-        if method == "auto":
-            if self.resolution is not None or self.paper_rule:
-                method = "jia01"
-            elif not has_bound and self.has_count and (in_pieces or self._names_seams()):
-                method = "seams"
-            elif has_bound:
-                method = "certified"
-            else:
-                method = "quadric" if self.has_count else "jia01"
-        self._require_suited(method)
-        if method in ("quadric", "seams") and not self.has_count:
-            raise UsageError(f"method {method} needs a number of triangles; give triangles or ratio.")
-        if method == "planar" and self.has_count:
-            raise UsageError("method planar goes as far as its bounds; leave out triangles and ratio.")
-        if method == "certified" and not has_bound:
-            raise UsageError("method certified needs a bound; give max_shape, max_texture or both.")
-        return method
+def _flat_field(name: str, methods: Sequence[Method[Any, Any]]) -> tuple[str, Any, Any]:
+    about = [described(method.params)[name] for method in methods]
+    kinds = [get_type_hints(method.params)[name] for method in methods]
+    traits = [{trait: getattr(one, trait) for trait in _COMMON_TRAITS} for one in about]
+    if any(_with_none(kind) != _with_none(kinds[0]) for kind in kinds) or traits[1:] != traits[:-1]:
+        raise TypeError(f"{name} differs between {', '.join(method.name for method in methods)}")
+    # Methods that say the same of it share a sentence.
+    saying: dict[str, list[str]] = {}
+    for method in methods:
+        saying.setdefault(_text(method, name), []).append(method.name)
+    text = " ".join(f"{', '.join(names)}: {words}" for words, names in saying.items())
+    group = about[0].group or (f"For method {methods[0].name}" if len(methods) == 1 else _HOW)
+    return name, kinds[0] | None, param(None, text, group=group, **traits[0])
 
-    def _names_seams(self) -> bool:
-        return any(m == ("seams",) and getattr(self, name) is not None for name, m in _ONLY_FOR.items())
 
-    def for_patches(self) -> planar_params.PatchParams:
-        """Return what limits the patches of method planar."""
-        names = ("max_shape", "max_texture", "patch_angle", "crease_angle", "noise_angle", "threads")
-        given = {name: getattr(self, name) for name in names}
-        return planar_params.PatchParams(
-            **{name: value for name, value in given.items() if value is not None}
+def _with_none(kind: Any) -> frozenset[Any]:
+    return frozenset(get_args(kind) or (kind,)) | {type(None)}
+
+
+def _text(method: Method[Any, Any], name: str) -> str:
+    """Return what a method says of a parameter, with its default, to follow the method's name."""
+    text = described(method.params)[name].text.rstrip()
+    default = next(f.default for f in fields(method.params) if f.name == name)
+    if default is not None and default is not MISSING:
+        shown = ("on" if default else "off") if isinstance(default, bool) else f"{default:g}"
+        text = f"{text} Default: {shown}."
+    return text[0].lower() + text[1:]
+
+
+if TYPE_CHECKING:
+
+    class SimplifyParams(_Goal):
+        """How, and how far, `simplify` goes."""
+
+        def __init__(self, **given: Unpack[SimplifyKeywords]) -> None: ...
+        def __getattr__(self, name: str) -> Any: ...
+
+else:
+    SimplifyParams = with_former_names(
+        make_dataclass(
+            "SimplifyParams",
+            _of_methods(),
+            bases=(_Goal,),
+            namespace={
+                "__module__": __name__,
+                "__doc__": "How, and how far, `simplify` goes.\n\n"
+                "Any bound that is given is kept, also with `triangles` or `ratio`: whichever comes first "
+                "ends the work. A parameter that is None has the default of the method that is taken.",
+            },
+            frozen=True,
+            kw_only=True,
         )
-
-    def _require_suited(self, method: str) -> None:
-        for name, methods in _ONLY_FOR.items():
-            # By default none of these is set; a number that is 0 was given.
-            if method in methods or getattr(self, name) is None or getattr(self, name) is False:
-                continue
-            if self.method == "auto":
-                if methods == ("planar",):
-                    raise UsageError(f"{name} is for method planar; give method too.")
-                raise UsageError(f"{name} is for method {methods[0]}, which needs max_shape or max_texture.")
-            raise UsageError(f"{name} has no meaning for method {method}; leave one of them out.")
+    )

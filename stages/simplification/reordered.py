@@ -4,24 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
-from stages.simplification.result import Simplified
-from stages.surface.mesh import Mesh
-from stages.surface.spatial_order import Rows, ordered, with_rows
+from stages import _kernels
+from stages.simplification.result import Details, Simplified
+from stages.simplification.task import Task
+from stages.surface.spatial_order import is_scattered, ordered, with_rows
+
+P = TypeVar("P")
+D = TypeVar("D", bound=Details)
 
 
-def reordered(mesh: Mesh, run: Callable[[Mesh, Rows], Simplified]) -> Simplified:
-    """Return what `run` makes of the mesh in another order, with rows and sources as of the mesh itself.
+def run_reordered(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
+    """Return what `run` makes of a task, in an order that suits the caches where the mesh is scattered."""
+    # A record names the vertices of the input all along.
+    if task.record or not is_scattered(task.mesh):
+        return run(task)
+    try:
+        return _reordered(task, run)
+    except _kernels.InvalidMeshError:
+        # The message has to name what is wrong as the caller knows it.
+        return run(task)
 
-    Parameters
-    ----------
-    run : is given the mesh in that order, and the vertex (n,) of the input that each vertex of it is.
-    """
-    order = ordered(mesh)
-    found = run(order.mesh, order.vertices)
-    sources = order.vertices[found.vertex_source], order.triangles[found.triangle_source]
+
+def _reordered(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
+    order = ordered(task.mesh)
+    rows = order.vertices
+    importance = task.importance[rows] if len(task.importance) else task.importance
+    found = run(replace(task, mesh=order.mesh, lock=task.lock[rows], importance=importance))
+    sources = rows[found.vertex_source], order.triangles[found.triangle_source]
     # Several vertices can have one source.
     vertices, triangles = (np.argsort(source, kind="stable") for source in sources)
     return replace(

@@ -46,14 +46,14 @@ def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path,
 def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
     scanloom("clean", ball, clean)
-    bounds = ("--max-shape", 0.05, "--max-texture", 20)
+    bounds = ("--max-shape", 0.05, "--max-color", 20)
     ran = scanloom("simplify", clean, light, *bounds)
     assert ran.exit_code == 0, ran.stderr
     assert re.search(r"^Proven: no point is more than 0\.0\d+ m and [\d.]+ levels off\.$", ran.stdout, re.M)
     figures = scanloom("simplify", clean, light, *bounds, "--json").json
-    assert figures["proven"] is True
-    assert figures["shape_bound_m"] <= 0.05
-    assert figures["color_bound_levels"] <= 20
+    assert figures["details"]["proven"] is True
+    assert figures["details"]["shape_bound_m"] <= 0.05
+    assert figures["details"]["color_bound_levels"] <= 20
     assert len(read_mesh(light).triangles) < 0.7 * 1280
 
     measured = scanloom("compare", clean, light, "--samples", 20_000, "--json").json
@@ -82,9 +82,9 @@ def test_down_to_a_number_within_bounds(scanloom: Run, ball: Path, tmp_path: Pat
         "triangles",
         896,
     )
-    assert ran.json["shape_bound_m"] <= 0.05
+    assert ran.json["details"]["shape_bound_m"] <= 0.05
     ran = scanloom("simplify", clean, light, "--triangles", 5, "--max-shape", 0.05, "--json")
-    assert (ran.json["stopped_by"], ran.json["proven"]) == ("bounds", True)
+    assert (ran.json["stopped_by"], ran.json["details"]["proven"]) == ("bounds", True)
     assert ran.json["triangles"] > 5
 
 
@@ -93,15 +93,15 @@ def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path
 
     clean, light, again = (tmp_path / f"{name}.ply" for name in ("clean", "light", "again"))
     scanloom("clean", ball, clean)
-    bounds = ("--max-shape", 0.05, "--max-texture", 20)
+    bounds = ("--max-shape", 0.05, "--max-color", 20)
     ran = scanloom("simplify", clean, light, *bounds, "--close-bounds", "--save-bounds", light, "--json")
     assert ran.exit_code == 0, ran.stderr
     plain = tmp_path / "plain.ply"
     scanloom("simplify", clean, plain, *bounds)
     np.testing.assert_array_equal(read_mesh(light).vertices, read_mesh(plain).vertices)
     face = trimesh.load(light).metadata["_ply_raw"]["face"]["data"]
-    assert face["shape_bound"].max() <= ran.json["shape_bound_m"] <= 0.05
-    assert face["color_bound"].max() <= ran.json["color_bound_levels"] <= 20
+    assert face["shape_bound"].max() <= ran.json["details"]["shape_bound_m"] <= 0.05
+    assert face["color_bound"].max() <= ran.json["details"]["color_bound_levels"] <= 20
     assert len(np.unique(face["shape_bound"])) > 10
 
     ran = scanloom("certify", light, clean, "--save-bounds", again)
@@ -118,15 +118,15 @@ def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path
     bounds = ("--max-shape", 0.05)
     figures = scanloom("simplify", clean, light, "--method", "planar", *bounds, "--json").json
     assert figures["method"] == "planar"
-    assert figures["shape_bound_m"] <= 0.05
+    assert figures["details"]["shape_bound_m"] <= 0.05
     assert len(read_mesh(light).triangles) == figures["triangles"] < 1280
     ran = scanloom("patches", clean, colored, *bounds)
     assert ran.exit_code == 0, ran.stderr
-    assert f"{figures['patches']:,} patches, " in ran.stdout
+    assert f"{figures['details']['patches']:,} patches, " in ran.stdout
     assert "largest patches" in ran.stdout
     told = scanloom("patches", clean, colored, *bounds, "--json").json
     for name in ("patches", "area_m2", "largest_patches"):
-        assert told[name] == figures[name]
+        assert told[name] == figures["details"][name]
     written = read_mesh(colored)
     assert written.colors is not None
     assert len(written.triangles) == 1280
@@ -139,7 +139,7 @@ def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_pa
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] * 2, float)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
     write_ply(source, Mesh(corners, triangles, np.repeat([[0] * 3, [255] * 3], 4, axis=0).astype(np.uint8)))
-    ran = scanloom("simplify", source, tmp_path / "light.ply", "--max-texture", 20)
+    ran = scanloom("simplify", source, tmp_path / "light.ply", "--max-color", 20)
     assert ran.exit_code == 0, ran.stderr
     assert "Not proven: the bounds that were asked for, at 4 triangles of the result and 4 of" in ran.stdout
 
@@ -270,7 +270,7 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
         (
             ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--close-bounds"),
             2,
-            "needs max_shape or max_te",
+            "needs max_shape or max_co",
         ),
         (
             ("simplify", "ball.ply", "out.ply", "--ratio", "0.5", "--save-bounds", "b.ply"),

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.simplification.jia01.params import Jia01Params
 from stages.surface.mesh import Mesh
 
-# The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see `simplify`).
+# The defaults, found on a room fused at 2 cm and on a globe with a satellite map (see this package).
 EDGES_PER_RESOLUTION = 36.0  # wanted edge length / mean edge length of the input
 SHAPE_PER_RESOLUTION = 0.1  # the paper's choice
 SHAPE_PER_DIAGONAL = 0.005  # a mesh of few large triangles must not lose its shape
-MAX_TEXTURE = 400.0  # 8-bit levels, summed over the collapses around an edge
+MAX_COLOR = 400.0  # 8-bit levels, summed over the collapses around an edge
 
 # By default, splitting may add this share of the triangles: a few long edges must not decide for all others.
 _SPLIT_SHARE = 0.05
@@ -27,44 +28,33 @@ class Limits:
 
     bounds: tuple[float, float, float]
     scales: tuple[float, float, float]
-    max_texture: float
+    max_color: float
     attribute_scale: float
 
 
-def limits_of(
-    mesh: Mesh,
-    resolution: float | None,
-    max_shape: float | None,
-    max_texture: float | None,
-    attribute_scale: float | None,
-    *,
-    only_given: bool,
-    threads: int,
-) -> Limits:
-    """Complete what was given (None for open); with `only_given`, defaults are no bounds.
-
-    Lengths in metres, `max_texture` in 8-bit levels, `attribute_scale` in metres a level; 0 threads for all
-    cores.
-    """
-    given = (resolution, max_shape, max_texture)
+def limits_of(mesh: Mesh, params: Jia01Params, *, only_given: bool, threads: int) -> Limits:
+    """Complete the limits that were given; with `only_given`, the others are no bounds. 0 threads for all."""
+    given = (params.resolution, params.max_shape, params.max_color)
+    resolution, max_shape, max_color = given
     if resolution is None:
         resolution = _default_resolution(mesh, threads)
     if max_shape is None:
         max_shape = _default_shape(mesh, resolution)
-    if max_texture is None:
-        max_texture = MAX_TEXTURE
+    if max_color is None:
+        max_color = MAX_COLOR
     # No texture change at all is a fair wish; it then needs another unit in the order.
-    texture_scale = max_texture or 1.0
+    color_scale = max_color or 1.0
+    attribute_scale = params.attribute_scale
     if attribute_scale is None:
-        attribute_scale = max_shape / texture_scale
+        attribute_scale = max_shape / color_scale
     bounds = (
         math.inf if only_given and wanted is None else value
-        for value, wanted in zip((resolution, max_shape, max_texture), given, strict=True)
+        for value, wanted in zip((resolution, max_shape, max_color), given, strict=True)
     )
     return Limits(
         bounds=(next(bounds), next(bounds), next(bounds)),
-        scales=(resolution, max_shape, texture_scale),
-        max_texture=max_texture,
+        scales=(resolution, max_shape, color_scale),
+        max_color=max_color,
         attribute_scale=attribute_scale,
     )
 

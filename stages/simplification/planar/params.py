@@ -2,65 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any
 
-from stages.errors import UsageError
-from stages.params import check, param
+from stages.params import check, param, with_former_names
+from stages.simplification.shared_params import HOW_FAR, BoundKeywords, require_finite
 
 # At 60 levels a room's result looks like its scan; without a bound its stains and shadows are gone.
-MAX_TEXTURE = 60.0
-PATCH_ANGLE = 40.0
-CREASE_ANGLE = 40.0
-NOISE_ANGLE = 75.0
-
-
-def patch_angle(default: float | None, group: str = "") -> Any:
-    """Declare the angle of the paper's first criterion."""
-    return param(
-        default,
-        "planar: largest angle between the normal of a triangle and that of the patch it joins; the paper's "
-        f"ε of fidelity is 1 − cos of it. Default: {PATCH_ANGLE:g}.",
-        unit="degrees",
-        low=0,
-        high=80,
-        low_open=True,
-        group=group,
-    )
-
-
-def crease_angle(default: float | None, group: str = "") -> Any:
-    """Declare the angle of the paper's second criterion."""
-    return param(
-        default,
-        "planar: largest angle between the normals of a triangle and of the neighbour it is reached from; "
-        f"the paper's ε of detail is 1 − cos of it. Default: {CREASE_ANGLE:g}.",
-        unit="degrees",
-        low=0,
-        high=90,
-        low_open=True,
-        group=group,
-    )
-
-
-def noise_angle(default: float | None, group: str = "") -> Any:
-    """Declare the angle for what is left over; the paper has none."""
-    return param(
-        default,
-        "planar: as patch_angle, for triangles left over in patches so small that they count as noise: they "
-        "join any neighbour whose bounds on shape and texture hold them. 0 for none, as in the paper. "
-        f"Default: {NOISE_ANGLE:g}.",
-        unit="degrees",
-        low=0,
-        high=80,
-        group=group,
-    )
+MAX_COLOR = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PatchParams:
-    """What limits near-planar patches."""
+class PlanarParams:
+    """What limits the patches of method `planar`."""
 
     max_shape: float | None = param(
         None,
@@ -69,18 +22,56 @@ class PatchParams:
         unit="m",
         low=0,
         low_open=True,
+        group=HOW_FAR,
     )
-    max_texture: float | None = param(
+    max_color: float | None = param(
         None,
-        "Largest difference of colour, likewise, Euclidean over the channels; the colours of a patch are "
-        f"within 0.4 of that of a linear function. Default for coloured meshes: {MAX_TEXTURE:g}; 1000 is no "
-        "bound in effect.",
+        "Largest difference between the colours of a point and of its counterpart on the other surface, "
+        "Euclidean over the channels; the colours of a patch are within 0.4 of that of a linear function. "
+        f"Default for coloured meshes: {MAX_COLOR:g}; 1000 is no bound in effect.",
         unit="8-bit levels",
         low=0,
+        group=HOW_FAR,
+        was="max_texture",
     )
-    patch_angle: float = patch_angle(PATCH_ANGLE)
-    crease_angle: float = crease_angle(CREASE_ANGLE)
-    noise_angle: float = noise_angle(NOISE_ANGLE)
+    patch_angle: float = param(
+        40.0,
+        "Largest angle between the normal of a triangle and that of the patch it joins; the paper's ε of "
+        "fidelity is 1 − cos of it.",
+        unit="degrees",
+        low=0,
+        high=80,
+        low_open=True,
+    )
+    crease_angle: float = param(
+        40.0,
+        "Largest angle between the normals of a triangle and of the neighbour it is reached from; the "
+        "paper's ε of detail is 1 − cos of it.",
+        unit="degrees",
+        low=0,
+        high=90,
+        low_open=True,
+    )
+    # The paper has none.
+    noise_angle: float = param(
+        75.0,
+        "As patch_angle, for triangles left over in patches so small that they count as noise: they join any "
+        "neighbour whose bounds on shape and colour hold them. 0 for none, as in the paper.",
+        unit="degrees",
+        low=0,
+        high=80,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        require_finite(self, "max_shape", "max_color")
+
+
+@with_former_names
+@dataclass(frozen=True, kw_only=True)
+class PatchParams(PlanarParams):
+    """What limits near-planar patches, and how many are looked for at a time."""
+
     threads: int | None = param(
         None,
         "Parts of the mesh worked on at the same time, with the same result; one a core if not given.",
@@ -89,8 +80,16 @@ class PatchParams:
         invalidates=False,
     )
 
-    def __post_init__(self) -> None:
-        check(self)
-        for name in ("max_shape", "max_texture"):
-            if getattr(self, name) == math.inf:
-                raise UsageError(f"{name} is infinite; leave it out.")
+
+class PlanarKeywords(BoundKeywords, total=False):
+    """PlanarParams as keywords of `simplify`."""
+
+    patch_angle: float
+    crease_angle: float
+    noise_angle: float
+
+
+class PatchKeywords(PlanarKeywords, total=False):
+    """PatchParams as keywords of `planar_patches`."""
+
+    threads: int | None

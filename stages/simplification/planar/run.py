@@ -1,32 +1,31 @@
-"""Simplification by near-planar patches: for walls, floors and machined parts.
-
-Chen and Qin, "3-D surface reduction new algorithm": patches grow over the surface while normals stay alike,
-their borders are traced and straightened, and they are triangulated anew. Every vertex of the result is a
-vertex of the input, so that all it carries stays with it.
-"""
+"""Near-planar patches found, and a mesh triangulated anew by them."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.errors import UsageError
 from stages.params import resolve
 from stages.progress import Progress, silent
-from stages.simplification.kernel_input import as_result, centred
-from stages.simplification.planar.params import MAX_TEXTURE, PatchParams
+from stages.simplification.kernel_input import as_result, kernel_input, require_colors
+from stages.simplification.planar.details import PlanarDetails
+from stages.simplification.planar.params import MAX_COLOR, PatchKeywords, PatchParams, PlanarParams
 from stages.simplification.planar.patches import Patches
 from stages.simplification.result import Simplified
+from stages.simplification.task import Task
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
 from stages.surface.sheets import Sheets, taken_apart
 
-VERSION = 2
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 2
 
 # Vertices, their attributes, triangles and their labels.
 _Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
@@ -36,7 +35,11 @@ _FARTHEST_COLORS = 255 * math.sqrt(3)
 
 
 def planar_patches(
-    mesh: MeshLike, params: PatchParams | None = None, *, progress: Progress = silent, **changes: Any
+    mesh: MeshLike,
+    params: PatchParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Unpack[PatchKeywords],
 ) -> Patches:
     """Find the near-planar patches of a mesh: each triangle is in one, and each is in one piece.
 
@@ -46,7 +49,7 @@ def planar_patches(
     A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
     `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
     of that of the triangle it is reached from. Beyond the paper, the patch also stays between two planes 0.8
-    of `max_shape` apart, and its colours within 0.4 of `max_texture` of a linear function; and triangles
+    of `max_shape` apart, and its colours within 0.4 of `max_color` of a linear function; and triangles
     left over in patches of less than 4 `max_shape`² join a neighbour that holds them, up to `noise_angle`.
     Triangles of different materials or parts are in different patches.
 
@@ -68,9 +71,9 @@ def planar_patches(
     UsageError
         For a parameter out of range, or a bound on colours for a mesh without.
     """
-    params = resolve(PatchParams, params, changes)
+    params = resolve(PatchParams, params, dict(changes))
     mesh = as_mesh(mesh)
-    given = centred(mesh)
+    given = kernel_input(mesh)
     cosines, bounds, threads = _cosines(params), _bounds(mesh, params), params.threads or 0
 
     def found(surface: _Surface) -> _kernels.PlanarPatches:
@@ -87,29 +90,18 @@ def planar_patches(
         return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
 
 
-def by_patches(
-    mesh: Mesh,
-    params: PatchParams,
-    lock: NDArray[np.bool_],
-    *,
-    partial: bool = False,
-    progress: Progress = silent,
-) -> Simplified:
-    """Simplify with method `planar`; see `simplify`.
-
-    Parameters
-    ----------
-    lock : (n,) bool, vertices that stay, and with them the triangles around.
-    partial : on Ctrl-C leave the rest as it is, instead of raising.
+def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
+    """Simplify with method `planar`.
 
     Raises
     ------
     UsageError
         For a bound on colours for a mesh without.
     """
-    given = centred(mesh)
+    mesh, params = task.mesh, task.params
+    given = kernel_input(mesh)
     shape, color = _bounds(mesh, params)
-    cosines, threads = _cosines(params), params.threads or 0
+    cosines = _cosines(params)
 
     def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> _kernels.ByPatches:
         return _kernels.simplify_planar(
@@ -117,21 +109,21 @@ def by_patches(
             lock,
             cosines=cosines,
             bounds=(shape, color),
-            threads=threads,
-            partial=partial,
-            progress=progress,
+            threads=task.threads,
+            partial=task.partial,
+            progress=task.progress,
         )
 
     whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
     try:
-        result = simplified(whole, lock)
+        result = simplified(whole, task.lock)
         triangles, source, triangle_source = result.triangles, result.vertex_source, result.triangle_source
         input_patch = result.input_patch
     except _kernels.InvalidMeshError:
         sheets = _sheets(mesh)
         of_sheets = sheets.vertex_source
         # Where sheets touch, all triangles stay, and with them what touches.
-        result = simplified(_in_sheets(whole, sheets), lock[of_sheets] | sheets.is_tied)
+        result = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.is_tied)
         source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
         triangles = one.reshape(-1).astype(np.int32)[result.triangles]
         triangle_source = sheets.triangle_source[result.triangle_source]
@@ -156,21 +148,21 @@ def by_patches(
         method="planar",
         stopped_by="request" if result.is_partial else "bounds",
         refused=result.refused,
-        attribute_scale_m_per_level=0.0,
-        splits=0,
         collapses=0,
         attempts=0,
         triangles_before=len(mesh.triangles),
-        shape_bound=shape_bound,
-        color_bound=color_bound if with_color else None,
-        shape_bound_m=float(shape_bound.max(initial=0)),
-        color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
-        iterations=result.rounds,
-        max_shape_m=shape,
-        max_texture_levels=color if with_color else None,
-        patches=_patches(result, given.origin, input_patch),
-        triangle_patch=result.triangle_patch,
-        kept_patches=int(result.kept.sum()),
+        details=PlanarDetails(
+            shape_bound=shape_bound,
+            color_bound=color_bound if with_color else None,
+            shape_bound_m=float(shape_bound.max(initial=0)),
+            color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
+            max_shape_m=shape,
+            max_color_levels=color if with_color else None,
+            kept_patches=int(result.kept.sum()),
+            iterations=result.rounds,
+            patches=_patches(result, given.origin, input_patch),
+            triangle_patch=result.triangle_patch,
+        ),
     )
 
 
@@ -211,7 +203,7 @@ def _of_triangles(mesh: Mesh, sheets: Sheets, patch: NDArray[np.int32]) -> NDArr
     return result
 
 
-def _cosines(params: PatchParams) -> tuple[float, float, float]:
+def _cosines(params: PlanarParams) -> tuple[float, float, float]:
     """Return the least cosines; above 1 for noise that is not to be taken in."""
     fidelity, detail, noise = (
         math.cos(math.radians(angle))
@@ -221,9 +213,8 @@ def _cosines(params: PatchParams) -> tuple[float, float, float]:
     return max(fidelity, 0.0), max(detail, 0.0), noise if params.noise_angle > 0 else 2.0
 
 
-def _bounds(mesh: Mesh, params: PatchParams) -> tuple[float, float]:
-    if params.max_texture is not None and mesh.colors is None:
-        raise UsageError("max_texture is given, but the mesh has no vertex colours; leave it out.")
+def _bounds(mesh: Mesh, params: PlanarParams) -> tuple[float, float]:
+    require_colors(mesh, params.max_color)
     shape = params.max_shape
     if shape is None:
         low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
@@ -231,7 +222,7 @@ def _bounds(mesh: Mesh, params: PatchParams) -> tuple[float, float]:
         shape = _SHAPE_PER_DIAGONAL * float(np.linalg.norm(high - low)) or 1.0
     if mesh.colors is None:
         return shape, math.inf
-    return shape, MAX_TEXTURE if params.max_texture is None else params.max_texture
+    return shape, MAX_COLOR if params.max_color is None else params.max_color
 
 
 def _patches(

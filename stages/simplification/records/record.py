@@ -21,7 +21,15 @@ from stages.errors import MeshError, UsageError
 from stages.params import resolve
 from stages.progress import silent
 from stages.simplification.corner_attributes import LightCorners
-from stages.simplification.kernel_input import Floats, Ids, Light, as_result, attributes_of, centred, fitted
+from stages.simplification.kernel_input import (
+    Floats,
+    Ids,
+    Light,
+    as_result,
+    attributes_of,
+    fitted,
+    kernel_input,
+)
 from stages.simplification.records.archive import Arrays, write_arrays
 from stages.simplification.records.steps import After, Replayed, ReplayParams, Steps
 from stages.simplification.records.stored_mesh import stored_mesh
@@ -103,7 +111,7 @@ class CollapseRecord:
         if fit:
             light = Light(vertices, attributes, after.triangles, vertex_source, after.became)
             try:
-                vertices, attributes = fitted(light, centred(self.mesh), self.lock, 0, silent)
+                vertices, attributes = fitted(light, kernel_input(self.mesh), self.lock, 0, silent)
             except _kernels.InvalidMeshError as error:
                 raise MeshError(f"the mesh of the record cannot be fitted: {error}.") from error
         mesh = as_result(self.mesh, vertices, attributes, after.triangles, vertex_source, "replay")

@@ -8,71 +8,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
-from stages.progress import Progress
 from stages.simplification.color_weight import color_weight
 from stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from stages.simplification.kernel_input import attributes_of
-from stages.simplification.params import SimplifyParams
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.records.wedges import Wedges
-from stages.simplification.reordered import reordered
+from stages.simplification.reordered import run_reordered
 from stages.simplification.result import Simplified
-from stages.simplification.seams import defaults
+from stages.simplification.seams.details import SeamsDetails
+from stages.simplification.seams.params import SIMILAR_DISTANCE, SeamsParams
 from stages.simplification.seams.similar import joinable_sets, similar_sets
+from stages.simplification.task import Task
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
-from stages.surface.spatial_order import is_scattered
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
+
+RESULT_VERSION = 1
+
+# Triangles worked on at a time.
+REGION_TRIANGLES = 16384
 
 Floats = NDArray[np.float64]
 
 
-def by_seams(
-    mesh: Mesh,
-    params: SimplifyParams,
-    lock: NDArray[np.bool_],
-    importance: Floats,
-    running: _kernels.Running,
-    progress: Progress,
-) -> Simplified:
-    """Simplify with method `seams`; see `simplify`.
-
-    Parameters
-    ----------
-    lock : (n,) bool, vertices that stay.
-    importance : (n,) above 0, or (0,) for 1 everywhere.
-    running : up to how many triangles, with a record or not, and what Ctrl-C does.
-    """
-    # A record names the corners of the input all along.
-    if running.record or not is_scattered(mesh):
-        return _as_it_is(mesh, params, lock, importance, running, progress)
-
-    def simplified(own: Mesh, vertices: NDArray[np.integer[Any]]) -> Simplified:
-        factors = importance[vertices] if len(importance) else importance
-        return _as_it_is(own, params, lock[vertices], factors, running, progress)
-
-    return reordered(mesh, simplified)
+def run(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
+    """Simplify with method `seams`."""
+    return run_reordered(task, _as_it_is)
 
 
-def _as_it_is(
-    mesh: Mesh,
-    params: SimplifyParams,
-    lock: NDArray[np.bool_],
-    importance: Floats,
-    running: _kernels.Running,
-    progress: Progress,
-) -> Simplified:
+def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
+    mesh, params, lock = task.mesh, task.params, task.lock
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
     distance = params.similar_distance
     if distance is None:
-        distance = defaults.SIMILAR_DISTANCE * float(np.linalg.norm(high - low))
+        distance = SIMILAR_DISTANCE * float(np.linalg.norm(high - low))
         sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
         lock = lock | apart
     else:
         sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
-    attributes = _attributes(mesh, positions, origin, params, running)
+    attributes = _attributes(task, positions, origin)
     texture = mesh.texture
     count = len(mesh.triangles)
     has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
@@ -84,12 +60,12 @@ def _as_it_is(
         has_uvs,
         np.full(count, -1, np.int32) if texture is None else texture.material_ids,
         np.full(count, -1, np.int32) if mesh.part_ids is None else mesh.part_ids,
-        importance[mesh.triangles].mean(axis=1) if len(importance) else importance,
+        task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
         knobs=_knobs(params, attributes.uv_scale),
         fit=params.fit,
-        running=running,
-        progress=progress,
+        running=task.running(REGION_TRIANGLES),
+        progress=task.progress,
     )
     left = LightCorners(
         places=found.vertices,
@@ -108,17 +84,18 @@ def _as_it_is(
         method="seams",
         stopped_by=found.stopped_by,
         refused=found.refused,
-        attribute_scale_m_per_level=attributes.color_scale,
-        splits=0,
         collapses=found.collapses,
         attempts=found.attempts,
         triangles_before=count,
-        fitted=found.fitted,
+        details=SeamsDetails(
+            attribute_scale_m_per_level=attributes.color_scale,
+            fitted=found.fitted,
+            similar_distance_m=distance,
+            joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
+            texture_scale_m=attributes.uv_scale,
+            seam_drift=found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0,
+        ),
         record=record,
-        similar_distance_m=distance,
-        joined_vertices=len(sets) - int(sets.max(initial=-1)) - 1,
-        texture_scale_m=attributes.uv_scale,
-        seam_drift=found.seam_drift / attributes.uv_scale if attributes.uv_scale else 0.0,
     )
 
 
@@ -140,33 +117,30 @@ def _record(
     return CollapseRecord(mesh, log.removed, log.survivor, log.places, lock, wedges=wedges)
 
 
-def _attributes(
-    mesh: Mesh, positions: Floats, origin: Floats, params: SimplifyParams, running: _kernels.Running
-) -> CornerAttributes:
+def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats) -> CornerAttributes:
     """Return what the corners carry, each attribute in metres by its weight."""
+    mesh, params, target = task.mesh, task.params, task.triangles or 0
     corners = mesh.triangles.reshape(-1)
     columns: list[NDArray[np.floating[Any]]] = []
     uv_scale = color_scale = normal_scale = 0.0
     texture = mesh.texture
     if texture is not None and texture.has_uvs().any():
-        weight = _given(params.texture_weight, defaults.TEXTURE_WEIGHT)
         # A weight of 0 would leave no place for the coordinates.
-        uv_scale = max(weight, 1e-9) * _metres_per_image(mesh, positions)
+        uv_scale = max(params.texture_weight, 1e-9) * _metres_per_image(mesh, positions)
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
     else:
         columns.append(np.zeros((len(corners), 2)))
     if mesh.colors is not None:
         color_scale = params.attribute_scale or 0.0
         if params.attribute_scale is None:
-            color_scale = color_weight(mesh, running.target_triangles, running.threads)
+            color_scale = color_weight(mesh, target, task.threads)
         color_scale = max(color_scale, 1e-12)
         columns.append(attributes_of(mesh)[corners] * color_scale)
     normals = mesh.corner_normals.reshape(-1, 3) if mesh.corner_normals is not None else None
     if normals is None and mesh.normals is not None:
         normals = mesh.normals[corners]
     if normals is not None:
-        weight = _given(params.normal_weight, defaults.NORMAL_WEIGHT)
-        normal_scale = max(weight * _metres_per_normal(mesh, positions, running.target_triangles), 1e-12)
+        normal_scale = max(params.normal_weight * _metres_per_normal(mesh, positions, target), 1e-12)
         columns.append(normals * normal_scale)
     return CornerAttributes(
         origin=origin,
@@ -202,17 +176,13 @@ def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
     return float(np.sqrt(area / max(target, 1) * 4 / np.sqrt(3))) / 8
 
 
-def _knobs(params: SimplifyParams, uv_scale: float) -> _kernels.SeamKnobs:
+def _knobs(params: SeamsParams, uv_scale: float) -> _kernels.SeamKnobs:
     drift = params.max_seam_drift
     return _kernels.SeamKnobs(
-        across_materials=_given(params.across_textures, defaults.ACROSS_TEXTURES),
-        across_parts=_given(params.across_parts, defaults.ACROSS_PARTS),
-        valence=_given(params.valence_penalty, defaults.VALENCE_PENALTY),
-        wedges=_given(params.set_penalty, defaults.SET_PENALTY),
-        shape=_given(params.shape_weight, defaults.SHAPE_WEIGHT),
+        across_materials=params.across_textures,
+        across_parts=params.across_parts,
+        valence=params.valence_penalty,
+        wedges=params.set_penalty,
+        shape=params.shape_weight,
         seam_drift=np.inf if drift is None else drift * uv_scale,
     )
-
-
-def _given(value: float | None, default: float) -> float:
-    return default if value is None else value

@@ -32,7 +32,7 @@ def test_locked_vertices_stay_to_the_bit(fit: bool) -> None:
     [
         {"triangles": 1},
         {"max_shape": 1.0},
-        {"method": "jia01", "max_shape": 1.0, "max_texture": 1e9},
+        {"method": "jia01", "max_shape": 1.0, "max_color": 1e9},
     ],
 )
 def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:

@@ -103,13 +103,13 @@ def test_ctrl_c_stops_the_work(arguments: dict[str, float]) -> None:
 
 
 def test_ctrl_c_stops_a_proof() -> None:
-    report = interrupted(n=300, max_shape=0.0005, max_texture=3, at_proof=True)
+    report = interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True)
     assert report["interrupted"]
     assert report["seconds"] < SOON
 
 
 def test_ctrl_c_during_a_proof_ends_it_and_gives_out_what_it_was_about() -> None:
-    report = interrupted(n=300, max_shape=0.0005, max_texture=3, at_proof=True, partial=True)
+    report = interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True, partial=True)
     assert not report["interrupted"]
     # Where that proof succeeds there was nothing left to do.
     assert report["stopped_by"] in ("request", "bounds")
@@ -143,7 +143,7 @@ def test_progress_that_returns_false_gives_out_what_there_is(arguments: dict[str
     mesh = hills(500)
     result = simplify(mesh, record="ratio" in arguments, progress=lambda *_: False, **arguments)
     assert result.stopped_by == "request"
-    assert not result.fitted
+    assert not getattr(result.details, "fitted", False)
     now = topology(result.mesh)
     assert 0.05 * 500_000 < now.triangles < 500_000
     assert now.is_manifold
@@ -193,5 +193,5 @@ def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.
     results.append(simplify(mesh, ratio=0.1, progress=stop))
     assert told[-1] == (2880, 2880)
     for result in results:
-        assert (result.stopped_by, result.fitted) == ("request", False)
+        assert (result.stopped_by, result.details.fitted) == ("request", False)
         np.testing.assert_array_equal(result.mesh.vertices, plain.mesh.vertices)

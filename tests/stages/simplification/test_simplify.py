@@ -70,16 +70,16 @@ def assert_same_topology(result: Simplified, before: Mesh) -> None:
 @pytest.mark.parametrize("make", [lambda: sheet(60, hills, 0.001), ball], ids=["hills", "ball"])
 def test_shape_bound_holds_both_ways(make: Callable[[], Mesh], max_shape: float) -> None:
     mesh = make()
-    result = simplify(mesh, method="jia01", max_shape=max_shape, max_texture=1e9, resolution=3.0)
-    assert 0 < result.largest_shape_change_m <= max_shape
+    result = simplify(mesh, method="jia01", max_shape=max_shape, max_color=1e9, resolution=3.0)
+    assert 0 < result.details.largest_shape_change_m <= max_shape
     assert compare(mesh, result.mesh, samples=100_000).symmetric.maximum <= max_shape
     assert_same_topology(result, mesh)
 
 
 def test_texture_bound_holds() -> None:
     mesh = sheet(40, hills)
-    result = simplify(mesh, method="jia01", max_texture=60)
-    assert 0 < result.largest_texture_change_levels <= 60
+    result = simplify(mesh, method="jia01", max_color=60)
+    assert 0 < result.details.largest_color_change_levels <= 60
     # Each step may blur by the contrast it counts, so the sum is far above any colour error.
     error = compare(mesh, result.mesh, samples=50_000).color
     assert error is not None
@@ -89,7 +89,7 @@ def test_texture_bound_holds() -> None:
 def test_no_texture_change_keeps_every_colour_edge() -> None:
     mesh = sheet(30, flat)
     halves = np.where(mesh.vertices[:, :1] < 0.5, 40, 200).astype(np.uint8).repeat(3, axis=1)
-    result = simplify(mesh.with_(colors=halves), method="jia01", max_texture=0)
+    result = simplify(mesh.with_(colors=halves), method="jia01", max_color=0)
     assert len(result.mesh.triangles) < 0.5 * len(mesh.triangles)
     assert set(np.unique(result.mesh.colors)) == {40, 200}
     error = compare(mesh.with_(colors=halves), result.mesh, samples=50_000).color
@@ -99,9 +99,9 @@ def test_no_texture_change_keeps_every_colour_edge() -> None:
 
 def test_paper_rule_may_overshoot() -> None:
     mesh = sheet(40, hills, 0.003)
-    bounds = {"method": "jia01", "max_shape": 0.002, "max_texture": 200.0}
-    assert simplify(mesh, paper_rule=True, **bounds).largest_shape_change_m > 0.002
-    assert simplify(mesh, **bounds).largest_shape_change_m <= 0.002
+    bounds = {"method": "jia01", "max_shape": 0.002, "max_color": 200.0}
+    assert simplify(mesh, paper_rule=True, **bounds).details.largest_shape_change_m > 0.002
+    assert simplify(mesh, **bounds).details.largest_shape_change_m <= 0.002
 
 
 def test_wider_bounds_leave_fewer_triangles() -> None:
@@ -111,7 +111,7 @@ def test_wider_bounds_leave_fewer_triangles() -> None:
         return len(simplify(mesh, method="jia01", **bound).mesh.triangles)
 
     shape = [left(max_shape=s) for s in (0.0005, 0.002, 0.008)]
-    texture = [left(max_texture=t) for t in (20, 80, 320)]
+    texture = [left(max_color=t) for t in (20, 80, 320)]
     assert shape == sorted(shape, reverse=True)
     assert texture == sorted(texture, reverse=True)
 
@@ -124,8 +124,8 @@ def test_long_edges_are_split_first() -> None:
     colors = np.array([[0, 0, 0], [200, 0, 0], [200, 100, 0], [0, 100, 0]], np.uint8)
     mesh = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), colors=colors)
     # Neither a shape nor a texture change is allowed where every edge has contrast: only splits remain.
-    result = simplify(mesh, resolution=0.7, max_texture=0, max_shape=1e-9)
-    assert result.splits > 0
+    result = simplify(mesh, resolution=0.7, max_color=0, max_shape=1e-9)
+    assert result.details.splits > 0
     assert edge_lengths(result.mesh).max() <= 0.7
     assert result.mesh.vertices[:4].tolist() == corners.tolist()
     # A split takes the mean of both ends, so linear colour stays linear.
@@ -141,7 +141,7 @@ def test_default_resolution_does_not_multiply_triangles() -> None:
     vertices = np.concatenate([fine.vertices * 0.1, coarse.vertices * 60 + 10])
     triangles = np.concatenate([fine.triangles, coarse.triangles + len(fine.vertices)])
     result = simplify(Mesh(vertices, triangles))
-    assert result.splits <= 0.05 * len(triangles)
+    assert result.details.splits <= 0.05 * len(triangles)
     assert len(result.mesh.triangles) < len(triangles)
 
 
@@ -160,7 +160,7 @@ def test_triangle_targets() -> None:
     assert by_count.stopped_by == by_ratio.stopped_by == "triangles"
     assert 498 <= len(by_count.mesh.triangles) <= 500
     np.testing.assert_array_equal(by_count.mesh.triangles, by_ratio.mesh.triangles)
-    assert not any(by_count.bounded.values())
+    assert not any(by_count.details.bounded.values())
     assert_same_topology(by_count, mesh)
 
 
@@ -168,8 +168,8 @@ def test_a_bound_beside_a_target_is_kept() -> None:
     mesh = sheet(40, hills)
     result = simplify(mesh, method="jia01", triangles=10, max_shape=0.002)
     assert result.stopped_by == "bounds"
-    assert result.bounded == {"resolution": False, "max_shape": True, "max_texture": False}
-    assert result.largest_shape_change_m <= 0.002
+    assert result.details.bounded == {"resolution": False, "max_shape": True, "max_color": False}
+    assert result.details.largest_shape_change_m <= 0.002
     assert result.refused["shape"] > 0
     assert result.refused["length"] == result.refused["texture"] == 0
 
@@ -196,7 +196,7 @@ def test_a_target_above_the_count_changes_nothing(method: str) -> None:
 @pytest.mark.parametrize("method", ["certified", "jia01"])
 def test_a_boundary_stays_where_it_is(method: str) -> None:
     mesh = sheet(40, flat)
-    result = simplify(mesh, method=method, max_shape=1e-6, max_texture=1e9)
+    result = simplify(mesh, method=method, max_shape=1e-6, max_color=1e9)
     assert len(result.mesh.triangles) < 0.2 * len(mesh.triangles)
     outline = trimesh.Trimesh(result.mesh.vertices, result.mesh.triangles, process=False).outline()
     assert outline.length == pytest.approx(4.0, abs=1e-5)
@@ -376,7 +376,7 @@ def test_what_is_wrong_is_said(triangles: list[list[int]], message: str) -> None
         ({"resolution": -1.0}, "more than 0"),
         ({"max_shape": float("nan")}, "not a number"),
         ({"max_shape": float("inf")}, "infinite"),
-        ({"max_texture": -1}, "at least 0"),
+        ({"max_color": -1}, "at least 0"),
         ({"size": 3}, "unknown parameter 'size'"),
     ],
 )
@@ -408,10 +408,10 @@ def test_triangles_without_area() -> None:
 
 def test_figures_are_plain_numbers_with_units() -> None:
     params = SimplifyParams(method="jia01", ratio=0.5)
-    figures = simplify(sheet(20, hills), params, max_texture=100.0).figures()
+    figures = simplify(sheet(20, hills), params, max_color=100.0).figures()
     assert json.loads(json.dumps(figures)) == figures
     assert figures["triangles"] < figures["triangles_before"] == 800
-    assert figures["max_texture_levels"] == 100.0
+    assert figures["details"]["max_color_levels"] == 100.0
 
 
 # -- real meshes -----------------------------------------------------------------------------------------
@@ -444,7 +444,7 @@ def test_a_fused_room_by_default(shared_data: Path) -> None:
     assert_same_topology(result, mesh)
     assert len(result.mesh.triangles) < 0.32 * len(mesh.triangles)
     measured = compare(mesh, result.mesh, samples=200_000)
-    assert measured.symmetric.maximum <= result.max_shape_m
+    assert measured.symmetric.maximum <= result.details.max_shape_m
     assert measured.symmetric.rms < 0.0015
     assert measured.color is not None
     assert measured.color.psnr > 39

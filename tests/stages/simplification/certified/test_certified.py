@@ -12,6 +12,7 @@ from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare
 from stages.errors import UsageError
+from stages.simplification.auto import chosen
 from stages.simplification.regions import Box, Sphere
 from stages.simplification.simplify import Simplified, SimplifyParams, simplify
 from stages.surface.mesh import Mesh, Texture
@@ -42,59 +43,59 @@ def two_sheets_that_touch() -> Mesh:
 
 def assert_bounds_hold(result: Simplified, mesh: Mesh, samples: int = 100_000) -> None:
     """Every vertex of both surfaces, and samples between, are within the proven bounds."""
-    assert result.shape_bound_m is not None
+    assert result.details.shape_bound_m is not None
     measured = compare(mesh, result.mesh, samples=samples)
-    assert measured.symmetric.maximum <= result.shape_bound_m
-    if result.color_bound_levels is not None:
+    assert measured.symmetric.maximum <= result.details.shape_bound_m
+    if result.details.color_bound_levels is not None:
         assert measured.color is not None
         # compare looks at one channel at a time; the bound is on all three together.
-        assert measured.color.maximum <= result.color_bound_levels
+        assert measured.color.maximum <= result.details.color_bound_levels
 
 
 @pytest.mark.parametrize(
     ("given", "method"),
     [
         ({"max_shape": 0.01}, "certified"),
-        ({"max_texture": 9.0}, "certified"),
-        ({"max_shape": 0.01, "max_texture": 9.0}, "certified"),
+        ({"max_color": 9.0}, "certified"),
+        ({"max_shape": 0.01, "max_color": 9.0}, "certified"),
         ({"max_shape": 0.01, "ratio": 0.5}, "certified"),
-        ({"max_texture": 9.0, "triangles": 50}, "certified"),
+        ({"max_color": 9.0, "triangles": 50}, "certified"),
         ({"max_shape": 0.01, "resolution": 1.0}, "jia01"),
-        ({"max_texture": 9.0, "paper_rule": True}, "jia01"),
+        ({"max_color": 9.0, "paper_rule": True}, "jia01"),
         ({"method": "jia01", "max_shape": 0.01, "ratio": 0.5}, "jia01"),
         ({"ratio": 0.5}, "quadric"),
         ({}, "jia01"),
     ],
 )
 def test_bounds_are_proven_ones_unless_jia01_is_wanted(given: dict[str, float], method: str) -> None:
-    assert SimplifyParams(**given).chosen() == method  # type: ignore[arg-type]
+    assert chosen(SimplifyParams(**given)).name == method
     assert simplify(hills(8), **given).method == method
 
 
 @pytest.mark.parametrize(("shape", "color"), [(0.003, 12.0), (0.003, None), (None, 12.0), (0.02, 60.0)])
 def test_no_point_exceeds_what_is_proven(shape: float | None, color: float | None) -> None:
     mesh = hills()
-    result = simplify(mesh, max_shape=shape, max_texture=color)
-    assert (result.proven, result.stopped_by) == (True, "bounds")
+    result = simplify(mesh, max_shape=shape, max_color=color)
+    assert (result.details.proven, result.stopped_by) == (True, "bounds")
     assert len(result.mesh.triangles) < 0.5 * len(mesh.triangles)
     assert topology(result.mesh).boundary_loops == 1
     # Colours alone do not hold a shape together.
     diagonal = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    assert result.max_shape_m == pytest.approx(0.005 * diagonal if shape is None else shape)
-    assert (result.shape_bound_m or np.inf) <= (result.max_shape_m or 0)
-    assert color is None or (result.color_bound_levels or 0) <= color
+    assert result.details.max_shape_m == pytest.approx(0.005 * diagonal if shape is None else shape)
+    assert (result.details.shape_bound_m or np.inf) <= (result.details.max_shape_m or 0)
+    assert color is None or (result.details.color_bound_levels or 0) <= color
     assert result.mesh.notes == ()
     assert_bounds_hold(result, mesh)
 
 
 def test_each_triangle_has_its_own_bounds() -> None:
     mesh = hills()
-    result = simplify(mesh, max_shape=0.01, max_texture=30)
-    shape, color = result.shape_bound, result.color_bound
+    result = simplify(mesh, max_shape=0.01, max_color=30)
+    shape, color = result.details.shape_bound, result.details.color_bound
     assert shape is not None
     assert color is not None
     assert shape.shape == color.shape == (len(result.mesh.triangles),)
-    assert (shape.max(), color.max()) <= (result.shape_bound_m, result.color_bound_levels)
+    assert (shape.max(), color.max()) <= (result.details.shape_bound_m, result.details.color_bound_levels)
 
     random = np.random.default_rng(0)
     of = np.repeat(np.arange(len(shape)), 50)
@@ -112,18 +113,18 @@ def test_each_triangle_has_its_own_bounds() -> None:
 
 def test_down_to_a_number_of_triangles_but_never_beyond_the_bounds() -> None:
     mesh = hills()
-    bounds = {"max_shape": 0.003, "max_texture": 12.0}
+    bounds = {"max_shape": 0.003, "max_color": 12.0}
     alone = simplify(mesh, **bounds)
     left = len(alone.mesh.triangles)
     few = simplify(mesh, triangles=left // 2, **bounds)
-    assert (few.method, few.stopped_by, few.proven) == ("certified", "bounds", True)
+    assert (few.method, few.stopped_by, few.details.proven) == ("certified", "bounds", True)
     assert left // 2 < len(few.mesh.triangles) < 1.1 * left
 
     for many in (
         simplify(mesh, triangles=2 * left, **bounds),
         simplify(mesh, ratio=2 * left / 3200, **bounds),
     ):
-        assert (many.method, many.stopped_by, many.proven) == ("certified", "triangles", True)
+        assert (many.method, many.stopped_by, many.details.proven) == ("certified", "triangles", True)
         assert 2 * left - 2 < len(many.mesh.triangles) <= 2 * left
         assert_bounds_hold(many, mesh)
     nothing = simplify(mesh, ratio=1.0, **bounds)
@@ -140,30 +141,30 @@ def test_a_number_with_bounds_has_the_same_bytes_on_any_number_of_threads() -> N
 
 def test_bounds_of_triangles_are_close_if_asked_for() -> None:
     mesh = hills()
-    bounds = {"max_shape": 0.01, "max_texture": 30.0}
+    bounds = {"max_shape": 0.01, "max_color": 30.0}
     loose, close = (simplify(mesh, close_bounds=close, **bounds) for close in (False, True))
     assert close.mesh.vertices.tobytes() == loose.mesh.vertices.tobytes()
-    assert loose.shape_bound is not None
-    assert close.shape_bound is not None
-    assert close.color_bound is not None
+    assert loose.details.shape_bound is not None
+    assert close.details.shape_bound is not None
+    assert close.details.color_bound is not None
     # As close as a proof of its own has them, and no wider than what was asked for.
     own = certify(close.mesh, mesh)
-    np.testing.assert_allclose(close.shape_bound, np.minimum(own.shape_bound, 0.01), rtol=1e-6)
-    np.testing.assert_allclose(close.color_bound, np.minimum(own.color_bound, 30.0), rtol=1e-6)
-    assert close.shape_bound.mean() < 0.95 * loose.shape_bound.mean()
-    assert (close.shape_bound.max(), close.color_bound.max()) <= (
-        close.shape_bound_m,
-        close.color_bound_levels,
+    np.testing.assert_allclose(close.details.shape_bound, np.minimum(own.shape_bound, 0.01), rtol=1e-6)
+    np.testing.assert_allclose(close.details.color_bound, np.minimum(own.color_bound, 30.0), rtol=1e-6)
+    assert close.details.shape_bound.mean() < 0.95 * loose.details.shape_bound.mean()
+    assert (close.details.shape_bound.max(), close.details.color_bound.max()) <= (
+        close.details.shape_bound_m,
+        close.details.color_bound_levels,
     )
-    assert (close.shape_bound_m or 1) <= 1.06 * (close.shape_attained_m or 0)
+    assert (close.details.shape_bound_m or 1) <= 1.06 * (close.details.shape_attained_m or 0)
     assert_bounds_hold(close, mesh)
 
 
 def test_a_flat_sheet_of_one_colour_keeps_little_more_than_its_corners() -> None:
     mesh = hills(20)
     plain = Mesh(mesh.vertices * (1, 1, 0), mesh.triangles, colors=np.full_like(mesh.vertices, 77, np.uint8))
-    result = simplify(plain, max_shape=1e-4, max_texture=0)
-    assert result.proven
+    result = simplify(plain, max_shape=1e-4, max_color=0)
+    assert result.details.proven
     assert len(result.mesh.triangles) <= 12
     assert result.mesh.colors is not None
     assert (result.mesh.colors == 77).all()
@@ -173,18 +174,18 @@ def test_a_flat_sheet_of_one_colour_keeps_little_more_than_its_corners() -> None
 def test_a_mesh_without_colours_has_bounds_on_shape_only() -> None:
     mesh = hills().with_(colors=None)
     result = simplify(mesh, max_shape=0.01)
-    assert result.proven
+    assert result.details.proven
     assert result.mesh.colors is None
-    assert result.color_bound is None
-    assert result.figures()["color_bound_levels"] is None
+    assert result.details.color_bound is None
+    assert result.figures()["details"]["color_bound_levels"] is None
     assert_bounds_hold(result, mesh)
-    with pytest.raises(UsageError, match="max_texture is given, but the mesh has no vertex colours"):
-        simplify(mesh, max_shape=0.01, max_texture=9)
+    with pytest.raises(UsageError, match="max_color is given, but the mesh has no vertex colours"):
+        simplify(mesh, max_shape=0.01, max_color=9)
 
 
 def test_what_is_written_and_read_is_within_the_bounds_still(tmp_path: Path) -> None:
     mesh = hills()
-    result = simplify(mesh, max_shape=0.004, max_texture=15)
+    result = simplify(mesh, max_shape=0.004, max_color=15)
     single = result.mesh.with_(vertices=result.mesh.vertices.astype(np.float32).astype(np.float64))
     write_mesh(tmp_path / "light.ply", single)
     stored = read_mesh(tmp_path / "light.ply")
@@ -196,7 +197,7 @@ def test_importance_divides_the_bounds_and_locked_vertices_stay() -> None:
     left = Box((0, 0, -1), (0.5, 1, 1), importance=8)
     ball = Sphere((0.8, 0.8, 0), 0.15, lock=True)
     result = simplify(mesh, max_shape=0.02, regions=(left, ball))
-    assert result.proven
+    assert result.details.proven
     far = Surface(result.mesh).closest(mesh.vertices).distances
     assert far[left.holds(mesh.vertices)].max() <= 0.02 / 8
     assert far.max() > 0.02 / 8
@@ -211,11 +212,11 @@ def test_importance_divides_the_bounds_and_locked_vertices_stay() -> None:
 
 def test_what_cannot_be_proven_is_said() -> None:
     mesh = two_sheets_that_touch()
-    result = simplify(mesh, max_shape=0.01, max_texture=20)
-    assert (result.proven, result.stopped_by) == (False, "unproven")
-    assert min(result.unproven_triangles or ()) > 0
-    assert result.color_bound_levels is not None
-    assert result.color_bound_levels > 20
+    result = simplify(mesh, max_shape=0.01, max_color=20)
+    assert (result.details.proven, result.stopped_by) == (False, "unproven")
+    assert min(result.details.unproven_triangles or ()) > 0
+    assert result.details.color_bound_levels is not None
+    assert result.details.color_bound_levels > 20
     (note,) = result.mesh.notes
     assert "could not prove" in note
     assert_bounds_hold(result, mesh, 10_000)
@@ -223,12 +224,12 @@ def test_what_cannot_be_proven_is_said() -> None:
 
 def test_when_stopped_early_what_is_proven_is_proven_of_what_there_is() -> None:
     mesh = hills(200)
-    result = simplify(mesh, max_shape=0.01, max_texture=40, progress=lambda *_: False)
+    result = simplify(mesh, max_shape=0.01, max_color=40, progress=lambda *_: False)
     assert result.stopped_by == "request"
     assert len(result.mesh.triangles) < len(mesh.triangles)
-    assert bool(result.mesh.notes) != result.proven
-    assert result.color_bound is not None
-    assert len(result.color_bound) == len(result.mesh.triangles)
+    assert bool(result.mesh.notes) != result.details.proven
+    assert result.details.color_bound is not None
+    assert len(result.details.color_bound) == len(result.mesh.triangles)
     assert_bounds_hold(result, mesh)
 
 
@@ -243,26 +244,27 @@ def test_the_texture_is_left_out_with_a_note() -> None:
 def test_nothing_to_simplify() -> None:
     empty = simplify((np.zeros((0, 3)), np.zeros((0, 3), np.int32)), max_shape=0.1)
     assert empty.mesh.triangles.shape == (0, 3)
-    assert (empty.proven, empty.stopped_by) == (True, "bounds")
+    assert (empty.details.proven, empty.stopped_by) == (True, "bounds")
     json.dumps(empty.figures())
 
 
 def test_figures_are_plain_numbers_with_units() -> None:
-    figures = simplify(hills(20), max_shape=0.01, max_texture=30).figures()
+    figures = simplify(hills(20), max_shape=0.01, max_color=30).figures()
     assert json.loads(json.dumps(figures)) == figures
     assert figures["method"] == "certified"
-    assert 0 < figures["shape_attained_m"] <= figures["shape_bound_m"] <= figures["max_shape_m"] == 0.01
-    assert 0 < figures["color_attained_levels"] <= figures["color_bound_levels"] <= 30
-    assert figures["unproven_triangles"] == [0, 0]
-    assert figures["attribute_scale_m_per_level"] > 0
+    proven = figures["details"]
+    assert 0 < proven["shape_attained_m"] <= proven["shape_bound_m"] <= proven["max_shape_m"] == 0.01
+    assert 0 < proven["color_attained_levels"] <= proven["color_bound_levels"] <= 30
+    assert proven["unproven_triangles"] == [0, 0]
+    assert proven["attribute_scale_m_per_level"] > 0
 
 
 @pytest.mark.parametrize("name", ["sceaux_mvs_scene_mesh.ply", "stanford-bunny.obj", "colored_airplane.ply"])
 def test_real_meshes_keep_their_bounds(shared_data: Path, name: str) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / name)).mesh
     bound = 1e-3 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    result = simplify(mesh, max_shape=bound, max_texture=None if mesh.colors is None else 20.0)
-    assert result.shape_bound_m is not None
-    assert result.shape_bound_m <= bound
+    result = simplify(mesh, max_shape=bound, max_color=None if mesh.colors is None else 20.0)
+    assert result.details.shape_bound_m is not None
+    assert result.details.shape_bound_m <= bound
     assert_bounds_hold(result, mesh, 200_000)
     assert topology(result.mesh).euler == topology(mesh).euler

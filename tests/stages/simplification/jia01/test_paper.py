@@ -315,23 +315,25 @@ def compare_with_reference(mesh: Mesh, limits: Limits, target: int) -> None:
         mesh,
         resolution=limits.length,
         max_shape=limits.shape,
-        max_texture=limits.texture,
+        max_color=limits.texture,
         attribute_scale=limits.scale,
         triangles=target,
         paper_rule=limits.paper_rule,
     )
-    assert result.splits == 0
+    assert result.details.splits == 0
     assert result.collapses == len(mesh.vertices) - len(reference.points)
     assert result.vertex_source.tolist() == sorted(reference.points)
     expected = np.array([reference.points[v] for v in sorted(reference.points)])
     np.testing.assert_allclose(result.mesh.vertices, expected[:, :3], atol=1e-9)
     np.testing.assert_allclose(result.mesh.colors, expected[:, 3:].clip(0, 255), atol=0.5 + 1e-6)
     assert rotated(result.vertex_source[result.mesh.triangles]) == rotated(reference.triangles)
-    assert result.largest_shape_change_m == pytest.approx(reference.largest.shape, abs=1e-12)
+    assert result.details.largest_shape_change_m == pytest.approx(reference.largest.shape, abs=1e-12)
     # The reference shrinks colours to lengths and back: its rounding grows as the scale gets smaller, and
     # with the number of contrasts, of about a hundred levels each, that were summed up.
     rounding = (1e-9 + 1e-13 / limits.scale) * (1 + reference.largest.texture / 100)
-    assert result.largest_texture_change_levels == pytest.approx(reference.largest.texture, abs=rounding)
+    assert result.details.largest_color_change_levels == pytest.approx(
+        reference.largest.texture, abs=rounding
+    )
 
 
 def rotated(triangles) -> list[tuple[int, ...]]:
@@ -358,13 +360,13 @@ def test_first_collapse(shape: str, seed: int, paper_rule: bool) -> None:
     paper_rule=st.booleans(),
     length=st.sampled_from([0.95, 2.0]),
     max_shape=st.sampled_from([0.03, 0.2]),
-    max_texture=st.sampled_from([250.0, 1500.0]),
+    max_color=st.sampled_from([250.0, 1500.0]),
     scale=st.sampled_from([1e-6, 1e-4, 1e-2]),
 )
 def test_whole_run(
-    shape: str, seed: int, paper_rule: bool, length: float, max_shape: float, max_texture: float, scale: float
+    shape: str, seed: int, paper_rule: bool, length: float, max_shape: float, max_color: float, scale: float
 ) -> None:
     """Accumulation, merged edges, stop rules and what is reconsidered, until nothing may collapse."""
     compare_with_reference(
-        shaken(shape, seed), Limits(length, max_shape, max_texture, scale, paper_rule), target=1
+        shaken(shape, seed), Limits(length, max_shape, max_color, scale, paper_rule), target=1
     )

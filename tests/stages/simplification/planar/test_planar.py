@@ -41,20 +41,23 @@ def assert_promises(result: Simplified, mesh: Mesh, samples: int = 5000) -> None
         assert_same_topology(light, mesh)
     else:
         assert_touching_alike(light, mesh)
-    assert result.shape_bound_m is not None
-    assert result.max_shape_m is not None
-    assert result.shape_bound_m <= result.max_shape_m * (1 + 1e-9)
+    assert result.details.shape_bound_m is not None
+    assert result.details.max_shape_m is not None
+    assert result.details.shape_bound_m <= result.details.max_shape_m * (1 + 1e-9)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     # compare searches in single precision.
-    assert compare(mesh, light, samples=samples).symmetric.maximum <= result.shape_bound_m + 1e-5 * diagonal
+    assert (
+        compare(mesh, light, samples=samples).symmetric.maximum
+        <= result.details.shape_bound_m + 1e-5 * diagonal
+    )
     # Every vertex is one of the input, with all it carries.
     assert np.array_equal(light.vertices, mesh.vertices[result.vertex_source])
     if mesh.colors is not None:
         assert np.array_equal(light.colors, mesh.colors[result.vertex_source])
     # A triangle comes from one of its own patch that it shares a corner with.
-    patches = result.patches
+    patches = result.details.patches
     assert patches is not None
-    assert np.array_equal(patches.triangle_patch[result.triangle_source], result.triangle_patch)
+    assert np.array_equal(patches.triangle_patch[result.triangle_source], result.details.triangle_patch)
     own, source = result.vertex_source[light.triangles], mesh.triangles[result.triangle_source]
     assert (own[:, :, None] == source[:, None, :]).any(axis=(1, 2)).all()
 
@@ -69,8 +72,8 @@ def assert_touching_alike(now: Mesh, before: Mesh) -> None:
 
 def assert_counterparts(result: Simplified, mesh: Mesh, samples: int) -> None:
     """A point of either surface has a counterpart in the other, near in shape and colour at once."""
-    assert result.shape_bound_m is not None
-    assert result.color_bound_levels is not None
+    assert result.details.shape_bound_m is not None
+    assert result.details.color_bound_levels is not None
     random = np.random.default_rng(0)
 
     def spread(of: Mesh, triangles: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -87,8 +90,11 @@ def assert_counterparts(result: Simplified, mesh: Mesh, samples: int) -> None:
         there, levels_there = spread(other, each, random.dirichlet([1, 1, 1], len(each)))
         # The other surface is known at points only: what lies between them is allowed for.
         for place, level in zip(places, levels, strict=True):
-            near = np.linalg.norm(there - place, axis=1) <= result.shape_bound_m + 0.02
-            assert np.linalg.norm(levels_there[near] - level, axis=1).min() <= result.color_bound_levels + 8
+            near = np.linalg.norm(there - place, axis=1) <= result.details.shape_bound_m + 0.02
+            assert (
+                np.linalg.norm(levels_there[near] - level, axis=1).min()
+                <= result.details.color_bound_levels + 8
+            )
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -106,7 +112,7 @@ def test_any_tolerance_keeps_topology_and_bounds(name: str, max_shape: float) ->
     max_shape=st.floats(1e-4, 1.0),
     angle=st.floats(2, 80),
     noise_angle=st.sampled_from([0.0, 40.0, 80.0]),
-    max_texture=st.one_of(st.none(), st.floats(0, 200)),
+    max_color=st.one_of(st.none(), st.floats(0, 200)),
 )
 @settings(max_examples=20, deadline=None)
 def test_noise_of_any_strength_keeps_them_too(
@@ -116,17 +122,17 @@ def test_noise_of_any_strength_keeps_them_too(
     max_shape: float,
     angle: float,
     noise_angle: float,
-    max_texture: float | None,
+    max_color: float | None,
 ) -> None:
     mesh = MESHES[name]()
     moved = mesh.vertices + np.random.default_rng(seed).normal(0, noise * 0.1, mesh.vertices.shape)
     mesh = mesh.with_(vertices=moved)
     angles = {"patch_angle": angle, "crease_angle": angle, "noise_angle": noise_angle}
-    bounds = {"max_shape": max_shape} | ({} if max_texture is None else {"max_texture": max_texture})
+    bounds = {"max_shape": max_shape} | ({} if max_color is None else {"max_color": max_color})
     result = planar(mesh, **bounds, **angles)
     assert_promises(result, mesh, samples=2000)
-    if max_texture is not None:
-        assert (result.color_bound_levels or 0) <= max_texture * (1 + 1e-9)
+    if max_color is not None:
+        assert (result.details.color_bound_levels or 0) <= max_color * (1 + 1e-9)
 
 
 def box() -> Mesh:
@@ -140,10 +146,10 @@ def box() -> Mesh:
 def test_a_box_is_twelve_triangles() -> None:
     result = planar(box(), max_shape=1e-6)
     assert len(result.mesh.triangles) == 12
-    assert result.patches is not None
-    assert result.patches.count == 6
-    np.testing.assert_allclose(result.patches.areas, 1.0)
-    np.testing.assert_allclose(np.abs(result.patches.normals).max(axis=1), 1.0)
+    assert result.details.patches is not None
+    assert result.details.patches.count == 6
+    np.testing.assert_allclose(result.details.patches.areas, 1.0)
+    np.testing.assert_allclose(np.abs(result.details.patches.normals).max(axis=1), 1.0)
     assert_promises(result, box())
 
 
@@ -196,20 +202,20 @@ def test_colours_stop_patches_and_counterparts_have_them() -> None:
     x, y = mesh.vertices[:, :2].T
     levels = np.stack([255 * x, 255 * y, 128 + 60 * np.sin(5 * x) * np.cos(4 * y)], 1)
     mesh = mesh.with_(colors=np.rint(levels).astype(np.uint8))
-    free = planar(mesh, max_shape=0.05, max_texture=1000)
-    held = planar(mesh, max_shape=0.05, max_texture=15)
+    free = planar(mesh, max_shape=0.05, max_color=1000)
+    held = planar(mesh, max_shape=0.05, max_color=15)
     assert len(free.mesh.triangles) < len(held.mesh.triangles) < len(mesh.triangles)
     # Texture is not lost where nobody asks for a bound.
     usual = planar(mesh, max_shape=0.05)
-    assert usual.max_texture_levels == 60
-    assert 0 < (usual.color_bound_levels or 0) <= 60
-    assert planar(mesh.with_(colors=None), max_shape=0.05).max_texture_levels is None
-    assert 0 < (held.color_bound_levels or 0) <= 15
+    assert usual.details.max_color_levels == 60
+    assert 0 < (usual.details.color_bound_levels or 0) <= 60
+    assert planar(mesh.with_(colors=None), max_shape=0.05).details.max_color_levels is None
+    assert 0 < (held.details.color_bound_levels or 0) <= 15
     assert_counterparts(held, mesh, 500)
     # A ramp is linear, however far it goes.
     ramp = np.stack([255 * mesh.vertices[:, 0], 255 * mesh.vertices[:, 1], np.zeros(len(mesh.vertices))], 1)
     flat = sheet(24, noise=0, height=0).with_(colors=np.rint(ramp).astype(np.uint8))
-    assert len(planar(flat, max_shape=1e-3, max_texture=6).mesh.triangles) == 2
+    assert len(planar(flat, max_shape=1e-3, max_color=6).mesh.triangles) == 2
 
 
 def test_locked_vertices_stay_with_their_triangles() -> None:
@@ -226,12 +232,12 @@ def test_locked_vertices_stay_with_their_triangles() -> None:
 def test_each_triangle_has_its_own_bound() -> None:
     mesh = sheet(30)
     result = planar(mesh, max_shape=0.02)
-    assert result.shape_bound is not None
+    assert result.details.shape_bound is not None
     random = np.random.default_rng(1)
     of = np.repeat(np.arange(len(result.mesh.triangles)), 20)
     weights = random.dirichlet([0.5, 0.5, 0.5], len(of))
     places = np.einsum("kc,kcx->kx", weights, result.mesh.vertices[result.mesh.triangles[of]])
-    assert (Surface(mesh).closest(places).distances <= result.shape_bound[of] + 1e-6).all()
+    assert (Surface(mesh).closest(places).distances <= result.details.shape_bound[of] + 1e-6).all()
 
 
 def test_the_work_grows_with_the_mesh_and_no_faster() -> None:
@@ -289,8 +295,8 @@ def test_what_it_refuses() -> None:
     with pytest.raises(UsageError, match="is for method planar"):
         simplify(mesh, ratio=0.5, noise_angle=0.0)
     with pytest.raises(UsageError, match="no vertex colours"):
-        planar(mesh.with_(colors=None), max_texture=10)
-    with pytest.raises(UsageError, match="no importance"):
+        planar(mesh.with_(colors=None), max_color=10)
+    with pytest.raises(UsageError, match="importance has no meaning for method planar"):
         simplify(mesh, method="planar", importance=np.full(len(mesh.vertices), 2.0))
 
 
@@ -334,8 +340,8 @@ def test_materials_and_parts_are_borders_and_are_kept() -> None:
     result = planar(mesh, max_shape=0.01)
     assert_promises(result, mesh)
     # Top in four, bottom and the two sides across the parts in two each, front and back.
-    assert result.patches is not None
-    assert result.patches.count == 12
+    assert result.details.patches is not None
+    assert result.details.patches.count == 12
     light = result.mesh
     assert light.texture is not None
     assert light.part_names == mesh.part_names

@@ -166,7 +166,7 @@ def test_random_meshes(
         assert (normals(result.mesh)[:, 2] > 0).all()
         np.testing.assert_allclose(result.mesh.vertices[:, 2], 0, atol=1e-12)
     assert result.record is not None
-    replayed = result.record.replay(fit=result.fitted)
+    replayed = result.record.replay(fit=result.details.fitted)
     np.testing.assert_array_equal(replayed.mesh.vertices, result.mesh.vertices)
     np.testing.assert_array_equal(replayed.mesh.triangles, result.mesh.triangles)
 
@@ -194,7 +194,7 @@ def test_a_colour_edge_is_seen_on_a_flat_wall() -> None:
 def test_fitting_brings_shape_and_colour_closer() -> None:
     mesh = sheet(80)
     plain, fitted = (simplify(mesh, ratio=0.05, fit=fit) for fit in (False, True))
-    assert (plain.fitted, fitted.fitted) == (False, True)
+    assert (plain.details.fitted, fitted.details.fitted) == (False, True)
     np.testing.assert_array_equal(plain.mesh.triangles, fitted.mesh.triangles)
     assert squared(mesh, fitted.mesh)[0] < squared(mesh, plain.mesh)[0]
     assert squared(mesh, fitted.mesh)[1] < squared(mesh, plain.mesh)[1]
@@ -414,6 +414,6 @@ def test_figures_say_how_it_was_done() -> None:
     figures = simplify(sheet(), ratio=0.25).figures()
     assert json.loads(json.dumps(figures)) == figures
     assert figures["method"] == "quadric"
-    assert figures["fitted"] is True
-    assert figures["attribute_scale_m_per_level"] > 0
+    assert figures["details"]["fitted"] is True
+    assert figures["details"]["attribute_scale_m_per_level"] > 0
     assert figures["triangles"] <= 800 < figures["triangles_before"] == 3200

@@ -220,15 +220,15 @@ def test_a_straight_seam_stays_straight_in_the_image() -> None:
 def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
     mesh = textured("Duck.glb")
     result = simplify(mesh, ratio=0.05, max_seam_drift=bound)
-    assert result.seam_drift is not None
-    assert result.seam_drift <= bound
+    assert result.details.seam_drift is not None
+    assert result.details.seam_drift <= bound
     assert result.mesh.texture is not None
     assert mesh.texture is not None
     of, now = charts(mesh), charts(mesh)[result.triangle_source]
     for chart in np.unique(now):
         seams = _border(result.mesh, now == chart)
         points = _border(mesh, of == chart).reshape(-1, 2)
-        assert _distances(points, seams).max() <= result.seam_drift + 1e-9
+        assert _distances(points, seams).max() <= result.details.seam_drift + 1e-9
 
 
 def _border(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
@@ -348,9 +348,9 @@ def test_similar_distance_joins_parts_that_only_touch() -> None:
     assert bodies(apart.mesh) == 2
     joined = simplify(mesh, method="seams", ratio=0.3, similar_distance=2e-3)
     assert bodies(joined.mesh) == 1
-    assert joined.joined_vertices is not None
-    assert apart.joined_vertices is not None
-    assert joined.joined_vertices - apart.joined_vertices == 81
+    assert joined.details.joined_vertices is not None
+    assert apart.details.joined_vertices is not None
+    assert joined.details.joined_vertices - apart.details.joined_vertices == 81
 
 
 def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> None:
@@ -374,7 +374,7 @@ def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> N
     assert edge_counts(welded(shaken))[0] > edge_counts(welded(sheet))[0]
     assert not joinable_sets(vertices, sheet.triangles, 2 * nearly)[2].any()
     light = simplify(shaken, ratio=0.3)
-    assert light.joined_vertices == len(copies)
+    assert light.details.joined_vertices == len(copies)
     assert edge_counts(welded(light.mesh))[0] <= edge_counts(welded(sheet))[0]
 
 

@@ -1,0 +1,119 @@
+"""Which method does what is asked, and why none does."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from stages.errors import UsageError
+from stages.params import described
+from stages.simplification.methods import METHODS, Method, Need
+from stages.simplification.params import AUTO, SimplifyParams
+
+
+def chosen(params: SimplifyParams, *, in_pieces: bool = False) -> Method[Any, Any]:
+    """Return the method that is given, or the one that `auto` stands for here.
+
+    That is the first of the table that has all parameters that are given, and is given what it needs.
+
+    Parameters
+    ----------
+    in_pieces : whether the mesh has texture, materials, parts or normals of corners; methods that carry these
+        are asked first.
+
+    Raises
+    ------
+    UsageError
+        If the parameters do not suit the method, or any.
+    """
+    given = _given(params)
+    if params.method != AUTO:
+        method = next(method for method in METHODS if method.name == params.method)
+        _require_suited(method, params, given)
+        return method
+    candidates = [method for method in METHODS if method.auto]
+    if in_pieces:
+        candidates.sort(key=lambda method: not method.takes.texture)
+    for method in candidates:
+        if not (_foreign(method, given) or _lacking(method, params) or _has_no_count(method, params)):
+            return method
+    # The parameter that fewest methods have says best what was meant.
+    name = min(given, key=lambda name: len(_knowing(name)))
+    raise UsageError(f"{name} is for {_why_not(_knowing(name)[0], params, given)}")
+
+
+def require_taken(
+    method: Method[Any, Any], *, lock: bool, importance: bool, record: bool, partial: bool
+) -> None:
+    """Raise UsageError for the first of these that is wanted, and that the method cannot be given."""
+    for name, wanted in {
+        "lock": lock,
+        "importance": importance,
+        "record": record,
+        "partial": partial,
+    }.items():
+        if wanted and not getattr(method.takes, name):
+            others = _listed([other.name for other in METHODS if getattr(other.takes, name)], "and")
+            raise UsageError(f"{name} has no meaning for method {method.name}; it is for {others}.")
+
+
+def _given(params: SimplifyParams) -> list[str]:
+    """Return the parameters of single methods that were given.
+
+    A switch that is off, or on by itself, asks for nothing; a number that is 0 does.
+    """
+    names = dict.fromkeys(name for method in METHODS for name in described(method.params))
+    return [name for name in names if getattr(params, name) is not None and not _asks_nothing(params, name)]
+
+
+def _asks_nothing(params: SimplifyParams, name: str) -> bool:
+    value = getattr(params, name)
+    defaults = (getattr(method.params(), name) for method in _knowing(name))
+    return isinstance(value, bool) and (not value or all(defaults))
+
+
+def _knowing(name: str) -> list[Method[Any, Any]]:
+    return [method for method in METHODS if method.knows(name)]
+
+
+def _require_suited(method: Method[Any, Any], params: SimplifyParams, given: Collection[str]) -> None:
+    foreign, need = _foreign(method, given), _lacking(method, params)
+    if foreign is not None:
+        raise UsageError(f"{foreign} has no meaning for method {method.name}; leave one of them out.")
+    if need is not None:
+        raise UsageError(f"method {method.name} needs {need.what}; {need.advice}.")
+    if _has_no_count(method, params):
+        raise UsageError(f"method {method.name} goes as far as its bounds; leave out triangles and ratio.")
+
+
+def _why_not(method: Method[Any, Any], params: SimplifyParams, given: Collection[str]) -> str:
+    """Say of a method that would be taken for one of its parameters why it is not."""
+    foreign, need = _foreign(method, given), _lacking(method, params)
+    if not method.auto:
+        return f"method {method.name}; give method too."
+    if need is not None:
+        return f"method {method.name}, which needs {_listed(need.names, 'or')}."
+    if foreign is not None:
+        return f"method {method.name}, for which {foreign} has no meaning; leave one of them out."
+    return f"method {method.name}, which goes as far as its bounds; leave out triangles and ratio."
+
+
+def _foreign(method: Method[Any, Any], given: Collection[str]) -> str | None:
+    """Return the first of the parameters that the method does not have."""
+    return next((name for name in given if not method.knows(name)), None)
+
+
+def _lacking(method: Method[Any, Any], params: SimplifyParams) -> Need | None:
+    """Return what the method needs and is not given."""
+    need = method.needs
+    return None if need is None or any(getattr(params, name) is not None for name in need.names) else need
+
+
+def _has_no_count(method: Method[Any, Any], params: SimplifyParams) -> bool:
+    """Return whether a number of triangles is wanted of a method that stops at none."""
+    return not method.takes.count and (params.triangles is not None or params.ratio is not None)
+
+
+def _listed(names: Collection[str], word: str) -> str:
+    *first, last = names
+    return f"{', '.join(first)} {word} {last}" if first else last

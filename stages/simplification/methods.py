@@ -1,0 +1,164 @@
+"""The table of methods: what each needs and takes, its parameters, its call, and what it has to tell.
+
+A new method is a folder beside this file and a row below. The keywords of `simplify`, the options of the
+command, the keys of TOML, the help and what `auto` refuses are made from the rows. Type checkers read no
+tables: what they know of keywords and details stands in `keywords.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from stages.params import described
+from stages.simplification.certified import run as certified
+from stages.simplification.certified.details import CertifiedDetails
+from stages.simplification.certified.params import CertifiedParams
+from stages.simplification.jia01 import run as jia01
+from stages.simplification.jia01.details import Jia01Details
+from stages.simplification.jia01.params import Jia01Params
+from stages.simplification.planar import run as planar
+from stages.simplification.planar.details import PlanarDetails
+from stages.simplification.planar.params import PlanarParams
+from stages.simplification.quadric import run as quadric
+from stages.simplification.quadric.details import QuadricDetails
+from stages.simplification.quadric.params import QuadricParams
+from stages.simplification.result import Details, Simplified
+from stages.simplification.seams import run as seams
+from stages.simplification.seams.details import SeamsDetails
+from stages.simplification.seams.params import SeamsParams
+from stages.simplification.task import Task
+
+P = TypeVar("P")
+D = TypeVar("D", bound=Details)
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a method cannot do without: at least one of these parameters, and how to ask for it."""
+
+    what: str
+    names: tuple[str, ...]
+    advice: str
+
+
+COUNT = Need("a number of triangles", ("triangles", "ratio"), "give triangles or ratio")
+BOUND = Need("a bound", ("max_shape", "max_color"), "give max_shape, max_color or both")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Takes:
+    """What a method can be given besides its parameters.
+
+    Attributes
+    ----------
+    count : a number of triangles to stop at.
+    any_mesh : also what is no oriented manifold.
+    texture : carries texture, materials, parts and normals of corners, rather than leave them out.
+    lock, importance : vertices that stay, and a factor of the error of each.
+    record : keeps its collapses.
+    partial : gives out what there is when it is interrupted.
+    """
+
+    count: bool = True
+    any_mesh: bool = False
+    texture: bool = False
+    lock: bool = True
+    importance: bool = True
+    record: bool = True
+    partial: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method(Generic[P, D]):
+    """A row of the table.
+
+    Attributes
+    ----------
+    name, text : what people call it, and what it is for, as the help says it.
+    params : the class of its own parameters, with their defaults.
+    details : the class of what it alone has to tell.
+    run : the call.
+    result_version : raised by hand when its results change.
+    needs : what it cannot do without, if there is such a thing.
+    takes : what it can be given besides.
+    auto : whether `auto` may take it; otherwise it is there when it is asked for.
+    proves : whether its details have `shape_bound` and `color_bound`, proven for every triangle.
+    """
+
+    name: str
+    text: str
+    params: type[P]
+    details: type[D]
+    run: Callable[[Task[P]], Simplified[D]]
+    result_version: int
+    needs: Need | None = None
+    takes: Takes = Takes()
+    auto: bool = True
+    proves: bool = False
+
+    def knows(self, name: str) -> bool:
+        """Return whether a parameter is one of its own."""
+        return name in described(self.params)
+
+    def own(self, params: Any) -> P:
+        """Return its own parameters from those of all methods, where None stands for its own default."""
+        values = {name: getattr(params, name) for name in described(self.params)}
+        return self.params(**{name: value for name, value in values.items() if value is not None})
+
+
+# In the order in which `auto` asks them.
+METHODS: tuple[Method[Any, Any], ...] = (
+    Method(
+        name="quadric",
+        text="to a number of triangles, with the least squared error of shape and colour.",
+        params=QuadricParams,
+        details=QuadricDetails,
+        run=quadric.run,
+        result_version=quadric.RESULT_VERSION,
+        needs=COUNT,
+    ),
+    Method(
+        name="certified",
+        text="as far as bounds on the distance and on the difference of colour are proven for every point, "
+        "or to a number of triangles within them.",
+        params=CertifiedParams,
+        details=CertifiedDetails,
+        run=certified.run,
+        result_version=certified.RESULT_VERSION,
+        needs=BOUND,
+        proves=True,
+    ),
+    Method(
+        name="seams",
+        text="to a number of triangles, with the texture coordinates, colours and normals of every corner, "
+        "and no crack along texture seams.",
+        params=SeamsParams,
+        details=SeamsDetails,
+        run=seams.run,
+        result_version=seams.RESULT_VERSION,
+        needs=COUNT,
+        takes=Takes(any_mesh=True, texture=True),
+    ),
+    Method(
+        name="jia01",
+        text="within bounds on the summed change of shape and texture.",
+        params=Jia01Params,
+        details=Jia01Details,
+        run=jia01.run,
+        result_version=jia01.RESULT_VERSION,
+        takes=Takes(importance=False),
+    ),
+    Method(
+        name="planar",
+        text="near-planar patches with as few triangles as their borders need, within bounds; fast, for "
+        "walls, floors and machined parts.",
+        params=PlanarParams,
+        details=PlanarDetails,
+        run=planar.run,
+        result_version=planar.RESULT_VERSION,
+        takes=Takes(count=False, any_mesh=True, importance=False, record=False),
+        auto=False,
+    ),
+)

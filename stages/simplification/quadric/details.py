@@ -1,0 +1,32 @@
+"""What method `quadric` has to tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from stages.simplification.crowding import crowded_by_topology
+from stages.simplification.result import Details, Simplified
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class QuadricDetails(Details):
+    """What method `quadric` has to tell.
+
+    Attributes
+    ----------
+    attribute_scale_m_per_level : metres that weighed as much as one level of colour.
+    fitted : whether vertices and colours were moved to fit the input at the end.
+    """
+
+    headline: ClassVar[str] = (
+        "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "
+        "{attribute_scale_m_per_level:.3g} m"
+    )
+
+    attribute_scale_m_per_level: float
+    fitted: bool
+
+    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
+        """Return whether the topology leaves too little to choose from."""
+        return crowded_by_topology(result)

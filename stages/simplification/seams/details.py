@@ -1,0 +1,41 @@
+"""What method `seams` has to tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from stages.simplification.crowding import crowded_by_locks, crowded_by_topology
+from stages.simplification.result import Details, Simplified
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SeamsDetails(Details):
+    """What method `seams` has to tell.
+
+    Attributes
+    ----------
+    attribute_scale_m_per_level : metres that weighed as much as one level of colour; 0 without colours.
+    fitted : whether vertices were moved to fit the input at the end.
+    similar_distance_m : vertices closer than this were taken for one.
+    joined_vertices : how many vertices of the input were copies of others.
+    texture_scale_m : metres that a shift by the image's side counted as.
+    seam_drift : proven: no point of a seam is farther, in the image, from where it was; as a share of the
+        image's side.
+    """
+
+    headline: ClassVar[str] = (
+        "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} copies of vertices joined, "
+        "seams no more than {seam_drift:.3g} of the image's side off"
+    )
+
+    attribute_scale_m_per_level: float
+    fitted: bool
+    similar_distance_m: float
+    joined_vertices: int
+    texture_scale_m: float
+    seam_drift: float
+
+    def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
+        """Return whether topology or sheets that touch leave too little to choose from."""
+        return (*crowded_by_topology(result), *crowded_by_locks(result))

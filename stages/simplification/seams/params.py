@@ -1,0 +1,87 @@
+"""What method `seams` takes for one vertex, what it weighs, and what it avoids."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stages.params import check, param
+from stages.simplification.shared_params import FitKeywords, ScaleKeywords, require_finite
+
+# Share of the bounding box's diagonal within which vertices are one: what single precision leaves of it.
+SIMILAR_DISTANCE = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeamsParams:
+    """What method `seams` takes for one vertex, what it weighs, and what it avoids."""
+
+    attribute_scale: float | None = param(
+        None,
+        "Length that weighs as much as one level of colour. Default: derived from the mesh and the number of "
+        "triangles.",
+        unit="m per level",
+        low=0,
+    )
+    fit: bool = param(
+        True,
+        "Move vertices to fit the input by least squares at the end; boundaries stay.",
+    )
+    similar_distance: float | None = param(
+        None,
+        "Vertices closer than this are one. A larger one joins parts that only touch. Default: "
+        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal.",
+        unit="m",
+        low=0,
+    )
+    texture_weight: float = param(
+        0.5,
+        "Weight of a shift of the texture along the surface against a shift of the surface itself.",
+        low=0,
+    )
+    normal_weight: float = param(
+        1.0,
+        "Weight of normals, if the mesh has any, against 1 where an edge that is left turns as much by them "
+        "as by its shape.",
+        low=0,
+    )
+    shape_weight: float = param(
+        1.0,
+        "Weight of the quadric of shape alone against that of shape and attributes, where a seam is near.",
+        low=0,
+    )
+    across_textures: float = param(
+        0.5, "Penalty for a collapse where several materials meet, as a share of its cost.", low=0
+    )
+    across_parts: float = param(
+        0.5, "Penalty for a collapse where several parts meet, as a share of its cost.", low=0
+    )
+    valence_penalty: float = param(
+        0.1, "Penalty for each edge beyond eight that a vertex would have, as a share of its cost.", low=0
+    )
+    set_penalty: float = param(
+        0.1, "Penalty for each copy of the ends of an edge beyond two, as a share of its cost.", low=0
+    )
+    max_seam_drift: float | None = param(
+        None,
+        "Largest distance in the image between a seam and what it was, as a share of the image's side. "
+        "Default: no bound.",
+        low=0,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        require_finite(self, "attribute_scale")
+
+
+class SeamsKeywords(ScaleKeywords, FitKeywords, total=False):
+    """SeamsParams as keywords of `simplify`."""
+
+    similar_distance: float | None
+    texture_weight: float
+    normal_weight: float
+    shape_weight: float
+    across_textures: float
+    across_parts: float
+    valence_penalty: float
+    set_penalty: float
+    max_seam_drift: float | None

@@ -1,0 +1,18 @@
+"""Where method `cut` cuts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stages.params import check, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class CutParams:
+    """Where method `cut` cuts."""
+
+    max_height: float | None = param(None, "Height above which nothing stays.", unit="m")
+    slope: float = param(0.25, "How much the height grows along x.", low=0)
+
+    def __post_init__(self) -> None:
+        check(self)

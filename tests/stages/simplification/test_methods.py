@@ -1,0 +1,280 @@
+"""The table of methods: what is made from it, what `auto` makes of it, and a sixth row."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pytest
+from coloured_meshes import sheet
+
+from stages.errors import UsageError
+from stages.params import RenamedWarning, described
+from stages.simplification.auto import chosen
+from stages.simplification.keywords import SimplifyKeywords
+from stages.simplification.methods import METHODS, Method
+from stages.simplification.params import SimplifyParams
+from stages.simplification.planar.params import PatchKeywords, PatchParams
+from stages.simplification.simplify import simplify
+
+ROOT = Path(__file__).parents[3]
+
+
+# -- what is made from the table -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
+def test_keywords_for_type_checkers_are_those_of_the_class(method: Method[Any, Any]) -> None:
+    module = sys.modules[method.params.__module__]
+    keywords = getattr(module, method.params.__name__.replace("Params", "Keywords"))
+    assert get_type_hints(keywords) == get_type_hints(method.params)
+    assert method.name == method.params.__name__.removesuffix("Params").lower()
+
+
+def test_keywords_of_all_methods_are_those_of_the_flat_class() -> None:
+    hints = get_type_hints(SimplifyParams)
+    keywords = get_type_hints(SimplifyKeywords)
+    assert set(keywords) == set(described(SimplifyParams))
+    # In the flat class None stands for a method's own default.
+    assert all(hints[name] in (kind, kind | None) for name, kind in keywords.items())
+    assert get_type_hints(PatchKeywords) == get_type_hints(PatchParams)
+
+
+def test_each_parameter_is_there_once_and_says_the_default_of_each_method() -> None:
+    flat = described(SimplifyParams)
+    for method in METHODS:
+        for field in fields(method.params):
+            text = flat[field.name].text
+            assert f"{method.name}: " in text or f"{method.name}, " in text
+            if isinstance(field.default, float):
+                assert f"Default: {field.default:g}." in text
+    assert flat["max_color"].was == "max_texture"
+    assert all(field.default is None for field in fields(SimplifyParams) if field.name != "method")
+
+
+def test_none_is_the_default_of_the_method() -> None:
+    seams = next(method for method in METHODS if method.name == "seams")
+    assert seams.own(SimplifyParams()) == seams.params()
+    assert seams.own(SimplifyParams(texture_weight=2.0, max_shape=1.0)) == seams.params(texture_weight=2.0)
+
+
+# -- what auto makes of it -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "plain", "in_pieces"),
+    [
+        ({}, "jia01", "jia01"),
+        ({"ratio": 0.5}, "quadric", "seams"),
+        ({"triangles": 5, "fit": False}, "quadric", "seams"),
+        ({"ratio": 0.5, "attribute_scale": 0.0}, "quadric", "seams"),
+        ({"ratio": 0.5, "set_penalty": 0.0}, "seams", "seams"),
+        ({"ratio": 0.5, "max_shape": 0.1}, "certified", "certified"),
+        ({"max_color": 0.0}, "certified", "certified"),
+        ({"max_color": 9.0, "close_bounds": True}, "certified", "certified"),
+        ({"max_shape": 0.1, "paper_rule": False}, "certified", "certified"),
+        ({"ratio": 0.5, "resolution": 0.1}, "jia01", "jia01"),
+        ({"paper_rule": True}, "jia01", "jia01"),
+    ],
+)
+def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
+    given: dict[str, Any], plain: str, in_pieces: str
+) -> None:
+    params = SimplifyParams(**given)
+    assert chosen(params).name == plain
+    assert chosen(params, in_pieces=True).name == in_pieces
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"close_bounds": True}, "close_bounds is for method certified, which needs max_shape or max_color."),
+        ({"texture_weight": 0.0}, "texture_weight is for method seams, which needs triangles or ratio."),
+        ({"max_shape": 0.1, "patch_angle": 9.0}, "patch_angle is for method planar; give method too."),
+        (
+            {"max_shape": 0.1, "close_bounds": True, "resolution": 1.0},
+            "close_bounds is for method certified, for which resolution has no meaning; leave one of them",
+        ),
+        ({"method": "jia01", "fit": True, "patch_angle": 9.0}, "patch_angle has no meaning for method jia01"),
+        ({"method": "planar", "attribute_scale": 1.0}, "attribute_scale has no meaning for method planar"),
+        (
+            {"method": "planar", "triangles": 9},
+            "method planar goes as far as its bounds; leave out triangles",
+        ),
+        ({"method": "seams"}, "method seams needs a number of triangles; give triangles or ratio."),
+        ({"method": "certified"}, "method certified needs a bound; give max_shape, max_color or both."),
+    ],
+)
+def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(UsageError) as refused:
+        chosen(SimplifyParams(**given))
+    assert sentence in str(refused.value)
+
+
+def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
+    mesh = sheet(8)
+    with pytest.raises(
+        UsageError, match=r"^record has no meaning for method planar; it is for quadric, .*\.$"
+    ):
+        simplify(mesh, method="planar", record=True)
+    with pytest.raises(UsageError, match="jia01; it is for quadric, certified and seams"):
+        simplify(mesh, method="jia01", importance=[2.0] * len(mesh.vertices))
+
+
+# -- former names ----------------------------------------------------------------------------------------
+
+
+def test_figures_of_one_method_are_found_under_their_former_names() -> None:
+    proven, summed = (simplify(sheet(12), method=m, max_shape=0.02) for m in ("certified", "jia01"))
+    for old, value in {
+        "shape_bound": proven.details.shape_bound,
+        "max_texture_levels": proven.details.max_color_levels,
+        "splits": 0,
+        "bounded": {},
+        "patches": None,
+    }.items():
+        with pytest.warns(DeprecationWarning, match=f"{old} of a simplified mesh is details"):
+            found = getattr(proven, old)
+        assert found is value or found == value
+    with pytest.warns(DeprecationWarning, match=r"is details\.largest_color_change_levels now"):
+        assert summed.largest_texture_change_levels == summed.details.largest_color_change_levels
+    with pytest.raises(AttributeError, match="has no attribute 'size'"):
+        _ = summed.size
+
+
+def test_max_texture_is_max_color() -> None:
+    with pytest.warns(RenamedWarning, match="max_texture is called max_color now"):
+        result = simplify(sheet(8), max_texture=9.0)
+    assert result.details.max_color_levels == 9.0
+    with pytest.warns(RenamedWarning, match="max_texture is called max_color now"):
+        assert SimplifyParams(max_texture=9.0) == SimplifyParams(max_color=9.0)
+
+
+# -- a sixth method --------------------------------------------------------------------------------------
+
+# The one row.
+_IMPORTS = """from stages.simplification.sixth import run as cut
+from stages.simplification.sixth.details import CutDetails
+from stages.simplification.sixth.params import CutParams
+"""
+_ROW = """    Method(
+        name="cut",
+        text="what is above a height falls away.",
+        params=CutParams,
+        details=CutDetails,
+        run=cut.run,
+        result_version=cut.RESULT_VERSION,
+        needs=Need("a height", ("max_height",), "give max_height"),
+        takes=Takes(any_mesh=True, importance=False, record=False),
+    ),
+"""
+_CALLS = """
+import contextlib, io, json, sys
+import numpy as np
+from cli.app import run_command
+from pipeline.config import Config
+from stages import UsageError, simplify, write_mesh
+from stages.surface.mesh import Mesh
+
+y, x = np.mgrid[:5, :5]
+at = np.arange(25).reshape(5, 5)
+squares = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], 2).reshape(-1, 4)
+triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]]).astype(np.int32)
+mesh = Mesh(np.stack([x, y, y], 2).reshape(-1, 3).astype(float), triangles)
+write_mesh("sheet.ply", mesh)
+
+def said(*words):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run_command(words)
+    return [code, out.getvalue(), err.getvalue()]
+
+def refused(**given):
+    try:
+        simplify(mesh, **given)
+    except UsageError as error:
+        return str(error)
+
+config = Config.loads("[simplify]\\nmax_height = 2.0\\nslope = 0.5\\n")
+json.dump({
+    "removed": simplify(mesh, max_height=2.0, slope=0.0).details.removed,
+    "method": simplify(mesh, config.simplify).method,
+    "toml": config.dumps(),
+    "help": said("simplify", "--help"),
+    "json": said("simplify", "sheet.ply", "out.ply", "--max-height", "2", "--json"),
+    "text": said("simplify", "sheet.ply", "again.ply", "--max-height", "2", "--slope", "0"),
+    "refused": [
+        refused(slope=1.0),
+        refused(method="cut"),
+        refused(method="quadric", ratio=0.5, max_height=1.0),
+        refused(max_height=1.0, importance=[2.0] * 25),
+        refused(method="sixth"),
+    ],
+}, sys.stdout)
+"""
+
+
+@pytest.fixture(scope="module")
+def six(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What a copy of this package says that has one folder and one row more."""
+    copy = tmp_path_factory.mktemp("six")
+    for package in ("stages", "pipeline", "cli"):
+        shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    for kernels in (ROOT / "stages").glob("_kernels*.so"):
+        (copy / "stages" / kernels.name).symlink_to(kernels)
+    room = copy / "stages" / "simplification"
+    shutil.copytree(Path(__file__).parent / "sixth", room / "sixth")
+    imports, table = (room / "methods.py").read_text().split('\nP = TypeVar("P")\n')
+    rows, end = table.rsplit(")\n", 1)
+    (room / "methods.py").write_text(f'{imports}{_IMPORTS}\nP = TypeVar("P")\n{rows}{_ROW})\n{end}')
+    ran = subprocess.run(
+        [sys.executable, "-c", _CALLS],
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": str(copy), "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    said: dict[str, Any] = json.loads(ran.stdout)
+    return said
+
+
+def test_a_sixth_method_is_in_the_api(six: dict[str, Any]) -> None:
+    assert six["removed"] == 16
+    assert six["method"] == "cut"
+
+
+def test_a_sixth_method_is_in_the_help_and_in_toml(six: dict[str, Any]) -> None:
+    code, text, _ = six["help"]
+    assert code == 0
+    assert "--max-height" in text
+    assert "For method cut" in text
+    assert "auto|quadric|certified|seams|jia01|planar|cut" in text
+    assert "cut: how much the height grows along x. Default: 0.25." in text
+    assert "slope = 0.5" in six["toml"]
+    assert "what is above a height falls away" in " ".join(six["toml"].replace("\n#", "").split())
+
+
+def test_a_sixth_method_is_in_json_and_in_words(six: dict[str, Any]) -> None:
+    code, text, _ = six["json"]
+    assert code == 0
+    assert json.loads(text)["method"] == "cut"
+    assert json.loads(text)["details"] == {"removed": 15}
+    assert six["text"][1].endswith("\n\nCut off: 16 triangles.\n")
+
+
+def test_a_sixth_method_is_in_what_auto_refuses(six: dict[str, Any]) -> None:
+    assert six["refused"] == [
+        "slope is for method cut, which needs max_height.",
+        "method cut needs a height; give max_height.",
+        "max_height has no meaning for method quadric; leave one of them out.",
+        "importance has no meaning for method cut; it is for quadric, certified and seams.",
+        "method is 'sixth'; it must be one of auto, quadric, certified, seams, jia01, planar, cut.",
+    ]
