@@ -9,7 +9,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
@@ -36,6 +35,7 @@ from cli.commands import (
 )
 from cli.options import with_options
 from cli.output import to_json
+from stages import __version__
 from stages.errors import ScanloomError
 from stages.params import RenamedWarning
 
@@ -84,7 +84,7 @@ app = _app()
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"scanloom {version('scanloom')}")
+        typer.echo(f"scanloom {__version__}")
         raise typer.Exit
 
 
