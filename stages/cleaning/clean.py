@@ -8,7 +8,7 @@ filled on request, unused vertices dropped. A mesh that is clean comes back as i
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Ids, components, edges_of
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas, is_duplicate, require_manifold
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VERSION = 1
 
@@ -59,6 +62,16 @@ class CleanParams:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+class CleanKeywords(TypedDict, total=False):
+    """CleanParams as keywords of `clean`."""
+
+    min_island_area: float | None
+    keep_largest: bool
+    fill_holes: float
+    stitch: bool
+    weld_distance: float
 
 
 @dataclass(frozen=True)
@@ -120,7 +133,11 @@ class Cleaned:
 
 
 def clean(
-    mesh: MeshLike, params: CleanParams | None = None, *, progress: Progress = silent, **changes: Any
+    mesh: MeshLike,
+    params: CleanParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Unpack[CleanKeywords],
 ) -> Cleaned:
     """Make a mesh an oriented manifold without islands, degenerate or duplicate triangles.
 

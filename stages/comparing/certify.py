@@ -7,7 +7,7 @@ pieces that are bounded as a whole, in both directions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from stages.progress import Progress, silent
 from stages.simplification.kernel_input import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VERSION = 1
 
@@ -70,6 +73,19 @@ class CertifyParams:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+class CertifyKeywords(TypedDict, total=False):
+    """CertifyParams as keywords of `certify`."""
+
+    shape_tolerance: float
+    color_tolerance: float
+    color_floor: float
+    max_shape: float | None
+    max_color: float | None
+    effort: float
+    slack: float | None
+    threads: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +145,7 @@ def certify(
     params: CertifyParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[CertifyKeywords],
 ) -> Certificate:
     """Bound the two-sided distance and colour difference between a mesh and the one it came from.
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated
 from stages.surface.topology import areas, require_area
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VERSION = 4
 
@@ -44,6 +47,13 @@ class CompareParams:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+class CompareKeywords(TypedDict, total=False):
+    """CompareParams as keywords of `compare`."""
+
+    samples: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -125,7 +135,9 @@ class Comparison:
         }
 
 
-def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **changes: Any) -> Comparison:
+def compare(
+    a: MeshLike, b: MeshLike, params: CompareParams | None = None, **changes: Unpack[CompareKeywords]
+) -> Comparison:
     """Measure the two-sided distance and colour error between two meshes.
 
     Parameters

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
-from stages.fusion.params import FuseParams
+from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.plan import make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.fusion.survey import Noise
@@ -21,6 +21,9 @@ from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
 from stages.surface.mesh import Mesh
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VERSION = 2
 
@@ -91,7 +94,7 @@ def fuse(
     params: FuseParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[FuseKeywords],
 ) -> Fused:
     """Fuse frames with depth and poses into a mesh.
 

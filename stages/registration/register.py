@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from stages.registration.placing import placed_pieces
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VERSION = 2
 
@@ -63,6 +66,16 @@ class RegisterParams:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+class RegisterKeywords(TypedDict, total=False):
+    """RegisterParams as keywords of `register`."""
+
+    enabled: bool | None
+    max_depth: float | None
+    refine: bool
+    piece: int
+    loops: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +137,7 @@ def register(
     params: RegisterParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[RegisterKeywords],
 ) -> Registration:
     """Find the poses of frames with depth from what they show; poses they have are used to refine them only.
 

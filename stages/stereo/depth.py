@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +32,13 @@ from stages.stereo.matching import (
     textured,
 )
 from stages.stereo.pairs import pair_warnings, require_pair
-from stages.stereo.params import DepthParams
+from stages.stereo.params import DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
 
@@ -101,7 +104,7 @@ def depth(
     right: NDArray[np.uint8],
     rig: StereoRig,
     params: DepthParams | None = None,
-    **changes: Any,
+    **changes: Unpack[DepthKeywords],
 ) -> DepthMap:
     """Measure depth from one calibrated pair.
 
@@ -135,7 +138,10 @@ def depth(
 
 
 def depth_scan(
-    scan: Scan, params: DepthParams | None = None, progress: Progress = silent, **changes: Any
+    scan: Scan,
+    params: DepthParams | None = None,
+    progress: Progress = silent,
+    **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
     """Measure the depth of every pair of a scan, on all cores, in the order of its frames.
 

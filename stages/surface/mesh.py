@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import MeshError
 from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["Colors", "Image", "Material", "Mesh", "Texture", "Triangles", "Vertices", "validated"]
 
@@ -46,7 +49,7 @@ class Mesh:
     # What a reader met on the way and a person should know: a missing image, polygons that were split.
     notes: tuple[str, ...] = field(default=())
 
-    def with_(self, **changes: Any) -> Mesh:
+    def with_(self, **changes: Unpack[MeshKeywords]) -> Mesh:
         """Return the same mesh with some fields replaced; other triangles need `with_triangles`."""
         return replace(self, **changes)
 
@@ -80,6 +83,20 @@ class Mesh:
             corner_normals=corner_normals,
             part_ids=None if part_ids is None else rows_or(part_ids, source, -1),
         )
+
+
+class MeshKeywords(TypedDict, total=False):
+    """The fields of a mesh as keywords of `with_`."""
+
+    vertices: Vertices
+    triangles: Triangles
+    colors: Colors | None
+    normals: NDArray[np.float64] | None
+    texture: Texture | None
+    corner_normals: NDArray[np.float64] | None
+    part_ids: NDArray[np.int32] | None
+    part_names: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def validated(mesh: Mesh, where: str = "mesh") -> Mesh:

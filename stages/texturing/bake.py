@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ from stages.texturing.atlas import Atlas, unwrap
 from stages.texturing.facing import FacingColors
 from stages.texturing.filling import filled_up
 from stages.texturing.rasterize import covered, strips
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 VERSION = 2
 
@@ -85,6 +88,15 @@ class BakeParams:
         check(self)
         if self.max_size & (self.max_size - 1):
             raise UsageError(f"max_size is {self.max_size} texels; it must be a power of two.")
+
+
+class BakeKeywords(TypedDict, total=False):
+    """BakeParams as keywords of `bake`."""
+
+    texel_size: float | None
+    max_size: int
+    padding: int | None
+    samples: int | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +158,7 @@ def bake(
     params: BakeParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[BakeKeywords],
 ) -> Baked:
     """Give a light mesh a texture that holds the colours of its original.
 
