@@ -84,6 +84,8 @@ _NAMES_OF = {
     "texturing.bake": ("Baked", "BakeParams", "bake"),
 }
 _MODULE_OF = {name: f"stages.{module}" for module, names in _NAMES_OF.items() for name in names}
+# Understood for one version more.
+_NOW_CALLED = {"View": "Viewpoint"}
 
 __all__ = [
     "BakeParams",
@@ -164,6 +166,8 @@ if not TYPE_CHECKING:
     def __getattr__(name: str) -> Any:
         if name == "__version__":
             value = _installed_version()
+        elif name in _NOW_CALLED:
+            return _renamed(name)
         elif name in _MODULE_OF:
             value = getattr(import_module(_MODULE_OF[name]), name)
         else:
@@ -174,6 +178,19 @@ if not TYPE_CHECKING:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+def _renamed(name: str) -> Any:
+    """Return what had this name, and warn."""
+    from warnings import warn
+
+    from stages.params import RenamedWarning
+
+    now = _NOW_CALLED[name]
+    warn(
+        f"{name} is called {now} now; the old name goes with the next version.", RenamedWarning, stacklevel=3
+    )
+    return getattr(import_module(_MODULE_OF[now]), now)
 
 
 def _installed_version() -> str:
