@@ -30,7 +30,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
-VERSION = 2
+RESULT_VERSION = 2
 # Of report.json: raised when a name changes its meaning or disappears.
 SCHEMA = 1
 

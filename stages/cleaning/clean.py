@@ -28,7 +28,7 @@ from stages.surface.topology import areas, is_duplicate, require_manifold
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-VERSION = 1
+RESULT_VERSION = 1
 
 # An island smaller than this share of the largest piece is noise by default. In 7-Scenes redkitchen at 2 cm
 # that is 198 of 205 pieces, which hold 0.7 % of the triangles.

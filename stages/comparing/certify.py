@@ -23,7 +23,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-VERSION = 1
+RESULT_VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,7 +26,7 @@ from stages.surface.topology import areas, require_area
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-VERSION = 4
+RESULT_VERSION = 4
 
 # A colour error below this (levels) is the rounding of interpolation, not a difference.
 _EQUAL = 1e-4

@@ -25,7 +25,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-VERSION = 2
+RESULT_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

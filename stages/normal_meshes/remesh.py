@@ -24,7 +24,7 @@ from stages.surface.topology import repeats_vertex, require_area
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-VERSION = 1
+RESULT_VERSION = 1
 
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5

@@ -23,9 +23,9 @@ from stages.simplification.seams import run as seams
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 
-__all__ = ["VERSION", "Simplified", "SimplifyParams", "simplify"]
+__all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-VERSION = 10
+RESULT_VERSION = 10
 
 
 def simplify(

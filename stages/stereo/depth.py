@@ -40,9 +40,9 @@ from stages.stereo.subpixel import refined
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
+__all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
 
-VERSION = 3
+RESULT_VERSION = 3
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25

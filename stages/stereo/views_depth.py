@@ -39,6 +39,8 @@ from stages.stereo.view_pair import depth_in_view, rectified_views
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+RESULT_VERSION = 1
+
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
 # A view's map is checked on those of this many times its partners, the best first.

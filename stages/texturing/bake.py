@@ -35,7 +35,7 @@ from stages.texturing.rasterize import covered, strips
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-VERSION = 2
+RESULT_VERSION = 2
 
 _MIN_SIZE = 64
 # Of the image, that charts fill; used to choose its size.

@@ -26,7 +26,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
 from stages.surface.sheets import Sheets, taken_apart
 
-VERSION = 2
+RESULT_VERSION = 2
 
 # Vertices, their attributes, triangles and their labels.
 _Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
