@@ -11,10 +11,11 @@ import typer
 import stages
 from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
-from cli.output import Output, at_most, lines_of
+from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import BakeParams, SimplifyParams, UsageError
+from stages.printing import at_most
 from stages.simplification.regions import parse_region
 
 

@@ -19,6 +19,7 @@ from stages.cleaning.stitch import stitch, weld
 from stages.cleaning.traced import Traced
 from stages.errors import MeshError, StageError
 from stages.params import check, param, resolve
+from stages.printing import by_fields, by_figures, table
 from stages.progress import Progress, silent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Ids, components, edges_of
@@ -102,6 +103,8 @@ class Removed:
     filled_holes: int
     fill_triangles: int
 
+    __repr__ = by_fields
+
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
@@ -121,6 +124,9 @@ class Cleaned:
     triangle_source: Ids
     changes: Removed
     min_island_area: float
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return sizes and what was changed, for reports."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.simplification.kernel_input import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
@@ -123,6 +124,9 @@ class Certificate:
     color_slack_levels: float
     within_limits: bool | None
     pieces: int
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; a bound that is infinite is None."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.params import check, param, resolve
+from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
@@ -64,6 +65,10 @@ class Deviation:
     mean: float
     rms: float
 
+    def __repr__(self) -> str:
+        figures = {"rms_m": self.rms, "mean_m": self.mean, "maximum_m": self.maximum}
+        return line(self, facts(figures))
+
     def figures(self, diagonal: float) -> dict[str, float]:
         """Return the distances in metres, and relative to the bounding-box diagonal."""
         figures = {"maximum_m": self.maximum, "mean_m": self.mean, "rms_m": self.rms}
@@ -87,6 +92,8 @@ class ColorError:
 
     rmse: float
     maximum: float
+
+    __repr__ = by_figures
 
     @property
     def psnr(self) -> float:
@@ -120,6 +127,15 @@ class Comparison:
     color: ColorError | None
     diagonal: float
     samples: int
+
+    def __repr__(self) -> str:
+        distance, color = self.symmetric, self.color
+        figures = {"distance_rms_m": distance.rms, "distance_maximum_m": distance.maximum}
+        if color is not None:
+            figures["color_rmse_levels"] = color.rmse
+        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a side"])
+
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return all figures for JSON, units in the names."""

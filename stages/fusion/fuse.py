@@ -17,6 +17,7 @@ from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_pose
 from stages.fusion.survey import Noise
 from stages.fusion.voxels import Layer, Volume
 from stages.params import resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
@@ -58,6 +59,9 @@ class Fused:
     pixels_used: float
     volume_bytes: int
     device: str
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return the figures for a report, JSON-able, units in the names."""

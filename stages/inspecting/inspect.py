@@ -17,6 +17,7 @@ from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
+from stages.printing import by_fields, by_figures, table
 from stages.scans.images import image_size, read_color, read_depth, read_raw_depth, read_right
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
 from stages.scans.sharpness import least_sharp
@@ -45,6 +46,8 @@ class Path3D:
     largest_turn_deg: float
     outliers: tuple[str, ...]
 
+    __repr__ = by_fields
+
 
 @dataclass(frozen=True)
 class DepthRange:
@@ -55,6 +58,8 @@ class DepthRange:
     median_m: float
     far_m: float
     missing_share: float
+
+    __repr__ = by_fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +90,9 @@ class Inspection:
     least_sharp: tuple[tuple[str, float], ...]
     outlook: Outlook | None
     warnings: tuple[str, ...]
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return everything as what JSON can hold; units are in the names."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.params import check, param, resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.graph import Edge, pieces
@@ -109,6 +110,9 @@ class Registration:
     key_frames: tuple[int, ...]
     warnings: tuple[str, ...]
     seconds: float
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return what a report says of it, as JSON values."""

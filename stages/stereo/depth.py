@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
 from stages.params import resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans import images
 from stages.scans.prefetch import read_ahead
@@ -82,6 +83,9 @@ class DepthMap:
     min_depth: float
     max_depth: float
     warnings: tuple[str, ...] = ()
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return what was derived and what came out, for reports."""

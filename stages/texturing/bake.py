@@ -19,18 +19,19 @@ from numpy.typing import NDArray
 from stages.comparing.compare import ColorError, CompareParams, compare_surfaces
 from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.color import has_color, pixels_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
+from stages.surface.rasterize import covered, strips
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas, require_area
 from stages.texturing.atlas import Atlas, unwrap
 from stages.texturing.facing import FacingColors
 from stages.texturing.filling import filled_up
-from stages.texturing.rasterize import covered, strips
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -127,6 +128,9 @@ class Baked:
     turned: float
     color: ColorError
     vertex_color: ColorError | None
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     @property
     def halvings(self) -> int:
