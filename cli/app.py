@@ -34,7 +34,7 @@ from cli.commands import (
     simplify,
 )
 from cli.options import with_options
-from cli.output import to_json
+from cli.output import to_json, with_schema
 from stages import __version__
 from stages.errors import ScanloomError
 from stages.params import RenamedWarning
@@ -172,7 +172,8 @@ def _tell(failure: errors.Failure, error: BaseException | None, arguments: Seque
     try:
         sys.stderr.write(f"scanloom: {failure.sentence}\n")
         if "--json" in arguments:
-            sys.stdout.write(to_json({"error": failure.sentence, "exit_code": failure.exit_code}) + "\n")
+            figures = {"error": failure.sentence, "exit_code": failure.exit_code}
+            sys.stdout.write(to_json(with_schema(figures)) + "\n")
             sys.stdout.flush()
     except BrokenPipeError:
         _without_reader()

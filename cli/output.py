@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from pipeline.schema import SCHEMA
 from stages.printing import name_and_value
 from stages.progress import Progress, silent
 
@@ -35,7 +36,7 @@ class Output:
     def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
         """Print what came out: JSON for a program, `text` (or the figures, one a line) for a person."""
         if self.as_json:
-            text = to_json(figures)
+            text = to_json(with_schema(figures))
         elif text is None:
             text = lines_of(figures)
         sys.stdout.write(text + "\n")
@@ -52,6 +53,11 @@ class Output:
 
         with bar(label, unit) as update:
             yield update
+
+
+def with_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures as the object that a program reads, which says by which names it goes."""
+    return {"schema": SCHEMA, **figures}
 
 
 def to_json(value: Any) -> str:

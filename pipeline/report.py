@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.engine import Outcome
+from pipeline.schema import SCHEMA
 from stages import __version__
 from stages.comparing.compare import CompareParams, compare_surfaces
 from stages.params import check, param, with_former_names
@@ -31,8 +32,6 @@ from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
 RESULT_VERSION = 2
-# Of report.json: raised when a name changes its meaning or disappears.
-SCHEMA = 1
 
 
 @with_former_names
