@@ -9,7 +9,6 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
@@ -35,7 +34,8 @@ from cli.commands import (
     simplify,
 )
 from cli.options import with_options
-from cli.output import to_json
+from cli.output import to_json, with_schema
+from stages import __version__
 from stages.errors import ScanloomError
 from stages.params import RenamedWarning
 
@@ -84,7 +84,7 @@ app = _app()
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"scanloom {version('scanloom')}")
+        typer.echo(f"scanloom {__version__}")
         raise typer.Exit
 
 
@@ -172,7 +172,8 @@ def _tell(failure: errors.Failure, error: BaseException | None, arguments: Seque
     try:
         sys.stderr.write(f"scanloom: {failure.sentence}\n")
         if "--json" in arguments:
-            sys.stdout.write(to_json({"error": failure.sentence, "exit_code": failure.exit_code}) + "\n")
+            figures = {"error": failure.sentence, "exit_code": failure.exit_code}
+            sys.stdout.write(to_json(with_schema(figures)) + "\n")
             sys.stdout.flush()
     except BrokenPipeError:
         _without_reader()

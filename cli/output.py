@@ -9,27 +9,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from pipeline.schema import SCHEMA
+from stages.printing import name_and_value
 from stages.progress import Progress, silent
-from stages.rounding import DIGITS, rounded_down, rounded_up
-
-# Ends of figure names, longest first, and the unit a person reads instead.
-_UNITS = {
-    "_m_per_level": "m per level",
-    "_per_m": "per m",
-    "_percent": "%",
-    "_levels": "levels of 255",
-    "_frames": "frames",
-    "_bytes": "bytes",
-    "_share": "%",
-    "_deg": "°",
-    "_mb": "MB",
-    "_db": "dB",
-    "_px": "px",
-    "_mm": "mm",
-    "_m2": "m²",
-    "_m": "m",
-    "_s": "s",
-}
 
 
 class Output:
@@ -54,7 +36,7 @@ class Output:
     def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
         """Print what came out: JSON for a program, `text` (or the figures, one a line) for a person."""
         if self.as_json:
-            text = to_json(figures)
+            text = to_json(with_schema(figures))
         elif text is None:
             text = lines_of(figures)
         sys.stdout.write(text + "\n")
@@ -71,6 +53,11 @@ class Output:
 
         with bar(label, unit) as update:
             yield update
+
+
+def with_schema(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures as the object that a program reads, which says by which names it goes."""
+    return {"schema": SCHEMA, **figures}
 
 
 def to_json(value: Any) -> str:
@@ -109,48 +96,10 @@ def lines_of(figures: Mapping[str, Any], indent: str = "") -> str:
     return "\n".join(lines)
 
 
-def name_and_value(key: str, value: Any) -> tuple[str, str]:
-    """Return a figure's name in words, and its value with the unit that the end of the name stands for."""
-    end = next((end for end in _UNITS if key.endswith(end)), "")
-    name = key.removesuffix(end).replace("_", " ")
-    if value is None or not end:
-        return name, _shown(value)
-    if end == "_share" and isinstance(value, float):
-        value = 100 * value
-    text = _shown(value)
-    if isinstance(value, float) and name.endswith((" bound", " attained")):
-        text = at_most(value) if name.endswith(" bound") else at_least(value)
-    return name, f"{text} {_UNITS[end]}"
-
-
-def at_most(value: float) -> str:
-    """Return a bound as a person reads it: rounded up, so that it stays true."""
-    return f"{rounded_up(value):.{DIGITS}g}"
-
-
-def at_least(value: float) -> str:
-    """Return what was found as a person reads it: rounded down, so that it was found."""
-    return f"{rounded_down(value):.{DIGITS}g}"
-
-
 def _is_nested(value: Any) -> bool:
     if isinstance(value, (list, tuple)):
         return any(isinstance(item, Mapping) for item in value)
     return isinstance(value, Mapping) and bool(value)
-
-
-def _shown(value: Any) -> str:
-    if value is None or value == {}:
-        return "–"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, int):
-        return f"{value:,}"
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_shown, value)) or "–"
-    return str(value)
 
 
 def table_of(rows: Sequence[Sequence[str]]) -> str:

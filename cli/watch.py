@@ -8,8 +8,9 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from cli.options import as_typed
-from cli.output import Output, at_most
+from cli.output import Output
 from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
+from stages.printing import at_most
 from stages.progress import Progress
 from stages.simplification.methods import METHODS
 

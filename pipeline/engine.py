@@ -48,20 +48,21 @@ class Stage:
     Attributes
     ----------
     name : what people call it.
-    version : raised by hand when its results change.
     reads, writes : names of what passes between stages.
     sections : the parts of the configuration that decide its result.
     libraries : distributions whose version decides its result, each a choice of names.
     make : writes the files and returns the figures; `warnings` among them are sentences a person should see.
+    versions : from what it reads and the configuration to the RESULT_VERSION of everything that `make` then
+        runs, by name; asked whenever a key is made.
     results : which of its files stand in the output folder too; a name that ends in / is a folder of them.
     """
 
     name: str
-    version: int
     reads: tuple[str, ...]
     writes: str
     sections: tuple[str, ...]
     make: Callable[[Job], Mapping[str, Any]]
+    versions: Callable[[Mapping[str, Any], Any], Mapping[str, int]]
     libraries: Mapping[str, str] = field(default_factory=dict)
     results: tuple[str, ...] = ()
 
@@ -197,17 +198,20 @@ class Engine:
     def _recipe(self, stage: Stage) -> Recipe:
         return Recipe(
             stage.name,
-            stage.version,
+            dict(stage.versions(self._values(stage), self._config)),
             params={section: self._config.canonical(section) for section in stage.sections},
             inputs={name: self._sources[name].digest for name in stage.reads},
             libraries=dict(stage.libraries),
         )
 
+    def _values(self, stage: Stage) -> dict[str, Any]:
+        return {name: self._sources[name].value for name in stage.reads}
+
     def _make(self, stage: Stage, folder: Path) -> dict[str, Any]:
         def progress(done: int, total: int) -> None:
             self._events(StageProgress(stage.name, done, total))
 
-        inputs = {name: self._sources[name].value for name in stage.reads}
+        inputs = self._values(stage)
         reset_peak()
         started = time.perf_counter()
         with explained(f"{stage.name} failed"):

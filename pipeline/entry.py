@@ -22,7 +22,7 @@ from pipeline.digest import digest, file_digests
 from pipeline.files import flush, flush_all
 
 # Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
-SCHEMA = 1
+FORMAT_VERSION = 2
 
 MANIFEST = "manifest.json"
 IN_USE = "in-use.lock"
@@ -34,14 +34,15 @@ class Recipe:
 
     Attributes
     ----------
-    stage, version : which computation, and the number its author raises when its results change.
+    stage : which computation.
+    versions : the RESULT_VERSION of everything it runs, by the name of the file that states it.
     params : its parameters in canonical form, by section.
     inputs : content digests of what it reads, by name.
     libraries : versions of the libraries that compute the result.
     """
 
     stage: str
-    version: int
+    versions: Mapping[str, int]
     params: Mapping[str, Any] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, str] = field(default_factory=dict)
@@ -49,7 +50,7 @@ class Recipe:
     @property
     def key(self) -> str:
         """Return the digest that names the entry."""
-        return digest({"schema": SCHEMA, **self.as_json()})
+        return digest({"schema": FORMAT_VERSION, **self.as_json()})
 
     def as_json(self) -> dict[str, Any]:
         """Return the recipe as JSON values."""
@@ -114,7 +115,7 @@ def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
         for name, path, content in zip(names, paths, file_digests(paths), strict=True)
     }
     manifest = {
-        "schema": SCHEMA,
+        "schema": FORMAT_VERSION,
         "recipe": recipe.as_json(),
         "files": files,
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),

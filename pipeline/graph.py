@@ -9,7 +9,8 @@ register is there where poses are missing, bake and remesh if they are enabled; 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -19,32 +20,32 @@ from pipeline import baking, registering, remeshing, report
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
-from stages.cleaning.clean import VERSION as CLEAN_VERSION
 from stages.cleaning.clean import clean
-from stages.comparing.compare import VERSION as COMPARE_VERSION
-from stages.errors import InputError
-from stages.fusion.fuse import VERSION as FUSE_VERSION
+from stages.comparing.certify import certify
+from stages.comparing.compare import compare_surfaces
+from stages.errors import InputError, UsageError
 from stages.fusion.fuse import fuse
 from stages.inspecting.sanity import require_poses
-from stages.normal_meshes.remesh import VERSION as REMESH_VERSION
-from stages.registration.register import VERSION as REGISTER_VERSION
+from stages.normal_meshes.remesh import remesh
 from stages.registration.register import register
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
-from stages.simplification.simplify import RESULT_VERSION as SIMPLIFY_VERSION
+from stages.simplification.auto import chosen
 from stages.simplification.simplify import simplify
-from stages.stereo.depth import VERSION as DEPTH_VERSION
 from stages.stereo.depth import depth_scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply, write_ply
-from stages.texturing.bake import VERSION as BAKE_VERSION
+from stages.texturing.bake import bake
 
 
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
-    measure = views_depth if scan.is_views else depth_scan
-    measured = measure(scan, job.config.depth, job.progress)
+    measured = _measure(scan)(scan, job.config.depth, job.progress)
     return _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
+
+
+def _measure(scan: Scan) -> Callable[..., Any]:
+    return views_depth if scan.is_views else depth_scan
 
 
 def _register(job: Job) -> Mapping[str, Any]:
@@ -168,84 +169,112 @@ _OPENCV = {
 _OPEN3D = {"open3d": _version("open3d", "open3d-cpu")}
 _KERNELS = {"kernels": _version("scanloom")}
 
+Versions = Callable[[Mapping[str, Any], Config], Mapping[str, int]]
+
+
+def _stated(*functions: Callable[..., Any]) -> dict[str, int]:
+    """Return the RESULT_VERSION that stands beside each function, by the name of its file."""
+    modules = [sys.modules[function.__module__] for function in functions]
+    return {module.__name__.rpartition(".")[2]: module.RESULT_VERSION for module in modules}
+
+
+def _of(*functions: Callable[..., Any]) -> Versions:
+    """Return what tells the versions of a stage that runs these functions, whatever is asked of it."""
+    return lambda inputs, config: _stated(*functions)  # noqa: ARG005
+
+
+def _of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    # Views are matched in pairs, each as depth_scan does it.
+    return _stated(depth_scan, _measure(inputs["pairs"]))
+
+
+def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    try:
+        method = chosen(config.simplify)  # What clean leaves has neither texture nor parts.
+    except UsageError:
+        return _stated(simplify)  # No method runs: the stage says what is wrong.
+    proof = _stated(certify) if method.proves else {}
+    return {**_stated(simplify), method.name: method.result_version, **proof}
+
+
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="depth",
-        version=DEPTH_VERSION,
         reads=("pairs",),
         writes="frames",
         sections=("depth",),
         make=_depth,
+        versions=_of_depth,
         libraries=_OPENCV,
         results=("points.ply",),
     ),
     Stage(
         name="register",
-        version=REGISTER_VERSION,
         reads=("frames",),
         writes="posed",
         sections=("register",),
         make=_register,
+        versions=_of(register),
         libraries=_OPENCV | _OPEN3D,
         results=("trajectory.tum", "path.ply", "pieces/"),
     ),
     Stage(
         name="fuse",
-        version=FUSE_VERSION,
         reads=("frames", "posed"),
         writes="fused",
         sections=("fuse",),
         make=_fuse,
+        versions=_of(fuse),
         libraries=_OPENCV | _OPEN3D,
         results=("fused.ply", "pieces/"),
     ),
     Stage(
         name="clean",
-        version=CLEAN_VERSION,
         reads=("fused",),
         writes="clean",
         sections=("clean",),
         make=_clean,
+        versions=_of(clean),
         results=("clean.ply",),
     ),
     Stage(
         name="simplify",
-        version=SIMPLIFY_VERSION,
         reads=("clean",),
         writes="simplified",
         sections=("simplify",),
         make=_simplify,
+        versions=_of_simplify,
         libraries=_KERNELS,
         results=("simplified.ply",),
     ),
     Stage(
         name="bake",
-        version=BAKE_VERSION,
         reads=("clean", "simplified"),
         writes="baked",
         sections=("bake",),
         make=_bake,
+        versions=_of(bake, compare_surfaces),
         libraries=_OPEN3D | {"xatlas": _version("xatlas")},
         results=("baked.glb",),
     ),
     Stage(
         name="remesh",
-        version=REMESH_VERSION,
         reads=("simplified",),
         writes="remeshed",
         sections=("remesh",),
         make=_remesh,
+        versions=_of(remesh),
         libraries=_KERNELS,
         results=("remeshed.ply", "remeshed.snm", "levels/"),
     ),
     Stage(
         name="report",
-        version=report.VERSION,
         reads=("frames", "posed", "fused", "clean", "simplified", "remeshed"),
         writes="report",
         sections=("compare", "report"),
         make=_report,
-        libraries=_OPEN3D | {"compare": str(COMPARE_VERSION)},
+        versions=_of(report.make, compare_surfaces),
+        libraries=_OPEN3D,
         results=("pictures/",),
     ),
 )

@@ -19,10 +19,11 @@ def reason(now: Mapping[str, Any], last: Mapping[str, Any] | None) -> str:
     if last is None:
         return "first run"
     recipe, before = now["recipe"], last["recipe"]
+    params = [*_changed("params changed:", _flat(before["params"]), _flat(recipe["params"]))]
     changes = [
-        *_changed("stage changed:", {"version": before["version"]}, {"version": recipe["version"]}),
+        *_changed_versions(before, recipe, only_common=bool(params)),
         *_changed("library changed:", before["libraries"], recipe["libraries"]),
-        *_changed("params changed:", _flat(before["params"]), _flat(recipe["params"])),
+        *params,
         *_changed_inputs(last["parts"], now["parts"]),
     ]
     return "; ".join(changes) or "no longer in the cache"
@@ -33,6 +34,19 @@ def _changed(what: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> It
     if names:
         each = [f"{name} {_shown(before, name)} → {_shown(now, name)}" for name in names]
         yield f"{what} {', '.join(each)}"
+
+
+def _changed_versions(
+    before: Mapping[str, Any], now: Mapping[str, Any], *, only_common: bool
+) -> Iterator[str]:
+    # A run of an earlier program recorded none.
+    old, new = before.get("versions", {}), now["versions"]
+    # Other parameters may run other code: that its version came in is then no reason of its own.
+    names = [name for name in (*new, *old) if name in old.keys() & new.keys() or not only_common]
+    yield from _changed(
+        "stage changed:",
+        *({f"version of {name}": one[name] for name in names if name in one} for one in (old, new)),
+    )
 
 
 def _flat(params: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -13,13 +13,14 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.engine import Outcome
+from pipeline.schema import SCHEMA
+from stages import __version__
 from stages.comparing.compare import CompareParams, compare_surfaces
 from stages.params import check, param, with_former_names
 from stages.picturing.render import Model, Shading, Viewpoint, viewpoints, write_png
@@ -30,9 +31,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
-VERSION = 2
-# Of report.json: raised when a name changes its meaning or disappears.
-SCHEMA = 1
+RESULT_VERSION = 2
 
 
 @with_former_names
@@ -168,7 +167,7 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
     """
     return {
         "schema": SCHEMA,
-        "scanloom": version("scanloom"),
+        "scanloom": __version__,
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "scan": {
             "layout": scan.layout,

@@ -17,7 +17,7 @@ from pipeline.failures import explained
 from pipeline.files import copy_whole, has_content, remove_abandoned, write_whole
 
 REPORT = "report.json"
-_SCHEMA = 1
+_FORMAT_VERSION = 1
 
 
 class Results:
@@ -32,7 +32,7 @@ class Results:
         self._cache = cache
         self._out = out
         record = cache.latest_run(out)
-        self._stages: dict[str, Any] = record["stages"] if record.get("schema") == _SCHEMA else {}
+        self._stages: dict[str, Any] = record["stages"] if record.get("schema") == _FORMAT_VERSION else {}
         self._keys: list[str] = []
 
     def decided(self, stage: str) -> Mapping[str, Any] | None:
@@ -92,7 +92,7 @@ class Results:
         return self._out / REPORT
 
     def _remember(self) -> None:
-        record = {"schema": _SCHEMA, "keys": self._keys, "stages": self._stages}
+        record = {"schema": _FORMAT_VERSION, "keys": self._keys, "stages": self._stages}
         self._cache.remember_run(self._out, record)
 
     def _remove(self, stage: str, besides: Iterable[str] = ()) -> None:

@@ -4,41 +4,88 @@
 >>> fused = fuse(read_scan("my_scan"))
 >>> light = simplify(clean(fused.mesh).mesh, ratio=0.1).mesh
 
-Each name below that is a verb is a function, in a file of its name in the room of its stage. Open3D, OpenCV,
-SciPy and trimesh are imported when first used, so importing this package is cheap.
+Each name below that is a verb is a function, in a file of its name in the room of its stage. A room is
+imported when one of its names is first used, and Open3D, OpenCV, SciPy and trimesh when a function first
+needs them, so importing this package costs nothing.
 """
 
-from stages.cleaning.clean import Cleaned, CleanParams, clean
-from stages.comparing.certify import Certificate, CertifyParams, certify
-from stages.comparing.compare import CompareParams, Comparison, compare
-from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
-from stages.fusion.fuse import Fused, fuse
-from stages.fusion.params import FuseParams
-from stages.inspecting.inspect import Inspection, inspect
-from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
-from stages.normal_meshes.remesh import RemeshParams, remesh
-from stages.picturing.render import Viewpoint, render
-from stages.picturing.viewpoints import viewpoints
-from stages.registration.register import RegisterParams, Registration, register
-from stages.scans.params import ScanParams
-from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Scan, StereoRig
-from stages.simplification.planar.params import PatchParams
-from stages.simplification.planar.patches import Patches
-from stages.simplification.planar.run import planar_patches
-from stages.simplification.records.load import load_record
-from stages.simplification.records.record import CollapseRecord
-from stages.simplification.records.steps import ReplayParams
-from stages.simplification.regions import Box, Sphere
-from stages.simplification.simplify import Simplified, SimplifyParams, simplify
-from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
-from stages.stereo.views_depth import views_depth
-from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
-from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.surface.texture import Image, Material, Texture
-from stages.surface.topology import Topology, topology
-from stages.texturing.bake import Baked, BakeParams, bake
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+# For editors and type checkers; while the program runs, names are fetched from `_NAMES_OF`.
+if TYPE_CHECKING:
+    from stages.cleaning.clean import Cleaned, CleanParams, clean
+    from stages.comparing.certify import Certificate, CertifyParams, certify
+    from stages.comparing.compare import CompareParams, Comparison, compare
+    from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
+    from stages.fusion.fuse import Fused, fuse
+    from stages.fusion.params import FuseParams
+    from stages.inspecting.inspect import Inspection, inspect
+    from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
+    from stages.normal_meshes.remesh import RemeshParams, remesh
+    from stages.picturing.render import Viewpoint, render
+    from stages.picturing.viewpoints import viewpoints
+    from stages.registration.register import RegisterParams, Registration, register
+    from stages.scans.params import ScanParams
+    from stages.scans.read import read_scan
+    from stages.scans.scan import Camera, Frame, Scan, StereoRig
+    from stages.simplification.planar.params import PatchParams
+    from stages.simplification.planar.patches import Patches
+    from stages.simplification.planar.run import planar_patches
+    from stages.simplification.records.load import load_record
+    from stages.simplification.records.record import CollapseRecord
+    from stages.simplification.records.steps import ReplayParams
+    from stages.simplification.regions import Box, Sphere
+    from stages.simplification.simplify import Simplified, SimplifyParams, simplify
+    from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
+    from stages.stereo.views_depth import views_depth
+    from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
+    from stages.surface.mesh import Mesh
+    from stages.surface.mesh_files import read_mesh, write_mesh
+    from stages.surface.texture import Image, Material, Texture
+    from stages.surface.topology import Topology, topology
+    from stages.texturing.bake import Baked, BakeParams, bake
+
+    __version__: str
+
+_NAMES_OF = {
+    "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
+    "comparing.certify": ("Certificate", "CertifyParams", "certify"),
+    "comparing.compare": ("CompareParams", "Comparison", "compare"),
+    "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
+    "fusion.fuse": ("Fused", "fuse"),
+    "fusion.params": ("FuseParams",),
+    "inspecting.inspect": ("Inspection", "inspect"),
+    "normal_meshes.normal_mesh": ("NormalMesh", "Offsets", "decode"),
+    "normal_meshes.remesh": ("RemeshParams", "remesh"),
+    "picturing.render": ("Viewpoint", "render"),
+    "picturing.viewpoints": ("viewpoints",),
+    "registration.register": ("RegisterParams", "Registration", "register"),
+    "scans.params": ("ScanParams",),
+    "scans.read": ("read_scan",),
+    "scans.scan": ("Camera", "Frame", "Scan", "StereoRig"),
+    "simplification.planar.params": ("PatchParams",),
+    "simplification.planar.patches": ("Patches",),
+    "simplification.planar.run": ("planar_patches",),
+    "simplification.records.load": ("load_record",),
+    "simplification.records.record": ("CollapseRecord",),
+    "simplification.records.steps": ("ReplayParams",),
+    "simplification.regions": ("Box", "Sphere"),
+    "simplification.simplify": ("Simplified", "SimplifyParams", "simplify"),
+    "stereo.depth": ("DepthMap", "DepthParams", "depth", "depth_scan"),
+    "stereo.views_depth": ("views_depth",),
+    "surface.convert": ("MeshLike", "as_mesh", "to_open3d", "to_open3d_legacy", "to_trimesh"),
+    "surface.mesh": ("Mesh",),
+    "surface.mesh_files": ("read_mesh", "write_mesh"),
+    "surface.texture": ("Image", "Material", "Texture"),
+    "surface.topology": ("Topology", "topology"),
+    "texturing.bake": ("Baked", "BakeParams", "bake"),
+}
+_MODULE_OF = {name: f"stages.{module}" for module, names in _NAMES_OF.items() for name in names}
+# Understood for one version more.
+_NOW_CALLED = {"View": "Viewpoint"}
 
 __all__ = [
     "BakeParams",
@@ -84,6 +131,7 @@ __all__ = [
     "Topology",
     "UsageError",
     "Viewpoint",
+    "__version__",
     "as_mesh",
     "bake",
     "certify",
@@ -110,3 +158,46 @@ __all__ = [
     "views_depth",
     "write_mesh",
 ]
+
+
+# Hidden from type checkers: to them, what the imports above do not name is not there.
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            value = _installed_version()
+        elif name in _NOW_CALLED:
+            return _renamed(name)
+        elif name in _MODULE_OF:
+            value = getattr(import_module(_MODULE_OF[name]), name)
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = value
+        return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+def _renamed(name: str) -> Any:
+    """Return what had this name, and warn."""
+    from warnings import warn
+
+    from stages.params import RenamedWarning
+
+    now = _NOW_CALLED[name]
+    warn(
+        f"{name} is called {now} now; the old name goes with the next version.", RenamedWarning, stacklevel=3
+    )
+    return getattr(import_module(_MODULE_OF[now]), now)
+
+
+def _installed_version() -> str:
+    """Return the version of the installed distribution; `0+unknown` for sources that are not installed."""
+    from importlib.metadata import PackageNotFoundError, version  # 20 ms that few programs need
+
+    try:
+        return version("scanloom")
+    except PackageNotFoundError:
+        return "0+unknown"

@@ -160,7 +160,7 @@ def former_keyword(was: str, now: str) -> Callable[[Callable[A, R]], Callable[A,
     return understood
 
 
-def resolve(cls: type[P], params: P | None, changes: dict[str, Any]) -> P:
+def resolve(cls: type[P], params: P | None, changes: Mapping[str, object]) -> P:
     """Parameters of a call: those given (or the defaults), with the named changes applied."""
     changes = renamed(cls, changes)
     unknown = sorted(set(changes) - set(described(cls)))

@@ -27,6 +27,8 @@ IMPORTED_AS = {
 }
 # In the standard library of some of the Pythons that are supported.
 LATER = {"compression", "tomllib"}
+# Type checkers bring it themselves; no program imports it.
+TYPES_ONLY = {"typing_extensions"}
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 
 
@@ -53,7 +55,7 @@ def declared() -> set[str]:
 def test_imports_go_one_way_and_are_declared(path):
     room = path.relative_to(ROOT).parts[0]
     allowed = set(ROOMS[: ROOMS.index(room) + 1])
-    others = imported(path) - set(sys.stdlib_module_names) - LATER - declared()
+    others = imported(path) - set(sys.stdlib_module_names) - LATER - TYPES_ONLY - declared()
     assert others <= allowed, f"{path} imports {sorted(others - allowed)}"
 
 
@@ -63,6 +65,16 @@ def test_kernels_know_no_python_outside_the_binding():
             assert not re.search(r"^\s*use (pyo3|numpy)\b", path.read_text(encoding="utf-8"), re.MULTILINE), (
                 path
             )
+
+
+def test_what_only_type_checkers_have_is_imported_for_them_alone():
+    for path in MODULES:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for block in [node for node in ast.walk(tree) if isinstance(node, ast.If)]:
+            if ast.unparse(block.test) == "TYPE_CHECKING":
+                block.body = [ast.Pass()]
+        here = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        assert here.isdisjoint(TYPES_ONLY), path
 
 
 @pytest.mark.parametrize("module", ["stages", "pipeline.run", "cli.app"])

@@ -11,10 +11,11 @@ import typer
 import stages
 from cli.errors import STAGE_FAILED
 from cli.mesh_arguments import read_file
-from cli.output import Output, at_least, at_most, table_of
+from cli.output import Output, table_of
 from cli.paths import require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import CertifyParams
+from stages.printing import at_least, at_most
 
 
 def certify(

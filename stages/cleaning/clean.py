@@ -8,7 +8,7 @@ filled on request, unused vertices dropped. A mesh that is clean comes back as i
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -19,13 +19,17 @@ from stages.cleaning.stitch import stitch, weld
 from stages.cleaning.traced import Traced
 from stages.errors import MeshError, StageError
 from stages.params import check, param, resolve
+from stages.printing import by_fields, by_figures, table
 from stages.progress import Progress, silent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Ids, components, edges_of
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas, is_duplicate, require_manifold
 
-VERSION = 1
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
 
 # An island smaller than this share of the largest piece is noise by default. In 7-Scenes redkitchen at 2 cm
 # that is 198 of 205 pieces, which hold 0.7 % of the triangles.
@@ -61,6 +65,16 @@ class CleanParams:
         check(self)
 
 
+class CleanKeywords(TypedDict, total=False):
+    """CleanParams as keywords of `clean`."""
+
+    min_island_area: float | None
+    keep_largest: bool
+    fill_holes: float
+    stitch: bool
+    weld_distance: float
+
+
 @dataclass(frozen=True)
 class Removed:
     """What cleaning changed.
@@ -89,6 +103,8 @@ class Removed:
     filled_holes: int
     fill_triangles: int
 
+    __repr__ = by_fields
+
 
 @dataclass(frozen=True, eq=False)
 class Cleaned:
@@ -109,6 +125,9 @@ class Cleaned:
     changes: Removed
     min_island_area: float
 
+    __repr__ = by_figures
+    _repr_html_ = table
+
     def figures(self) -> dict[str, Any]:
         """Return sizes and what was changed, for reports."""
         return {
@@ -120,7 +139,11 @@ class Cleaned:
 
 
 def clean(
-    mesh: MeshLike, params: CleanParams | None = None, *, progress: Progress = silent, **changes: Any
+    mesh: MeshLike,
+    params: CleanParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Unpack[CleanKeywords],
 ) -> Cleaned:
     """Make a mesh an oriented manifold without islands, degenerate or duplicate triangles.
 

@@ -7,7 +7,7 @@ pieces that are bounded as a whole, in both directions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.simplification.kernel_input import attributes_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 
-VERSION = 1
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +76,19 @@ class CertifyParams:
         check(self)
 
 
+class CertifyKeywords(TypedDict, total=False):
+    """CertifyParams as keywords of `certify`."""
+
+    shape_tolerance: float
+    color_tolerance: float
+    color_floor: float
+    max_shape: float | None
+    max_color: float | None
+    effort: float
+    slack: float | None
+    threads: int
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """What is proven. Distances in metres; colours in 8-bit levels, Euclidean norm over the channels.
@@ -108,6 +125,9 @@ class Certificate:
     within_limits: bool | None
     pieces: int
 
+    __repr__ = by_figures
+    _repr_html_ = table
+
     def figures(self) -> dict[str, Any]:
         """Everything but the arrays, ready for JSON; a bound that is infinite is None."""
         values = {
@@ -129,7 +149,7 @@ def certify(
     params: CertifyParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[CertifyKeywords],
 ) -> Certificate:
     """Bound the two-sided distance and colour difference between a mesh and the one it came from.
 

@@ -11,19 +11,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.params import check, param, resolve
+from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated
 from stages.surface.topology import areas, require_area
 
-VERSION = 4
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 4
 
 # A colour error below this (levels) is the rounding of interpolation, not a difference.
 _EQUAL = 1e-4
@@ -46,6 +50,13 @@ class CompareParams:
         check(self)
 
 
+class CompareKeywords(TypedDict, total=False):
+    """CompareParams as keywords of `compare`."""
+
+    samples: int
+    seed: int
+
+
 @dataclass(frozen=True)
 class Deviation:
     """Distances from one surface to the other, in metres."""
@@ -53,6 +64,10 @@ class Deviation:
     maximum: float
     mean: float
     rms: float
+
+    def __repr__(self) -> str:
+        figures = {"rms_m": self.rms, "mean_m": self.mean, "maximum_m": self.maximum}
+        return line(self, facts(figures))
 
     def figures(self, diagonal: float) -> dict[str, float]:
         """Return the distances in metres, and relative to the bounding-box diagonal."""
@@ -77,6 +92,8 @@ class ColorError:
 
     rmse: float
     maximum: float
+
+    __repr__ = by_figures
 
     @property
     def psnr(self) -> float:
@@ -111,6 +128,15 @@ class Comparison:
     diagonal: float
     samples: int
 
+    def __repr__(self) -> str:
+        distance, color = self.symmetric, self.color
+        figures = {"distance_rms_m": distance.rms, "distance_maximum_m": distance.maximum}
+        if color is not None:
+            figures["color_rmse_levels"] = color.rmse
+        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a side"])
+
+    _repr_html_ = table
+
     def figures(self) -> dict[str, Any]:
         """Return all figures for JSON, units in the names."""
         directions = {"a_to_b": self.a_to_b, "b_to_a": self.b_to_a, "symmetric": self.symmetric}
@@ -125,7 +151,9 @@ class Comparison:
         }
 
 
-def compare(a: MeshLike, b: MeshLike, params: CompareParams | None = None, **changes: Any) -> Comparison:
+def compare(
+    a: MeshLike, b: MeshLike, params: CompareParams | None = None, **changes: Unpack[CompareKeywords]
+) -> Comparison:
     """Measure the two-sided distance and colour error between two meshes.
 
     Parameters

@@ -5,24 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
-from stages.fusion.params import FuseParams
+from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.plan import make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.fusion.survey import Noise
 from stages.fusion.voxels import Layer, Volume
 from stages.params import resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
 from stages.surface.mesh import Mesh
 
-VERSION = 2
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,6 +59,9 @@ class Fused:
     pixels_used: float
     volume_bytes: int
     device: str
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return the figures for a report, JSON-able, units in the names."""
@@ -91,7 +98,7 @@ def fuse(
     params: FuseParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[FuseKeywords],
 ) -> Fused:
     """Fuse frames with depth and poses into a mesh.
 

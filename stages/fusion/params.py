@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 from stages.params import check, param
 
@@ -71,3 +72,19 @@ class FuseParams:
 
     def __post_init__(self) -> None:
         check(self)
+
+
+class FuseKeywords(TypedDict, total=False):
+    """FuseParams as keywords of `fuse`."""
+
+    voxel_size: float | None
+    truncation: float | None
+    min_depth: float
+    max_depth: float | None
+    max_jump: float
+    max_angle: float
+    min_weight: int | None
+    color: bool
+    max_bad_share: float
+    memory: float
+    device: str

@@ -18,6 +18,7 @@ from stages.files.images import image_size, read_raw_depth
 from stages.fusion.posed_depth import read_matching_color
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
+from stages.printing import by_fields, by_figures, table
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
 from stages.scans.sharpness import least_sharp
@@ -46,6 +47,8 @@ class Path3D:
     largest_turn_deg: float
     outliers: tuple[str, ...]
 
+    __repr__ = by_fields
+
 
 @dataclass(frozen=True)
 class DepthRange:
@@ -56,6 +59,8 @@ class DepthRange:
     median_m: float
     far_m: float
     missing_share: float
+
+    __repr__ = by_fields
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +91,9 @@ class Inspection:
     least_sharp: tuple[tuple[str, float], ...]
     outlook: Outlook | None
     warnings: tuple[str, ...]
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return everything as what JSON can hold; units are in the names."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import make_plan
 from stages.fusion.voxels import block_bytes
+from stages.printing import by_fields
 from stages.scans.prefetch import workers
 from stages.scans.scan import Frame
 
@@ -32,6 +33,8 @@ class Outlook:
     volume_mb: float
     triangles: int
     disk_mb: float
+
+    __repr__ = by_fields
 
 
 def outlook(frames: Sequence[Frame], folder: Path | None) -> Outlook:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.errors import InputError, UsageError
 from stages.files.replacing import replacing
+from stages.printing import by_fields, by_figures, table
 from stages.surface.formats.ply import write_ply
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import write_mesh
@@ -44,6 +45,8 @@ class Offsets:
     values: NDArray[np.float64]
     predicted: NDArray[np.float64]
     normals: NDArray[np.float64]
+
+    __repr__ = by_fields
 
     def count(self, kind: int) -> int:
         """Return how many vertices are of this kind."""
@@ -85,6 +88,9 @@ class NormalMesh:
     triangle_source: tuple[NDArray[np.int32], ...] | None = None
     max_distances_m: tuple[float, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     @property
     def base(self) -> Mesh:

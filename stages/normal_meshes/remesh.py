@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,10 @@ from stages.surface.edges import edges_of, fans, neighbours
 from stages.surface.mesh import Mesh
 from stages.surface.topology import repeats_vertex, require_area
 
-VERSION = 1
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
 
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5
@@ -123,13 +126,27 @@ class RemeshParams:
         return 0 if self.base_error is not None else max(round(triangles / 4**levels), 1)
 
 
+class RemeshKeywords(TypedDict, total=False):
+    """RemeshParams as keywords of `remesh`."""
+
+    levels: int | None
+    base_triangles: int | None
+    base_error: float | None
+    max_error: float | None
+    scheme: str
+    relaxations: int
+    threads: int | None
+    tolerance: float
+    color_tolerance: float
+
+
 def remesh(
     mesh: MeshLike,
     params: RemeshParams | None = None,
     *,
     confidence: ArrayLike | None = None,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[RemeshKeywords],
 ) -> NormalMesh:
     """Make a normal mesh: a base mesh of original vertices, refined to lie on the original surface.
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stages.errors import InputError
+from stages.printing import by_fields
 from stages.scans.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.raycasting import Floats, is_used
@@ -37,6 +38,8 @@ class Viewpoint:
     camera: Camera
     world_from_camera: Pose
     cull: bool = False
+
+    __repr__ = by_fields
 
 
 def viewpoints(

@@ -7,12 +7,13 @@ from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
 from stages.errors import InputError
 from stages.params import check, param, resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.graph import Edge, pieces
@@ -24,7 +25,10 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 
-VERSION = 2
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 2
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
@@ -65,6 +69,16 @@ class RegisterParams:
         check(self)
 
 
+class RegisterKeywords(TypedDict, total=False):
+    """RegisterParams as keywords of `register`."""
+
+    enabled: bool | None
+    max_depth: float | None
+    refine: bool
+    piece: int
+    loops: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Registration:
     """Poses of a scan's frames.
@@ -97,6 +111,9 @@ class Registration:
     warnings: tuple[str, ...]
     seconds: float
 
+    __repr__ = by_figures
+    _repr_html_ = table
+
     def figures(self) -> dict[str, Any]:
         """Return what a report says of it, as JSON values."""
         used = [edge for edge in self.edges if edge["is_used"]]
@@ -124,7 +141,7 @@ def register(
     params: RegisterParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[RegisterKeywords],
 ) -> Registration:
     """Find the poses of frames with depth from what they show; poses they have are used to refine them only.
 

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.printing import counted, line
+
 Pose = NDArray[np.float64]
 ColorImage = NDArray[np.uint8]
 DepthImage = NDArray[np.float32]
@@ -40,6 +42,12 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     fisheye: bool = False
+
+    def __repr__(self) -> str:
+        known = f"fx {self.fx:.6g}, fy {self.fy:.6g}, cx {self.cx:.6g}, cy {self.cy:.6g} px"
+        lens = "fisheye" if self.fisheye else counted(len(self.distortion), "distortion coefficient")
+        size = f"{self.width} × {self.height} px"
+        return line(self, (size, known if self.is_calibrated else "not calibrated", lens))
 
     @property
     def is_calibrated(self) -> bool:
@@ -84,6 +92,10 @@ class StereoRig:
     rectified: bool
     disparities: int | None = None
 
+    def __repr__(self) -> str:
+        size = f"{self.left.width} × {self.left.height} px"
+        return line(self, (size, f"baseline {self.baseline:.4g} m", "rectified" if self.rectified else ""))
+
     @property
     def baseline(self) -> float:
         """Return the distance between the camera centres, in metres."""
@@ -106,6 +118,9 @@ class Packed:
     file: Path
     name: str
     load: Callable[[], NDArray[Any]]
+
+    def __repr__(self) -> str:
+        return line(self, (str(self),))
 
     def __str__(self) -> str:
         """Return how messages call the image."""
@@ -158,6 +173,18 @@ class Frame:
     mask: Path | Packed | NDArray[np.uint8] | None = None
     depth_range: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        parts = {
+            "colour": self.color,
+            "right image": self.right,
+            "depth": self.depth,
+            "pose": self.world_from_camera,
+            "confidence": self.confidence,
+            "mask": self.mask,
+        }
+        size = f"{self.camera.width} × {self.camera.height} px"
+        return line(self, (self.name, size, *(name for name, part in parts.items() if part is not None)))
+
 
 @dataclass(frozen=True)
 class SkippedFrame:
@@ -189,6 +216,21 @@ class Scan:
     warnings: tuple[str, ...] = field(default=())
     missing: tuple[str, ...] = ()
     box: NDArray[np.float64] | None = None
+
+    def __repr__(self) -> str:
+        kind = "stereo pairs" if self.is_stereo else "views" if self.is_views else "colour and depth"
+        return line(
+            self,
+            (
+                self.layout,
+                counted(len(self.frames), "frame") or "no frames",
+                kind,
+                "poses" if self.has_poses else "no poses",
+                f"{len(self.skipped):,} skipped" if self.skipped else "",
+                *(f"lacks {what.partition(':')[0]}" for what in self.missing),
+                counted(len(self.warnings), "warning"),
+            ),
+        )
 
     @property
     def has_poses(self) -> bool:

@@ -7,6 +7,7 @@ tables: what they know of keywords and details stands in `keywords.py`.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -80,7 +81,6 @@ class Method(Generic[P, D]):
     params : the class of its own parameters, with their defaults.
     details : the class of what it alone has to tell.
     run : the call.
-    result_version : raised by hand when its results change.
     needs : what it cannot do without, if there is such a thing.
     takes : what it can be given besides.
     auto : whether `auto` may take it; otherwise it is there when it is asked for.
@@ -92,11 +92,16 @@ class Method(Generic[P, D]):
     params: type[P]
     details: type[D]
     run: Callable[[Task[P]], Simplified[D]]
-    result_version: int
     needs: Need | None = None
     takes: Takes = Takes()
     auto: bool = True
     proves: bool = False
+
+    @property
+    def result_version(self) -> int:
+        """The RESULT_VERSION beside its call, which is raised by hand when its results change."""
+        version: int = sys.modules[self.run.__module__].RESULT_VERSION
+        return version
 
     def knows(self, name: str) -> bool:
         """Return whether a parameter is one of its own."""
@@ -116,7 +121,6 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=QuadricParams,
         details=QuadricDetails,
         run=quadric.run,
-        result_version=quadric.RESULT_VERSION,
         needs=COUNT,
     ),
     Method(
@@ -126,7 +130,6 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=CertifiedParams,
         details=CertifiedDetails,
         run=certified.run,
-        result_version=certified.RESULT_VERSION,
         needs=BOUND,
         proves=True,
     ),
@@ -137,7 +140,6 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=SeamsParams,
         details=SeamsDetails,
         run=seams.run,
-        result_version=seams.RESULT_VERSION,
         needs=COUNT,
         takes=Takes(any_mesh=True, texture=True),
     ),
@@ -147,7 +149,6 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=Jia01Params,
         details=Jia01Details,
         run=jia01.run,
-        result_version=jia01.RESULT_VERSION,
         takes=Takes(importance=False),
     ),
     Method(
@@ -157,7 +158,6 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=PlanarParams,
         details=PlanarDetails,
         run=planar.run,
-        result_version=planar.RESULT_VERSION,
         takes=Takes(count=False, any_mesh=True, importance=False, record=False),
         auto=False,
     ),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.printing import by_figures, table
 from stages.simplification.records.record import CollapseRecord
 from stages.surface.mesh import Mesh
 
@@ -68,6 +69,9 @@ class Simplified(Generic[D_co]):
     details : what only this method has to tell.
     record : all collapses, if that was asked for.
     """
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     mesh: Mesh
     vertex_source: NDArray[np.int32]

@@ -8,13 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
 from stages.params import resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans import images
 from stages.scans.prefetch import read_ahead
@@ -32,14 +33,17 @@ from stages.stereo.matching import (
     textured,
 )
 from stages.stereo.pairs import pair_warnings, require_pair
-from stages.stereo.params import DepthParams
+from stages.stereo.params import DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
 
-__all__ = ["VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
-VERSION = 3
+__all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "depth_scan"]
+
+RESULT_VERSION = 3
 
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25
@@ -80,6 +84,9 @@ class DepthMap:
     max_depth: float
     warnings: tuple[str, ...] = ()
 
+    __repr__ = by_figures
+    _repr_html_ = table
+
     def figures(self) -> dict[str, Any]:
         """Return what was derived and what came out, for reports."""
         used = self.depth > 0
@@ -101,7 +108,7 @@ def depth(
     right: NDArray[np.uint8],
     rig: StereoRig,
     params: DepthParams | None = None,
-    **changes: Any,
+    **changes: Unpack[DepthKeywords],
 ) -> DepthMap:
     """Measure depth from one calibrated pair.
 
@@ -135,7 +142,10 @@ def depth(
 
 
 def depth_scan(
-    scan: Scan, params: DepthParams | None = None, progress: Progress = silent, **changes: Any
+    scan: Scan,
+    params: DepthParams | None = None,
+    progress: Progress = silent,
+    **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
     """Measure the depth of every pair of a scan, on all cores, in the order of its frames.
 

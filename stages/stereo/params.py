@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 from stages.errors import UsageError
 from stages.params import check, param
@@ -200,3 +201,38 @@ class DepthParams:
         """Return p1 and p2 as used."""
         area = self.block_size**2
         return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
+
+
+class DepthKeywords(TypedDict, total=False):
+    """DepthParams as keywords of `depth`, `depth_scan` and `views_depth`."""
+
+    min_depth: float | None
+    max_depth: float | None
+    max_relative_depth_error: float
+    disparity_sigma: float
+    min_confidence: int | None
+    matcher: str
+    disparities: int | None
+    block_size: int
+    p1: int | None
+    p2: int | None
+    prefilter_cap: int
+    uniqueness: int | None
+    left_right: str
+    left_right_tolerance: float
+    speckle_size: int
+    speckle_range: float
+    min_texture: float
+    refine: bool
+    smooth: bool
+    smooth_lambda: float
+    smooth_sigma: float
+    partners: int
+    agreeing_views: int
+    agreement: float | None
+    backdrop: float
+    max_side: int
+    max_pose_error: float
+    turn_back: bool
+    max_skipped: float
+    threads: int | None

@@ -9,11 +9,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
@@ -22,9 +24,10 @@ from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
 from stages.stereo.background import measurable
-from stages.stereo.depth import DepthMap, DepthParams, PairStage
+from stages.stereo.depth import DepthMap, PairStage
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
+from stages.stereo.params import DepthKeywords, DepthParams
 from stages.stereo.partners import partners
 from stages.stereo.posed_views import PosedView, posed_views
 from stages.stereo.recognised import Recognised, neighbours, recognised
@@ -32,6 +35,11 @@ from stages.stereo.reduced import reduced
 from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_pair import depth_in_view, rectified_views
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
@@ -53,7 +61,10 @@ class _Measured:
 
 
 def views_depth(
-    scan: Scan, params: DepthParams | None = None, progress: Progress = silent
+    scan: Scan,
+    params: DepthParams | None = None,
+    progress: Progress = silent,
+    **changes: Unpack[DepthKeywords],
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
     """Measure the depth of every view of a scan without a rig, in the order of its frames.
 
@@ -72,7 +83,8 @@ def views_depth(
     Parameters
     ----------
     scan : with colour and poses, without depth.
-    params : of the depth stage; `partners`, `agreeing_views` and `agreement` are about views alone.
+    params : of the depth stage; `partners`, `agreeing_views` and `agreement` are about views alone. Single
+        fields can be given by name instead.
     progress : called after each view of the first and of the second turn.
 
     Returns
@@ -87,7 +99,7 @@ def views_depth(
         If a view has no pose, nothing tells where the scene is, the poses do not fit the images, or too many
         views cannot be used.
     """
-    params = params or DepthParams()
+    params = resolve(DepthParams, params, changes)
     _require_enough(scan, params)
     frames = [reduced(frame, params.max_side) for frame in scan.frames]
     smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))

@@ -7,19 +7,23 @@ vertices on seams are duplicated on the way out.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.errors import MeshError
 from stages.surface.color import sampled, tinted
+from stages.surface.foreign_meshes import Open3DLegacyMesh, Open3DMesh, TensorMap, TrimeshMesh
 from stages.surface.formats.colors import to_uint8
 from stages.surface.mesh import Mesh, validated
 from stages.surface.texture import Image, Material, Texture
 
-# Open3D's and trimesh's classes cannot be named here without importing the libraries.
-MeshLike: TypeAlias = Mesh | tuple[ArrayLike, ArrayLike] | Any
+if TYPE_CHECKING:
+    from open3d import geometry, t  # noqa: TID251
+    from trimesh import Trimesh
+
+MeshLike: TypeAlias = Mesh | Open3DMesh | Open3DLegacyMesh | TrimeshMesh | tuple[ArrayLike, ArrayLike]
 
 _UNTEXTURED = 128  # grey, for vertices that nothing colours
 
@@ -40,15 +44,17 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
     """
     if isinstance(data, Mesh):
         return validated(data, where)
+    if isinstance(data, tuple) and len(data) == 2:
+        return validated(Mesh(np.asarray(data[0]), np.asarray(data[1])), where)
+    # Type checkers go by their members; names tell here, and which library they are of.
+    other: Any = data
     for cls in type(data).__mro__:
         module = cls.__module__
         if cls.__name__ == "TriangleMesh" and module.startswith("open3d."):
             convert = _from_open3d if ".t.geometry" in module else _from_open3d_legacy
-            return validated(convert(data), where)
+            return validated(convert(other), where)
         if cls.__name__ == "Trimesh" and module.startswith("trimesh."):
-            return _from_trimesh(data, where)
-    if isinstance(data, tuple) and len(data) == 2:
-        return validated(Mesh(np.asarray(data[0]), np.asarray(data[1])), where)
+            return _from_trimesh(other, where)
     raise MeshError(
         f"is a {type(data).__name__}; a Mesh, an Open3D or trimesh triangle mesh, or a pair of arrays "
         "(vertices, triangles) is expected.",
@@ -56,8 +62,8 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
     )
 
 
-def _from_open3d(data: Any) -> Mesh:
-    def array(attributes: Any, name: str) -> Any:
+def _from_open3d(data: Open3DMesh) -> Mesh:
+    def array(attributes: TensorMap, name: str) -> Any:
         return attributes[name].cpu().numpy().copy() if name in attributes else None
 
     vertices, triangles = array(data.vertex, "positions"), array(data.triangle, "indices")
@@ -66,8 +72,8 @@ def _from_open3d(data: Any) -> Mesh:
     if uvs is not None:
         material_ids = array(data.triangle, "material_ids")
         images: tuple[NDArray[np.uint8], ...] = ()
-        if data.has_valid_material() and "albedo" in data.material.texture_maps:
-            images = (_rgb(data.material.texture_maps["albedo"].cpu().as_tensor().numpy().copy()),)
+        if data.has_valid_material() and "albedo" in (maps := data.material.texture_maps):
+            images = (_rgb(maps["albedo"].cpu().as_tensor().numpy().copy()),)
         texture = _texture(uvs, material_ids, images)
     return Mesh(
         vertices=np.zeros((0, 3)) if vertices is None else vertices,
@@ -78,7 +84,7 @@ def _from_open3d(data: Any) -> Mesh:
     )
 
 
-def _from_open3d_legacy(data: Any) -> Mesh:
+def _from_open3d_legacy(data: Open3DLegacyMesh) -> Mesh:
     texture = None
     if data.has_triangle_uvs():
         uvs = np.array(data.triangle_uvs).reshape(-1, 3, 2)
@@ -95,8 +101,8 @@ def _from_open3d_legacy(data: Any) -> Mesh:
     )
 
 
-def _from_trimesh(data: Any, where: str) -> Mesh:
-    visual = data.visual
+def _from_trimesh(data: TrimeshMesh, where: str) -> Mesh:
+    visual: Any = data.visual
     mesh = Mesh(
         vertices=np.array(data.vertices),
         triangles=np.array(data.faces),
@@ -143,7 +149,7 @@ def _rgb(image: NDArray[Any]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image)
 
 
-def to_open3d(mesh: Mesh) -> Any:
+def to_open3d(mesh: Mesh) -> t.geometry.TriangleMesh:
     """Return an open3d.t.geometry.TriangleMesh: float64 positions and normals, int32 indices, uint8 colours.
 
     The class holds one texture image; of several, the first is passed on.
@@ -165,10 +171,10 @@ def to_open3d(mesh: Mesh) -> Any:
             result.material.set_default_properties()
             image = np.ascontiguousarray(mesh.texture.images[0].pixels)
             result.material.texture_maps["albedo"] = o3d.t.geometry.Image(o3d.core.Tensor(image))
-    return result
+    return cast("t.geometry.TriangleMesh", result)
 
 
-def to_open3d_legacy(mesh: Mesh) -> Any:
+def to_open3d_legacy(mesh: Mesh) -> geometry.TriangleMesh:
     """Return an open3d.geometry.TriangleMesh; colours become 0..1 floats that come back exactly."""
     from stages._open3d import open3d
 
@@ -185,7 +191,7 @@ def to_open3d_legacy(mesh: Mesh) -> Any:
         result.triangle_material_ids = o3d.utility.IntVector(_image_ids(mesh.texture))
         flipped = (np.ascontiguousarray(image.pixels[::-1]) for image in mesh.texture.images)
         result.textures = [o3d.geometry.Image(image) for image in flipped]
-    return result
+    return cast("geometry.TriangleMesh", result)
 
 
 def _image_ids(texture: Texture) -> NDArray[np.int32]:
@@ -195,17 +201,17 @@ def _image_ids(texture: Texture) -> NDArray[np.int32]:
     return np.array([*of_material, -1], np.int32)[texture.material_ids]
 
 
-def to_trimesh(mesh: Mesh) -> Any:
+def to_trimesh(mesh: Mesh) -> Trimesh:
     """Return a trimesh.Trimesh, nothing merged or reordered.
 
     A texture of one image is kept, and no colours beside it; vertices on its seams are duplicated, for the
     class holds one texture coordinate a vertex. Several images do not fit: use `with_vertex_colors` first.
     """
-    import trimesh
+    from trimesh import Trimesh
 
     if mesh.texture is not None and len(mesh.texture.images) == 1:
-        return _textured_trimesh(mesh, trimesh)
-    return trimesh.Trimesh(
+        return _textured_trimesh(mesh, mesh.texture)
+    return Trimesh(
         mesh.vertices,
         mesh.triangles,
         vertex_colors=mesh.colors,
@@ -214,22 +220,23 @@ def to_trimesh(mesh: Mesh) -> Any:
     )
 
 
-def _textured_trimesh(mesh: Mesh, trimesh: Any) -> Any:
-    assert mesh.texture is not None
+def _textured_trimesh(mesh: Mesh, texture: Texture) -> Trimesh:
+    import trimesh
     from PIL.Image import fromarray
 
-    uvs = mesh.texture.uvs.reshape(-1, 2)
+    uvs = texture.uvs.reshape(-1, 2)
     corners = mesh.triangles.reshape(-1)
     wedges, first, wedge_of_corner = np.unique(
         np.column_stack((corners, uvs)), axis=0, return_index=True, return_inverse=True
     )
     source = corners[first]
-    material = trimesh.visual.material.SimpleMaterial(image=fromarray(mesh.texture.images[0].pixels))
+    visual: Any = trimesh.visual
+    material = visual.material.SimpleMaterial(image=fromarray(texture.images[0].pixels))
     return trimesh.Trimesh(
         mesh.vertices[source],
         wedge_of_corner.reshape(-1, 3),
         vertex_normals=None if mesh.normals is None else mesh.normals[source],
-        visual=trimesh.visual.TextureVisuals(uv=wedges[:, 1:], material=material),
+        visual=visual.TextureVisuals(uv=wedges[:, 1:], material=material),
         process=False,
     )
 

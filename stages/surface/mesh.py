@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import MeshError
+from stages.files.image_bytes import encoded_png
+from stages.printing import counted, extent_in_words, line, table
 from stages.surface.texture import Image, Material, Texture, rows_or, validated_texture
+from stages.surface.thumbnail import thumbnail
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 __all__ = ["Colors", "Image", "Material", "Mesh", "Texture", "Triangles", "Vertices", "validated"]
 
@@ -46,7 +52,27 @@ class Mesh:
     # What a reader met on the way and a person should know: a missing image, polygons that were split.
     notes: tuple[str, ...] = field(default=())
 
-    def with_(self, **changes: Any) -> Mesh:
+    def __repr__(self) -> str:
+        return line(self, self._facts())
+
+    _repr_html_ = table
+
+    def _facts(self) -> tuple[str, ...]:
+        images = 0 if self.texture is None else len(self.texture.images)
+        return (
+            counted(len(self.triangles), "triangle") or "no triangles",
+            "" if self.colors is None else "colours",
+            "" if self.texture is None else counted(images, "texture image") or "texture without images",
+            counted(0 if self.part_ids is None else len(self.part_names), "part"),
+            extent_in_words(self.vertices),
+            counted(len(self.notes), "note"),
+        )
+
+    def _thumbnail(self) -> bytes | None:
+        picture = thumbnail(self.vertices, self.triangles, self.colors, self.texture)
+        return None if picture is None else encoded_png(picture)
+
+    def with_(self, **changes: Unpack[MeshKeywords]) -> Mesh:
         """Return the same mesh with some fields replaced; other triangles need `with_triangles`."""
         return replace(self, **changes)
 
@@ -80,6 +106,20 @@ class Mesh:
             corner_normals=corner_normals,
             part_ids=None if part_ids is None else rows_or(part_ids, source, -1),
         )
+
+
+class MeshKeywords(TypedDict, total=False):
+    """The fields of a mesh as keywords of `with_`."""
+
+    vertices: Vertices
+    triangles: Triangles
+    colors: Colors | None
+    normals: NDArray[np.float64] | None
+    texture: Texture | None
+    corner_normals: NDArray[np.float64] | None
+    part_ids: NDArray[np.int32] | None
+    part_names: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def validated(mesh: Mesh, where: str = "mesh") -> Mesh:

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     else:
         data = to_trimesh(mesh.with_(texture=None))
         with _quiet():
-            written = data.export(file_type=extension[1:])
+            written = cast("str | bytes", data.export(file_type=extension[1:]))
         with replacing(path) as part:
             part.write_bytes(written.encode() if isinstance(written, str) else written)
 

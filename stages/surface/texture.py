@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stages.errors import MeshError
 from stages.files.image_bytes import decoded_image, encoded_png, kind_of
+from stages.printing import counted, line
 
 Pixels = NDArray[np.uint8]
 
@@ -32,6 +33,11 @@ class Image:
     name: str = ""
     encoded: bytes | None = field(default=None, repr=False)
     given: Pixels | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        size = "" if self.given is None else " × ".join(map(str, self.given.shape[1::-1])) + " px"
+        held = "" if self.encoded is None else counted(len(self.encoded), "byte")
+        return line(self, (self.name, size, held))
 
     @cached_property
     def pixels(self) -> Pixels:
@@ -86,6 +92,10 @@ class Material:
     wrap: tuple[str, str] = ("repeat", "repeat")
     kept: Any = None
 
+    def __repr__(self) -> str:
+        color = "" if self.base_color is None else f"colour {' '.join(f'{c:.3g}' for c in self.base_color)}"
+        return line(self, (self.name, "" if self.image is None else repr(self.image), color))
+
 
 @dataclass(frozen=True, eq=False)
 class Texture:
@@ -102,6 +112,16 @@ class Texture:
     uvs: NDArray[np.float64]
     material_ids: NDArray[np.int32]
     materials: tuple[Material, ...] = ()
+
+    def __repr__(self) -> str:
+        return line(
+            self,
+            (
+                counted(len(self.material_ids), "triangle"),
+                counted(len(self.materials), "material"),
+                counted(len(self.images), "image"),
+            ),
+        )
 
     @property
     def images(self) -> tuple[Image, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import MeshError
+from stages.printing import by_figures, table
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Edges, Ids, components, edges_of, fans, neighbours, next_corner
 from stages.surface.mesh import Mesh, Triangles, Vertices
@@ -51,6 +52,9 @@ class Topology:
     duplicate: int
     unreferenced: int
     repeating: int
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     @property
     def is_manifold(self) -> bool:

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from stages.errors import StageError
 from stages.progress import Progress, silent
 from stages.surface.mesh import Mesh
+from stages.surface.rasterize import overlaps
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas, is_degenerate
-from stages.texturing.rasterize import overlaps
 
 Floats = NDArray[np.float64]
 

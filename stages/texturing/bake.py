@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +19,24 @@ from numpy.typing import NDArray
 from stages.comparing.compare import ColorError, CompareParams, compare_surfaces
 from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
+from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.color import has_color, pixels_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
+from stages.surface.rasterize import covered, strips
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas, require_area
 from stages.texturing.atlas import Atlas, unwrap
 from stages.texturing.facing import FacingColors
 from stages.texturing.filling import filled_up
-from stages.texturing.rasterize import covered, strips
 
-VERSION = 2
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 2
 
 _MIN_SIZE = 64
 # Of the image, that charts fill; used to choose its size.
@@ -87,6 +91,15 @@ class BakeParams:
             raise UsageError(f"max_size is {self.max_size} texels; it must be a power of two.")
 
 
+class BakeKeywords(TypedDict, total=False):
+    """BakeParams as keywords of `bake`."""
+
+    texel_size: float | None
+    max_size: int
+    padding: int | None
+    samples: int | None
+
+
 @dataclass(frozen=True, eq=False)
 class Baked:
     """A textured mesh and how well it shows its original.
@@ -115,6 +128,9 @@ class Baked:
     turned: float
     color: ColorError
     vertex_color: ColorError | None
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     @property
     def halvings(self) -> int:
@@ -146,7 +162,7 @@ def bake(
     params: BakeParams | None = None,
     *,
     progress: Progress = silent,
-    **changes: Any,
+    **changes: Unpack[BakeKeywords],
 ) -> Baked:
     """Give a light mesh a texture that holds the colours of its original.
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import errno
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import typer
 
 from cli.errors import bug_of, failure_of
 from cli.output import Output, lines_of, to_json
+from pipeline.schema import SCHEMA
 from stages.errors import InputError, MeshError, StageError, UsageError
 
 
@@ -31,6 +34,15 @@ def test_json_holds_only_what_every_reader_takes() -> None:
         "row": [1.5, None],
         "file": "a.ply",
     }
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("config",), ("clean", "no-such.ply", "clean.ply"), ("clean", "--no-such-option")],
+    ids=["result", "failure", "usage"],
+)
+def test_results_and_failures_begin_with_the_schema(scanloom: Callable[..., Any], words: tuple[str]) -> None:
+    assert next(iter(scanloom(*words, "--json").json.items())) == ("schema", SCHEMA)
 
 
 def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
@@ -83,7 +95,7 @@ def test_json_output_is_alone_on_stdout_and_stderr_is_silent(capsys: pytest.Capt
         progress(1, 2)
     out.result({"triangles": 2}, "two triangles")
     captured = capsys.readouterr()
-    assert json.loads(captured.out) == {"triangles": 2}
+    assert json.loads(captured.out) == {"schema": SCHEMA, "triangles": 2}
     assert captured.err == ""
 
 

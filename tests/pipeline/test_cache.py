@@ -17,7 +17,7 @@ from pipeline.cache import Cache
 from pipeline.entry import Recipe
 from stages.errors import StageError
 
-RECIPE = Recipe("fuse", 1, {"fuse": {"voxel_size": 0.01}}, {"frames": "abc"})
+RECIPE = Recipe("fuse", {"fuse": 1}, {"fuse": {"voxel_size": 0.01}}, {"frames": "abc"})
 
 
 def make(folder: Path) -> dict:
@@ -70,7 +70,7 @@ def test_content_digest_is_of_the_files_alone(cache):
         return {**make(folder), "made": {"seconds": 99}}
 
     first = cache.store(RECIPE, make)
-    other = cache.store(Recipe("fuse", 2), later)
+    other = cache.store(Recipe("fuse", {"fuse": 2}), later)
     assert first.digest == other.digest
     assert first.key != other.key
 
@@ -160,7 +160,7 @@ def _is_json(data: bytes) -> bool:
 
 def test_entry_under_another_key_is_no_hit(cache, warnings):
     folder = stored(cache)
-    other = Recipe("fuse", 2)
+    other = Recipe("fuse", {"fuse": 2})
     shutil.copytree(folder, folder.with_name(other.key))
     assert cache.get(other) is None
     assert "belongs to another entry" in warnings[0]
@@ -236,7 +236,7 @@ def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cac
         "from pipeline.cache import Cache; from pipeline.entry import Recipe\n"
         "def make(folder):\n"
         "    (folder / 'part').write_bytes(b'half'); print('made', flush=True); time.sleep(60)\n"
-        f"Cache(Path({str(cache.folder)!r})).store(Recipe('fuse', 1), make)\n"
+        f"Cache(Path({str(cache.folder)!r})).store(Recipe('fuse', {{'fuse': 1}}), make)\n"
     )
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"made\n"
@@ -296,7 +296,7 @@ def test_file_where_the_cache_should_be(tmp_path):
 
 def test_listing_names_size_parameters_and_use(cache, tmp_path):
     stored(cache)
-    stored(cache, Recipe("clean", 1))
+    stored(cache, Recipe("clean", {"clean": 1}))
     cache.remember_run(tmp_path, {"keys": [RECIPE.key]})
     clean, fuse = cache.ls()
     assert (clean.stage, fuse.stage) == ("clean", "fuse")
@@ -308,7 +308,7 @@ def test_listing_names_size_parameters_and_use(cache, tmp_path):
 
 def recipes(cache: Cache) -> list[Recipe]:
     """Three entries, the first unused for longest."""
-    made = [Recipe("fuse", version) for version in (1, 2, 3)]
+    made = [Recipe("fuse", {"fuse": version}) for version in (1, 2, 3)]
     for i, recipe in enumerate(made):
         os.utime(stored(cache, recipe) / "in-use.lock", (1000 + i, 1000 + i))
     return made

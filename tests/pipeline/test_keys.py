@@ -123,11 +123,32 @@ def test_added_and_removed_frames_are_another_scan(toy, scan, out):
     assert outcomes[0].reason == "input changed: frame 2 (02)"
 
 
-def test_raised_stage_version_reruns(toy, scan, out):
-    plan = (toy.PLAN[0], replace(toy.PLAN[1], version=2), toy.PLAN[2])
+def test_raised_version_of_a_result_reruns(toy, scan, out):
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=toy.at(cut=2)), toy.PLAN[2])
     outcomes = toy.run(scan, out, plan=plan)
     assert ran(outcomes) == ["cut"]
-    assert outcomes[1].reason == "stage changed: version 1 → 2"
+    assert outcomes[1].reason == "stage changed: version of cut 1 → 2"
+
+
+def test_what_a_stage_runs_may_depend_on_what_it_is_asked(toy, scan, out):
+    # As simplify runs one of several methods.
+    def versions(inputs, config):  # noqa: ARG001
+        return {"cut": 1, **({"soft": 7} if config.cut.mode == "soft" else {})}
+
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=versions), toy.PLAN[2])
+    assert ran(toy.run(scan, out, plan=plan)) == []
+    outcomes = toy.run(scan, out, "cut.mode=soft", plan=plan)
+    assert outcomes[1].reason == "params changed: mode hard → soft", "no reason of its own"
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=toy.at(cut=1, soft=8)), toy.PLAN[2])
+    outcomes = toy.run(scan, out, "cut.mode=soft", plan=plan)
+    assert outcomes[1].reason == "stage changed: version of soft 7 → 8"
+
+
+def test_a_version_that_is_new_reruns(toy, scan, out):
+    plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=toy.at(cut=1, inner=3)), toy.PLAN[2])
+    outcomes = toy.run(scan, out, plan=plan)
+    assert ran(outcomes) == ["cut"]
+    assert outcomes[1].reason == "stage changed: version of inner unknown → 3"
 
 
 def test_other_library_reruns(toy, scan, out):
@@ -144,10 +165,11 @@ def test_forced_stage_runs_and_what_follows_is_cached_since_its_result_is_the_sa
 
 
 def test_every_field_of_a_recipe_decides_the_key():
-    base = Recipe("fuse", 1, {"fuse": {"voxel_size": 0.01}}, {"scan": "a"}, {"open3d": "0.20"})
+    base = Recipe("fuse", {"fuse": 1}, {"fuse": {"voxel_size": 0.01}}, {"scan": "a"}, {"open3d": "0.20"})
     others = [
         replace(base, stage="clean"),
-        replace(base, version=2),
+        replace(base, versions={"fuse": 2}),
+        replace(base, versions={"fuse": 1, "survey": 1}),
         replace(base, params={"fuse": {"voxel_size": 0.02}}),
         replace(base, params={"fuse": {"voxel_size": None}}),
         replace(base, inputs={"scan": "b"}),

@@ -107,7 +107,7 @@ def test_files_a_stage_no_longer_writes_leave(toy, scan, out):
         (job.folder / "tables" / "other.txt").write_text("4")
         return {}
 
-    plan = (*toy.PLAN[:2], replace(toy.PLAN[2], version=2, make=count_otherwise))
+    plan = (*toy.PLAN[:2], replace(toy.PLAN[2], versions=toy.at(count=2), make=count_otherwise))
     toy.run(scan, out, plan=plan)
     assert files(out) == ["cut.bin", "mixed.bin", "tables/other.txt"]
 

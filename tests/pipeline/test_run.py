@@ -20,6 +20,7 @@ from pipeline.events import RunStarted, Warned
 from pipeline.graph import STAGES
 from pipeline.report import edge_figures
 from pipeline.run import CACHE_VARIABLE, run
+from pipeline.schema import SCHEMA
 from stages.errors import InputError, UsageError
 from stages.params import described
 from stages.scans.images import read_color, read_depth
@@ -140,7 +141,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     report = json.loads((out / "report.json").read_text())
     assert report == result.report
     assert result.figures()["out"] == str(out)
-    assert report["schema"] == 1
+    assert report["schema"] == SCHEMA
     assert report["scan"] == {"layout": "plain-rgbd", "frames": 6, "frames_skipped": [], "warnings": []}
     assert list(report["stages"]) == ["fuse", "clean", "simplify", "report"]
     for stage in report["stages"].values():

@@ -20,7 +20,7 @@ from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color
 from stages.scans.scan import ColorImage
 
-_VERSION = 4
+_FORMAT_VERSION = 4
 _LONGEST_NAME = 1 << 16
 _MATRIX = struct.Struct("<16f")
 _SETTINGS = struct.Struct("<iiIIIIfQ")
@@ -145,8 +145,10 @@ def read_depth(sens: Sens, blob: Blob, name: str) -> NDArray[np.uint16]:
 
 def _read(file: BinaryIO, file_size: int, path: Path) -> Sens:
     version, name_size = struct.unpack("<IQ", _exactly(file, 12, path))
-    if version != _VERSION:
-        raise InputError(f"version {_VERSION} of the format is expected, and this states {version}.", path)
+    if version != _FORMAT_VERSION:
+        raise InputError(
+            f"version {_FORMAT_VERSION} of the format is expected, and this states {version}.", path
+        )
     if name_size > _LONGEST_NAME:
         raise InputError(f"its header is damaged: a sensor name of {name_size} bytes.", path)
     _exactly(file, name_size, path)

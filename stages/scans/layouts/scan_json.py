@@ -43,7 +43,7 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Pose, Scan
 
-VERSION = 1
+FORMAT_VERSION = 1
 FILE = "scan.json"
 _IMAGES = ("color", "depth", "confidence", "mask")
 _FARTHEST_M = 1e9
@@ -68,7 +68,7 @@ def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
     if any((f.depth_scale, f.depth_missing) != (first.depth_scale, first.depth_missing) for f in frames):
         raise ValueError("all frames of a scan.json share one depth scale and missing values")
     document = {
-        "version": VERSION,
+        "version": FORMAT_VERSION,
         "camera": _camera_table(first.camera),
         "depth_scale": first.depth_scale,
         "depth_missing": list(first.depth_missing),
@@ -127,8 +127,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     document = documents.read_json(path)
     if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
         raise InputError("it holds no list of frames.", path)
-    if document.get("version") != VERSION:
-        raise InputError(f"its version is {document.get('version')!r}; this program reads {VERSION}.", path)
+    if document.get("version") != FORMAT_VERSION:
+        raise InputError(
+            f"its version is {document.get('version')!r}; this program reads {FORMAT_VERSION}.", path
+        )
     given = options.file("poses", folder)
     entries = document["frames"]
     names = [_name(entry, i, path) for i, entry in enumerate(entries)]

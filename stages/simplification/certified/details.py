@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.printing import by_fields, table
 from stages.rounding import DIGITS, rounded_up
 from stages.simplification.crowding import crowded_by_topology
 from stages.simplification.result import Details, Simplified
@@ -34,6 +35,9 @@ class CertifiedDetails(Details):
     iterations : how often it went on simplifying and then looked at the bounds.
     max_shape_m, max_color_levels : what was used; None for no bound.
     """
+
+    __repr__ = by_fields
+    _repr_html_ = table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from stages.printing import by_fields, table
 from stages.simplification.crowding import crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
@@ -21,6 +22,9 @@ class Jia01Details(Details):
     bounded : whether resolution, max_shape and max_color were bounds, or only ordered the collapses.
     splits : edges that were split.
     """
+
+    __repr__ = by_fields
+    _repr_html_ = table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; resolution {resolution_m:.3g} m, largest change "

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.printing import by_fields, table
 from stages.simplification.planar.patches import Patches
 from stages.simplification.result import Details
 
@@ -33,6 +34,9 @@ class PlanarDetails(Details):
     patches : those of the input.
     triangle_patch : (q,) int32, the patch of each triangle of the result.
     """
+
+    __repr__ = by_fields
+    _repr_html_ = table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles from {patches:,} patches, no more than {shape_bound_m:at_most} m and "

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.printing import by_figures, table
 from stages.surface.mesh import Colors, Mesh
 
 Floats = NDArray[np.float64]
@@ -35,6 +36,9 @@ class Patches:
     thickness : (k,) float64, metres, the distance of the two planes that hold all its vertices between them.
     looks : how often a triangle's neighbour was looked at, which is what the time follows.
     """
+
+    __repr__ = by_figures
+    _repr_html_ = table
 
     triangle_patch: Ids
     normals: Floats

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from stages.printing import by_fields, table
 from stages.simplification.crowding import crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
@@ -18,6 +19,9 @@ class QuadricDetails(Details):
     attribute_scale_m_per_level : metres that weighed as much as one level of colour.
     fitted : whether vertices and colours were moved to fit the input at the end.
     """
+
+    __repr__ = by_fields
+    _repr_html_ = table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; a level of colour counted as "

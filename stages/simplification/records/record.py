@@ -11,7 +11,7 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.errors import MeshError, UsageError
 from stages.params import resolve
+from stages.printing import by_fields, table
 from stages.progress import silent
 from stages.simplification.corner_attributes import LightCorners
 from stages.simplification.kernel_input import (
@@ -36,6 +37,11 @@ from stages.simplification.records.stored_mesh import stored_mesh
 from stages.simplification.records.stored_wedges import stored_wedges
 from stages.simplification.records.wedges import Wedges
 from stages.surface.mesh import Mesh
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from stages.simplification.records.steps import ReplayKeywords
 
 # Of the files that `save` writes; `load_record` reads those of version 1, too.
 FORMAT_VERSION = 2
@@ -60,6 +66,9 @@ class CollapseRecord:
     wedges : what became of the corners, where they have attributes of their own.
     """
 
+    __repr__ = by_fields
+    _repr_html_ = table
+
     mesh: Mesh
     removed: Ids
     survivor: Ids
@@ -79,7 +88,7 @@ class CollapseRecord:
         """Return how many triangles are left after so many collapses."""
         return self._steps.triangles_after(collapses)
 
-    def replay(self, params: ReplayParams | None = None, **changes: Any) -> Replayed:
+    def replay(self, params: ReplayParams | None = None, **changes: Unpack[ReplayKeywords]) -> Replayed:
         """Return the mesh as it was when so many triangles were left, or after so many collapses.
 
         It has the input's topology at every step. At the last it equals what `simplify` gave out, to the bit,
@@ -97,7 +106,7 @@ class CollapseRecord:
         MeshError
             If `fit` cannot work on a mesh that somebody else wrote into the record.
         """
-        params = resolve(ReplayParams, params, changes)
+        params = resolve(ReplayParams, params, dict(changes))
         if self.wedges is None:
             return self._vertices_after(self._steps.after(self._steps.wanted(params)), fit=params.fit)
         if params.fit:

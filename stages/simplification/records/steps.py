@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import UsageError
 from stages.params import check, param
+from stages.printing import by_fields, table
 from stages.simplification.records.meetings import Meetings
 from stages.surface.mesh import Mesh, Triangles
 from stages.surface.topology import repeats_vertex
@@ -40,6 +42,15 @@ class ReplayParams:
             raise UsageError(f"{' and '.join(given)} are given; give one of them.")
 
 
+class ReplayKeywords(TypedDict, total=False):
+    """ReplayParams as keywords of `replay`."""
+
+    triangles: int | None
+    ratio: float | None
+    collapses: int | None
+    fit: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Replayed:
     """A mesh on the way, and where its parts came from.
@@ -51,6 +62,9 @@ class Replayed:
     triangle_source : (q,) int32, for each triangle the input triangle it is what is left of.
     collapses : how many were replayed.
     """
+
+    __repr__ = by_fields
+    _repr_html_ = table
 
     mesh: Mesh
     vertex_source: NDArray[np.int32]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from stages.printing import by_fields, table
 from stages.simplification.crowding import crowded_by_locks, crowded_by_topology
 from stages.simplification.result import Details, Simplified
 
@@ -23,6 +24,9 @@ class SeamsDetails(Details):
     seam_drift : proven: no point of a seam is farther, in the image, from where it was; as a share of the
         image's side.
     """
+
+    __repr__ = by_fields
+    _repr_html_ = table
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; {joined_vertices:,} copies of vertices joined, "

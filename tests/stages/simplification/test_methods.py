@@ -169,7 +169,6 @@ _ROW = """    Method(
         params=CutParams,
         details=CutDetails,
         run=cut.run,
-        result_version=cut.RESULT_VERSION,
         needs=Need("a height", ("max_height",), "give max_height"),
         takes=Takes(any_mesh=True, importance=False, record=False),
     ),

@@ -9,11 +9,11 @@ from stages.errors import MeshError, StageError, UsageError
 from stages.simplification.simplify import simplify
 from stages.surface.color import color_at
 from stages.surface.mesh import Image, Material, Mesh, Texture
+from stages.surface.rasterize import covered, overlaps
 from stages.surface.topology import areas
 from stages.texturing.atlas import unwrap
 from stages.texturing.bake import bake
 from stages.texturing.filling import filled_up
-from stages.texturing.rasterize import covered, overlaps
 
 
 def square(depth: float = 0.0, turned: bool = False) -> Mesh:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stages.texturing.rasterize import covered, overlaps
+from stages.surface.rasterize import covered, overlaps
 
 
 def fan(count: int = 9, seed: int = 0) -> np.ndarray:

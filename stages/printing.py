@@ -1,0 +1,211 @@
+"""How results print: as one line of what matters, and in a notebook as a table with a picture.
+
+No array is printed, however small. A class takes `by_figures` or `by_fields` for its `__repr__`, and `table`
+for its `_repr_html_`.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from stages.rounding import DIGITS, rounded_down, rounded_up
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+# Ends of figure names, longest first, and the unit a person reads instead.
+_UNITS = {
+    "_m_per_level": "m per level",
+    "_per_m": "per m",
+    "_percent": "%",
+    "_levels": "levels of 255",
+    "_frames": "frames",
+    "_bytes": "bytes",
+    "_share": "%",
+    "_deg": "°",
+    "_mb": "MB",
+    "_db": "dB",
+    "_px": "px",
+    "_mm": "mm",
+    "_m2": "m²",
+    "_m": "m",
+    "_s": "s",
+}
+# Characters of a repr, rows of a table, items of a list that are still named one by one.
+_LONGEST, _MOST_ROWS, _NAMED = 240, 40, 4
+_LONGEST_CELL = 120
+
+
+def name_and_value(key: str, value: Any) -> tuple[str, str]:
+    """Return a figure's name in words, and its value with the unit that the end of the name stands for."""
+    end = next((end for end in _UNITS if key.endswith(end)), "")
+    name = key.removesuffix(end).replace("_", " ")
+    if value is None or not end:
+        return name, value_in_words(value)
+    if end == "_share" and isinstance(value, float):
+        value = 100 * value
+    text = value_in_words(value)
+    if isinstance(value, float) and name.endswith((" bound", " attained")):
+        text = at_most(value) if name.endswith(" bound") else at_least(value)
+    return name, f"{text} {_UNITS[end]}"
+
+
+def value_in_words(value: Any) -> str:
+    """Return a value as a person reads it: whole numbers in groups, others in four digits."""
+    if value is None or value == {}:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(value_in_words, value)) or "–"
+    return str(value)
+
+
+def at_most(value: float) -> str:
+    """Return a bound as a person reads it: rounded up, so that it stays true."""
+    return f"{rounded_up(value):.{DIGITS}g}"
+
+
+def at_least(value: float) -> str:
+    """Return what was found as a person reads it: rounded down, so that it was found."""
+    return f"{rounded_down(value):.{DIGITS}g}"
+
+
+def counted(count: int, what: str, plural: str = "") -> str:
+    """Return a number of things: `1 triangle`, `57,755 triangles`; nothing for none."""
+    return f"{count:,} {what if count == 1 else plural or what + 's'}" if count else ""
+
+
+def line(thing: object, said: Iterable[str]) -> str:
+    """Return `Name(fact, fact)`, without those facts that are empty and the last ones if there are many."""
+    shown, left = [], _LONGEST
+    for fact in said:
+        text = " ".join(fact.split())
+        left -= len(text) + 2
+        if left < 0:
+            shown.append("…")
+            break
+        if text:
+            shown.append(text)
+    return f"{type(thing).__name__}({', '.join(shown)})"
+
+
+def by_figures(self: Any) -> str:
+    """For `__repr__`: what the mesh is, if there is one, and the figures that are no tables of their own."""
+    return line(self, [*_mesh_facts(getattr(self, "mesh", None)), *facts(_own_figures(self))])
+
+
+def by_fields(self: Any) -> str:
+    """For `__repr__` of a dataclass without figures: its fields, of arrays the shape."""
+    return line(self, facts(_fields(self)))
+
+
+def table(self: Any) -> str:
+    """For `_repr_html_`: the figures, or the fields, and a picture of the mesh if there is one."""
+    mesh = getattr(self, "mesh", self)
+    told = ", ".join(filter(None, _mesh_facts(mesh)))
+    rows = [("mesh", told)] if told else []
+    if not hasattr(self, "_facts"):
+        rows += _rows(_own_figures(self) if hasattr(self, "figures") else _fields(self))
+    cells = "".join(
+        f"<tr><th style='text-align:left'>{escape(name)}</th><td>{escape(_cut(value))}</td></tr>"
+        for name, value in rows[:_MOST_ROWS]
+    )
+    if len(rows) > _MOST_ROWS:
+        cells += f"<tr><td>and {len(rows) - _MOST_ROWS} more</td></tr>"
+    name = escape(type(self).__name__)
+    content = f"{_picture(mesh)}<table>{cells}</table>"
+    return f"<div><b>{name}</b><div style='display:flex;gap:1em'>{content}</div></div>"
+
+
+def extent_in_words(points: NDArray[np.float64]) -> str:
+    """Return how large the box around points (n, 3) is: `6.2 × 4.1 × 2.4 m`; nothing for none."""
+    if not len(points):
+        return ""
+    sides = [float(side) for side in points.max(axis=0) - points.min(axis=0)]
+    unit, factor = ("m", 1.0) if max(sides) >= 0.1 else ("mm", 1e3)
+    return (
+        " × ".join(f"{side:,.0f}" if side >= 100 else f"{side:.2g}" for side in (factor * s for s in sides))
+        + f" {unit}"
+    )
+
+
+def _mesh_facts(thing: Any) -> list[str]:
+    """Return what a mesh says of itself; nothing for anything else."""
+    return list(thing._facts()) if hasattr(thing, "_facts") else []
+
+
+def _own_figures(thing: Any) -> dict[str, Any]:
+    """Return figures without those that the facts of the mesh tell."""
+    told = {"vertices", "triangles"} if _mesh_facts(getattr(thing, "mesh", None)) else set()
+    return {name: value for name, value in thing.figures().items() if name not in told}
+
+
+def _fields(thing: Any) -> dict[str, Any]:
+    fields = {field.name: getattr(thing, field.name) for field in dataclasses.fields(thing)}
+    return {name.lstrip("_"): value for name, value in fields.items()}
+
+
+def facts(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Return figures as the facts of a line, without those that there is nothing to say of."""
+    return (_fact(name, value) for name, value in figures.items())
+
+
+def _fact(key: str, value: Any) -> str:
+    """Return a figure as a fact; empty where there is nothing to say."""
+    if value is None or value is False or isinstance(value, Mapping) or (type(value) is int and value == 0):
+        return ""
+    if hasattr(value, "shape"):
+        return f"{key.replace('_', ' ')} {' × '.join(f'{n:,}' for n in value.shape)}"
+    if value is True:
+        return key.replace("_", " ")
+    if isinstance(value, (list, tuple)):
+        return _listed(key, value)
+    if isinstance(value, bytes):
+        return f"{key} {len(value):,} bytes"
+    if hasattr(value, "_facts"):
+        return ", ".join(filter(None, _mesh_facts(value)))
+    if dataclasses.is_dataclass(value):
+        return repr(value)
+    return " ".join(name_and_value(key, value))
+
+
+def _listed(key: str, items: list[Any] | tuple[Any, ...]) -> str:
+    if len(items) <= _NAMED and all(isinstance(item, (str, int, float)) for item in items):
+        return " ".join(name_and_value(key, items)) if items else ""
+    return counted(len(items), key.replace("_", " "), key.replace("_", " "))
+
+
+def _rows(figures: Mapping[str, Any], of: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in figures.items():
+        if isinstance(value, Mapping):
+            yield from _rows(value, f"{of}{key} · ".replace("_", " "))
+        elif isinstance(value, (list, tuple)) or hasattr(value, "shape") or dataclasses.is_dataclass(value):
+            name = key.replace("_", " ")
+            yield f"{of}{name}", _fact(key, value).removeprefix(f"{name} ").removesuffix(f" {name}") or "–"
+        else:
+            name, text = name_and_value(key, value)
+            yield f"{of}{name}", text
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST_CELL else text[: _LONGEST_CELL - 1] + "…"
+
+
+def _picture(mesh: Any) -> str:
+    try:
+        png = mesh._thumbnail()
+    except Exception:  # whatever is wrong with a mesh, the table is shown
+        png = None
+    if png is None:
+        return ""
+    return f"<img alt='' src='data:image/png;base64,{base64.b64encode(png).decode()}'>"

@@ -1,0 +1,86 @@
+"""A small picture of triangles, for notebooks: without a ray caster, whose import alone takes seconds.
+
+Triangles are seen from 30° above, y up, without perspective; of those that cover the centre of a pixel the
+nearest is drawn. `stages.picturing` draws pictures that are looked at for longer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.rasterize import Covered, covered
+from stages.surface.texture import Texture
+
+WIDTH, HEIGHT = 240, 180
+# Rays a pixel, along each side: the mean of them smooths outlines.
+_FINER = 2
+_MARGIN = 0.94
+# More take longer than a person waits for a table.
+_MOST_TRIANGLES = 1_000_000
+_TOWARDS_VIEWER = np.array((-0.5, 0.5, 0.7071))
+_BACKGROUND, _CLAY = 244.0, (214.0, 212.0, 207.0)
+_AMBIENT = 0.35
+
+
+def thumbnail(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    colors: NDArray[np.uint8] | None,
+    texture: Texture | None,
+) -> NDArray[np.uint8] | None:
+    """Return (HEIGHT, WIDTH, 3) RGB; None without a surface, or of more than a million triangles."""
+    if not 0 < len(triangles) <= _MOST_TRIANGLES:
+        return None
+    right = np.array((_TOWARDS_VIEWER[2], 0, -_TOWARDS_VIEWER[0]))
+    axes = np.stack([right, np.cross(_TOWARDS_VIEWER, right), _TOWARDS_VIEWER])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    seen = vertices @ axes.T
+    corners = seen[triangles]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    height, width = HEIGHT * _FINER, WIDTH * _FINER
+    extent = high - low
+    if not np.isfinite(extent).all() or extent.max() == 0:
+        return None
+    scale = _MARGIN * min(width / max(extent[0], 1e-300), height / max(extent[1], 1e-300))
+    flat = (corners[:, :, :2] - (low + high)[:2] / 2) * (scale, -scale) + (width / 2, height / 2)
+    nearest = _nearest(covered(flat, (0, height), width), corners[:, :, 2], width)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[nearest.triangles]
+    # The light is where the viewer is, and sides do not matter: many a mesh is seen from behind.
+    facing = np.abs(normals[:, 2]) / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+    image = np.full((height, width, 3), _BACKGROUND)
+    lit = _AMBIENT + (1 - _AMBIENT) * facing
+    image[nearest.rows, nearest.columns] = _colors(nearest, triangles, colors, texture) * lit[:, None]
+    smaller = image.reshape(HEIGHT, _FINER, WIDTH, _FINER, 3).mean(axis=(1, 3))
+    return np.asarray(np.rint(smaller), np.uint8)
+
+
+def _nearest(found: Covered, heights: NDArray[np.float64], width: int) -> Covered:
+    """Return of the triangles at each pixel the one whose point there is nearest to the viewer."""
+    height = (found.weights * heights[found.triangles]).sum(axis=1)
+    place = found.rows * width + found.columns
+    order = np.lexsort((-height, place))
+    first = order[np.diff(place[order], prepend=-1) > 0]
+    return Covered(found.rows[first], found.columns[first], found.triangles[first], found.weights[first])
+
+
+def _colors(
+    at: Covered, triangles: NDArray[np.int32], colors: NDArray[np.uint8] | None, texture: Texture | None
+) -> NDArray[np.float64]:
+    """Return (k, 3) levels: of the nearest texel, else between the vertices, else of clay."""
+    if colors is None:
+        found = np.tile(np.array(_CLAY), (len(at.triangles), 1))
+    else:
+        found = np.einsum("kc,kcx->kx", at.weights, colors[triangles[at.triangles]].astype(np.float64))
+    for number, material in enumerate(() if texture is None else texture.materials):
+        assert texture is not None
+        (rows,) = np.nonzero(texture.material_ids[at.triangles] == number)
+        if material.image is not None and len(rows):
+            pixels = material.image.pixels
+            uvs = np.einsum("kc,kcx->kx", at.weights[rows], texture.uvs[at.triangles[rows]])
+            size = np.array(pixels.shape[1::-1])
+            x, y = ((uvs * (1, -1) % 1) * size).astype(np.int64).clip(0, size - 1).T
+            found[rows] = pixels[y, x, :3]
+        elif material.base_color is not None and colors is None:
+            found[rows] = 255 * np.array(material.base_color[:3])
+    return found

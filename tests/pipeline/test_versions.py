@@ -1,0 +1,124 @@
+"""A changed result never comes from the cache: every RESULT_VERSION is in the key of a stage that runs it."""
+
+import ast
+import pkgutil
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+import pipeline
+import stages
+from pipeline.config import Config
+from pipeline.engine import Stage
+from pipeline.graph import STAGES
+from stages.scans.scan import Camera, Frame, Scan, StereoRig
+
+ROOT = Path(stages.__file__).parents[1]
+MODULES = [
+    import_module(found.name)
+    for package in (pipeline, stages)
+    for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+]
+STATING = [module for module in MODULES if hasattr(module, "RESULT_VERSION")]
+
+CAMERA = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
+VIEWS = Scan("toy", [Frame("0", CAMERA)])
+PAIRS = Scan("toy", [Frame("0", CAMERA)], rig=StereoRig(CAMERA, CAMERA, None, rectified=True))
+METHODS = (
+    "simplify.ratio=0.5",
+    "simplify.method=certified simplify.max_shape=0.01",
+    "simplify.method=planar",
+    "simplify.method=jia01",
+    "simplify.method=seams simplify.ratio=0.5",
+)
+
+
+def versions(stage: Stage, scan: Scan, words: str = "") -> Mapping[str, int]:
+    return stage.versions(dict.fromkeys(stage.reads, scan), Config().set(words.split()))
+
+
+def all_versions() -> dict[tuple[Any, ...], Mapping[str, int]]:
+    """Return what every stage has in its keys, for all kinds of scans and methods."""
+    return {
+        (stage.name, scan.is_views, words): versions(stage, scan, words)
+        for stage in STAGES
+        for scan in (VIEWS, PAIRS)
+        for words in METHODS
+    }
+
+
+def stage_named(name: str) -> Stage:
+    return next(stage for stage in STAGES if stage.name == name)
+
+
+def test_they_are_found():
+    names = {module.__name__ for module in STATING}
+    assert {"stages.fusion.fuse", "stages.simplification.simplify", "pipeline.report"} <= names
+    assert len(STATING) >= 12
+
+
+@pytest.mark.parametrize("module", STATING, ids=lambda module: module.__name__)
+def test_every_version_of_a_result_is_in_the_key_of_a_stage(module, monkeypatch):
+    before = all_versions()
+    monkeypatch.setattr(module, "RESULT_VERSION", module.RESULT_VERSION + 1)
+    after = all_versions()
+    assert [key for key in before if before[key] != after[key]], "bumping it changes no key"
+
+
+def test_every_stage_has_a_version():
+    assert all(all_versions().values())
+
+
+def test_versions_are_called_what_they_are_of():
+    # RESULT_VERSION decides keys, FORMAT_VERSION what a reader of a file understands.
+    unclear = {"VERSION", "_VERSION"}
+    assert [module for module in MODULES if unclear & vars(module).keys()] == []
+
+
+def test_the_version_of_a_method_is_in_the_key_only_where_it_runs():
+    simplify = stage_named("simplify")
+    assert set(versions(simplify, PAIRS, "simplify.ratio=0.5")) == {"simplify", "quadric"}
+    assert set(versions(simplify, PAIRS, "simplify.method=planar")) == {"simplify", "planar"}
+    assert set(versions(simplify, PAIRS, "simplify.max_shape=0.01")) == {"simplify", "certified", "certify"}
+
+
+def test_parameters_that_suit_no_method_are_left_for_the_stage_to_refuse():
+    assert set(versions(stage_named("simplify"), PAIRS, "simplify.method=quadric")) == {"simplify"}
+
+
+def test_depth_has_the_version_of_views_only_for_views():
+    assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth"}
+    assert set(versions(stage_named("depth"), PAIRS)) == {"depth"}
+
+
+def name_in_keys(module: ModuleType) -> str:
+    """Return the name of a file, or of a method, which has its call in the file `run.py` of its folder."""
+    *_, folder, file = module.__name__.split(".")
+    return folder if file == "run" and folder != "pipeline" else file
+
+
+def imported(module: ModuleType) -> Iterator[str]:
+    if module.__file__.endswith(".py"):
+        for node in ast.walk(ast.parse(Path(module.__file__).read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                yield node.module
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def test_what_a_stage_runs_is_in_its_key_too():
+    # Whose code is imported by what a stage runs may decide its result: bake measures colours with compare.
+    by_name = {module.__name__: module for module in MODULES}
+    stating = {name_in_keys(module): module.__name__ for module in STATING}
+    for stage in STAGES:
+        named = {name for key, found in all_versions().items() if key[0] == stage.name for name in found}
+        reached, waiting = set(), {stating[name] for name in named}
+        while waiting:
+            one = waiting.pop()
+            reached.add(one)
+            waiting |= {name for name in imported(by_name[one]) if name in by_name} - reached
+        missing = {name for name, module in stating.items() if module in reached} - named
+        assert not missing, f"{stage.name} may run {missing}"

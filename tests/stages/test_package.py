@@ -1,0 +1,91 @@
+"""What `from stages import …` gives, when it is fetched, and that nothing else takes its place."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module, metadata
+from pathlib import Path
+
+import pytest
+
+import stages
+from stages.params import RenamedWarning
+
+ROOT = Path(stages.__file__).parent
+TREE = ast.parse((ROOT / "__init__.py").read_text(encoding="utf-8"))
+
+
+def shown_to_type_checkers() -> dict[str, str]:
+    """Names and modules of the imports under `if TYPE_CHECKING`."""
+    (block,) = [n for n in TREE.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING"]
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    assert all(alias.asname is None for node in imports for alias in node.names)
+    return {alias.name: node.module for node in imports for alias in node.names}
+
+
+def in_new_process(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_type_checkers_and_the_program_see_the_same_names_of_the_same_modules():
+    assert shown_to_type_checkers() == stages._MODULE_OF
+    assert sorted(stages.__all__) == sorted({*stages._MODULE_OF, "__version__"}) == dir(stages)
+
+
+@pytest.mark.parametrize("name", sorted(stages._MODULE_OF))
+def test_every_name_is_that_of_its_module(name):
+    assert getattr(stages, name) is getattr(import_module(stages._MODULE_OF[name]), name)
+
+
+def test_importing_the_package_imports_nothing_else():
+    code = "import sys, stages; print([n for n in sys.modules if n.startswith('stages.') or n == 'numpy'])"
+    assert in_new_process(code) == "[]"
+
+
+def test_a_star_gives_all_names():
+    assert in_new_process("from stages import *; print(simplify.__name__, Mesh.__name__)") == "simplify Mesh"
+
+
+def test_a_name_that_is_not_there_is_an_error_of_the_usual_kind():
+    with pytest.raises(AttributeError, match="'stages' has no attribute 'simplfy'"):
+        stages.simplfy  # noqa: B018
+    with pytest.raises(ImportError, match="cannot import name 'simplfy'"):
+        from stages import simplfy  # noqa: F401
+
+
+def test_former_names_are_understood_and_say_the_new_one():
+    with pytest.warns(RenamedWarning, match="View is called Viewpoint now"):
+        from stages import View
+    assert View is stages.Viewpoint
+
+
+def test_no_room_has_the_name_of_a_function():
+    # Importing a submodule binds its name in the package, over whatever stood there.
+    entries = {path.stem for path in ROOT.iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert entries.isdisjoint(stages.__all__)
+    code = (
+        "import stages, stages.simplification.simplify, stages.cleaning.clean, stages.inspecting.inspect; "
+        "print(all(callable(one) for one in (stages.simplify, stages.clean, stages.inspect)))"
+    )
+    assert in_new_process(code) == "True"
+
+
+def test_version_is_that_of_the_installed_distribution(monkeypatch):
+    assert stages.__version__ == metadata.version("scanloom")
+
+    def missing(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", missing)
+    assert stages._installed_version() == "0+unknown"
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_file_of_the_package_asks_the_package_for_a_name(path):
+    # Where a name of the package is fetched while the package is being imported, the order decides.
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module == "stages":
+            assert [alias.name for alias in node.names] == ["_kernels"]
+        elif isinstance(node, ast.Import):
+            assert "stages" not in [alias.name for alias in node.names]

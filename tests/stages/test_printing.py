@@ -1,0 +1,251 @@
+"""Results print as a line or two and never dump arrays; in a notebook as a table, with a picture."""
+
+import base64
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import stages
+from stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture
+from stages.printing import line
+from stages.scans.scan import Packed, SkippedFrame
+from stages.surface import thumbnail
+
+CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+
+
+def ball(subdivisions: int = 2) -> Mesh:
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    colors = np.clip(128 + 100 * mesh.vertices, 0, 255).astype(np.uint8)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, np.int32), colors)
+
+
+def textured() -> Mesh:
+    square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]], np.int32))
+    red = Image("red.png", given=np.full((4, 4, 3), (200, 0, 0), np.uint8))
+    uvs = np.array([[[0, 0], [1, 0], [0, 1.0]]])
+    return square.with_(texture=Texture(uvs, np.zeros(1, np.int32), (Material("paint", red),)))
+
+
+def with_image(image: Image) -> Mesh:
+    mesh = textured()
+    return mesh.with_(texture=replace(mesh.texture, materials=(Material("paint", image),)))
+
+
+def frames(count: int = 4) -> list[Frame]:
+    """Frames of a wall with a step in it, 1 m away."""
+    depth = np.full((48, 64), 1.0, np.float32)
+    depth[:, 30:40] = 0.9
+    color = np.full((48, 64, 3), 90, np.uint8)
+    poses = [np.eye(4) for _ in range(count)]
+    for i, pose in enumerate(poses):
+        pose[0, 3] = 0.01 * i
+    return [Frame(f"{i}", CAMERA, color, depth=depth, world_from_camera=p) for i, p in enumerate(poses)]
+
+
+def registration() -> Registration:
+    """What register returns; the real thing takes frames that show more than a wall."""
+    edge = {"source": 0, "target": 1, "fitness": 0.8, "rmse_m": 0.002, "is_loop": False, "is_used": True}
+    names = tuple(frame.name for frame in frames())
+    lost = (SkippedFrame("9", "too dark"),)
+    apart = {2: {9: frames(1)[0]}}
+    return Registration(
+        tuple(frames()), (0, 1, 2, 3), lost, (names, ("9",)), apart, (edge,) * 3, lost, (0,), ("slow",), 1.5
+    )
+
+
+def simplified(mesh: Mesh) -> list[object]:
+    """What each method returns, its details, and what is kept of a run."""
+    bounds = {"certified": {"max_shape": 0.1}, "jia01": {}, "planar": {}}
+    methods = ("quadric", "certified", "seams", "jia01", "planar")
+    found = [stages.simplify(mesh, method=name, **bounds.get(name, {"ratio": 0.5})) for name in methods]
+    record = stages.simplify(mesh, ratio=0.5, record=True).record
+    return [*found, *(one.details for one in found), record, record.replay(ratio=0.8)]
+
+
+def everything():
+    """One of every public class that is no parameters and no error, by real calls where these are quick."""
+    mesh, scan = ball(), Scan("made", frames())
+    far = Camera(640, 480, 525.123456789, 525.1, 319.5, 239.5, tuple(np.linspace(0.1, 1.4, 14) / 3))
+    rig = StereoRig(CAMERA, CAMERA, np.eye(4), rectified=True)
+    left = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (96, 160, 3), np.uint8), (3, 3), 0)
+    wide = Camera(128, 96, 100.0, 100.0, 63.5, 47.5)
+    shifted = np.eye(4)
+    shifted[0, 3] = -0.1
+    pair = (np.ascontiguousarray(left[:, 8:136]), np.ascontiguousarray(left[:, 16:144]))
+    remeshed = stages.remesh(mesh, levels=1, base_triangles=20)
+    comparison = stages.compare(mesh, mesh, samples=1000)
+    cleaned = stages.clean(mesh)
+    inspected = stages.inspect(scan)
+    return [
+        mesh,
+        textured(),
+        *(textured().texture, textured().texture.materials[0], textured().texture.images[0]),
+        Image("photo.jpg", encoded=b"\xff\xd8\xff" * 1000),
+        Material("grey", base_color=(0.5, 0.5, 0.5, 1.0)),
+        scan,
+        replace(scan, frames=frames(0), missing=("poses: none", "x" * 400), warnings=("odd",)),
+        scan.frames[0],
+        CAMERA,
+        far,
+        rig,
+        Packed(Path("video.mp4"), "frame 3", lambda: np.zeros((1, 1))),
+        stages.fuse(scan, voxel_size=0.02, min_weight=1),
+        cleaned,
+        cleaned.changes,
+        comparison,
+        comparison.symmetric,
+        comparison.color,
+        stages.certify(mesh, mesh),
+        remeshed,
+        remeshed.offsets[0],
+        stages.bake(ball(1), mesh, max_size=64),
+        registration(),
+        stages.depth(*pair, StereoRig(wide, wide, shifted, rectified=True), disparities=16),
+        inspected,
+        inspected.path,
+        inspected.depth,
+        stages.topology(mesh),
+        *simplified(mesh),
+        stages.planar_patches(mesh),
+        stages.Sphere((0, 0, 1.5), 0.25, importance=20.0),
+        stages.Box((0, 0, 0), (1, 1, 1), lock=True),
+        stages.viewpoints(mesh)[0],
+    ]
+
+
+@pytest.fixture(scope="module")
+def results():
+    return everything()
+
+
+def test_results_print_as_a_line_or_two_without_arrays(results):
+    for result in results:
+        text = repr(result)
+        assert text.startswith(f"{type(result).__name__}(")
+        assert len(text) <= 300, text
+        assert len(text.splitlines()) <= 2, text
+        assert not re.search(r"array\(|\[\[|dtype|object at|\(, |, ,|, \)", text), text
+
+
+def test_every_public_class_is_among_them(results):
+    classes = {getattr(stages, name) for name in stages.__all__ if name[0].isupper() and name != "MeshLike"}
+    results_of = {
+        cls for cls in classes if not issubclass(cls, Exception) and not cls.__name__.endswith("Params")
+    }
+    assert results_of <= {type(result) for result in results}
+
+
+def test_a_mesh_says_how_large_it_is():
+    mesh = ball().with_(vertices=ball().vertices * (3.1, 2.05, 1.2))
+    assert repr(mesh) == "Mesh(320 triangles, colours, 6.2 × 4.1 × 2.4 m)"
+    assert repr(textured()) == "Mesh(1 triangle, 1 texture image, 1 × 1 × 0 m)"
+    assert (
+        repr(mesh.with_(vertices=mesh.vertices / 1000)) == "Mesh(320 triangles, colours, 6.2 × 4.1 × 2.4 mm)"
+    )
+    assert repr(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))) == "Mesh(no triangles)"
+    parts = mesh.with_(part_ids=np.zeros(320, np.int32), part_names=("a", "b"), notes=("said",))
+    assert repr(parts) == "Mesh(320 triangles, colours, 2 parts, 6.2 × 4.1 × 2.4 m, 1 note)"
+
+
+def test_other_results_say_what_matters(results):
+    texts = {type(result).__name__: repr(result) for result in reversed(results)}
+    assert texts["Scan"] == "Scan(made, 4 frames, colour and depth, poses)"
+    assert texts["Frame"] == "Frame(0, 64 × 48 px, colour, depth, pose)"
+    assert texts["Camera"] == "Camera(64 × 48 px, fx 60, fy 60, cx 31.5, cy 23.5 px)"
+    assert texts["Fused"].startswith("Fused(")
+    assert "voxel size 0.02 m" in texts["Fused"]
+    assert "triangles" in texts["Fused"]
+    assert texts["Texture"] == "Texture(1 triangle, 1 material, 1 image)"
+    assert texts["Comparison"].startswith("Comparison(distance rms ")
+    assert texts["Material"] == "Material(paint, Image(red.png, 4 × 4 px))"
+    assert "shape bound" in texts["Certificate"]
+
+
+def test_a_long_line_ends_where_a_fact_ends():
+    text = line(CAMERA, ["fact " * 20] * 9)
+    assert text.endswith(", …)")
+    assert len(text) <= 300
+
+
+def picture_in(html: str) -> np.ndarray | None:
+    found = re.search(r"src='data:image/png;base64,([^']+)'", html)
+    return None if found is None else cv2.imdecode(np.frombuffer(base64.b64decode(found[1]), np.uint8), 1)
+
+
+def test_a_notebook_shows_a_table_and_a_picture(results):
+    shown = [result for result in results if hasattr(result, "_repr_html_")]
+    assert {"Simplified", "Mesh", "Fused", "Baked", "NormalMesh", "Comparison"} <= {
+        type(one).__name__ for one in shown
+    }
+    for result in shown:
+        html = result._repr_html_()
+        assert html.count("<tr>") >= 1
+        assert type(result).__name__ in html
+        assert len(html) < 200_000
+        has_mesh = isinstance(getattr(result, "mesh", result), Mesh)
+        assert (picture_in(html) is not None) == has_mesh, type(result)
+
+
+def test_the_picture_shows_colours_texture_or_clay():
+    def middle(mesh):
+        return picture_in(mesh._repr_html_())[80:100, 110:130].reshape(-1, 3).mean(axis=0)[::-1]
+
+    red, green, blue = middle(textured())
+    assert red > 60
+    assert max(green, blue) < 10
+    clay = middle(ball().with_(colors=None))
+    assert np.ptp(clay) < 20
+    assert clay.min() > 100
+    towards = middle(ball())
+    assert towards[1] > 128 > towards[0], "y is up, and x goes to the right behind the viewer"
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)),
+        Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32)),
+        Mesh(np.full((3, 3), np.nan), np.array([[0, 1, 2]], np.int32)),
+        Mesh(np.eye(3), np.array([[0, 1, 9]], np.int32)),
+        textured().with_(
+            texture=replace(
+                textured().texture, materials=(Material("x", Image("x.png", encoded=b"no image")),)
+            )
+        ),
+    ],
+    ids=["empty", "point", "not finite", "out of range", "damaged image"],
+)
+def test_what_cannot_be_drawn_is_still_a_table(mesh):
+    html = mesh._repr_html_()
+    assert "<table>" in html
+    assert "<img" not in html
+
+
+def test_the_nearest_surface_is_drawn():
+    # A small blue triangle in front of a large red one, seen from where the picture is drawn.
+    towards = thumbnail._TOWARDS_VIEWER / np.linalg.norm(thumbnail._TOWARDS_VIEWER)
+    right = np.array((towards[2], 0, -towards[0]))
+    up = np.cross(towards, right)
+    corners = [np.cos(a) * right + np.sin(a) * up for a in np.radians((90, 210, 330))]
+    vertices = np.array([*corners, *(0.5 * corner + towards for corner in corners)])
+    colors = np.array([(255, 0, 0)] * 3 + [(0, 0, 255)] * 3, np.uint8)
+    for order in ([[0, 1, 2], [3, 4, 5]], [[3, 4, 5], [0, 1, 2]]):
+        image = thumbnail.thumbnail(vertices, np.array(order, np.int32), colors, None)
+        assert image.shape == (180, 240, 3)
+        assert (image == (0, 0, 255)).all(axis=2).sum() > 1000
+        assert (image == (255, 0, 0)).all(axis=2).sum() > 1000
+        assert tuple(image[95, 120]) == (0, 0, 255)
+
+
+def test_names_do_not_become_markup():
+    scan = Scan("<script>", frames())
+    html = stages.inspect(scan)._repr_html_()
+    assert "<script>" not in html
+    assert "&lt;script&gt;" in html

@@ -1,0 +1,23 @@
+"""What a type checker says of calls.py: no more and no less than is expected there."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CALLS = Path(__file__).with_name("calls.py")
+
+
+def test_type_checkers_pass_good_calls_and_refuse_bad_ones():
+    lines = CALLS.read_text(encoding="utf-8").splitlines()
+    marks = {number: re.search(r"# error: ([\w-]+)$", line) for number, line in enumerate(lines, 1)}
+    expected = {(number, mark[1]) for number, mark in marks.items() if mark}
+    # Its cache is that of `make lint`, whose options are the same: cold it takes a while, then a second.
+    command = [sys.executable, "-m", "mypy", "--no-error-summary", "--no-pretty", str(CALLS)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    said = re.findall(r"^(\S+?):(\d+): error: .*\[([\w-]+)\]$", done.stdout, re.MULTILINE)
+    assert not done.stderr
+    assert {name for name, _, _ in said} == {str(CALLS.relative_to(ROOT))}, done.stdout
+    found = {(int(number), code) for _, number, code in said}
+    assert found == expected, done.stdout
