@@ -1,0 +1,1 @@
+"""What same_outputs.py runs, and how it compares what comes out; it names nothing inside a checkout."""

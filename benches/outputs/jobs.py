@@ -1,0 +1,542 @@
+"""The list of jobs: command lines of scanloom, and snippets for what no command does.
+
+A step begins with a command of scanloom, or with the name of a file in snippets/. It works in a folder of its
+job, and these stand for folders:
+
+    {data}      the real scans and meshes
+    {samples}   the sample scans of the first checkout
+    {inputs}    what inputs.py makes
+    {first}     what the first checkout left of the same job: the second one must read it, too
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Job:
+    """Steps in one folder, each a command line without the program's name."""
+
+    name: str
+    steps: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A mesh that every method is tried on; `shape` is a bound in metres that leaves them something to do."""
+
+    path: str
+    shape: float
+    is_clean: bool = True
+    is_colored: bool = False
+
+
+MODELS = {
+    "horse": Model("horse.ply", 0.001),
+    "camelhead": Model("camelhead.off", 0.005),
+    "spot": Model("spot/spot_triangulated.obj", 0.02),
+    "fuze": Model("fuze/fuze.obj", 0.002),
+    "duck": Model("Duck.glb", 0.02),
+    "airplane": Model("colored_airplane.ply", 0.01, is_colored=True),
+}
+KITCHEN = "{data}/meshes/redkitchen_fused_vertexcolor.ply"
+
+# What --quick runs: a little of everything.
+QUICK = (
+    "run/rgbd",
+    "stages/*",
+    "methods/spot/*",
+    "methods/airplane/*",
+    "controlled/*",
+    "records/*",
+    "normal_meshes/camelhead*",
+    "textures/spot",
+    "measures/spot*",
+    "pictures/spot",
+    "scans/samples*",
+    "recordings/realsense.bag",
+    "formats/Duck.glb",
+    "broken/*.obj",
+    "words/*",
+)
+
+
+def all_jobs(data: Path) -> list[Job]:
+    """Return every job, those on small things first; `data` is looked at for the names of its files."""
+    return [
+        *_words(),
+        *_methods(),
+        *_controlled(),
+        *_records(),
+        *_normal_meshes(),
+        *_textures(),
+        *_measures(),
+        *_pictures(),
+        *_cleaning(data),
+        *_formats(data),
+        *_broken(data),
+        *_recordings(),
+        *_scans(data),
+        *_stages(),
+        *_kitchen(),
+        *_runs(),
+    ]
+
+
+def _mesh(name: str) -> str:
+    return f"{{data}}/meshes/{MODELS[name].path}"
+
+
+def _methods() -> Iterator[Job]:
+    """Yield each method on each model: to a number, within bounds, both, and with what is its own alone."""
+    for name, model in MODELS.items():
+        shape = f"--max-shape {model.shape}"
+        bounds = f"{shape} --max-texture 40" if model.is_colored else shape
+        options = {
+            "quadric": ("--ratio 0.1", "--triangles 500 --no-fit", f"--ratio 0.1 {shape}"),
+            "certified": (
+                shape,
+                bounds,
+                f"--ratio 0.3 {bounds}",
+                f"--max-shape {2 * model.shape} --close-bounds --save-bounds bounds.ply",
+            ),
+            "seams": (
+                "--ratio 0.1",
+                "--ratio 0.1 --threads 1",
+                "--ratio 0.02 --no-fit",
+                "--ratio 0.1 --max-seam-drift 0.002",
+                "--ratio 0.3 --texture-weight 2 --normal-weight 0.2 --shape-weight 0.5 --valence-penalty 1 "
+                "--set-penalty 1 --across-textures 1 --across-parts 1",
+                f"--ratio 0.1 --similar-distance {model.shape / 4}",
+                f"--ratio 0.1 {shape}",
+            ),
+            "jia01": ("", bounds, "--ratio 0.3", f"{bounds} --paper-rule", f"--resolution {8 * model.shape}"),
+            "planar": (
+                "",
+                bounds,
+                f"{shape} --patch-angle 20 --crease-angle 30 --noise-angle 0",
+                "--ratio 0.1",
+            ),
+            "auto": ("", "--ratio 0.25", "--triangles 800", bounds),
+        }
+        for method, variants in options.items():
+            # GLB keeps what seams carries along.
+            ending = "glb" if method == "seams" else "ply"
+            yield Job(
+                f"methods/{name}/{method}",
+                tuple(
+                    f"simplify {_mesh(name)} {n}.{ending} --method {method} {variant} --json"
+                    for n, variant in enumerate(variants)
+                ),
+            )
+
+
+def _controlled() -> Iterator[Job]:
+    """Yield places that are given more care, on the command line and as arrays."""
+    sphere = '--region "sphere 0 0.3 0.3 0.3 20"'
+    box = '--region "box -9 -9 -9 9 0 9 lock"'
+    for method, options in {
+        "quadric": "--ratio 0.2",
+        "seams": "--ratio 0.2",
+        "certified": "--max-shape 0.02",
+        "jia01": "--ratio 0.4",
+        "planar": "--max-shape 0.02",
+    }.items():
+        named = options.replace("--", "").replace("-", "_").replace(" ", "=")
+        yield Job(
+            f"controlled/{method}",
+            (
+                f"simplify {_mesh('spot')} sphere.ply --method {method} {options} {sphere} --json",
+                f"simplify {_mesh('spot')} box.ply --method {method} {options} {box} --json",
+                f"simplify {_mesh('airplane')} both.ply --method {method} {options} {sphere} {box} --json",
+                f"controlled.py {_mesh('spot')} {method} {named}",
+            ),
+        )
+
+
+def _records() -> Iterator[Job]:
+    """Yield records of each method that keeps one, replayed at several counts; the first side's too."""
+    for name, method, options in (
+        ("camelhead", "quadric", "--ratio 0.05"),
+        ("airplane", "quadric", "--ratio 0.1"),
+        ("airplane", "certified", "--max-shape 0.01 --max-texture 40"),
+        ("airplane", "jia01", "--ratio 0.3"),
+        ("spot", "seams", "--ratio 0.05"),
+        ("duck", "seams", "--ratio 0.05"),
+        ("airplane", "seams", "--ratio 0.05"),
+        ("camelhead", "planar", ""),
+    ):
+        yield Job(
+            f"records/{name}/{method}",
+            (
+                f"simplify {_mesh(name)} light.ply --method {method} {options} --json "
+                "--save-record record.npz",
+                "replay record.npz half.ply --ratio 0.5 --json",
+                "replay record.npz count.glb --triangles 3000 --json",
+                "replay record.npz early.ply --collapses 100 --json",
+                "replay record.npz none.ply --collapses 0 --json",
+                "replay record.npz fitted.ply --ratio 0.4 --fit --json",
+                "replay record.npz beyond.ply --triangles 10 --json",
+                "replay {first}/record.npz of_first.ply --ratio 0.4 --json",
+                "cut.py record.npz 0.7 cut.npz",
+                "replay cut.npz cut.ply --ratio 0.5 --json",
+            ),
+        )
+    yield Job("records/api/quadric", (f"recorded.py {_mesh('airplane')} quadric ratio=0.1",))
+    yield Job("records/api/seams", (f"recorded.py {_mesh('duck')} seams ratio=0.1",))
+    yield Job("records/api/jia01", (f"recorded.py {_mesh('airplane')} jia01 ratio=0.3",))
+    yield Job("records/api/certified", (f"recorded.py {_mesh('airplane')} certified max_shape=0.01",))
+
+
+def _normal_meshes() -> Iterator[Job]:
+    """Yield normal meshes, all their levels, and what is left of a file that was cut."""
+    for name, path, options in (
+        ("horse", _mesh("horse"), ""),
+        ("camelhead", _mesh("camelhead"), "--scheme butterfly --tolerance 1e-4"),
+        ("camelhead_base", _mesh("camelhead"), "--base-triangles 300 --levels 2 --relaxations 0"),
+        ("camelhead_error", _mesh("camelhead"), "--base-error 0.01 --max-error 0.002"),
+        ("airplane", _mesh("airplane"), "--color-tolerance 4"),
+        ("airplane_coder", _mesh("airplane"), "--levels 0"),
+        ("cow", "{data}/meshes/cow.obj", ""),
+        ("spot", _mesh("spot"), ""),
+        ("scan", "{data}/meshes/sceaux_mvs_scene_mesh.ply", "--tolerance 1e-3"),
+    ):
+        yield Job(
+            f"normal_meshes/{name}",
+            (
+                f"remesh {path} normal.ply --save normal.snm --save-levels levels {options} --json",
+                "decode normal.snm finest.ply --save-levels decoded --json",
+                *(f"decode normal.snm {level}.ply --level {level} --json" for level in (0, 1, 9)),
+                "decode {first}/normal.snm of_first.ply --json",
+                "cut.py normal.snm 0.6 cut.snm",
+                "decode cut.snm cut.ply --json",
+                "decode cut.snm cut_4.ply --level 4",
+            ),
+        )
+
+
+def _textures() -> Iterator[Job]:
+    """Yield light meshes with all the colour of their originals in a texture."""
+    for name in ("spot", "airplane", "fuze"):
+        original = _mesh(name)
+        yield Job(
+            f"textures/{name}",
+            (
+                f"simplify {original} light.ply --method quadric --ratio 0.1 --json",
+                f"bake light.ply {original} baked.glb --json",
+                f"bake light.ply {original} small.obj --max-size 256 --padding 2 --samples 3 --json",
+                f"bake light.ply {original} fine.ply --texel-size 0.01 --max-size 1024 --json",
+                f"simplify {original} baked_at_once.glb --ratio 0.2 --bake --json",
+            ),
+        )
+
+
+def _measures() -> Iterator[Job]:
+    """Yield distances, proofs and patches."""
+    for name, model in MODELS.items():
+        original = _mesh(name)
+        yield Job(
+            f"measures/{name}",
+            (
+                f"simplify {original} light.ply --method quadric --ratio 0.2 --json",
+                f"compare {original} light.ply --json",
+                f"compare {original} light.ply --samples 20000 --seed 7 --json",
+                f"certify light.ply {original} --json --save-bounds bounds.ply",
+                f"certify light.ply {original} --max-shape {model.shape} --max-color 60 --json",
+                f"certify light.ply {original} --effort 1 --shape-tolerance 0.2 --json",
+                f"patches {original} patches.ply --json",
+                f"patches {original} thin.ply --max-shape {model.shape / 4} --max-texture 20 --json "
+                "--patch-angle 15 --crease-angle 15 --noise-angle 0",
+                f"measured.py {original}",
+            ),
+        )
+    for name in ("fandisk.obj", "rocker-arm.obj", "face.obj"):
+        yield Job(f"measures/{name}", (f"patches {{data}}/meshes/{name} patches.ply --json",))
+
+
+def _pictures() -> Iterator[Job]:
+    """Yield pictures of meshes with texture, with colours and without."""
+    for name in MODELS:
+        yield Job(
+            f"pictures/{name}",
+            tuple(
+                f"render {_mesh(name)} {shading}.png --shading {shading} --view {view} --width 640 --json"
+                for shading, view in (("color", 1), ("plain", 2), ("edges", 3))
+            ),
+        )
+
+
+def _cleaning(data: Path) -> Iterator[Job]:
+    """Yield what cleaning makes of each mesh, and of one with each of its options."""
+    for path in _mesh_files(data):
+        yield Job(f"cleaning/{path.name}", (f"clean '{{data}}/{path}' clean.ply --json",))
+    for name, path in {
+        "scan": "{data}/meshes/sceaux_mvs_scene_mesh.ply",
+        "truck": "{data}/meshes/CesiumMilkTruck.glb",
+    }.items():
+        yield Job(
+            f"cleaning/options/{name}",
+            (
+                f"clean {path} filled.ply --fill-holes 1 --json",
+                f"clean {path} all.ply --min-island-area 0 --json",
+                f"clean {path} one.obj --keep-largest --json",
+                f"clean {path} apart.glb --no-stitch --json",
+                f"clean {path} welded.ply --weld-distance 0.02 --json",
+            ),
+        )
+
+
+def _formats(data: Path) -> Iterator[Job]:
+    """Yield each mesh in all formats, and back."""
+    for path in _mesh_files(data):
+        yield Job(f"formats/{path.name}", (f"formats.py '{{data}}/{path}'",))
+
+
+def _broken(data: Path) -> Iterator[Job]:
+    """Yield what is said of each broken file, or made of it where something can be."""
+    for path in sorted((data / "broken").iterdir()):
+        yield Job(
+            f"broken/{path.name}",
+            (
+                f"clean '{{data}}/broken/{path.name}' clean.ply",
+                f"simplify '{{data}}/broken/{path.name}' light.glb --method seams --ratio 0.5 --json",
+            ),
+        )
+
+
+def _mesh_files(data: Path) -> list[Path]:
+    folder = data / "meshes"
+    known = {".ply", ".obj", ".off", ".stl", ".glb", ".gltf"}
+    return sorted(path.relative_to(data) for path in folder.rglob("*") if path.suffix in known)
+
+
+def _recordings() -> Iterator[Job]:
+    """Yield recordings in every form, whole and cut."""
+    whole = ("realsense.bag", "realsense_raw.db3", "realsense_png.db3", "realsense_zstd.db3")
+    whole += ("ros1_none.bag", "ros1_bz2.bag", "ros1_lz4.bag", "ros1_png.bag")
+    whole += ("ros2.db3", "ros2_zstd.db3", "ros2.mcap", "ros2_zstd.mcap")
+    for name in whole:
+        yield Job(
+            f"recordings/{name}",
+            (
+                f"inspect {{inputs}}/{name} --json",
+                f"fuse {{inputs}}/{name} one.ply --first 2 --last 2 --voxel-size 0.01 --json",
+            ),
+        )
+    for name in ("realsense.bag", "ros2.db3", "ros2.mcap"):
+        yield Job(
+            f"recordings/cut_{name}",
+            tuple(f"inspect {{inputs}}/cut_{cut}_{name} --json" for cut in (0.02, 0.5, 0.9, 0.999)),
+        )
+
+
+def _scans(data: Path) -> Iterator[Job]:
+    """Yield what is said of each scan folder."""
+    for sample in ("rgbd", "stereo"):
+        scan = f"{{samples}}/{sample}"
+        yield Job(
+            f"scans/samples/{sample}",
+            (
+                f"inspect {scan} --json",
+                f"inspect {scan} --picture picture.png",
+                f"inspect {scan} --first 3 --last 9 --every 2 --json",
+                f"frames.py {scan} 3",
+            ),
+        )
+    for kind in ("rgbd", "stereo", "real"):
+        for folder in sorted((data / kind).iterdir()):
+            yield Job(f"scans/{kind}/{folder.name}", (f"inspect {{data}}/{kind}/{folder.name} --json",))
+    yield Job("scans/rgbd/open3d/RGBD", ("inspect {data}/rgbd/open3d_testdata/RGBD --json",))
+    rig = "{data}/stereo/opencv_chessboard_rig"
+    calibrations = sorted((data / "real" / "calibrations").iterdir())
+    yield Job(
+        "scans/calibrations",
+        tuple(
+            f"inspect {rig} --calibration {{data}}/real/calibrations/{path.name} --json"
+            for path in calibrations
+        ),
+    )
+    cones = "{data}/stereo/middlebury2003_cones"
+    cabinet = "{data}/real/freiburg3_cabinet_keyframes"
+    yield Job(
+        "scans/stated",
+        (
+            f"inspect {cones} --intrinsics 500,500,225,187 --baseline 0.16 --json",
+            f"inspect {cones} --intrinsics 500,500 --json",
+            f"inspect {cabinet} --poses {cabinet}/truth_cam_poses.txt --json",
+            f"inspect {cabinet} --depth-scale 1000 --no-check-poses --json",
+            f"inspect {cabinet} --layout kitti --json",
+            "inspect {data}/real/kitti_stereo_2015 --first 0 --last 0 --json",
+            "inspect {data}/rgbd/7scenes_redkitchen --every 10 --picture picture.png --json",
+        ),
+    )
+
+
+def _stages() -> Iterator[Job]:
+    """Yield the stages that read scans, one at a time."""
+    stereo, rgbd = "{samples}/stereo", "{samples}/rgbd"
+    yield Job(
+        "stages/depth",
+        (
+            f"depth {stereo} depth --last 5 --json",
+            "fuse depth fused.ply --json",
+            f"depth {stereo} other --every 5 --matcher sgbm --left-right match --smooth --json",
+            "fuse other other.glb --voxel-size 0.01 --truncation 0.04 --min-weight 1 --no-color --json",
+        ),
+    )
+    yield Job(
+        "stages/register",
+        (
+            f"register {rgbd} found --every 3 --json",
+            f"fuse {rgbd} fused.ply --every 3 --poses found/trajectory.tum --json",
+            f"register {rgbd} refined --every 4 --refine --no-loops --json",
+        ),
+    )
+    yield Job("depth/motorcycle", ("depth {data}/stereo/middlebury2014_motorcycle depth --json",))
+    yield Job("depth/kitti", ("depth {data}/stereo/kitti_sequence_1 depth --last 2 --json",))
+    yield Job("depth/euroc", ("depth {data}/stereo/euroc_V1_01_easy_static depth --last 1 --json",))
+    yield Job("depth/kitti_2015", ("depth {data}/real/kitti_stereo_2015 depth --first 0 --last 0 --json",))
+    yield Job(
+        "depth/temple_ring",
+        (
+            "depth {data}/stereo/middlebury_templeRing depth --last 7 --json",
+            "fuse depth fused.ply --json",
+        ),
+    )
+    for name, scan, options in (
+        ("kitchen", "rgbd/7scenes_redkitchen", "--every 10 --voxel-size 0.03"),
+        ("tabletop", "rgbd/tabletop_box_realsense", "--every 5"),
+        ("open3d", "rgbd/open3d_testdata/RGBD", "--voxel-size 0.02"),
+        ("turntable", "rgbd/turntable_d435_data1", "--last 0"),
+        ("rpy", "real/rgbd_dataset_freiburg1_rpy", "--every 4 --voxel-size 0.02"),
+        ("cabinet", "real/freiburg3_cabinet_keyframes", "--every 6 --voxel-size 0.02"),
+        ("phone", "real/phone_desk_no_calibration", "--last 0"),
+    ):
+        yield Job(f"fuse/{name}", (f"fuse {{data}}/{scan} fused.ply {options} --json",))
+    yield Job("register/desk", ("register {data}/rgbd/realsense_desk_tum_layout found --last 7 --json",))
+    yield Job("register/rpy", ("register {data}/real/rgbd_dataset_freiburg1_rpy found --last 7 --json",))
+
+
+def _kitchen() -> Iterator[Job]:
+    """Yield a fused room with colours, holes and islands: what scans are like."""
+    yield Job(
+        "kitchen/methods",
+        (
+            f"clean {KITCHEN} clean.ply --json",
+            "simplify clean.ply quadric.ply --ratio 0.1 --json",
+            "simplify clean.ply certified.ply --max-shape 0.03 --max-texture 60 --json",
+            "simplify clean.ply seams.ply --method seams --ratio 0.1 --json",
+            "simplify clean.ply jia01.ply --json",
+            "simplify clean.ply planar.ply --method planar --max-shape 0.02 --json",
+            "simplify clean.ply region.ply --ratio 0.1 --region 'sphere 0 0 1.5 0.8 20' --json",
+            "patches clean.ply patches.ply --max-shape 0.02 --json",
+            "compare clean.ply quadric.ply --samples 200000 --json",
+            "certify certified.ply clean.ply --max-shape 0.03 --json",
+            "bake quadric.ply clean.ply baked.glb --max-size 1024 --json",
+        ),
+    )
+    yield Job(
+        "kitchen/as_it_is",
+        (
+            f"simplify {KITCHEN} seams.ply --method seams --ratio 0.1 --json",
+            f"simplify {KITCHEN} planar.ply --method planar --json",
+            f"simplify {KITCHEN} quadric.ply --ratio 0.1 --json",
+            f"render {KITCHEN} kitchen.png --width 640 --scan {{data}}/rgbd/7scenes_redkitchen --json",
+        ),
+    )
+
+
+def _runs() -> Iterator[Job]:
+    """Yield whole runs; a second one in the same folder says what it did again, and why."""
+    everything = "--set bake.enabled=true --set remesh.enabled=true"
+    for sample in ("rgbd", "stereo"):
+        scan = f"{{samples}}/{sample}"
+        yield Job(
+            f"run/{sample}",
+            (
+                f"run {scan} -o out {everything} --json",
+                f"run {scan} -o out --set simplify.max_shape=0.01 --set simplify.max_texture=60 "
+                "--set bake.enabled=true --json",
+                f"run {scan} -o out --until clean",
+                "cache verify --cache out/cache",
+            ),
+        )
+    yield Job("run/registered", ("run {samples}/rgbd -o out --every 3 --set register.enabled=true --json",))
+    yield Job("run/parameters", ("run {samples}/rgbd -o out --every 3 --config {inputs}/run.toml",))
+    yield Job(
+        "run/real",
+        ("run {data}/real/rgbd_dataset_freiburg1_rpy -o out --every 4 --set fuse.voxel_size=0.02 --json",),
+    )
+
+
+def _words() -> Iterator[Job]:
+    """Yield what a person reads: text instead of JSON, and the sentence for each wrong command line."""
+    spot, duck = _mesh("spot"), _mesh("duck")
+    yield Job(
+        "words/text",
+        (
+            f"simplify {spot} quadric.ply --method quadric --ratio 0.1",
+            f"simplify {spot} certified.ply --max-shape 0.02",
+            f"simplify {duck} seams.glb --ratio 0.1",
+            f"simplify {spot} jia01.ply --method jia01",
+            f"simplify {spot} planar.ply --method planar",
+            f"patches {spot} patches.ply",
+            f"compare {spot} quadric.ply --samples 1000",
+            f"certify quadric.ply {spot}",
+            f"clean {spot} clean.ply",
+            f"remesh {spot} remeshed.ply",
+            f"render {spot} spot.png --width 64",
+            "inspect {samples}/rgbd",
+            "inspect {samples}/stereo",
+            "depth {samples}/stereo depth --last 0",
+        ),
+    )
+    yield Job("words/config", ("config",))
+    yield Job(
+        "words/wrong",
+        (
+            "",
+            "simplify",
+            f"simplify {spot} light.xyz --ratio 0.1",
+            "simplify missing.ply light.ply --ratio 0.1",
+            f"simplify {spot} light.ply --ratio 2 --json",
+            f"simplify {spot} light.ply --ratio 0.1 --triangles 5 --json",
+            f"simplify {spot} light.ply --method fastest",
+            f"simplify {spot} light.ply --unheard-of",
+            f"simplify {spot} light.ply --max-texture 20 --method certified --json",
+            f"simplify {spot} light.ply --ratio 0.1 --region 'cone 1 2 3' --json",
+            f"simplify {spot} light.ply --ratio 0.1 --region 'sphere 9 9 9 1 lock' --json",
+            f"simplify {spot} light.ply --method planar --save-bounds bounds.ply --json",
+            f"simplify {spot} light.stl --bake --json",
+            "simplify {data}/meshes/cow.obj light.ply --method quadric --ratio 0.1 --json",
+            f"remesh {spot} out.ply --levels 99",
+            "remesh {data}/meshes/pirate.obj out.ply --json",
+            f"decode {spot} out.ply --json",
+            f"replay {spot} out.ply --ratio 0.5 --json",
+            f"bake {spot} {{data}}/meshes/cow.obj out.glb --json",
+            f"render {spot} out.jpg",
+            f"render {spot} out.png --view 20",
+            f"compare {spot} {{data}}/broken/empty.obj --json",
+            "inspect missing --json",
+            "fuse {samples}/stereo out.ply --json",
+            "run {samples}/rgbd -o out --set fuse.voxel=1",
+            "run {samples}/rgbd -o out --set fuse.voxel_size=-1",
+            "run {samples}/rgbd -o out --until nothing",
+        ),
+    )
+    alone = {
+        "quadric": "--fit",
+        "certified": "--close-bounds",
+        "jia01": "--paper-rule",
+        "seams": "--texture-weight 1",
+        "planar": "--patch-angle 30",
+    }
+    for method in alone:
+        others = (option for other, option in alone.items() if other != method)
+        yield Job(
+            f"words/not_for_{method}",
+            tuple(f"simplify {spot} light.ply --method {method} {option} --json" for option in others),
+        )

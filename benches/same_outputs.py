@@ -1,0 +1,324 @@
+"""Whether two checkouts make the same outputs: every command on the same inputs, compared to the byte.
+
+    python benches/same_outputs.py FIRST SECOND [--data DATA] [--keep FOLDER] [--only 'methods/*'] [--quick]
+
+FIRST and SECOND are checkouts with their kernels built, both run by the Python that runs this. It uses what
+both sides share, whatever they look like inside: the command line, and names that `stages` exports. Each job
+(see outputs/jobs.py) is run on both sides; files are compared by their bytes, archives by their members, JSON
+value by value. Seconds, dates and keys of the cache are left out. It prints a Markdown table with the seconds
+of both sides, what differs, and exits with 1 if that is not in EXPECTED.
+
+With --keep the outputs of FIRST stay in FOLDER/first, and are taken from there as long as FIRST has the same
+commit and kernels, and Python the same packages; of SECOND those jobs stay whose outputs differ. SECOND can
+be FIRST itself, which tells whether outputs are the same each time at all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from markdown_tables import print_head, print_row
+from outputs import inputs, leaves
+from outputs.jobs import QUICK, Job, all_jobs
+from outputs.leaves import Difference, Expected, Leaves, matches
+
+# Differences that are meant: in which jobs, which (as they are printed: "changed 1 simplify:triangles",
+# "moved 1 simplify:proven -> 1 simplify:details.proven", ...; * is any text), and why.
+EXPECTED: tuple[Expected, ...] = ()
+
+SNIPPETS = Path(__file__).parent / "outputs" / "snippets"
+_LIMIT_S = 900
+_SHOWN = 25
+# Of a step.
+_NUMBER = re.compile(r"\b\d+(?= \S+(:| exit code| stderr))")
+
+
+@dataclass(frozen=True)
+class Side:
+    """A checkout, and the folder its jobs work in."""
+
+    checkout: Path
+    work: Path
+    # All that decides what it makes, or None if that cannot be told.
+    identity: str | None = None
+
+    def folder_of(self, job: Job) -> Path:
+        """Return the folder a job works in."""
+        return self.work / job.name / "outputs"
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a job left behind, and how long it took."""
+
+    leaves: Leaves
+    seconds: float
+    is_kept: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """A job on both sides."""
+
+    job: Job
+    first: Made
+    second: Made
+    unexpected: tuple[Difference, ...]
+    expected: tuple[tuple[Expected, Difference], ...]
+
+
+def main() -> int:
+    """Print the table and the differences."""
+    options = arguments()
+    jobs = [job for job in all_jobs(options.data) if is_wanted(job, options.only, options.quick)]
+    if not jobs:
+        sys.exit(f"no job is called like {' or '.join(options.only)}")
+    with tempfile.TemporaryDirectory() as scratch:
+        kept = options.keep or Path(scratch)
+        first = side(options.first, kept / "first")
+        second = side(options.second, kept / "second")
+        places = {
+            "data": options.data,
+            "samples": options.first.resolve() / "samples",
+            "inputs": new_folder(kept / "inputs"),
+        }
+        inputs.make(places["inputs"], places["samples"] / "rgbd")
+        print_head(["job", "leaves", "first s", "second s", "outputs"])
+        with ThreadPoolExecutor(options.jobs) as pool:
+            rows = list(pool.map(lambda job: told(compared(job, first, second, places)), jobs))
+    return conclude(rows)
+
+
+def arguments() -> argparse.Namespace:
+    """Return the options of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("first", type=Path, help="checkout as it was")
+    parser.add_argument("second", type=Path, help="checkout as it is")
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    parser.add_argument("--data", type=Path, default=beside, help="folder of real scans and meshes")
+    parser.add_argument("--keep", type=Path, help="folder where outputs stay")
+    parser.add_argument("--only", nargs="+", metavar="PATTERN", default=["*"], help="jobs, such as 'run/*'")
+    parser.add_argument("--quick", action="store_true", help="a little of everything")
+    parser.add_argument("--jobs", type=int, default=1, help="jobs at the same time")
+    options = parser.parse_args()
+    for name in ("first", "second", "data", "keep"):
+        if getattr(options, name) is not None:
+            setattr(options, name, getattr(options, name).resolve())
+    return options
+
+
+def is_wanted(job: Job, only: Sequence[str], quick: bool) -> bool:
+    """Return whether a job was asked for."""
+    in_time = not quick or any(matches(pattern, job.name) for pattern in QUICK)
+    return in_time and any(matches(pattern, job.name) for pattern in only)
+
+
+def side(checkout: Path, work: Path) -> Side:
+    """Return a side, after a look whether Python takes the code from there."""
+    command = [
+        sys.executable,
+        "-c",
+        "import stages, cli.app; print(stages.__file__, cli.app.__file__, sep='\\n')",
+    ]
+    with tempfile.TemporaryDirectory() as elsewhere:
+        found = subprocess.run(
+            command, cwd=elsewhere, env=environment(checkout, work), capture_output=True, text=True
+        )
+    if found.returncode != 0:
+        sys.exit(f"{checkout} does not start:\n{found.stderr}")
+    for path in found.stdout.split():
+        if not Path(path).is_relative_to(checkout):
+            sys.exit(f"{checkout} is not what runs, but {path}")
+    return Side(checkout, work, identity(checkout))
+
+
+def identity(checkout: Path) -> str | None:
+    """Return a digest of commit, kernels and installed packages; None if files differ from the commit."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", "-C", str(checkout), *words], capture_output=True, text=True).stdout
+
+    commit = git("rev-parse", "HEAD")
+    if not commit or git("status", "--porcelain"):
+        return None
+    packages = sorted(f"{one.name}=={one.version}" for one in importlib.metadata.distributions())
+    digest = hashlib.sha256("\n".join([commit, sys.version, *packages]).encode())
+    for path in sorted((checkout / "stages").rglob("*.so")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def environment(checkout: Path, work: Path) -> Mapping[str, str]:
+    """Return the variables a checkout runs with; nothing is written into it."""
+    unwanted = {"SCANLOOM_CACHE", "PYTHONDONTWRITEBYTECODE"}
+    return {name: value for name, value in os.environ.items() if name not in unwanted} | {
+        "PYTHONPATH": str(checkout),
+        "PYTHONPYCACHEPREFIX": str(work / "pycache"),
+        "COLUMNS": "120",
+        "NO_COLOR": "1",
+    }
+
+
+def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) -> Row:
+    """Run a job on both sides."""
+    places = {**places, "first": first.folder_of(job)}
+    before = kept(job, first) or made(job, first, places)
+    after = made(job, second, places)
+    unexpected, expected = [], []
+    for difference in leaves.differences(before.leaves, after.leaves):
+        reason = next((one for one in EXPECTED if one.covers(job.name, difference)), None)
+        if reason is None:
+            unexpected.append(difference)
+        else:
+            expected.append((reason, difference))
+    if not unexpected:
+        shutil.rmtree(second.work / job.name)
+    return Row(job, before, after, tuple(unexpected), tuple(expected))
+
+
+def kept(job: Job, one: Side) -> Made | None:
+    """Return what an earlier run of the same code left of the same job, if it did."""
+    record = one.work / job.name / "made.json"
+    if one.identity is None or not record.is_file():
+        return None
+    found = json.loads(record.read_text())
+    if found["of"] != [one.identity, work_of(job)]:
+        return None
+    return Made(found["leaves"], found["seconds"], is_kept=True)
+
+
+def made(job: Job, one: Side, places: Mapping[str, Path]) -> Made:
+    """Run the steps of a job, and return what they left behind; a record of it stays beside the outputs."""
+    folder = new_folder(one.folder_of(job))
+    folder.mkdir(parents=True)
+    # What both sides call alike; the first one's own folder is its {first}.
+    named = {str(path): f"{{{name}}}" for name, path in places.items()}
+    named |= {str(one.checkout): "{checkout}", str(folder): "{folder}", str(places["first"]): "{folder}"}
+    found: Leaves = {}
+    began = time.monotonic()
+    for number, step in enumerate(job.steps, 1):
+        found |= step_leaves(step, number, one, folder, places, named)
+    seconds = time.monotonic() - began
+    found |= leaves.of_folder(folder, named)
+    record = {"of": [one.identity, work_of(job)], "seconds": seconds, "leaves": found}
+    (folder.parent / "made.json").write_text(json.dumps(record, indent=1))
+    return Made(found, seconds)
+
+
+def step_leaves(
+    step: str, number: int, one: Side, folder: Path, places: Mapping[str, Path], named: Mapping[str, str]
+) -> Leaves:
+    """Run one step, and return the leaves of what it printed, and its exit code."""
+    words = shlex.split(step)
+    for name, path in places.items():
+        words = [word.replace(f"{{{name}}}", str(path)) for word in words]
+    is_snippet = words[:1] and words[0].endswith(".py")
+    command = [str(SNIPPETS / words[0]), *words[1:]] if is_snippet else ["-m", "cli.app", *words]
+    name = f"{number} {words[0] if words else 'nothing'}"
+    try:
+        done = subprocess.run(
+            [sys.executable, *command],
+            cwd=folder,
+            env=environment(one.checkout, one.work),
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            timeout=_LIMIT_S,
+        )
+    except subprocess.TimeoutExpired:
+        return {f"{name} exit code": f"none in {_LIMIT_S} s"}
+    return {
+        f"{name} exit code": str(done.returncode),
+        **leaves.of_output(done.stdout, name, named),
+        **leaves.of_lines(done.stderr, f"{name} stderr", named),
+    }
+
+
+def work_of(job: Job) -> str:
+    """Return a digest of all that a job does beside the checkout's code: steps, snippets and inputs."""
+    digest = hashlib.sha256("\n".join(job.steps).encode())
+    sources = [Path(inputs.__file__), Path(leaves.__file__)]
+    for path in [*sources, *(SNIPPETS / word for step in job.steps for word in step.split()[:1])]:
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def new_folder(path: Path) -> Path:
+    """Return the path of a folder, which is not there any more if it was."""
+    shutil.rmtree(path, ignore_errors=True)
+    return path
+
+
+def told(row: Row) -> Row:
+    """Print the row of a job."""
+    words = [f"**{len(row.unexpected)} differ**"] if row.unexpected else []
+    words += [f"{len(row.expected)} differ as expected"] if row.expected else []
+    before = f"({row.first.seconds:.1f})" if row.first.is_kept else f"{row.first.seconds:.1f}"
+    cells = (row.job.name, f"{len(row.first.leaves):,}", before, f"{row.second.seconds:.1f}")
+    print_row([*cells, ", ".join(words) or "same"])
+    return row
+
+
+def conclude(rows: Sequence[Row]) -> int:
+    """Print all differences and the sums, and return the exit code."""
+    different = [row for row in rows if row.unexpected]
+    for row in different:
+        print(f"\n{row.job.name}:")
+        print_differences(row.unexpected)
+    if len(different) > 1:
+        print_kinds(different)
+    counts = Counter(reason for row in rows for reason, _ in row.expected)
+    for one in EXPECTED:
+        print(f"\nexpected, {counts[one] or 'but not'} seen: {one.job}: {one.what}: {one.reason}")
+    print(
+        f"\n{len(rows)} jobs, {sum(len(row.job.steps) for row in rows)} commands, "
+        f"{sum(len(row.first.leaves) for row in rows):,} leaves; {len(different)} jobs differ. "
+        f"First {total(row.first for row in rows)}, second {total(row.second for row in rows)}."
+    )
+    return 1 if different else 0
+
+
+def print_kinds(rows: Iterable[Row]) -> None:
+    """Print in how many jobs something differs in the same way: what EXPECTED is written from."""
+    kinds = Counter(kind for row in rows for kind in {_NUMBER.sub("*", str(one)) for one in row.unexpected})
+    print("\nin how many jobs:")
+    for kind, count in kinds.most_common(_SHOWN):
+        print(f"- {count}: {kind}")
+
+
+def print_differences(found: Iterable[Difference]) -> None:
+    """Print differences, one a line, with the values of both sides."""
+    lines = []
+    for one in found:
+        values = {"changed": f": {one.first} | {one.second}", "moved": f": {one.first}"}
+        values |= {"gone": f": {one.first}", "new": f": {one.second}"}
+        lines.append(f"- {one}{values[one.kind]}")
+    print(*lines[:_SHOWN], sep="\n")
+    if len(lines) > _SHOWN:
+        print(f"- and {len(lines) - _SHOWN} more")
+
+
+def total(made: Iterable[Made]) -> str:
+    """Return the seconds of a side, all jobs together."""
+    return f"{sum(one.seconds for one in made):.0f} s"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

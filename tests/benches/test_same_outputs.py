@@ -1,0 +1,198 @@
+"""The comparison of two checkouts tells what differs, and nothing that is different in each run."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
+import same_outputs
+from outputs import inputs
+from outputs.jobs import QUICK, Job, all_jobs
+from outputs.leaves import Difference, Expected, differences, matches, of_folder, of_json, of_lines
+from same_outputs import Side, compared, conclude
+
+
+def told(first, second):
+    return [str(one) for one in differences(first, second)]
+
+
+def test_json_goes_by_values_and_drops_what_belongs_to_one_run():
+    document = {
+        "b": [1, {"c": None}],
+        "seconds": 3.1,
+        "stage": {"made_in_s": 1, "path": "/here/out/a.ply"},
+        "e": [],
+    }
+    places = {"/here": "{a}", "/here/out": "{out}"}
+    assert of_json(document, "r.json", places) == {
+        "r.json:b.0": "1",
+        "r.json:b.1.c": "null",
+        "r.json:stage.path": '"{out}/a.ply"',
+        "r.json:e": "[]",
+    }
+
+
+def test_lines_go_by_their_words_and_number_without_seconds():
+    assert of_lines("done in 1.2 s\ndone in 31 s\n\n5 sheets", "log", {}) == {
+        "log: done in SECONDS": "2",
+        "log: 5 sheets": "1",
+    }
+
+
+def test_archives_go_by_their_members(tmp_path: Path):
+    arrays = {"same": np.arange(50), "other": np.ones(50)}
+    np.savez(tmp_path / "record.npz", **arrays)
+    plain = of_folder(tmp_path, {})
+    np.savez_compressed(tmp_path / "record.npz", **arrays)
+    assert set(plain) == {"record.npz:same.npy", "record.npz:other.npy"}
+    assert told(plain, of_folder(tmp_path, {})) == []
+    np.savez(tmp_path / "record.npz", same=arrays["same"], other=np.zeros(50))
+    assert told(plain, of_folder(tmp_path, {})) == ["changed record.npz:other.npy"]
+
+
+def test_entries_of_the_cache_go_by_their_stage(tmp_path: Path):
+    for side, keys in (("a", "12"), ("b", "43")):
+        for key, text in zip(keys, ("one", "two"), strict=True):
+            entry = tmp_path / side / "cache" / "fuse" / (64 * key)
+            entry.mkdir(parents=True)
+            (entry / "fused.ply").write_text(text)
+            (entry / "manifest.json").write_text(f'{{"key": "{key}"}}')
+    first, second = (of_folder(tmp_path / side, {}) for side in "ab")
+    assert set(first) == {"cache/fuse/KEY/fused.ply #0", "cache/fuse/KEY/fused.ply #1"}
+    assert first == second
+
+
+def test_what_differs_is_changed_gone_or_new():
+    first = {"a.ply": "1", "j:x": "1", "j:y": "2", "same": "0"}
+    second = {"a.ply": "2", "j:x": "1", "j:z": "3", "same": "0", "b.ply": "2"}
+    assert told(first, second) == ["changed a.ply", "new b.ply", "gone j:y", "new j:z"]
+
+
+def test_a_value_under_another_name_is_moved():
+    nested = (
+        {"j:proven": "true", "j:fitted": "true"},
+        {"j:details.proven": "true", "j:details.fitted": "true"},
+    )
+    assert told(*nested) == [
+        "moved j:fitted -> j:details.fitted",
+        "moved j:proven -> j:details.proven",
+    ]
+    assert told({"j:max_texture": "30"}, {"j:max_color": "30"}) == ["moved j:max_texture -> j:max_color"]
+    # Which of the two is it?
+    assert told({"j:a": "0"}, {"j:b": "0", "j:c": "0"}) == ["gone j:a", "new j:b", "new j:c"]
+    # Neither with another value, nor in another document; files and lines have no name but their own.
+    assert told({"j:a": "0"}, {"j:b": "1"}) == ["gone j:a", "new j:b"]
+    assert told({"j:a": "0"}, {"k:a": "0"}) == ["gone j:a", "new k:a"]
+    assert told({"a.ply": "0", "log: a": "1"}, {"b.ply": "0", "log: b": "1"}) == [
+        "gone a.ply",
+        "new b.ply",
+        "gone log: a",
+        "new log: b",
+    ]
+
+
+def test_expected_differences_are_those_of_job_and_name():
+    moved = Difference("moved", "1 simplify:proven -> 1 simplify:details.proven")
+    assert matches("a[0]*", "a[0] and more")
+    assert not matches("a*", "ba")
+    assert Expected("methods/*", "moved * -> *:details.*", "").covers("methods/horse/seams", moved)
+    assert not Expected("run/*", "moved *", "").covers("methods/horse/seams", moved)
+    assert not Expected("methods/*", "changed *", "").covers("methods/horse/seams", moved)
+
+
+def checkout(folder: Path, vertices: int) -> Path:
+    """A program that writes a file and prints where it runs, in place of ours."""
+    for package in ("stages", "cli"):
+        (folder / package).mkdir(parents=True)
+        (folder / package / "__init__.py").write_text("")
+    (folder / "cli" / "app.py").write_text(
+        "import json, os, sys\n"
+        f"open(sys.argv[1], 'w').write('{vertices} vertices')\n"
+        "out = os.path.abspath(sys.argv[1])\n"
+        "print(json.dumps({'out': out, 'read': sys.argv[2:], 'seconds': os.getpid()}))\n"
+        "print('careful', file=sys.stderr)\n"
+        "sys.exit(3)\n"
+    )
+    return folder
+
+
+@pytest.fixture
+def sides(tmp_path: Path) -> list[Side]:
+    # The last one is another program.
+    return [
+        Side(checkout(tmp_path / f"checkout{n}", 3 + n // 2), tmp_path / f"work{n}", identity=str(n))
+        for n in range(3)
+    ]
+
+
+JOB = Job("words/one", ("mesh.ply {first}/mesh.ply '{data}/a b.ply'", "other.ply"))
+
+
+def test_a_job_is_the_same_wherever_it_runs(sides: list[Side], tmp_path: Path):
+    row = compared(JOB, sides[0], sides[1], {"data": tmp_path})
+    assert (row.unexpected, row.expected) == ((), ())
+    assert not row.first.is_kept
+    assert row.second.leaves == row.first.leaves
+    assert row.first.leaves["1 mesh.ply exit code"] == "3"
+    assert row.first.leaves["1 mesh.ply:out"] == '"{folder}/mesh.ply"'
+    assert row.first.leaves["1 mesh.ply:read.1"] == '"{data}/a b.ply"'
+    assert row.first.leaves["2 other.ply stderr: careful"] == "1"
+    assert "other.ply" in row.first.leaves
+    # The first side's outputs stay, the second's only if they differ.
+    assert (sides[0].folder_of(JOB) / "mesh.ply").is_file()
+    assert not sides[1].folder_of(JOB).exists()
+    assert conclude([row]) == 0
+
+
+def test_the_first_side_is_kept_until_its_code_or_the_job_changes(sides: list[Side], tmp_path: Path):
+    places = {"data": tmp_path}
+    before = compared(JOB, sides[0], sides[1], places).first
+    after = compared(JOB, sides[0], sides[1], places).first
+    assert after.is_kept
+    assert after.leaves == before.leaves
+    assert not compared(Job(JOB.name, JOB.steps[:1]), sides[0], sides[1], places).first.is_kept
+    for identity in ("another commit", None):
+        changed = Side(sides[0].checkout, sides[0].work, identity)
+        assert not compared(JOB, changed, sides[1], places).first.is_kept
+
+
+def test_another_program_differs_unless_that_is_expected(
+    sides: list[Side], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    row = compared(JOB, sides[0], sides[2], {"data": tmp_path})
+    assert [str(one) for one in row.unexpected] == ["changed mesh.ply", "changed other.ply"]
+    assert (sides[2].folder_of(JOB) / "mesh.ply").read_text() == "4 vertices"
+    assert conclude([row]) == 1
+    assert "changed mesh.ply: 10 bytes" in capsys.readouterr().out
+    meant = (Expected("words/*", "changed *.ply", "four is better"), Expected("words/*", "gone *", "none"))
+    monkeypatch.setattr(same_outputs, "EXPECTED", meant)
+    row = compared(JOB, sides[0], sides[2], {"data": tmp_path})
+    assert (row.unexpected, len(row.expected)) == ((), 2)
+    assert conclude([row]) == 0
+    out = capsys.readouterr().out
+    assert "four is better" in out
+    assert "expected, but not seen: words/*: gone *" in out
+
+
+def test_jobs_have_names_of_their_own_and_their_snippets_are_there(shared_data: Path):
+    jobs = all_jobs(shared_data)
+    assert len({job.name for job in jobs}) == len(jobs)
+    # A job's folder must not lie in another's.
+    assert not {str(Path(job.name).parent) for job in jobs} & {job.name for job in jobs}
+    for pattern in QUICK:
+        assert any(matches(pattern, job.name) for job in jobs)
+    snippets = {
+        word for job in jobs for step in job.steps for word in step.split()[:1] if word.endswith(".py")
+    }
+    assert snippets == {path.name for path in same_outputs.SNIPPETS.iterdir() if path.suffix == ".py"}
+
+
+def test_made_inputs_are_the_same_each_time(tmp_path: Path):
+    sample = Path(__file__).parents[2] / "samples" / "rgbd"
+    for name in "ab":
+        inputs.make(tmp_path / name, sample)
+    first, second = (of_folder(tmp_path / name, {}) for name in "ab")
+    assert first == second
+    assert {"realsense.bag", "ros2.mcap", "cut_0.5_ros2.db3"} <= set(first)
