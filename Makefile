@@ -37,13 +37,13 @@ stubtest:
 
 clippy:
 	cd kernels && cargo fmt --check
-	cd kernels && cargo clippy --locked --quiet --all-targets --features python -- -D warnings
+	cd kernels && cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
 
 rust-tests:
 	cd kernels && cargo test --locked --quiet
 
 bench:
-	cd kernels && cargo bench --locked -- $(BENCH)
+	cd kernels && cargo bench --locked --features bench -- $(BENCH)
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
