@@ -22,6 +22,7 @@ def test_every_parameter_it_names_exists():
         assert name in described(type(getattr(config, section))), f"{section}.{name}"
 
 
+@pytest.mark.slow
 def test_its_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
     (tmp_path / "samples").symlink_to(ROOT / "samples")

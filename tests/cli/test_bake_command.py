@@ -13,6 +13,7 @@ from stages.surface.mesh_files import read_mesh
 Run = Callable[..., Any]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
 def test_simplify_can_bake_into_each_format_that_holds_an_image(
     scanloom: Run, clean_ball: Path, tmp_path: Path, suffix: str

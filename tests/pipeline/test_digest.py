@@ -20,6 +20,7 @@ json_values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(json_values)
 def test_canonical_json_reads_back_to_the_same_value(value):
     assert json.loads(canonical(value)) == value

@@ -197,6 +197,7 @@ def test_reductions_of_the_paper(name: str, monkeypatch: pytest.MonkeyPatch) -> 
         assert_promises(result, mesh)
 
 
+@pytest.mark.slow
 def test_colours_stop_patches_and_counterparts_have_them() -> None:
     mesh = sheet(24, noise=0, height=0.02)
     x, y = mesh.vertices[:, :2].T
@@ -382,6 +383,7 @@ def test_content_with_less_leaves_the_rest_as_it_is() -> None:
     assert_same_topology(result.mesh, mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply", "horse.ply"]
 )
