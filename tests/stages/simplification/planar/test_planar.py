@@ -354,6 +354,7 @@ def test_materials_and_parts_are_borders_and_are_kept() -> None:
     assert stages.planar_patches(mesh, max_shape=0.01).count == 12
 
 
+@pytest.mark.slow
 def test_a_scan_as_it_is_needs_no_cleaning() -> None:
     path = DATA / "redkitchen_fused_vertexcolor.ply"
     if not path.exists():
