@@ -1,30 +1,54 @@
 # make demo: set up and run the pipeline on a sample scan.  make test: set up and run every check.
+# make check: the quick ones, before every commit.  CONTRIBUTING.md says more.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 KERNEL_SOURCES := $(shell find kernels/src -name '*.rs') kernels/Cargo.toml kernels/Cargo.lock
+# Tests start hundreds of Pythons: what they compile of our sources is kept, whatever the surroundings say.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test rust-checks python-checks clean
+.PHONY: demo check test bench format lint ruff mypy stubtest clippy rust-tests clean
 
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
 	@echo
 	@echo "The mesh is demo/rgbd/simplified.ply, the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
 
-test: $(READY) rust-checks python-checks
+check: lint
+	$(BIN)/pytest -n auto --dist worksteal --quiet -m "not slow"
+
+test: lint rust-tests
 	$(BIN)/pytest -n auto --dist worksteal
 
-rust-checks:
-	cd kernels && cargo fmt --check
-	cd kernels && cargo clippy --locked --all-targets --features python -- -D warnings
-	cd kernels && cargo test --locked --quiet
+# Each is one core's work for most of its time, so they run side by side.
+lint: $(READY)
+	@$(MAKE) --no-print-directory --jobs --output-sync=target ruff mypy stubtest clippy
 
-python-checks: $(READY)
+ruff:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy:
 	$(BIN)/mypy
+
+stubtest:
 	$(BIN)/python -m mypy.stubtest --mypy-config-file pyproject.toml stages._kernels
+
+clippy:
+	cd kernels && cargo fmt --check
+	cd kernels && cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
+
+rust-tests:
+	cd kernels && cargo test --locked --quiet
+
+bench:
+	cd kernels && cargo bench --locked --features bench -- $(BENCH)
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	cd kernels && cargo fmt
 
 # Installing is what compiles the kernels; a changed source or dependency list installs again.
 $(READY): pyproject.toml $(KERNEL_SOURCES)

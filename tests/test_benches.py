@@ -415,6 +415,7 @@ def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float
     return max(np.linalg.norm(one[:3, 3]) for one in off), max(angle(one) for one in off)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fragment_frames", [12, 4])
 def test_open3d_s_reconstruction_system_finds_the_sample_s_poses(
     registration: ModuleType, reconstruction: ModuleType, fragment_frames: int

@@ -1,12 +1,14 @@
-"""Imports go one way, cli → pipeline → stages → stages._kernels, and only what is declared is imported."""
+"""Imports go one way, cli → pipeline → stages → stages._kernels, and only to what is declared; no circles."""
 
 import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
+from import_graphs import circles, python_graph, rust_graph
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -44,6 +46,7 @@ def imported(path: Path) -> set[str]:
     return names
 
 
+@cache
 def declared() -> set[str]:
     """Import names of the dependencies that every installation has."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -59,12 +62,156 @@ def test_imports_go_one_way_and_are_declared(path):
     assert others <= allowed, f"{path} imports {sorted(others - allowed)}"
 
 
+def test_python_has_no_circle_of_files_or_rooms():
+    graph = python_graph(ROOT, ROOMS)
+
+    assert len(graph["stages"]) > 20
+    found = circles(graph)
+    assert not found, "\n".join(["a circle of imports", *found])
+
+
+def test_rust_has_no_circle_of_files_or_rooms():
+    graph = rust_graph(ROOT / "kernels" / "src")
+
+    assert len(graph["crate"]) > 10
+    found = circles(graph)
+    assert not found, "\n".join(["a circle of imports", *found])
+
+
+def test_stages_alone_knows_the_kernels():
+    graph = python_graph(ROOT, ROOMS)
+
+    using = {module.split(".")[0] for module, imported in graph.items() if "stages._kernels" in imported}
+    assert using == {"stages"}
+    assert not graph["stages._kernels"]
+
+
+def test_the_top_of_stages_can_be_read_at_a_glance():
+    entries = {path.name for path in (ROOT / "stages").iterdir()} - {"__pycache__"}
+    ours = {name for name in entries if not name.endswith((".so", ".pyd"))}
+
+    assert len(ours) <= 26, sorted(ours)
+
+
+def tree(root: Path, files: dict[str, str]) -> Path:
+    """A made tree of sources."""
+    for name, text in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return root
+
+
+PYTHON = {
+    "a/__init__.py": "from a.fusing.fuse import fuse\n",
+    "a/_compiled.pyi": "def run() -> None: ...\n",
+    "a/words.py": "",
+    "a/surface/__init__.py": "",
+    "a/surface/mesh.py": "from a import _compiled\nimport a.words\n",
+    "a/fusing/__init__.py": "",
+    "a/fusing/fuse.py": "from a.surface.mesh import Mesh\nfrom a.fusing import plan\n",
+    "a/fusing/plan.py": "import ast\nfrom a.words import WORDS\n",
+    "b/__init__.py": "",
+    "b/run.py": "import a.fusing.fuse\nfrom a import fuse\n",
+}
+
+
+def test_imports_of_python_are_found(tmp_path: Path):
+    graph = python_graph(tree(tmp_path, PYTHON), ["a", "b"])
+
+    assert graph["a"] == {"a.fusing.fuse"}
+    assert graph["a.surface.mesh"] == {"a._compiled", "a.words"}
+    assert graph["a.fusing.fuse"] == {"a.surface.mesh", "a.fusing.plan"}
+    assert graph["b.run"] == {"a", "a.fusing.fuse"}
+    assert circles(graph) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "told"),
+    [
+        ("a/fusing/plan.py", "import a.fusing.fuse", "a.fusing.fuse → a.fusing.plan → a.fusing.fuse"),
+        (
+            "a/fusing/plan.py",
+            "def f():\n    from a.fusing import fuse",
+            "fuse → a.fusing.plan → a.fusing.fuse",
+        ),
+        ("a/fusing/plan.py", "if TYPE_CHECKING:\n    from a.fusing.fuse import fuse", "files: "),
+        ("a/fusing/plan.py", "LATE = 'a.fusing.fuse'", "files: "),
+        ("a/surface/mesh.py", "from a import fuse", "files: a → a.fusing.fuse → a.surface.mesh → a"),
+        ("a/_compiled.pyi", "from a.surface.mesh import Mesh", "a._compiled → a.surface.mesh"),
+        ("a/surface/topology.py", "import a.fusing.plan", "in a: a.fusing → a.surface → a.fusing"),
+        ("a/words.py", "from a.surface import sheets", "in a: a.surface → a.words → a.surface"),
+        ("a/fusing/grid/cell.py", "import a.fusing.plan", None),
+        ("a/surface/edges.py", "import b.run", "in all: a → b → a"),
+    ],
+)
+def test_a_circle_of_python_is_seen_and_drawn(tmp_path: Path, file: str, line: str, told: str | None):
+    changed = PYTHON | {"a/surface/sheets.py": "", file: f"{PYTHON.get(file, '')}{line}\n"}
+
+    found = circles(python_graph(tree(tmp_path, changed), ["a", "b"]))
+
+    assert (told is None) == (not found)
+    assert told is None or any(told in circle for circle in found), found
+
+
+RUST = {
+    "lib.rs": "//! See [`crate::snm`].\npub mod base;\nmod mesh;\npub(crate) mod snm;\n",
+    "base/mod.rs": "pub mod ids;\npub mod errors;\n",
+    "base/errors.rs": "use super::ids::{self, VertexId as V};\n",
+    "base/ids.rs": "use std::fmt;\n\n#[cfg(test)]\nmod tests {\n    use crate::mesh::fan;\n}\n",
+    "mesh/mod.rs": "pub mod fan;\npub mod star;\n",
+    "mesh/star.rs": "use crate::base::{errors::Error, ids::{EdgeId, VertexId}};\n",
+    "mesh/fan.rs": "fn fan(of: &super::star::Star) -> crate::base::ids::VertexId {} // not crate::snm\n",
+    "snm.rs": "mod coder;\npub use coder::{Coder,\n    bits::*};\n",
+    "snm/coder.rs": "pub mod bits;\n",
+    "snm/coder/bits.rs": "use super::super::super::mesh;\n#[cfg(test)]\nmod tests;\n",
+    "snm/coder/bits/tests.rs": "use crate::snm;\n",
+}
+
+
+def test_imports_of_rust_are_found(tmp_path: Path):
+    graph = rust_graph(tree(tmp_path, RUST))
+
+    assert graph == {
+        "crate": {"crate.base", "crate.mesh", "crate.snm"},
+        "crate.base": {"crate.base.ids", "crate.base.errors"},
+        "crate.base.errors": {"crate.base.ids"},
+        "crate.base.ids": set(),
+        "crate.mesh": {"crate.mesh.fan", "crate.mesh.star"},
+        "crate.mesh.star": {"crate.base.errors", "crate.base.ids"},
+        "crate.mesh.fan": {"crate.mesh.star", "crate.base.ids"},
+        "crate.snm": {"crate.snm.coder", "crate.snm.coder.bits"},
+        "crate.snm.coder": {"crate.snm.coder.bits"},
+        "crate.snm.coder.bits": {"crate.mesh"},
+    }
+    assert circles(graph) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "told"),
+    [
+        ("mesh/star.rs", "use super::fan;", "files: crate.mesh.fan → crate.mesh.star → crate.mesh.fan"),
+        ("mesh/star.rs", "fn f(fan: super::fan::Fan) {}", "in crate.mesh: crate.mesh.fan → crate.mesh.star"),
+        ("mesh/star.rs", "use super::Options;", "files: crate.mesh → crate.mesh.star → crate.mesh"),
+        ("mesh/star.rs", "use crate::Options;", "files: crate → crate.mesh → crate.mesh.star → crate"),
+        ("base/lists.rs", "use crate::mesh::fan;", "in crate: crate.base → crate.mesh → crate.base"),
+        ("mesh/star.rs", "use crate::{base, snm::coder};", "crate.mesh.star imports crate.snm.coder"),
+    ],
+)
+def test_a_circle_of_rust_is_seen_and_drawn(tmp_path: Path, file: str, line: str, told: str):
+    changed = RUST | {file: f"{RUST.get(file, '')}{line}\n"}
+
+    found = circles(rust_graph(tree(tmp_path, changed)))
+
+    assert any(told in circle for circle in found), found
+
+
 def test_kernels_know_no_python_outside_the_binding():
-    for path in (ROOT / "kernels" / "src").rglob("*.rs"):
-        if "python" not in path.relative_to(ROOT / "kernels" / "src").parts[0]:
-            assert not re.search(r"^\s*use (pyo3|numpy)\b", path.read_text(encoding="utf-8"), re.MULTILINE), (
-                path
-            )
+    source = ROOT / "kernels" / "src"
+    for path in source.rglob("*.rs"):
+        if path.relative_to(source).parts[0] not in ("python", "python.rs"):
+            code = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
+            assert not re.search(r"\b(pyo3|numpy)\b", code), path
 
 
 def test_what_only_type_checkers_have_is_imported_for_them_alone():

@@ -1,4 +1,4 @@
-"""The README's Python runs, and the parameters it names exist."""
+"""What the README and its neighbours name exists, and the README's Python runs."""
 
 import re
 from pathlib import Path
@@ -10,6 +10,8 @@ from stages.params import described
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text()
+PAGES = ("README.md", "CONTRIBUTING.md", "samples/README.md")
+ROOMS = r"(?:cli|pipeline|stages|kernels|tests|benches|samples)"
 
 
 def test_every_parameter_it_names_exists():
@@ -20,6 +22,7 @@ def test_every_parameter_it_names_exists():
         assert name in described(type(getattr(config, section))), f"{section}.{name}"
 
 
+@pytest.mark.slow
 def test_its_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
     (tmp_path / "samples").symlink_to(ROOT / "samples")
@@ -42,7 +45,25 @@ def test_every_command_it_names_exists():
     assert named <= known
 
 
-def test_every_bench_it_names_exists():
-    named = set(re.findall(r"benches/\w+\.py", TEXT))
+@pytest.mark.parametrize("page", PAGES)
+def test_every_path_a_page_names_exists(page: str):
+    text = (ROOT / page).read_text()
+    named = {path.rstrip(".") for path in re.findall(rf"(?<![\w./-]){ROOMS}/[\w./-]*", text)}
+    # What a reader puts a name of his own in, NAME, lies in a folder that exists.
+    named = {re.sub(r"\bNAME.*", "", path) for path in named}
+    linked = {(Path(page).parent / link).as_posix() for link in re.findall(r"\]\(([\w./-]+)\)", text)}
+
     assert named
-    assert all((ROOT / name).is_file() for name in named)
+    missing = {path for path in named | linked if not (ROOT / path).exists()}
+    assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES[:2])
+def test_every_target_of_make_a_page_names_exists(page: str):
+    text = (ROOT / page).read_text()
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+
+    named = set(re.findall(r"(?:^|`)make ([a-z-]+)", text, flags=re.MULTILINE))
+
+    assert named
+    assert named <= targets

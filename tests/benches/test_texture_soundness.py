@@ -9,6 +9,8 @@ from stages.surface.mesh import Mesh, Texture
 sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 from texture_soundness import border, soundness
 
+pytestmark = pytest.mark.slow
+
 
 def strip(upper: float = 0.0, mirrored: bool = False) -> Mesh:
     """Two unit squares side by side, with a seam between: its vertices are there twice, one `upper` off."""

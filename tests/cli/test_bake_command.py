@@ -13,6 +13,7 @@ from stages.surface.mesh_files import read_mesh
 Run = Callable[..., Any]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
 def test_simplify_can_bake_into_each_format_that_holds_an_image(
     scanloom: Run, clean_ball: Path, tmp_path: Path, suffix: str
@@ -34,6 +35,7 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
     assert baked["color"]["rmse_levels"] < baked["vertex_color"]["rmse_levels"]
 
 
+@pytest.mark.slow
 def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     light, target = tmp_path / "light.ply", tmp_path / "new" / "light.glb"
     assert scanloom("simplify", clean_ball, light, "--ratio", 0.1).exit_code == 0

@@ -172,6 +172,7 @@ def test_inspect_says_what_there_is_beside_what_is_missing(
     assert scanloom("inspect", tiny_scan, "--json").json["missing"] == []
 
 
+@pytest.mark.slow
 def test_poses_taken_the_wrong_way_stop_fuse(scanloom: Run, shared_data: Path, tmp_path: Path) -> None:
     poses = tmp_path / "inverse.txt"
     scan = shared_data / "rgbd" / "tabletop_box_realsense"
@@ -342,6 +343,7 @@ def test_help_of_a_stage_names_unit_and_default_of_every_parameter(scanloom: Run
         assert about.unit in facts[1]
 
 
+@pytest.mark.slow
 def test_the_installed_program_knows_its_version() -> None:
     ran = subprocess.run([*SCANLOOM, "--help"], capture_output=True, text=True, check=True)
     assert "inspect" in ran.stdout
@@ -368,6 +370,7 @@ def test_a_reader_that_leaves_early_causes_no_traceback() -> None:
     assert program.wait() == 1
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path, tmp_path: Path) -> None:
     out, cache = tmp_path / "out", tmp_path / "cache"
     words = ["run", str(tiny_scan), "-o", str(out), "--cache", str(cache)]

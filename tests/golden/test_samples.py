@@ -21,6 +21,8 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box, interpolated
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 GOLDEN = Path(__file__).resolve().parent
 POINTS = 3000

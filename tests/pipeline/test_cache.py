@@ -345,6 +345,7 @@ def test_unreadable_record_of_a_run_counts_as_none(cache, tmp_path):
         assert cache.ls() == []
 
 
+@pytest.mark.slow
 def test_two_processes_at_once_make_one_whole_entry_each(toy: ModuleType, scan, tmp_path):
     expected = [outcome.folder.name for outcome in toy.run(scan, tmp_path / "alone")]
     shared = tmp_path / "out"

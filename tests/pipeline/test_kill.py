@@ -8,7 +8,11 @@ import time
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
 from pipeline.cache import Cache
+
+pytestmark = pytest.mark.slow
 
 _EVERYWHERE = Path(__file__).with_name("kill_everywhere.py")
 

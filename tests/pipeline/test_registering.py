@@ -17,6 +17,8 @@ from stages.scans.formats.trajectories import read_tum
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply
 
+pytestmark = pytest.mark.slow
+
 SAMPLE = Path(__file__).parents[2] / "samples" / "rgbd"
 QUICK = (
     "scan.every=3",

@@ -20,6 +20,8 @@ from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Camera, Frame
 from stages.surface.formats.ply import read_ply
 
+pytestmark = pytest.mark.slow
+
 QUICK = (
     "fuse.voxel_size=0.03",
     "report.viewpoints=1",

@@ -204,6 +204,7 @@ def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
     assert cut.made["peak_memory_bytes"] < mix.made["peak_memory_bytes"] - 100_000_000
 
 
+@pytest.mark.slow
 def test_two_runs_with_other_parameters_take_turns(toy, scan, tmp_path):
     out = tmp_path / "out"
     commands = [

@@ -185,6 +185,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
     assert report["mesh"]["triangles"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("assignment", "expected"),
     [
@@ -227,6 +228,7 @@ def test_results_do_not_depend_on_the_run(rgbd, tmp_path):
     assert results(tmp_path / "a") == results(tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
     code = (
         "from pipeline.config import Config; from pipeline.run import run; import sys\n"

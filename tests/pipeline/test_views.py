@@ -20,6 +20,8 @@ from stages.scans.scan import Scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply
 
+pytestmark = pytest.mark.slow
+
 QUICK = ("report.viewpoints=1", "report.width=64", "compare.samples=1000")
 
 

@@ -12,6 +12,8 @@ from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.raycasting import Surface
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 
 

@@ -389,6 +389,7 @@ def cleaned_or_nothing(mesh: Mesh, **changes):
         return None
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(soups(), st.booleans())
 def test_any_soup_becomes_an_oriented_manifold(mesh, stitch):

@@ -15,6 +15,8 @@ from stages.surface.mesh_files import read_mesh
 from stages.surface.raycasting import Located, Surface, bounding_box, closest_weights, interpolated
 from stages.surface.topology import areas
 
+pytestmark = pytest.mark.slow
+
 
 def mesh(vertices, triangles, colors=None) -> Mesh:
     colors = None if colors is None else np.asarray(colors, np.uint8)

@@ -161,6 +161,7 @@ def test_colour_is_none_unless_both_meshes_have_it():
     assert result.figures()["color"] is None
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_figures_and_another_does_not():
     a, b = sphere(1.0), sphere(1.02)
     first = compare(a, b, samples=300_000, seed=4).figures()

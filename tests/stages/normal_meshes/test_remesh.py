@@ -24,6 +24,8 @@ from stages.surface.mesh_files import read_mesh
 from stages.surface.raycasting import Surface
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 
 

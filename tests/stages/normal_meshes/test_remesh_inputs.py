@@ -21,6 +21,8 @@ from stages.surface.mesh import Mesh, Texture
 from stages.surface.raycasting import Surface, closest_weights, interpolated
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 
 

@@ -24,6 +24,8 @@ from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 SHARED = (
     "cow.obj",
     "horse.ply",

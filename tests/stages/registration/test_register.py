@@ -22,6 +22,8 @@ from stages.scans.images import read_color, read_depth
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Pose, scaled
 
+pytestmark = pytest.mark.slow
+
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 CAMERA = Camera(160, 120, 140, 140, 79.5, 59.5)
 

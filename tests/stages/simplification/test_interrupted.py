@@ -18,6 +18,8 @@ from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 # Hills of half a million triangles or fewer; the child says when collapsing, or proving, has begun, and
 # afterwards how far it came and when it stopped.
 CHILD = """

@@ -66,6 +66,7 @@ def assert_same_topology(result: Simplified, before: Mesh) -> None:
 # -- bounds ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("max_shape", [0.0005, 0.002, 0.01])
 @pytest.mark.parametrize("make", [lambda: sheet(60, hills, 0.001), ball], ids=["hills", "ball"])
 def test_shape_bound_holds_both_ways(make: Callable[[], Mesh], max_shape: float) -> None:
@@ -264,6 +265,7 @@ def test_the_input_is_not_changed() -> None:
 # -- repeatability ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["certified", "jia01"])
 def test_same_bytes_every_time_and_in_every_thread(method: str) -> None:
     mesh = sheet(60, hills, 0.001)

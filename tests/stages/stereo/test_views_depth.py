@@ -26,6 +26,8 @@ from stages.stereo.recognised import neighbours, recognised
 from stages.stereo.scene_depth import estimated_box, ranged_views
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
+pytestmark = pytest.mark.slow
+
 
 def view(pose: np.ndarray, near: float = 0.8, far: float = 1.6) -> PosedView:
     return PosedView(posed_scene.CAMERA, pose, near, far)

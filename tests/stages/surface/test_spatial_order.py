@@ -51,6 +51,7 @@ def test_an_order_names_every_row_once(scattered):
     assert np.array_equal(back.triangles, scattered.triangles)
 
 
+@pytest.mark.slow
 def test_results_speak_of_the_given_rows(scattered):
     lock = np.arange(0, len(scattered.vertices), 5003)
     found = simplify(scattered, ratio=0.05, lock=lock)
@@ -74,6 +75,7 @@ def test_results_speak_of_the_given_rows(scattered):
     assert np.quantile(away, 0.99) < 20
 
 
+@pytest.mark.slow
 def test_the_order_costs_no_accuracy(sheet, scattered):
     def height_error(mesh: Mesh) -> float:
         x, y, z = simplify(mesh, ratio=0.05).mesh.vertices.T

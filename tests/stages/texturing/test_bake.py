@@ -160,6 +160,7 @@ def test_gaps_are_filled_from_what_is_there():
     assert (full.astype(int).sum(axis=2) == 300).all()
 
 
+@pytest.mark.slow
 def test_the_same_meshes_give_the_same_image():
     original = sheet(n=12)
     light = simplify(original, ratio=0.2).mesh

@@ -134,6 +134,7 @@ def test_frames_before_a_cut_are_kept(tmp_path, tiny):
             assert read_depth(kept).shape == (24, 32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [0x00, 0x7F, 0xFF])
 def test_any_damaged_byte_is_refused_or_costs_frames(tmp_path, tiny, value):
     data = content(tiny)

@@ -28,6 +28,7 @@ def take(folder, storage, packed, count=3):
     return bag.write_ros2(folder / "take", storage, packed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("storage", "packed"), FORMS)
 def test_damaged_bytes_are_refused_or_cost_frames(tmp_path, storage, packed):
     file = take(tmp_path, storage, packed)

@@ -20,6 +20,8 @@ from stages.surface.mesh_files import read_mesh, write_mesh
 from stages.surface.raycasting import Surface, interpolated
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 
 def hills(n: int = 40) -> Mesh:
     """A smoothly coloured height field over the unit square with 2 n² triangles."""

@@ -19,6 +19,8 @@ from stages.surface.mesh_files import read_mesh
 from stages.surface.raycasting import Surface, interpolated
 from stages.surface.topology import topology
 
+pytestmark = pytest.mark.slow
+
 
 def height_field(size: int, bumps: NDArray[np.float64], colors: NDArray[np.uint8] | None = None) -> Mesh:
     """Return a square sheet of size × size vertices, a unit apart, at the given heights."""

@@ -353,6 +353,7 @@ def test_first_collapse(shape: str, seed: int, paper_rule: bool) -> None:
     compare_with_reference(mesh, limits, len(mesh.triangles) - 1)
 
 
+@pytest.mark.slow
 @SLOW
 @given(
     shape=st.sampled_from(["ball", "sheet"]),

@@ -197,6 +197,7 @@ def test_reductions_of_the_paper(name: str, monkeypatch: pytest.MonkeyPatch) -> 
         assert_promises(result, mesh)
 
 
+@pytest.mark.slow
 def test_colours_stop_patches_and_counterparts_have_them() -> None:
     mesh = sheet(24, noise=0, height=0.02)
     x, y = mesh.vertices[:, :2].T
@@ -353,6 +354,7 @@ def test_materials_and_parts_are_borders_and_are_kept() -> None:
     assert stages.planar_patches(mesh, max_shape=0.01).count == 12
 
 
+@pytest.mark.slow
 def test_a_scan_as_it_is_needs_no_cleaning() -> None:
     path = DATA / "redkitchen_fused_vertexcolor.ply"
     if not path.exists():
@@ -382,6 +384,7 @@ def test_content_with_less_leaves_the_rest_as_it_is() -> None:
     assert_same_topology(result.mesh, mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["fandisk.obj", "stanford-bunny.obj", "redkitchen_fused_vertexcolor.ply", "horse.ply"]
 )

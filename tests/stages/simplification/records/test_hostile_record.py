@@ -101,6 +101,7 @@ def test_a_tall_forest_replays(tmp_path: Path) -> None:
 FILES = [*KINDS, *(f"record_1_{name}" for name in ("quadric", "jia01", "seams"))]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kind=st.sampled_from(FILES), seed=st.integers(0, 2**32 - 1))
 def test_any_numbers_are_refused_or_replay(tmp_path: Path, kind: str, seed: int) -> None:

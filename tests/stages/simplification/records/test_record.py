@@ -83,6 +83,7 @@ def test_no_collapse_gives_the_input() -> None:
     np.testing.assert_array_equal(record.replay(collapses=0).mesh.vertices, mesh.vertices)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("how", ["quadric", *BOUNDED])
 def test_every_mesh_on_the_way_is_whole(name: str, how: str) -> None:

@@ -79,6 +79,7 @@ def corner_attributes(mesh: Mesh) -> np.ndarray:
 # -- the guarantee, on real models -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TEXTURED)
 def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts(name: str) -> None:
     mesh = textured(name)

@@ -1,0 +1,18 @@
+//! As far as 0.3 of the spacing of vertices and 16 levels are proven, the proof included.
+
+use criterion::Criterion;
+use scanloom_kernels::certified::simplify::{Options, simplify};
+use scanloom_kernels::certify::Deviation;
+use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
+
+use crate::common::{alone, field, measure};
+
+pub fn bench(criterion: &mut Criterion) {
+    let mut options = Options { weight: 0.01, ..Options::new(Deviation { shape: 0.3, color: 16.0 }) };
+    options.proof.threads = 1;
+    let goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, record: false };
+    measure(criterion, "certified", field, |(points, triangles)| {
+        alone(|progress| simplify::<6, 3>(points, triangles, vec![], &options, &goal, progress))
+            .expect("a manifold")
+    });
+}

@@ -1,0 +1,77 @@
+//! Surfaces for all benches, and one way of measuring.
+
+use std::cell::OnceCell;
+use std::time::Duration;
+
+use criterion::{BatchSize, Criterion, SamplingMode, Throughput};
+use scanloom_kernels::base::progress::{Control, Progress};
+
+pub type Triangles = Vec<[u32; 3]>;
+
+const SIZES: [(&str, usize); 3] = [("10k", 10_000), ("100k", 100_000), ("1M", 1_000_000)];
+
+/// Measure what is done with an input, for inputs of all sizes. An input is made when its bench is asked for, once, and
+/// each run is given a copy.
+pub fn measure<I: Clone, O>(
+    criterion: &mut Criterion,
+    name: &str,
+    make: impl Fn(usize) -> I,
+    run: impl Fn(I) -> O,
+) {
+    let mut group = criterion.benchmark_group(name);
+    // The longest of them take many seconds each time.
+    group.sample_size(10).sampling_mode(SamplingMode::Flat);
+    group.warm_up_time(Duration::from_millis(300)).measurement_time(Duration::from_secs(2));
+    for (label, size) in SIZES {
+        let input = OnceCell::new();
+        group.throughput(Throughput::Elements(size as u64));
+        group.bench_function(label, |bencher| {
+            let input = input.get_or_init(|| make(size));
+            bencher.iter_batched(|| input.clone(), &run, BatchSize::PerIteration);
+        });
+    }
+    group.finish();
+}
+
+/// Something that is done with a progress nobody looks at.
+pub fn alone<T>(run: impl FnOnce(&mut Progress) -> T) -> T {
+    run(&mut Progress::new(&Control::default()))
+}
+
+/// Between 0 and 1, scattered by position alone: neighbours have nothing in common.
+fn noise(x: u32, y: u32) -> f64 {
+    let mixed = (u64::from(x) << 32 | u64::from(y)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mixed = (mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    ((mixed ^ mixed >> 32) & 0xffff) as f64 / 65536.0
+}
+
+/// Squares across and along a field of so many triangles: two in each square.
+fn squares(size: usize) -> [u32; 2] {
+    let half = size as u32 / 2;
+    let across = (1..=half).take_while(|n| n * n <= half).filter(|n| half % n == 0).last().unwrap_or(1);
+    [across, half / across]
+}
+
+/// Hills with a tenth of the spacing as noise, coloured in bands with two levels of noise; spacing 1.
+pub fn field(size: usize) -> (Vec<[f64; 6]>, Triangles) {
+    let [w, h] = squares(size);
+    let point = |x: u32, y: u32| {
+        let (u, v) = (f64::from(x), f64::from(y));
+        let height = 6.0 * (u / 25.0).sin() * (v / 31.0).cos() + 0.1 * noise(x, y);
+        let band = 127.0 + 100.0 * (u / 17.0 + v / 23.0).sin();
+        let color = |k: u32| (band * (1.0 - 0.2 * f64::from(k)) + 2.0 * noise(x + k, y)).round();
+        [u, v, height, color(0), color(1), color(2)]
+    };
+    let points = (0..=h).flat_map(|y| (0..=w).map(move |x| point(x, y))).collect();
+    let triangles = (0..h).flat_map(|y| (0..w).map(move |x| y * (w + 1) + x)).flat_map(|a| {
+        let (b, c, d) = (a + 1, a + w + 2, a + w + 1);
+        [[a, b, c], [a, c, d]]
+    });
+    (points, triangles.collect())
+}
+
+/// A field's places alone.
+pub fn plain_field(size: usize) -> (Vec<[f64; 3]>, Triangles) {
+    let (points, triangles) = field(size);
+    (points.iter().map(|p| [p[0], p[1], p[2]]).collect(), triangles)
+}

@@ -1,0 +1,36 @@
+//! Normal meshes: the base, three levels on it, and the search that places their vertices.
+
+use criterion::Criterion;
+use scanloom_kernels::base::geometry::Vec3;
+use scanloom_kernels::normal::carried::Carried;
+use scanloom_kernels::normal::coarsening::Target;
+use scanloom_kernels::normal::remesh::{NormalMesh, Settings, remesh};
+use scanloom_kernels::subdivision::contents::Scheme;
+
+use crate::common::{Triangles, alone, measure, plain_field};
+
+pub const LEVELS: u8 = 3;
+
+pub fn bench(criterion: &mut Criterion) {
+    measure(criterion, "normal", plain_field, remeshed);
+}
+
+/// As many triangles in the last level as the surface has.
+pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
+    let settings = Settings {
+        levels: Some(LEVELS),
+        target: Target {
+            triangles: triangles.len() >> (2 * LEVELS),
+            error: f64::INFINITY,
+            at_any_price: true,
+        },
+        max_error: 0.0,
+        scheme: Scheme::Linear,
+        relaxations: 1,
+        tolerance: 1e-4,
+        color_tolerance: 2.0,
+        threads: 1,
+    };
+    let carried = Carried::default();
+    alone(|progress| remesh(&points, &triangles, &carried, &settings, progress)).expect("a manifold")
+}

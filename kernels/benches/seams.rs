@@ -1,0 +1,50 @@
+//! A textured surface of charts with seams between them, to a tenth of its triangles, the fit left out.
+
+use criterion::Criterion;
+use scanloom_kernels::seams::{Goal, Knobs, Surface, simplify};
+
+use crate::common::{alone, field, measure};
+
+const KNOBS: Knobs = Knobs {
+    across_materials: 0.5,
+    across_parts: 0.5,
+    valence: 0.1,
+    wedges: 0.1,
+    shape: 1.0,
+    seam_drift: f64::INFINITY,
+};
+/// Length of a chart's side, in spacings of vertices.
+const CHART: f64 = 50.0;
+
+pub fn bench(criterion: &mut Criterion) {
+    measure(criterion, "seams", textured, |surface| {
+        let goal = Goal { triangles: surface.triangles.len() / 10, fit: false, record: false, threads: 1 };
+        alone(|progress| simplify::<8, 5>(surface, KNOBS, goal, progress)).expect("a manifold")
+    });
+}
+
+/// A field in square charts, each with a place of its own in the image; corners have image coordinates and a colour.
+fn textured(size: usize) -> Surface<5> {
+    let (points, triangles) = field(size);
+    let corners = triangles.iter().flat_map(|t| {
+        let middle = |i: usize| t.iter().map(|&v| points[v as usize][i]).sum::<f64>() / 3.0;
+        let [left, low] = [0, 1].map(|i| (middle(i) / CHART).floor());
+        t.map(|v| {
+            let p = &points[v as usize];
+            // Twice as far apart as they are long.
+            [p[0] + left * CHART, p[1] + low * CHART, p[3], p[4], p[5]]
+        })
+    });
+    let (count, vertices) = (triangles.len(), points.len());
+    Surface {
+        corners: corners.collect(),
+        points: points.iter().map(|p| [p[0], p[1], p[2]]).collect(),
+        sets: (0..vertices as u32).collect(),
+        triangles,
+        textured: vec![true; count],
+        materials: vec![0; count],
+        parts: vec![0; count],
+        importance: vec![],
+        locked: vec![false; vertices],
+    }
+}

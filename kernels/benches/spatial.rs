@@ -1,0 +1,10 @@
+//! An order in which neighbours in space are neighbours in memory.
+
+use criterion::Criterion;
+use scanloom_kernels::mesh::spatial::spatial_order;
+
+use crate::common::{measure, plain_field};
+
+pub fn bench(criterion: &mut Criterion) {
+    measure(criterion, "spatial", plain_field, |(points, triangles)| spatial_order(&points, &triangles));
+}

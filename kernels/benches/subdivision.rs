@@ -1,0 +1,18 @@
+//! Triangles in four, and where the butterfly expects the new vertices; elements are those before.
+
+use std::rc::Rc;
+
+use criterion::Criterion;
+use scanloom_kernels::subdivision::butterfly::middles;
+use scanloom_kernels::subdivision::topology::Topology;
+
+use crate::common::{measure, plain_field};
+
+pub fn bench(criterion: &mut Criterion) {
+    let coarse = |size| {
+        let (points, triangles) = plain_field(size);
+        Rc::new((Topology::new(points.len(), triangles).expect("a manifold"), points))
+    };
+    measure(criterion, "subdivision/in four", coarse, |coarse| coarse.0.subdivided());
+    measure(criterion, "subdivision/butterfly", coarse, |coarse| middles(&coarse.0, &coarse.1));
+}

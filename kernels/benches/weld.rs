@@ -1,0 +1,15 @@
+//! Triangles with a vertex of their own for each corner, made one surface again.
+
+use criterion::Criterion;
+use scanloom_kernels::seams::weld::weld;
+
+use crate::common::{measure, plain_field};
+
+pub fn bench(criterion: &mut Criterion) {
+    let corners = |size| {
+        let (_, triangles) = plain_field(size);
+        let own = (0..triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect::<Vec<_>>();
+        (triangles.concat(), own)
+    };
+    measure(criterion, "weld", corners, |(sets, triangles)| weld(&sets, &triangles).expect("a manifold"));
+}
