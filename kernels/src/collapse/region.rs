@@ -45,6 +45,10 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
         triangles
     }
 
+    /// Leave to no region alone what must be seen together, and is in several: `owner` says for each vertex which region
+    /// it is of.
+    fn keep_together(&self, _owner: &mut [u32]) {}
+
     /// A measure for a region, whose sources are numbers of the whole mesh.
     fn load(&self, region: &Mesh<D>) -> Self::Measure;
 
@@ -57,12 +61,18 @@ pub trait Records<const D: usize>: Sized + Send + Sync {
 }
 
 const NOBODY: u32 = u32::MAX;
-const SHARED: u32 = u32::MAX - 1;
+/// The owner of a vertex that no region has alone.
+pub const SHARED: u32 = u32::MAX - 1;
 
-/// Which vertices more than one region uses.
-pub fn find_rim(vertices: usize, triangles: &[[u32; 3]], partition: &Partition, threads: usize) -> Vec<bool> {
+/// The region that each vertex is of, or [`SHARED`].
+pub fn find_owners(
+    vertices: usize,
+    triangles: &[[u32; 3]],
+    partition: &Partition,
+    threads: usize,
+) -> Vec<u32> {
     if partition.len() == 1 {
-        return vec![false; vertices];
+        return vec![0; vertices];
     }
     // Whoever comes first, a vertex of two regions ends up shared.
     let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NOBODY)).collect();
@@ -79,7 +89,7 @@ pub fn find_rim(vertices: usize, triangles: &[[u32; 3]], partition: &Partition, 
         }
     };
     map(partition.len(), threads, || (), claim);
-    owner.iter().map(|slot| slot.load(Relaxed) == SHARED).collect()
+    owner.into_iter().map(AtomicU32::into_inner).collect()
 }
 
 /// One number for each vertex of the whole mesh, used again from region to region.

@@ -21,7 +21,7 @@ use crate::base::parallel::map;
 use crate::base::progress::Progress;
 use crate::collapse::engine::{Engine, Measure, Merge, Stop, Until};
 use crate::collapse::partition::Partition;
-use crate::collapse::region::{CornerRefusals, Piece, Records, Scratch, Whole, find_rim};
+use crate::collapse::region::{CornerRefusals, Piece, Records, SHARED, Scratch, Whole, find_owners};
 use crate::mesh::connectivity::Connectivity;
 
 /// How far to go, and on how many threads.
@@ -90,7 +90,9 @@ pub fn collapse<const D: usize, R: Records<D>>(
         // While nothing happens but some edges were on a rim each time, larger regions leave fewer of them.
         let regions = ((records.size(count) / goal.region.max(1)) >> idle).max(1);
         let partition = Partition::new(&mesh.points, &mesh.triangles, regions, round, goal.threads);
-        let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
+        let mut owner = find_owners(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
+        records.keep_together(&mut owner);
+        let rim: Vec<bool> = owner.into_iter().map(|owner| owner == SHARED).collect();
         if round == 0 {
             check_seam(&mesh, &rim, regions)?;
         }
@@ -284,7 +286,7 @@ impl Histogram {
 }
 
 /// List and place of all merges, those of least priority first.
-fn in_order<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item = (usize, usize)> {
+fn by_priority<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item = (usize, usize)> {
     let mut order: Vec<(f64, u32, u32)> = vec![];
     for (list, merges) in lists.enumerate() {
         order.extend(merges.iter().enumerate().map(|(i, m)| (m.priority, list as u32, i as u32)));
@@ -293,9 +295,15 @@ fn in_order<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item 
     order.into_iter().map(|(_, list, i)| (list as usize, i as usize))
 }
 
-fn all_in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (&Log<D>, usize)> {
-    logs.chunk_by(|a, b| a.round == b.round).flat_map(|round| {
-        in_order(round.iter().map(|log| &log.merges[..])).map(|(list, i)| (&round[list], i))
+/// All collapses one after the other: the log of each, and its place there.
+pub fn in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (usize, usize)> {
+    let rounds = logs.chunk_by(|a, b| a.round == b.round).scan(0, |first, round| {
+        let start = *first;
+        *first += round.len();
+        Some((start, round))
+    });
+    rounds.flat_map(|(start, round)| {
+        by_priority(round.iter().map(|log| &log.merges[..])).map(move |(log, i)| (start + log, i))
     })
 }
 
@@ -313,7 +321,8 @@ impl<const D: usize> Way<D> {
         if logs.iter().all(|log| log.path.is_empty()) {
             return Self::default();
         }
-        let recorded = all_in_order(logs).filter_map(|(log, i)| Some((&log.merges[i], log.path.get(i)?)));
+        let recorded =
+            in_order(logs).filter_map(|(log, i)| Some((&logs[log].merges[i], logs[log].path.get(i)?)));
         recorded.map(|(merge, to)| (merge.removed.0, merge.survivor.0, *to)).collect()
     }
 }
@@ -337,7 +346,7 @@ fn first_merges<const D: usize, B: Copy, R>(
     mut count: usize,
 ) -> Vec<usize> {
     let mut limits = vec![0; pieces.len()];
-    for (p, i) in in_order(pieces.iter().map(|piece| &piece.merges[..])) {
+    for (p, i) in by_priority(pieces.iter().map(|piece| &piece.merges[..])) {
         if count <= triangles {
             break;
         }

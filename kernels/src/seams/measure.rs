@@ -11,7 +11,7 @@
 
 use super::classes::Plan;
 use super::state::{Rule, SHORTER_FIRST, Seams, Spot, TETHER, common};
-use super::wedges::NONE;
+use super::wedges::{NONE, Wedge};
 use crate::base::geometry::{distance2, midpoint};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
@@ -19,7 +19,7 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-impl<const D: usize, const K: usize> Seams<D, K> {
+impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// Where the star goes: the cheapest place that is legal, which is then first in the plan.
     fn proposal(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &mut Plan<K>) -> Result<Proposal<3, ()>, Rule> {
         self.plan(mesh, star.edge, plan)?;
@@ -81,9 +81,10 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             let wedge = class.kept(end);
             self.quadrics[wedge as usize] = class.quadric;
             if self.wedges.put(wedge, class.at_end, class.value, class.home)
-                && let Some(log) = &mut self.log
+                && let Some(changes) = &mut self.changes
             {
-                log.changed(wedge, class.value, self.wedges.source[wedge as usize]);
+                let &Wedge { name, source, .. } = self.wedges.at(wedge);
+                changes.changed(name, class.value, source);
             }
         }
         for wing in &star.wings {
@@ -94,13 +95,14 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 }
             }
         }
-        if let Some(log) = &mut self.log {
+        if let Some(changes) = &mut self.changes {
             for member in &plan.members {
                 let into = plan.classes[member.class].kept(end);
                 if into != member.wedge {
-                    log.merged(member.wedge, into);
+                    changes.merged(self.wedges.at(member.wedge).name, self.wedges.at(into).name);
                 }
             }
+            changes.next();
         }
     }
 
@@ -136,7 +138,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
     }
 }
 
-impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
+impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
     type Bound = Rule;
     type Change = ();
 
@@ -174,9 +176,6 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
         let survivor = collapsed.survivor;
         let plan = self.plan.take();
         self.merge_wedges(connectivity, star, survivor, &plan);
-        if let Some(log) = &mut self.log {
-            log.collapsed(collapsed.removed, survivor, *mesh.point(survivor));
-        }
         for run in plan.runs.into_iter().flatten() {
             self.drifts.raise(run.next, run.drift);
         }

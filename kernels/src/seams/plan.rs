@@ -9,7 +9,7 @@ use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-impl<const D: usize, const K: usize> Seams<D, K> {
+impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// The factor that the penalties come to.
     pub(super) fn penalty(&self, ends: [VertexId; 2], wedges: usize) -> f64 {
         let [a, b] = ends.map(|v| &self.spots[v.index()]);
@@ -152,8 +152,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                     at_end,
                     is_torn: [false; 2],
                     is_merged: false,
-                    value: wedges.attributes[wedge as usize],
-                    home: wedges.home[wedge as usize],
+                    value: wedges.at(wedge).attributes,
+                    home: wedges.at(wedge).home,
                 });
             } else {
                 let class = plan.members[class].class;
@@ -177,9 +177,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         place: &Vec3,
         keep: Option<usize>,
     ) -> [f64; K] {
-        let attributes = &self.wedges.attributes;
         let some = class.some();
-        let mut value = class.quadric.attributes_at(place, &attributes[some as usize]);
+        let mut value = class.quadric.attributes_at(place, &self.wedges.at(some).attributes);
         if !self.is_textured(some) {
             return value;
         }
@@ -204,7 +203,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         }
         // To the bit, so that what has not changed is known for it.
         if let Some(end) = keep.filter(|&end| K == 2 && class.at_end[end] != NONE) {
-            value = attributes[class.at_end[end] as usize];
+            value = self.wedges.at(class.at_end[end]).attributes;
         }
         value
     }
