@@ -25,11 +25,12 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         keeps_triangles(star, &candidate.place).map_err(|_| Rule::Fold)?;
         let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
         for i in 0..plan.classes.len() {
-            let class = plan.classes[i];
-            plan.classes[i].value = match exact.filter(|_| class.is_only_at(exact)) {
+            let class = &plan.classes[i];
+            let value = match exact.filter(|_| class.is_only_at(exact)) {
                 Some(end) => self.wedges.at(class.at_end[end]).attributes,
-                None => self.value(plan, &class, &candidate.place, candidate.keep),
+                None => self.value(plan, class, &candidate.place, candidate.keep),
             };
+            plan.classes[i].value = value;
         }
         if !self.images_keep_their_side(mesh, star, plan) || !self.find_homes(plan, candidate.keep.is_some())
         {

@@ -10,7 +10,7 @@
 //! goes from lies in further charts, as where three meet, it keeps its place in those.
 
 use super::classes::Plan;
-use super::state::{Rule, SHORTER_FIRST, Seams, Spot, TETHER, common};
+use super::state::{Rule, SHORTER_FIRST, Seams, TETHER, common};
 use super::wedges::{NONE, Wedge};
 use crate::base::geometry::{distance2, midpoint};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
@@ -107,16 +107,25 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
     }
 
     /// Look at the survivor and the corners across again.
-    fn merge_spots(&mut self, connectivity: &Connectivity, star: &Star<3>, survivor: VertexId) {
+    fn merge_spots(
+        &mut self,
+        connectivity: &Connectivity,
+        star: &Star<3>,
+        survivor: VertexId,
+        is_plain: bool,
+    ) {
         let [a, b] = star.ends.map(|v| self.spots[v.index()]);
-        let is_seam = |edge: EdgeId| self.is_seam[edge.index()];
-        self.spots[survivor.index()] = Spot {
-            only: self.wedges.only(connectivity, survivor).unwrap_or(NONE),
-            seam_degree: connectivity.spokes(survivor).filter(|(edge, _)| is_seam(*edge)).count() as u32,
-            valence: connectivity.spokes(survivor).count() as u32,
-            material: common(a.material, b.material),
-            part: common(a.part, b.part),
-        };
+        let own = &mut self.spots[survivor.index()];
+        (own.material, own.part) = (common(a.material, b.material), common(a.part, b.part));
+        if is_plain {
+            // Inside a chart: one wedge goes on, and two edges have become one on either side.
+            own.valence = a.valence + b.valence - 4;
+        } else {
+            let is_seam = |edge: EdgeId| self.is_seam[edge.index()];
+            own.only = self.wedges.only(connectivity, survivor).unwrap_or(NONE);
+            own.seam_degree = connectivity.spokes(survivor).filter(|(edge, _)| is_seam(*edge)).count() as u32;
+            own.valence = connectivity.spokes(survivor).count() as u32;
+        }
         for &(_, apex, _) in &star.vanishing {
             let spot = &mut self.spots[apex.index()];
             spot.valence -= 1;
@@ -188,7 +197,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
         }
         let [a, b] = star.ends.map(|v| v.index());
         self.shape[survivor.index()] = self.shape[a].sum(&self.shape[b]);
-        self.merge_spots(connectivity, star, survivor);
+        self.merge_spots(connectivity, star, survivor, plan.is_plain);
         self.plan.replace(plan);
     }
 

@@ -1,6 +1,6 @@
 //! The progressive record: all that has to be known to have the surface at any number of triangles.
 
-use crate::collapse::rounds::{self, in_order};
+use crate::collapse::logs::{self, in_order};
 
 /// Collapses in their order, and what each did to wedges.
 #[derive(Clone, Debug, Default)]
@@ -55,7 +55,7 @@ impl<const K: usize> Log<K> {
     /// The collapses of all regions in one order, with what they did to wedges: `changes` has an entry for each of
     /// `logs`. `corners` are wedge and vertex of each corner of the input.
     pub fn new(
-        logs: &[rounds::Log<3>],
+        logs: &[logs::Log<3>],
         changes: &[Changes<K>],
         [corner_wedge, corner_vertex]: [Vec<u32>; 2],
     ) -> Self {

@@ -14,7 +14,8 @@ use super::wedges::{NONE, Wedge, Wedges};
 use super::weld::UNTIED;
 use crate::base::geometry::position;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
-use crate::collapse::region::{Records, SHARED};
+use crate::collapse::records::Records;
+use crate::collapse::region::SHARED;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::quadrics::quadric::Quadric;
@@ -179,19 +180,23 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
     }
 
     fn load_spots(&self, region: &Mesh<3>, wedges: &Wedges<K>, is_seam: &[bool]) -> Vec<Spot> {
+        const NOT_SEEN: u32 = NONE - 1;
         let connectivity = &region.connectivity;
-        let nothing = Spot { only: NONE, seam_degree: 0, valence: 0, material: SEVERAL, part: SEVERAL };
-        let mut spots = vec![nothing; connectivity.vertex_slots()];
-        for v in connectivity.vertices() {
-            let place = self.places.at(region.vertex_source[v.index()]);
-            let spokes = || connectivity.spokes(v);
-            spots[v.index()] = Spot {
-                only: wedges.only(connectivity, v).unwrap_or(NONE),
-                seam_degree: spokes().filter(|(edge, _)| is_seam[edge.index()]).count() as u32,
-                valence: spokes().count() as u32,
-                material: place.material,
-                part: place.part,
-            };
+        let spot = |&v: &u32| {
+            let &Place { material, part, .. } = self.places.at(v);
+            Spot { only: NOT_SEEN, seam_degree: 0, valence: 0, material, part }
+        };
+        let mut spots: Vec<Spot> = region.vertex_source.iter().map(spot).collect();
+        for (h, &wedge) in wedges.of_corner.iter().enumerate() {
+            let only = &mut spots[connectivity.origin(HalfedgeId::from_index(h)).index()].only;
+            *only = if *only == NOT_SEEN || *only == wedge { wedge } else { NONE };
+        }
+        for edge in connectivity.edges() {
+            for v in connectivity.ends(edge) {
+                let spot = &mut spots[v.index()];
+                spot.valence += 1;
+                spot.seam_degree += u32::from(is_seam[edge.index()]);
+            }
         }
         spots
     }
@@ -227,7 +232,7 @@ fn drifts_left(connectivity: &Connectivity, drifts: &Drifts) -> Vec<Drift> {
 
 impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
     type Measure = Seams<'a, D, K>;
-    type Piece = Remains<K>;
+    type Remains = Remains<K>;
 
     /// What touches where it is not joined is worked on together or not at all.
     fn keep_together(&self, owner: &mut [u32]) {

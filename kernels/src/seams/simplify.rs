@@ -12,8 +12,9 @@ use crate::base::geometry::Vec3;
 use crate::base::ids::{HalfedgeId, VertexId};
 use crate::base::progress::Progress;
 use crate::collapse::engine::{Refusal, Stop};
-use crate::collapse::region::Whole;
+use crate::collapse::logs;
 use crate::collapse::rounds::{self, collapse};
+use crate::collapse::whole::Whole;
 use crate::fitting::fit::{Input, fit};
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
@@ -209,7 +210,7 @@ impl Before {
     fn fit(
         &self,
         compact: &mut Compact<3>,
-        logs: &[rounds::Log<3>],
+        logs: &[logs::Log<3>],
         threads: usize,
         progress: &Progress,
     ) -> Result<bool, KernelError> {
