@@ -326,7 +326,7 @@ fn first_merges<const D: usize, B: Copy, R>(
     mut count: usize,
 ) -> Vec<usize> {
     let mut limits = vec![0; remains.len()];
-    for (p, i) in by_priority(remains.iter().map(|piece| &left.merges[..])) {
+    for (p, i) in by_priority(remains.iter().map(|left| &left.merges[..])) {
         if count <= triangles {
             break;
         }
