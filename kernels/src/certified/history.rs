@@ -10,7 +10,7 @@
 //! 1996.
 
 use super::original::Original;
-use crate::collapse::rounds::{Log, Way};
+use crate::collapse::logs::{Log, Way};
 
 /// No collapse.
 const NONE: u32 = u32::MAX;

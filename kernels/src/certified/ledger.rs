@@ -7,7 +7,7 @@ use crate::base::geometry::{Vec3, norm2, position, sub, triangle_distance2};
 use crate::base::memory;
 use crate::base::progress::Progress;
 use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
-use crate::collapse::region::Whole;
+use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Compact;
 
 /// A triangle of the mesh as it was looked at last.

@@ -6,7 +6,7 @@ use super::ledger::Open;
 use super::original::Original;
 use super::tracked::{Bound, Lists};
 use super::watched::Watched;
-use crate::collapse::region::{CornerRefusals, Whole};
+use crate::collapse::whole::{CornerRefusals, Whole};
 
 pub struct Retreat<'a, const D: usize> {
     original: &'a Original<D>,

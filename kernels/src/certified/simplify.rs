@@ -7,8 +7,9 @@ use crate::base::geometry::position;
 use crate::base::progress::Progress;
 use crate::certify::{self, Certificate, Deviation, Surface};
 use crate::collapse::engine::{Refusal, Stop};
-use crate::collapse::region::Whole;
-use crate::collapse::rounds::{Goal, Way, collapse};
+use crate::collapse::logs::Way;
+use crate::collapse::rounds::{Goal, collapse};
+use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Compact;
 
 use super::history::History;

@@ -14,7 +14,7 @@ use crate::base::geometry::{distance2, position};
 use crate::base::ids::EdgeId;
 use crate::certify::NEEDLE;
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
-use crate::collapse::region::Records;
+use crate::collapse::records::Records;
 use crate::mesh::legality::keeps_triangles;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
@@ -299,7 +299,7 @@ impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
 }
 
 /// Samples of a region's triangles, in their order.
-pub struct TrackedPiece {
+pub struct TrackedRemains {
     importance: Vec<f64>,
     counts: Vec<u32>,
     samples: Vec<u32>,
@@ -307,7 +307,7 @@ pub struct TrackedPiece {
 
 impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K> {
     type Measure = Tracked<'a, D, K>;
-    type Piece = TrackedPiece;
+    type Remains = TrackedRemains;
 
     fn size(&self, triangles: usize) -> usize {
         triangles + self.lists.samples.len() / SAMPLES
@@ -337,21 +337,21 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         }
     }
 
-    fn unload(measure: Tracked<'a, D, K>, region: &Mesh<D>) -> TrackedPiece {
+    fn unload(measure: Tracked<'a, D, K>, region: &Mesh<D>) -> TrackedRemains {
         let (mut counts, mut samples) = (vec![], Vec::with_capacity(measure.samples.len()));
         for t in region.connectivity.triangles() {
             let before = samples.len();
             samples.extend(measure.samples_of(t.index()).map(|s| measure.samples[s as usize].vertex));
             counts.push((samples.len() - before) as u32);
         }
-        TrackedPiece {
+        TrackedRemains {
             importance: <QemRecords<K> as Records<D>>::unload(measure.qem, region),
             counts,
             samples,
         }
     }
 
-    fn join(self, rim: &[u32], pieces: Vec<TrackedPiece>) -> Self {
+    fn join(self, rim: &[u32], pieces: Vec<TrackedRemains>) -> Self {
         let mut starts = Vec::with_capacity(1 + pieces.iter().map(|p| p.counts.len()).sum::<usize>());
         let mut samples = Vec::with_capacity(self.lists.samples.len());
         let mut importance = Vec::with_capacity(pieces.len());

@@ -15,7 +15,7 @@
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, VertexId};
 use crate::base::progress::Progress;
-use crate::collapse::front::Front;
+use crate::collapse::queue::Queue;
 use crate::mesh::legality::{Illegal, Marks, can_collapse, keeps_triangles};
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
@@ -146,9 +146,9 @@ pub struct Merge {
 }
 
 pub struct Engine<const D: usize, M: Measure<D>> {
-    pub(super) mesh: Mesh<D>,
+    mesh: Mesh<D>,
     measure: M,
-    pub(super) queue: Front,
+    queue: Queue,
     refusals: Vec<Option<Refusal<M::Bound>>>,
     /// Vertices with an edge whose attempt was refused since they were last looked at. Most have none, and
     /// their edges then need not be fetched from memory.
@@ -158,7 +158,7 @@ pub struct Engine<const D: usize, M: Measure<D>> {
     stale: Vec<bool>,
     star: Star<D>,
     ring: Vec<VertexId>,
-    pub(super) merges: Vec<Merge>,
+    merges: Vec<Merge>,
     /// Where the survivors of the merges went, if that is recorded.
     path: Option<Vec<[f64; D]>>,
     attempts: u64,
@@ -197,7 +197,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
                 None
             }
         });
-        let queue = Front::new(slots, entries);
+        let queue = Queue::new(slots, entries);
         Self {
             mesh,
             measure,
@@ -408,7 +408,7 @@ fn offer<const D: usize, M: Measure<D>>(
     edge: EdgeId,
     mesh: &Mesh<D>,
     measure: &M,
-    queue: &mut Front,
+    queue: &mut Queue,
     refusals: &mut [Option<Refusal<M::Bound>>],
 ) {
     match measure.priority(mesh, edge) {

@@ -2,16 +2,20 @@
 //!
 //! | file | what |
 //! | --- | --- |
-//! | [`queue`], `front` | which edge is next |
-//! | [`engine`], `windows` | the loop over one queue; an [`engine::Measure`] says what varies |
+//! | [`queue`] | which edge is next |
+//! | [`engine`] | the loop over one queue; an [`engine::Measure`] says what varies |
 //! | [`partition`] | cutting a mesh into regions |
-//! | [`region`] | a mesh as a whole, and the regions it is worked on in |
-//! | [`rounds`] | the loop over a mesh of any size, region by region, on all threads |
+//! | [`whole`], [`region`] | a mesh as a whole, and the regions it is worked on in |
+//! | [`records`] | what a method knows of the whole from round to round |
+//! | [`logs`] | what happened, in an order in which it can be repeated |
+//! | [`rounds`], `histogram` | the loop over a mesh of any size, region by region, on all threads |
 
 pub mod engine;
-mod front;
+mod histogram;
+pub mod logs;
 pub mod partition;
 pub mod queue;
+pub mod records;
 pub mod region;
 pub mod rounds;
-mod windows;
+pub mod whole;

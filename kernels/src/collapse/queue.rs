@@ -66,15 +66,6 @@ impl Queue {
         self.heap.iter().map(|entry| entry.key)
     }
 
-    /// Take all edges out, with their keys, in no order.
-    pub fn drain(&mut self) -> impl Iterator<Item = (EdgeId, f64)> + '_ {
-        let Self { heap, place } = self;
-        heap.drain(..).map(|entry| {
-            place[entry.edge.index()] = ABSENT;
-            (entry.edge, entry.key)
-        })
-    }
-
     /// Take out the edge with the smallest key.
     pub fn pop(&mut self) -> Option<EdgeId> {
         let edge = self.heap.first()?.edge;

@@ -1,4 +1,4 @@
-//! A mesh as a whole, and the regions it is worked on in.
+//! The regions a mesh is worked on in: cut out of the whole, and put together again.
 //!
 //! A region is small enough for the cache and is nobody else's while it is worked on. Vertices it shares with
 //! other regions are its rim and stay; what it leaves is put together again with the other regions' remains, and
@@ -9,60 +9,26 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::base::parallel::{each, map};
-use crate::collapse::engine::{Measure, Merge, Refusal, Refusals};
+use crate::collapse::engine::{Merge, Refusal, Refusals};
 use crate::collapse::partition::Partition;
-use crate::mesh::connect::check_indices;
+use crate::collapse::records::Records;
+use crate::collapse::whole::{CornerRefusals, Whole};
 use crate::mesh::connectivity::Connectivity;
-use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, Sources, check_points};
-
-/// Why the edge at each corner of a triangle may not collapse.
-pub type CornerRefusals<B> = [Option<Refusal<B>>; 3];
-
-/// The whole mesh between two rounds.
-pub struct Whole<const D: usize, B> {
-    pub points: Vec<[f64; D]>,
-    pub triangles: Vec<[u32; 3]>,
-    /// Which vertices and triangles of the mesh of the first round these are.
-    pub vertex_source: Vec<u32>,
-    pub triangle_source: Vec<u32>,
-    /// Vertices that must stay; empty for none.
-    pub locked: Vec<bool>,
-    /// Empty before the first round.
-    pub refused: Vec<CornerRefusals<B>>,
-}
-
-/// What a measure remembers of the whole mesh.
-pub trait Records<const D: usize>: Sized + Send + Sync {
-    type Measure: Measure<D>;
-    /// What is left of a region's records.
-    type Piece: Send;
-
-    /// Whether all merges of a run are kept, also where nobody asks for them.
-    const KEEPS_MERGES: bool = true;
-
-    /// How much there is to look at in a mesh of so many triangles, counted in triangles of their own.
-    fn size(&self, triangles: usize) -> usize {
-        triangles
-    }
-
-    /// A measure for a region, whose sources are numbers of the whole mesh.
-    fn load(&self, region: &Mesh<D>) -> Self::Measure;
-
-    /// Records of the vertices that are not on the rim, and of the triangles, in their order.
-    fn unload(measure: Self::Measure, region: &Mesh<D>) -> Self::Piece;
-
-    /// Records of the next whole mesh: its vertices are those of `rim` (numbers of this one), then those of
-    /// each piece.
-    fn join(self, rim: &[u32], pieces: Vec<Self::Piece>) -> Self;
-}
+use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 const NOBODY: u32 = u32::MAX;
-const SHARED: u32 = u32::MAX - 1;
+/// The owner of a vertex that no region has alone.
+pub const SHARED: u32 = u32::MAX - 1;
 
-/// Which vertices more than one region uses.
-pub fn find_rim(vertices: usize, triangles: &[[u32; 3]], partition: &Partition, threads: usize) -> Vec<bool> {
+/// The region that each vertex is of, or [`SHARED`].
+pub fn find_owners(
+    vertices: usize,
+    triangles: &[[u32; 3]],
+    partition: &Partition,
+    threads: usize,
+) -> Vec<u32> {
     if partition.len() == 1 {
-        return vec![false; vertices];
+        return vec![0; vertices];
     }
     // Whoever comes first, a vertex of two regions ends up shared.
     let owner: Vec<AtomicU32> = (0..vertices).map(|_| AtomicU32::new(NOBODY)).collect();
@@ -79,7 +45,7 @@ pub fn find_rim(vertices: usize, triangles: &[[u32; 3]], partition: &Partition, 
         }
     };
     map(partition.len(), threads, || (), claim);
-    owner.iter().map(|slot| slot.load(Relaxed) == SHARED).collect()
+    owner.into_iter().map(AtomicU32::into_inner).collect()
 }
 
 /// One number for each vertex of the whole mesh, used again from region to region.
@@ -94,104 +60,6 @@ impl Scratch {
 }
 
 impl<const D: usize, B: Copy> Whole<D, B> {
-    /// Points and triangles as they come. A triangle that names a vertex twice has no area and no side: it is left
-    /// out. That the rest is an oriented manifold is checked when it is cut.
-    ///
-    /// # Errors
-    /// An index out of range, or a value that is not finite or beyond ±1e60.
-    pub fn new(
-        points: Vec<[f64; D]>,
-        mut triangles: Vec<[u32; 3]>,
-        locked: Vec<bool>,
-    ) -> Result<Self, KernelError> {
-        check_points(&points)?;
-        check_indices(points.len(), &triangles)?;
-        let proper = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
-        let triangle_source: Vec<u32> =
-            (0..triangles.len() as u32).filter(|&t| proper(&triangles[t as usize])).collect();
-        if triangle_source.len() < triangles.len() {
-            triangles.retain(proper);
-        }
-        let vertex_source = (0..points.len() as u32).collect();
-        Ok(Self { points, triangles, vertex_source, triangle_source, locked, refused: vec![] })
-    }
-
-    /// The mesh in one piece, with halfedges.
-    ///
-    /// # Errors
-    /// As [`Connectivity::from_triangles`].
-    pub fn connected(self) -> Result<Mesh<D>, KernelError> {
-        let locks = (0..self.points.len())
-            .map(|v| if self.locked.get(v) == Some(&true) { Lock::Locked } else { Lock::Free })
-            .collect();
-        Ok(Mesh {
-            connectivity: Connectivity::from_triangles(self.points.len(), &self.triangles)?,
-            points: self.points,
-            vertex_source: self.vertex_source,
-            triangle_source: self.triangle_source,
-            locks,
-        })
-    }
-
-    /// A mesh to start from, and where its parts came from before.
-    pub fn from_mesh(mesh: Mesh<D>) -> (Self, Sources) {
-        let corners = |t| mesh.connectivity.corners(t).map(|v| v.0);
-        let triangles: Vec<[u32; 3]> = mesh.connectivity.triangles().map(corners).collect();
-        let whole = Self {
-            vertex_source: (0..mesh.points.len() as u32).collect(),
-            triangle_source: (0..triangles.len() as u32).collect(),
-            points: mesh.points,
-            triangles,
-            locked: mesh.locks.iter().map(|&lock| lock == Lock::Locked).collect(),
-            refused: vec![],
-        };
-        (whole, Sources { vertices: mesh.vertex_source, triangles: mesh.triangle_source })
-    }
-
-    /// Why edges may not collapse: one entry for each that may not.
-    pub fn refused_edges(&self) -> Vec<Refusal<B>> {
-        let mut refused: Vec<(u32, u32, Refusal<B>)> = vec![];
-        for (corners, refusals) in self.triangles.iter().zip(&self.refused) {
-            for (corner, refusal) in refusals.iter().enumerate() {
-                let (a, b) = (corners[corner], corners[(corner + 1) % 3]);
-                refused.extend(refusal.map(|refusal| (a.min(b), a.max(b), refusal)));
-            }
-        }
-        refused.sort_unstable_by_key(|edge| (edge.0, edge.1));
-        refused.dedup_by_key(|edge| (edge.0, edge.1));
-        refused.into_iter().map(|edge| edge.2).collect()
-    }
-
-    /// The mesh with vertices and triangles in the order of their sources, without vertices no triangle uses.
-    pub fn into_compact(self) -> Compact<D> {
-        let used = {
-            let mut used = vec![false; self.points.len()];
-            self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
-            used
-        };
-        let mut vertices: Vec<(u32, u32)> = (0..self.points.len() as u32)
-            .filter(|&v| used[v as usize])
-            .map(|v| (self.vertex_source[v as usize], v))
-            .collect();
-        vertices.sort_unstable();
-        let mut number = vec![0u32; self.points.len()];
-        for (new, &(_, v)) in vertices.iter().enumerate() {
-            number[v as usize] = new as u32;
-        }
-        let mut triangles: Vec<(u32, u32)> =
-            self.triangle_source.iter().zip(0..).map(|(&source, t)| (source, t)).collect();
-        triangles.sort_unstable();
-        Compact {
-            points: vertices.iter().map(|&(_, v)| self.points[v as usize]).collect(),
-            triangles: triangles
-                .iter()
-                .map(|&(_, t)| self.triangles[t as usize].map(|v| number[v as usize]))
-                .collect(),
-            vertex_source: vertices.iter().map(|&(source, _)| source).collect(),
-            triangle_source: triangles.iter().map(|&(source, _)| source).collect(),
-        }
-    }
-
     /// The mesh of a region, and what is known of its edges.
     ///
     /// # Errors
@@ -248,7 +116,7 @@ impl<const D: usize, B: Copy> Whole<D, B> {
 }
 
 /// What is left of a region.
-pub struct Piece<const D: usize, B, R> {
+pub struct Remains<const D: usize, B, R> {
     /// Vertices that are not on the rim.
     points: Vec<[f64; D]>,
     vertex_source: Vec<u32>,
@@ -267,7 +135,7 @@ pub struct Piece<const D: usize, B, R> {
 
 const ON_RIM: u32 = 1 << 31;
 
-impl<const D: usize, B: Copy, R> Piece<D, B, R> {
+impl<const D: usize, B: Copy, R> Remains<D, B, R> {
     /// What happened, in the numbers that `source` has for the vertices of the whole mesh: merges, and where their
     /// survivors went, if that was recorded.
     pub fn take_merges(&mut self, source: &[u32]) -> (Vec<Merge>, Vec<[f64; D]>) {
@@ -332,7 +200,7 @@ impl<const D: usize, B: Copy, R> Piece<D, B, R> {
     }
 }
 
-/// Where a piece goes in the next whole mesh.
+/// Where the remains of a region go in the next whole mesh.
 struct Place<'a, const D: usize, B> {
     /// Number of its first vertex.
     first: u32,
@@ -345,29 +213,29 @@ struct Place<'a, const D: usize, B> {
 }
 
 impl<const D: usize, B: Copy> Place<'_, D, B> {
-    fn take<R>(self, piece: Piece<D, B, R>, rim_number: &[u32]) {
-        self.points.copy_from_slice(&piece.points);
-        self.vertex_source.copy_from_slice(&piece.vertex_source);
-        self.locked.copy_from_slice(&piece.locked);
-        self.triangle_source.copy_from_slice(&piece.triangle_source);
-        self.refused.copy_from_slice(&piece.refused);
+    fn take<R>(self, left: Remains<D, B, R>, rim_number: &[u32]) {
+        self.points.copy_from_slice(&left.points);
+        self.vertex_source.copy_from_slice(&left.vertex_source);
+        self.locked.copy_from_slice(&left.locked);
+        self.triangle_source.copy_from_slice(&left.triangle_source);
+        self.refused.copy_from_slice(&left.refused);
         let number = |v: u32| {
             if v & ON_RIM != 0 { rim_number[(v & !ON_RIM) as usize] } else { self.first + v }
         };
-        for (corners, own) in self.triangles.iter_mut().zip(&piece.triangles) {
+        for (corners, own) in self.triangles.iter_mut().zip(&left.triangles) {
             *corners = own.map(number);
         }
     }
 }
 
 impl<const D: usize, B: Copy + Send> Whole<D, B> {
-    /// Put the pieces of all regions together, in the memory of this mesh, which is never smaller. Vertices of
+    /// Put the remains of all regions together, in the memory of this mesh, which is never smaller. Vertices of
     /// the rim come first.
     pub fn join<R: Records<D>>(
         mut self,
         rim: &[bool],
         records: R,
-        mut pieces: Vec<Piece<D, B, R::Piece>>,
+        mut remains: Vec<Remains<D, B, R::Remains>>,
         threads: usize,
     ) -> (Self, R) {
         let rim_vertices: Vec<u32> = (0..rim.len() as u32).filter(|&v| rim[v as usize]).collect();
@@ -382,24 +250,24 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
                 self.locked[number] = self.locked[v];
             }
         }
-        let vertices = rim_vertices.len() + pieces.iter().map(|p| p.points.len()).sum::<usize>();
-        let triangles = pieces.iter().map(|p| p.triangles.len()).sum();
+        let vertices = rim_vertices.len() + remains.iter().map(|p| p.points.len()).sum::<usize>();
+        let triangles = remains.iter().map(|p| p.triangles.len()).sum();
         shorten(&mut self.points, vertices);
         shorten(&mut self.vertex_source, vertices);
         shorten(&mut self.locked, vertices);
         shorten(&mut self.triangles, triangles);
         shorten(&mut self.triangle_source, triangles);
         self.refused.resize(triangles, [None; 3]);
-        let kept = pieces.iter_mut().filter_map(|piece| piece.records.take()).collect();
-        let places = self.places(rim_vertices.len(), &pieces);
-        let parts: Vec<_> = places.into_iter().zip(pieces).collect();
-        each(parts, threads, |(place, piece)| place.take(piece, &rim_number));
+        let kept = remains.iter_mut().filter_map(|left| left.records.take()).collect();
+        let places = self.places(rim_vertices.len(), &remains);
+        let parts: Vec<_> = places.into_iter().zip(remains).collect();
+        each(parts, threads, |(place, left)| place.take(left, &rim_number));
         let records = records.join(&rim_vertices, kept);
         (self, records)
     }
 
     /// One place after the other, the first after the vertices of the rim.
-    fn places<R>(&mut self, rim: usize, pieces: &[Piece<D, B, R>]) -> Vec<Place<'_, D, B>> {
+    fn places<R>(&mut self, rim: usize, remains: &[Remains<D, B, R>]) -> Vec<Place<'_, D, B>> {
         let mut points = &mut self.points[rim..];
         let mut vertex_source = &mut self.vertex_source[rim..];
         let mut locked = if self.locked.is_empty() { &mut [][..] } else { &mut self.locked[rim..] };
@@ -407,14 +275,14 @@ impl<const D: usize, B: Copy + Send> Whole<D, B> {
         let mut triangle_source = &mut self.triangle_source[..];
         let mut refused = &mut self.refused[..];
         let mut first = rim as u32;
-        let mut places = Vec::with_capacity(pieces.len());
-        for piece in pieces {
-            let (vertices, count) = (piece.points.len(), piece.triangles.len());
+        let mut places = Vec::with_capacity(remains.len());
+        for left in remains {
+            let (vertices, count) = (left.points.len(), left.triangles.len());
             places.push(Place {
                 first,
                 points: split_off(&mut points, vertices),
                 vertex_source: split_off(&mut vertex_source, vertices),
-                locked: split_off(&mut locked, piece.locked.len()),
+                locked: split_off(&mut locked, left.locked.len()),
                 triangles: split_off(&mut triangles, count),
                 triangle_source: split_off(&mut triangle_source, count),
                 refused: split_off(&mut refused, count),

@@ -5,7 +5,7 @@
 //!     cut the mesh into regions, elsewhere than before
 //!     choose a priority up to which at most three quarters of the triangles should go
 //!     each region, on any thread: collapse up to this priority, the rim locked
-//!     put the pieces together
+//!     put the remains together
 //! ```
 //!
 //! Within a round, all regions go up to the same priority, as one queue for the whole mesh would: the order differs
@@ -13,15 +13,19 @@
 //! from the mesh alone, so the result has the same bits for any number of threads. Regions fit into the
 //! cache, which makes this faster than one queue also on a single core.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use crate::base::errors::KernelError;
 use crate::base::memory;
 use crate::base::parallel::map;
 use crate::base::progress::Progress;
-use crate::collapse::engine::{Engine, Measure, Merge, Stop, Until};
+use crate::collapse::engine::{Engine, Measure, Stop, Until};
+use crate::collapse::histogram::Histogram;
+use crate::collapse::logs::{Log, by_priority};
 use crate::collapse::partition::Partition;
-use crate::collapse::region::{CornerRefusals, Piece, Records, Scratch, Whole, find_rim};
+use crate::collapse::records::Records;
+use crate::collapse::region::{Remains, SHARED, Scratch, find_owners};
+use crate::collapse::whole::Whole;
 use crate::mesh::connectivity::Connectivity;
 
 /// How far to go, and on how many threads.
@@ -45,16 +49,6 @@ const SHARE: f64 = 0.75;
 
 type Bound<const D: usize, R> = <<R as Records<D>>::Measure as Measure<D>>::Bound;
 
-/// What happened in one region.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Log<const D: usize> {
-    pub round: usize,
-    /// In numbers of the vertices at the start.
-    pub merges: Vec<Merge>,
-    /// Where their survivors went; empty unless asked for.
-    pub path: Vec<[f64; D]>,
-}
-
 pub struct Outcome<const D: usize, R: Records<D>> {
     pub mesh: Whole<D, Bound<D, R>>,
     pub records: R,
@@ -70,279 +64,274 @@ pub struct Outcome<const D: usize, R: Records<D>> {
 /// # Errors
 /// As [`Connectivity::from_triangles`], and [`KernelError::Interrupted`].
 pub fn collapse<const D: usize, R: Records<D>>(
-    mut mesh: Whole<D, Bound<D, R>>,
-    mut records: R,
+    mesh: Whole<D, Bound<D, R>>,
+    records: R,
     goal: &Goal,
     progress: &mut Progress,
 ) -> Result<Outcome<D, R>, KernelError> {
-    let at_start = mesh.triangles.len();
-    let (mut collapses, mut logs) = (0, vec![]);
-    let attempts = AtomicU64::new(0);
-    let mut histogram: Option<Histogram> = None;
-    let mut idle: u32 = 0;
-    let mut round = 0;
-    progress.tell(0, (at_start - goal.triangles.min(at_start)) as u64)?;
+    let mut rounds = Rounds::new(mesh, records, goal);
+    progress.tell(0, rounds.total() as u64)?;
     let stop = loop {
-        let count = mesh.triangles.len();
-        if count <= goal.triangles && round > 0 {
-            break Stop::Target;
-        }
-        // While nothing happens but some edges were on a rim each time, larger regions leave fewer of them.
-        let regions = ((records.size(count) / goal.region.max(1)) >> idle).max(1);
-        let partition = Partition::new(&mesh.points, &mesh.triangles, regions, round, goal.threads);
-        let rim = find_rim(mesh.points.len(), &mesh.triangles, &partition, goal.threads);
-        if round == 0 {
-            check_seam(&mesh, &rim, regions)?;
-        }
-        let total = (at_start - goal.triangles.min(at_start)) as u64;
-        progress.tell((at_start - count) as u64, total)?;
-
-        let gone = AtomicU64::new((at_start - count) as u64);
-        let run = Run { mesh: &mesh, records: &records, partition: &partition, rim: &rim, goal, gone, total };
-        let needed = count.saturating_sub(goal.triangles).div_ceil(2);
-        let priority = if regions == 1 {
-            f64::INFINITY
-        } else {
-            let seen = match histogram.take() {
-                Some(seen) => seen,
-                None => run.sample(progress).map_err(|error| explained(&mesh, error))?,
-            };
-            seen.priority_for(wanted(needed, count), count / 2)
-        };
-        let seen = Histogram::default();
-        let until =
-            Until { triangles: if regions == 1 { goal.triangles } else { 0 }, priority, ..Until::EXHAUSTED };
-        let work = |limit: &(dyn Fn(usize) -> usize + Sync), seen: &Histogram| {
-            let one = |scratch: &mut Scratch, p: usize| {
-                run.region(
-                    scratch,
-                    p,
-                    &Until { collapses: limit(p), ..until },
-                    seen,
-                    &attempts,
-                    &mut progress.clone(),
-                )
-            };
-            let scratch = || Scratch::new(mesh.points.len());
-            map(regions, goal.threads, scratch, one).into_iter().collect::<Result<Vec<_>, _>>()
-        };
-        let mut pieces = work(&|_| usize::MAX, &seen).map_err(|error| explained(&mesh, error))?;
-        let collapsed: usize = pieces.iter().map(|piece| piece.merges.len()).sum();
-        let mut histogram_of_round = seen;
-        // Removing two triangles each, or one at a boundary, the collapses may have gone too far.
-        let removed = count - pieces.iter().map(Piece::triangles).sum::<usize>();
-        if regions > 1 && count - removed < goal.triangles {
-            let limits = first_merges(&pieces, goal.triangles, count);
-            drop(pieces);
-            histogram_of_round = Histogram::default();
-            pieces = work(&|p| limits[p], &histogram_of_round)?;
-        }
+        let cut = rounds.cut()?;
+        progress.tell(rounds.gone() as u64, rounds.total() as u64)?;
+        let done = rounds.work(&cut, progress)?;
         let enough = progress.is_enough();
-        drop(partition);
-        collapses += pieces.iter().map(|piece| piece.merges.len()).sum::<usize>();
-        for piece in &mut pieces {
-            // The pieces do not need them any more.
-            let (merges, path) = piece.take_merges(&mesh.vertex_source);
-            if R::KEEPS_MERGES || goal.record {
-                logs.push(Log { round, merges, path });
-            }
-        }
-        (mesh, records) = mesh.join(&rim, records, pieces, goal.threads);
-        if goal.record {
-            // Paths stay between what the regions needed for a while.
-            memory::give_back();
-        }
-        histogram = Some(histogram_of_round);
-        round += 1;
+        let (is_one, is_unlimited, collapsed) =
+            (cut.partition.len() == 1, done.priority == f64::INFINITY, done.collapsed);
+        rounds = rounds.join(cut, done);
         if enough {
             break Stop::Enough;
         }
-        if mesh.triangles.len() <= goal.triangles {
+        if rounds.mesh.triangles.len() <= goal.triangles {
             break Stop::Target;
         }
         // The end: every edge waits on a refusal.
-        let open = |refused: &CornerRefusals<_>| refused.iter().any(Option::is_none);
-        if priority == f64::INFINITY && (regions == 1 || !mesh.refused.iter().any(open)) {
+        if is_unlimited && (is_one || !rounds.has_open_edges()) {
             break Stop::Exhausted;
         }
-        idle = if collapsed == 0 && priority == f64::INFINITY { idle + 1 } else { 0 };
+        rounds.idle = if collapsed == 0 && is_unlimited { rounds.idle + 1 } else { 0 };
     };
+    let Rounds { mesh, records, collapses, logs, attempts, .. } = rounds;
     Ok(Outcome { mesh, records, stop, collapses, logs, attempts: attempts.into_inner() })
 }
 
-/// Collapses to ask of a round. The last rounds aim a little short, then too far, and are cut to the goal.
-fn wanted(needed: usize, triangles: usize) -> usize {
-    let most = (SHARE * triangles as f64 / 2.0) as usize;
+/// The whole mesh between two rounds, and what has happened so far.
+struct Rounds<'a, const D: usize, R: Records<D>> {
+    mesh: Whole<D, Bound<D, R>>,
+    records: R,
+    goal: &'a Goal,
+    at_start: usize,
+    /// The number of the round.
+    round: usize,
+    /// Rounds in a row in which nothing happened.
+    idle: u32,
+    /// Priorities of the edges that were left to wait by the last round.
+    waiting: Option<Histogram>,
+    collapses: usize,
+    logs: Vec<Log<D>>,
+    attempts: AtomicU64,
+}
+
+/// A mesh cut into regions.
+struct Cut {
+    partition: Partition,
+    /// Vertices that no region has alone.
+    rim: Vec<bool>,
+}
+
+/// What the regions of a round left.
+struct Done<const D: usize, R: Records<D>> {
+    remains: Vec<Remains<D, Bound<D, R>, R::Remains>>,
+    waiting: Histogram,
+    /// Up to which edges were to collapse.
+    priority: f64,
+    /// How many did, before what was too much was left out.
+    collapsed: usize,
+}
+
+impl<'a, const D: usize, R: Records<D>> Rounds<'a, D, R> {
+    fn new(mesh: Whole<D, Bound<D, R>>, records: R, goal: &'a Goal) -> Self {
+        Self {
+            at_start: mesh.triangles.len(),
+            mesh,
+            records,
+            goal,
+            round: 0,
+            idle: 0,
+            waiting: None,
+            collapses: 0,
+            logs: vec![],
+            attempts: AtomicU64::new(0),
+        }
+    }
+
+    /// Triangles gone so far.
+    fn gone(&self) -> usize {
+        self.at_start - self.mesh.triangles.len()
+    }
+
+    /// Triangles that may go.
+    fn total(&self) -> usize {
+        self.at_start - self.goal.triangles.min(self.at_start)
+    }
+
+    fn has_open_edges(&self) -> bool {
+        self.mesh.refused.iter().any(|refused| refused.iter().any(Option::is_none))
+    }
+
+    /// Cut the mesh, elsewhere than before.
+    fn cut(&self) -> Result<Cut, KernelError> {
+        let (mesh, threads) = (&self.mesh, self.goal.threads);
+        // While nothing happens but some edges were on a rim each time, larger regions leave fewer of them.
+        let regions = (self.records.size(mesh.triangles.len()) / self.goal.region.max(1)) >> self.idle;
+        let partition = Partition::new(&mesh.points, &mesh.triangles, regions.max(1), self.round, threads);
+        let mut owner = find_owners(mesh.points.len(), &mesh.triangles, &partition, threads);
+        self.records.keep_together(&mut owner);
+        let rim: Vec<bool> = owner.into_iter().map(|owner| owner == SHARED).collect();
+        if self.round == 0 {
+            check_seam(mesh, &rim, partition.len())?;
+        }
+        Ok(Cut { partition, rim })
+    }
+
+    /// Collapse in all regions, up to a priority that should leave about as many triangles as the round is to leave, and
+    /// none too few.
+    fn work(&self, cut: &Cut, progress: &Progress) -> Result<Done<D, R>, KernelError> {
+        let (mesh, goal, count) = (&self.mesh, self.goal, self.mesh.triangles.len());
+        let gone = AtomicU64::new(self.gone() as u64);
+        let run = Run { rounds: self, cut, gone, total: self.total() as u64 };
+        let is_one = cut.partition.len() == 1;
+        let priority = match &self.waiting {
+            _ if is_one => f64::INFINITY,
+            Some(waiting) => waiting.priority_for(wanted(count, goal.triangles), count / 2),
+            None => {
+                let sample = run.sample(progress).map_err(|error| explained(mesh, error))?;
+                sample.priority_for(wanted(count, goal.triangles), count / 2)
+            }
+        };
+        let until =
+            Until { triangles: if is_one { goal.triangles } else { 0 }, priority, ..Until::EXHAUSTED };
+        let (remains, waiting) = run.all(|_| until, progress).map_err(|error| explained(mesh, error))?;
+        let collapsed: usize = remains.iter().map(|left| left.merges.len()).sum();
+        let left: usize = remains.iter().map(Remains::triangles).sum();
+        // Removing two triangles each, or one at a boundary, the collapses may have gone too far.
+        if is_one || left >= goal.triangles {
+            return Ok(Done { remains, waiting, priority, collapsed });
+        }
+        let limits = first_merges(&remains, goal.triangles, count);
+        drop(remains);
+        let (remains, waiting) = run.all(|p| Until { collapses: limits[p], ..until }, progress)?;
+        Ok(Done { remains, waiting, priority, collapsed })
+    }
+
+    /// Put together what the regions left.
+    fn join(mut self, cut: Cut, mut done: Done<D, R>) -> Self {
+        let Cut { partition, rim } = cut;
+        drop(partition);
+        for left in &mut done.remains {
+            self.collapses += left.merges.len();
+            // The remains do not need them any more.
+            let (merges, path) = left.take_merges(&self.mesh.vertex_source);
+            if R::KEEPS_MERGES || self.goal.record {
+                self.logs.push(Log { round: self.round, merges, path });
+            }
+        }
+        let (mesh, records) = self.mesh.join(&rim, self.records, done.remains, self.goal.threads);
+        if self.goal.record {
+            // Paths stay between what the regions needed for a while.
+            memory::give_back();
+        }
+        Self { mesh, records, waiting: Some(done.waiting), round: self.round + 1, ..self }
+    }
+}
+
+/// Collapses to ask of a round that starts with `count` triangles. The last rounds aim a little short, then too far, and
+/// are cut to the goal.
+fn wanted(count: usize, goal: usize) -> usize {
+    let needed = count.saturating_sub(goal).div_ceil(2);
+    let most = (SHARE * count as f64 / 2.0) as usize;
     if needed > most {
         most
-    } else if needed > triangles / 64 {
+    } else if needed > count / 64 {
         needed - needed / 8
     } else {
         2 * needed
     }
 }
 
+/// One round at work.
 struct Run<'a, const D: usize, R: Records<D>> {
-    mesh: &'a Whole<D, Bound<D, R>>,
-    records: &'a R,
-    partition: &'a Partition,
-    rim: &'a [bool],
-    goal: &'a Goal,
+    rounds: &'a Rounds<'a, D, R>,
+    cut: &'a Cut,
     /// Triangles gone so far, of how many that may go.
     gone: AtomicU64,
     total: u64,
 }
-
 impl<const D: usize, R: Records<D>> Run<'_, D, R> {
-    fn engine(&self, scratch: &mut Scratch, p: usize) -> Result<Engine<D, R::Measure>, KernelError> {
-        let (mesh, refusals) = self.mesh.cut(self.partition.region(p), self.rim, scratch)?;
-        let measure = self.records.load(&mesh);
-        Ok(Engine::resume(mesh, measure, refusals))
-    }
-
-    fn region(
+    /// What all regions left, each taken as far as said for it, and which edges wait there.
+    #[allow(clippy::type_complexity)]
+    fn all(
         &self,
-        scratch: &mut Scratch,
-        p: usize,
-        until: &Until,
-        seen: &Histogram,
-        attempts: &AtomicU64,
-        progress: &mut Progress,
-    ) -> Result<Piece<D, Bound<D, R>, R::Piece>, KernelError> {
-        progress.check()?;
-        let mut engine = self.engine(scratch, p)?;
-        if self.goal.record {
-            engine.record_path();
-        }
-        engine.run(*until, progress)?;
-        let collapsed: u64 = engine.merges().iter().map(|m| u64::from(m.triangles)).sum();
-        let gone = self.gone.fetch_add(collapsed, Relaxed) + collapsed;
-        progress.tell(gone.min(self.total), self.total)?;
-        seen.add(engine.waiting());
-        attempts.fetch_add(engine.attempts(), Relaxed);
-        let (mesh, measure, refusals, merges, path) = engine.into_parts();
-        let records = R::unload(measure, &mesh);
-        Ok(Piece::new(&mesh, self.mesh, |edge| refusals[edge.index()], &merges, path, records))
+        until: impl Fn(usize) -> Until + Sync,
+        progress: &Progress,
+    ) -> Result<(Vec<Remains<D, Bound<D, R>, R::Remains>>, Histogram), KernelError> {
+        let waiting = Histogram::default();
+        let one = |scratch: &mut Scratch, p: usize| {
+            self.region(scratch, p, until(p), &waiting, &mut progress.clone())
+        };
+        let remains = self.each(self.cut.partition.len(), one)?;
+        Ok((remains, waiting))
     }
 
     /// The priorities in some of the regions, before the first round.
     fn sample(&self, progress: &Progress) -> Result<Histogram, KernelError> {
-        let step = (self.partition.len() / 8).max(1);
-        let chosen = self.partition.len().div_ceil(step);
-        let seen = Histogram::default();
-        let one = |scratch: &mut Scratch, i: usize| -> Result<usize, KernelError> {
+        let partition = &self.cut.partition;
+        let step = (partition.len() / 8).max(1);
+        let waiting = Histogram::default();
+        let one = |scratch: &mut Scratch, i: usize| {
             progress.check()?;
-            let engine = self.engine(scratch, i * step)?;
-            seen.add(engine.waiting());
-            Ok(self.partition.region(i * step).len())
+            waiting.add(self.engine(scratch, i * step)?.waiting());
+            Ok(partition.region(i * step).len())
         };
-        let scratch = || Scratch::new(self.mesh.points.len());
-        let sizes =
-            map(chosen, self.goal.threads, scratch, one).into_iter().collect::<Result<Vec<_>, _>>()?;
-        let sampled: usize = sizes.iter().sum();
-        Ok(Histogram { scale: self.mesh.triangles.len() as f64 / sampled as f64, ..seen })
+        let sampled: usize = self.each(partition.len().div_ceil(step), one)?.iter().sum();
+        Ok(waiting.scaled(self.rounds.mesh.triangles.len() as f64 / sampled as f64))
     }
-}
 
-/// Sixteen classes for every doubling of a priority.
-struct Histogram {
-    counts: Vec<AtomicU32>,
-    scale: f64,
-}
-
-const CLASS_BITS: u32 = 48;
-
-impl Default for Histogram {
-    fn default() -> Self {
-        Self { counts: (0..1 << (63 - CLASS_BITS)).map(|_| AtomicU32::new(0)).collect(), scale: 1.0 }
+    /// Work for each number below `count`, on all threads.
+    fn each<T: Send>(
+        &self,
+        count: usize,
+        one: impl Fn(&mut Scratch, usize) -> Result<T, KernelError> + Sync,
+    ) -> Result<Vec<T>, KernelError> {
+        let scratch = || Scratch::new(self.rounds.mesh.points.len());
+        map(count, self.rounds.goal.threads, scratch, one).into_iter().collect()
     }
-}
 
-impl Histogram {
-    fn add(&self, priorities: impl Iterator<Item = f64>) {
-        for priority in priorities {
-            let class = (priority.max(0.0).to_bits() >> CLASS_BITS) as usize;
-            self.counts[class].fetch_add(1, Relaxed);
+    fn engine(&self, scratch: &mut Scratch, p: usize) -> Result<Engine<D, R::Measure>, KernelError> {
+        let (mesh, refusals) = self.rounds.mesh.cut(self.cut.partition.region(p), &self.cut.rim, scratch)?;
+        let measure = self.rounds.records.load(&mesh);
+        Ok(Engine::resume(mesh, measure, refusals))
+    }
+
+    /// Collapse in one region.
+    fn region(
+        &self,
+        scratch: &mut Scratch,
+        p: usize,
+        until: Until,
+        waiting: &Histogram,
+        progress: &mut Progress,
+    ) -> Result<Remains<D, Bound<D, R>, R::Remains>, KernelError> {
+        progress.check()?;
+        let mut engine = self.engine(scratch, p)?;
+        if self.rounds.goal.record {
+            engine.record_path();
         }
-    }
-
-    /// The priority up to which about `collapses` take place on a mesh where `most` can.
-    fn priority_for(&self, collapses: usize, most: usize) -> f64 {
-        // Of three edges one collapses and two merge with others when all go, while the first few are all
-        // collapses.
-        let share = collapses as f64 / most.max(1) as f64;
-        let wanted = collapses as f64 * (1.0 + 2.0 * share);
-        let mut below = 0.0;
-        for (class, count) in self.counts.iter().enumerate() {
-            below += self.scale * f64::from(count.load(Relaxed));
-            if below >= wanted {
-                return f64::from_bits((class as u64 + 1) << CLASS_BITS);
-            }
-        }
-        f64::INFINITY
-    }
-}
-
-/// List and place of all merges, those of least priority first.
-fn in_order<'a>(lists: impl Iterator<Item = &'a [Merge]>) -> impl Iterator<Item = (usize, usize)> {
-    let mut order: Vec<(f64, u32, u32)> = vec![];
-    for (list, merges) in lists.enumerate() {
-        order.extend(merges.iter().enumerate().map(|(i, m)| (m.priority, list as u32, i as u32)));
-    }
-    order.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-    order.into_iter().map(|(_, list, i)| (list as usize, i as usize))
-}
-
-fn all_in_order<const D: usize>(logs: &[Log<D>]) -> impl Iterator<Item = (&Log<D>, usize)> {
-    logs.chunk_by(|a, b| a.round == b.round).flat_map(|round| {
-        in_order(round.iter().map(|log| &log.merges[..])).map(|(list, i)| (&round[list], i))
-    })
-}
-
-/// The collapses one after the other, in numbers of the vertices at the start, and where their survivors went.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Way<const D: usize> {
-    pub removed: Vec<u32>,
-    pub survivor: Vec<u32>,
-    pub path: Vec<[f64; D]>,
-}
-
-impl<const D: usize> Way<D> {
-    /// All that was recorded: nothing, if that was not asked for.
-    pub fn new(logs: &[Log<D>]) -> Self {
-        if logs.iter().all(|log| log.path.is_empty()) {
-            return Self::default();
-        }
-        let recorded = all_in_order(logs).filter_map(|(log, i)| Some((&log.merges[i], log.path.get(i)?)));
-        recorded.map(|(merge, to)| (merge.removed.0, merge.survivor.0, *to)).collect()
-    }
-}
-
-impl<const D: usize> FromIterator<(u32, u32, [f64; D])> for Way<D> {
-    fn from_iter<I: IntoIterator<Item = (u32, u32, [f64; D])>>(collapses: I) -> Self {
-        let mut way = Self { removed: vec![], survivor: vec![], path: vec![] };
-        for (removed, survivor, to) in collapses {
-            way.removed.push(removed);
-            way.survivor.push(survivor);
-            way.path.push(to);
-        }
-        way
+        engine.run(until, progress)?;
+        let collapsed: u64 = engine.merges().iter().map(|m| u64::from(m.triangles)).sum();
+        let gone = self.gone.fetch_add(collapsed, Relaxed) + collapsed;
+        progress.tell(gone.min(self.total), self.total)?;
+        waiting.add(engine.waiting());
+        self.rounds.attempts.fetch_add(engine.attempts(), Relaxed);
+        let (mesh, measure, refusals, merges, path) = engine.into_parts();
+        let records = R::unload(measure, &mesh);
+        Ok(Remains::new(&mesh, &self.rounds.mesh, |edge| refusals[edge.index()], &merges, path, records))
     }
 }
 
 /// How many merges of each region to keep so that `triangles` are left: those of least priority.
 fn first_merges<const D: usize, B: Copy, R>(
-    pieces: &[Piece<D, B, R>],
+    remains: &[Remains<D, B, R>],
     triangles: usize,
     mut count: usize,
 ) -> Vec<usize> {
-    let mut limits = vec![0; pieces.len()];
-    for (p, i) in in_order(pieces.iter().map(|piece| &piece.merges[..])) {
+    let mut limits = vec![0; remains.len()];
+    for (p, i) in by_priority(remains.iter().map(|left| &left.merges[..])) {
         if count <= triangles {
             break;
         }
         limits[p] += 1;
-        count -= usize::from(pieces[p].merges[i].triangles);
+        count -= usize::from(remains[p].merges[i].triangles);
     }
     limits
 }

@@ -4,7 +4,8 @@ use super::contrast::contrast_around;
 use super::measure::{Accumulated, Bound, Change, Jia01};
 use super::options::Options;
 use crate::base::ids::HalfedgeId;
-use crate::collapse::region::{Records, Whole};
+use crate::collapse::records::Records;
+use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Mesh;
 
 /// What JIA01 has summed up on the whole mesh.
@@ -44,7 +45,7 @@ impl JiaRecords {
 
 impl<const D: usize> Records<D> for JiaRecords {
     type Measure = Jia01<D>;
-    type Piece = Sums;
+    type Remains = Sums;
 
     const KEEPS_MERGES: bool = false;
 

@@ -5,8 +5,9 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
 use crate::base::progress::Progress;
 use crate::collapse::engine::{Refusal, Stop};
-use crate::collapse::region::Whole;
-use crate::collapse::rounds::{Goal, Way, collapse};
+use crate::collapse::logs::Way;
+use crate::collapse::rounds::{Goal, collapse};
+use crate::collapse::whole::Whole;
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Sources};
 

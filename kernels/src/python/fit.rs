@@ -8,7 +8,7 @@ use super::arrays::{Attributes, Inputs, columns, unknown_attributes};
 use super::detached::detached;
 use crate::base::ids::VertexId;
 use crate::base::parallel::threads;
-use crate::collapse::region::Whole;
+use crate::collapse::whole::Whole;
 use crate::fitting::fit::Input;
 use crate::mesh::connect::check_indices;
 use crate::mesh::triangle_mesh::check_points;

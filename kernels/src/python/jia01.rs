@@ -10,7 +10,7 @@ use super::simplified::{Running, Simplified};
 use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
 use crate::base::parallel::{fill, threads};
-use crate::collapse::region::Whole;
+use crate::collapse::whole::Whole;
 use crate::jia01::{self, Limits, Options, Refused};
 use crate::mesh::triangle_mesh::Compact;
 

@@ -8,8 +8,9 @@ use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
 use super::simplified::{Running, Simplified};
 use crate::collapse::engine::Refusal;
-use crate::collapse::region::Whole;
-use crate::collapse::rounds::{Log, Way, collapse};
+use crate::collapse::logs::{Log, Way};
+use crate::collapse::rounds::collapse;
+use crate::collapse::whole::Whole;
 use crate::mesh::legality::Illegal;
 use crate::quadric::qem::QemRecords;
 

@@ -10,9 +10,9 @@ use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
 use super::simplified::{Running, stopped_by};
 use crate::seams::weld::{UNTIED, weld};
-use crate::seams::{Goal, Knobs, Outcome, Surface, simplify};
+use crate::seams::{Goal, Knobs, Outcome, Refused, Surface, simplify};
 
-/// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::measure::Knobs`.
+/// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::Knobs`.
 #[pyclass(frozen)]
 pub struct SeamKnobs(Knobs);
 
@@ -201,15 +201,9 @@ impl Light {
             importance: self.importance,
             locked: self.locked,
         };
-        let running_goal = running.goal();
-        let goal = Goal {
-            triangles: running_goal.triangles,
-            fit: is_fitted,
-            record: running_goal.record,
-            threads: running_goal.threads,
-        };
+        let goal = Goal { rounds: running.goal(), fit: is_fitted };
         let outcome = detached(py, Some(progress), running.partial, |progress| {
-            simplify::<D, K>(surface, knobs, goal, progress)
+            simplify::<D, K>(&surface, knobs, goal, progress)
         })?;
         returned(py, outcome)
     }
@@ -236,6 +230,16 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
             },
         )
     });
+    let Refused { topology, bridge, locked, fold, seam, chart, drift } = outcome.refused;
+    let refused = [
+        ("topology", topology),
+        ("bridge", bridge),
+        ("locked", locked),
+        ("fold", fold),
+        ("seam", seam),
+        ("chart", chart),
+        ("drift", drift),
+    ];
     Ok(BySeams {
         vertices: columns(py, &outcome.points, 0..3)?,
         triangles: triangle_array(py, &outcome.triangles)?,
@@ -244,7 +248,7 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
         vertex_source: id_array(py, outcome.vertex_source.into_iter()),
         triangle_source: id_array(py, outcome.triangle_source.into_iter()),
         stopped_by: stopped_by(outcome.stop),
-        refused: outcome.refused.into_iter().collect(),
+        refused: refused.into(),
         collapses: outcome.collapses as u64,
         attempts: outcome.attempts,
         seam_drift: outcome.seam_drift,

@@ -8,7 +8,8 @@ use pyo3::prelude::*;
 use super::arrays::{columns, id_array, triangle_array};
 use crate::base::parallel::threads;
 use crate::collapse::engine::Stop;
-use crate::collapse::rounds::{Goal, REGION_TRIANGLES, Way};
+use crate::collapse::logs::Way;
+use crate::collapse::rounds::{Goal, REGION_TRIANGLES};
 use crate::mesh::triangle_mesh::Compact;
 
 /// How every simplifier runs: up to how many triangles, on how many threads (0 for all cores), in regions of how many

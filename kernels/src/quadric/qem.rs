@@ -9,7 +9,7 @@
 use crate::base::geometry::{Vec3, distance2, midpoint, position};
 use crate::base::ids::{EdgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
-use crate::collapse::region::Records;
+use crate::collapse::records::Records;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
@@ -195,7 +195,7 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
 impl<const D: usize, const K: usize> Records<D> for QemRecords<K> {
     type Measure = Qem<D, K>;
     /// Importance of the vertices inside, if there is any.
-    type Piece = Vec<f64>;
+    type Remains = Vec<f64>;
 
     fn load(&self, region: &Mesh<D>) -> Qem<D, K> {
         let importance = if self.importance.is_empty() {

@@ -9,8 +9,8 @@ use crate::base::geometry::{around, cross, diagonal, norm2, position, sub};
 use crate::base::parallel::fill;
 use crate::base::progress::Progress;
 use crate::certify::Surface;
-use crate::collapse::region::Whole;
 use crate::collapse::rounds::{Goal, REGION_TRIANGLES, collapse};
+use crate::collapse::whole::Whole;
 use crate::quadric::balance::{cell, scrambled};
 use crate::quadric::qem::QemRecords;
 

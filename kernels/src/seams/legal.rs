@@ -12,7 +12,7 @@ use crate::mesh::legality::keeps_triangles;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 
-impl<const D: usize, const K: usize> Seams<D, K> {
+impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// Whether a candidate leaves all triangles of space and image their sides up, every texture coordinate in its
     /// chart and seams near where they were; completes the plan.
     pub(super) fn try_candidate(
@@ -25,11 +25,12 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         keeps_triangles(star, &candidate.place).map_err(|_| Rule::Fold)?;
         let exact = candidate.keep.filter(|&end| candidate.place == star.end_points[end]);
         for i in 0..plan.classes.len() {
-            let class = plan.classes[i];
-            plan.classes[i].value = match exact.filter(|_| class.is_only_at(exact)) {
-                Some(end) => self.wedges.attributes[class.at_end[end] as usize],
-                None => self.value(plan, &class, &candidate.place, candidate.keep),
+            let class = &plan.classes[i];
+            let value = match exact.filter(|_| class.is_only_at(exact)) {
+                Some(end) => self.wedges.at(class.at_end[end]).attributes,
+                None => self.value(plan, class, &candidate.place, candidate.keep),
             };
+            plan.classes[i].value = value;
         }
         if !self.images_keep_their_side(mesh, star, plan) || !self.find_homes(plan, candidate.keep.is_some())
         {
@@ -73,11 +74,11 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             let mut own = class.at_end.into_iter().filter(|&w| w != NONE);
             let some = class.some();
             let uv = uv_of(&class.value);
-            let start = self.wedges.home[some as usize];
+            let start = self.wedges.at(some).home;
             let home = if !self.is_textured(some) {
                 Some(start)
             } else if let Some(same) = own.find(|&w| self.wedges.uv(w) == uv) {
-                Some(self.wedges.home[same as usize])
+                Some(self.wedges.at(same).home)
             } else {
                 self.charts.locate(start, uv).or(is_kept.then_some(start))
             };
@@ -94,21 +95,31 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 || self.lays_a_triangle_twice(mesh, star, survivor))
     }
 
+    /// The vertices of a set.
+    fn of_set(&self, set: u32) -> impl Iterator<Item = VertexId> + '_ {
+        let first = self.sheets.partition_point(|&(other, _)| other < set);
+        self.sheets[first..].iter().take_while(move |(other, _)| *other == set).map(|&(_, v)| v)
+    }
+
     /// A new spoke of the survivor, to or from a tied vertex.
     fn lays_an_edge_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
-        let own = self.tie[kept.index()];
+        let own = self.tie(kept);
         let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
         // Whether a vertex has a neighbour in a set, beside one it is known to have.
         let reaches = |from: VertexId, set: u32, known: VertexId| {
-            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.tie[v.index()] == set)
+            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.tie(v) == set)
         };
+        let is_beside =
+            |one: VertexId, other: VertexId| mesh.connectivity.spokes(one).any(|(_, v)| v == other);
         mesh.connectivity.spokes(gone).filter(|(_, v)| *v != kept).any(|(_, v)| {
-            let tie = self.tie[v.index()];
+            let tie = self.tie(v);
             if tie != UNTIED {
                 (own != UNTIED && (own == tie || !is_apex(v))) || reaches(kept, tie, v)
             } else {
-                own != UNTIED && !is_apex(v) && reaches(v, own, kept)
+                // Its own spokes may not all be of this region, while those of the set are.
+                let others = || self.of_set(own).filter(|&other| other != kept);
+                own != UNTIED && !is_apex(v) && others().any(|other| is_beside(other, v))
             }
         })
     }
@@ -120,16 +131,14 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         // What a vertex is afterwards, in space: its set, or itself.
         let place = |v: VertexId| {
             let v = if v == gone { kept } else { v };
-            let set = self.tie[v.index()];
+            let set = self.tie(v);
             if set == UNTIED { (UNTIED, v) } else { (set, VertexId::NONE) }
         };
         let is_tied = |v: VertexId| place(v).0 != UNTIED;
         let vanishes = |t: TriangleId| star.vanishing.iter().any(|(vanishing, ..)| *vanishing == t);
-        let own = self.tie[kept.index()];
-        let first = self.sheets.partition_point(|&(set, _)| set < own);
-        let others = self.sheets[first..].iter().take_while(|(set, _)| *set == own).map(|&(_, v)| v);
+        let own = self.tie(kept);
         let is_another = |v: &VertexId| *v != kept;
-        let fans = || [kept, gone].into_iter().chain(others.clone().filter(is_another));
+        let fans = || [kept, gone].into_iter().chain(self.of_set(own).filter(is_another));
         let moved = star.wings.iter().filter(|wing| wing.end != survivor);
         moved.filter(|wing| [kept, wing.from, wing.to].into_iter().filter(|&v| is_tied(v)).count() > 1).any(
             |wing| {

@@ -10,8 +10,8 @@
 //! goes from lies in further charts, as where three meet, it keeps its place in those.
 
 use super::classes::Plan;
-use super::state::{Rule, SHORTER_FIRST, Seams, Spot, TETHER, common};
-use super::wedges::NONE;
+use super::state::{Rule, SHORTER_FIRST, Seams, TETHER, common};
+use super::wedges::{NONE, Wedge};
 use crate::base::geometry::{distance2, midpoint};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
@@ -19,7 +19,7 @@ use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
-impl<const D: usize, const K: usize> Seams<D, K> {
+impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// Where the star goes: the cheapest place that is legal, which is then first in the plan.
     fn proposal(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &mut Plan<K>) -> Result<Proposal<3, ()>, Rule> {
         self.plan(mesh, star.edge, plan)?;
@@ -81,9 +81,10 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             let wedge = class.kept(end);
             self.quadrics[wedge as usize] = class.quadric;
             if self.wedges.put(wedge, class.at_end, class.value, class.home)
-                && let Some(log) = &mut self.log
+                && let Some(changes) = &mut self.changes
             {
-                log.changed(wedge, class.value, self.wedges.source[wedge as usize]);
+                let &Wedge { name, source, .. } = self.wedges.at(wedge);
+                changes.changed(name, class.value, source);
             }
         }
         for wing in &star.wings {
@@ -94,27 +95,37 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                 }
             }
         }
-        if let Some(log) = &mut self.log {
+        if let Some(changes) = &mut self.changes {
             for member in &plan.members {
                 let into = plan.classes[member.class].kept(end);
                 if into != member.wedge {
-                    log.merged(member.wedge, into);
+                    changes.merged(self.wedges.at(member.wedge).name, self.wedges.at(into).name);
                 }
             }
+            changes.next();
         }
     }
 
     /// Look at the survivor and the corners across again.
-    fn merge_spots(&mut self, connectivity: &Connectivity, star: &Star<3>, survivor: VertexId) {
+    fn merge_spots(
+        &mut self,
+        connectivity: &Connectivity,
+        star: &Star<3>,
+        survivor: VertexId,
+        is_plain: bool,
+    ) {
         let [a, b] = star.ends.map(|v| self.spots[v.index()]);
-        let is_seam = |edge: EdgeId| self.is_seam[edge.index()];
-        self.spots[survivor.index()] = Spot {
-            only: self.wedges.only(connectivity, survivor).unwrap_or(NONE),
-            seam_degree: connectivity.spokes(survivor).filter(|(edge, _)| is_seam(*edge)).count() as u32,
-            valence: connectivity.spokes(survivor).count() as u32,
-            material: common(a.material, b.material),
-            part: common(a.part, b.part),
-        };
+        let own = &mut self.spots[survivor.index()];
+        (own.material, own.part) = (common(a.material, b.material), common(a.part, b.part));
+        if is_plain {
+            // Inside a chart: one wedge goes on, and two edges have become one on either side.
+            own.valence = a.valence + b.valence - 4;
+        } else {
+            let is_seam = |edge: EdgeId| self.is_seam[edge.index()];
+            own.only = self.wedges.only(connectivity, survivor).unwrap_or(NONE);
+            own.seam_degree = connectivity.spokes(survivor).filter(|(edge, _)| is_seam(*edge)).count() as u32;
+            own.valence = connectivity.spokes(survivor).count() as u32;
+        }
         for &(_, apex, _) in &star.vanishing {
             let spot = &mut self.spots[apex.index()];
             spot.valence -= 1;
@@ -136,7 +147,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
     }
 }
 
-impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
+impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
     type Bound = Rule;
     type Change = ();
 
@@ -174,9 +185,6 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
         let survivor = collapsed.survivor;
         let plan = self.plan.take();
         self.merge_wedges(connectivity, star, survivor, &plan);
-        if let Some(log) = &mut self.log {
-            log.collapsed(collapsed.removed, survivor, *mesh.point(survivor));
-        }
         for run in plan.runs.into_iter().flatten() {
             self.drifts.raise(run.next, run.drift);
         }
@@ -189,7 +197,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<D, K> {
         }
         let [a, b] = star.ends.map(|v| v.index());
         self.shape[survivor.index()] = self.shape[a].sum(&self.shape[b]);
-        self.merge_spots(connectivity, star, survivor);
+        self.merge_spots(connectivity, star, survivor, plan.is_plain);
         self.plan.replace(plan);
     }
 

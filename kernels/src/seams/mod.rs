@@ -12,10 +12,12 @@
 //! image within a bound, and a texture coordinate never leaves the chart it came from.
 
 mod classes;
+mod joined;
 mod legal;
 mod measure;
 mod plan;
 pub mod record;
+mod records;
 mod simplify;
 mod state;
 mod surface;
@@ -23,6 +25,6 @@ pub mod texture;
 pub mod wedges;
 pub mod weld;
 
-pub use simplify::{Goal, Outcome, simplify};
+pub use simplify::{Goal, Outcome, Refused, simplify};
 pub use state::Knobs;
 pub use surface::Surface;

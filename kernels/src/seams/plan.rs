@@ -3,13 +3,13 @@
 use super::classes::{Candidate, Class, Member, Plan, Run};
 use super::state::{HIGH_VALENCE, Rule, SEVERAL, SHORTER_FIRST, Seams, TETHER, common};
 use super::texture::{from_segment, seam_after, seam_before};
-use super::wedges::NONE;
+use super::wedges::{NONE, Wedge};
 use crate::base::geometry::{Vec3, distance2, midpoint};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
-impl<const D: usize, const K: usize> Seams<D, K> {
+impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// The factor that the penalties come to.
     pub(super) fn penalty(&self, ends: [VertexId; 2], wedges: usize) -> f64 {
         let [a, b] = ends.map(|v| &self.spots[v.index()]);
@@ -32,6 +32,16 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         if stays == [true, true] {
             return Err(Rule::Locked);
         }
+        plan.is_plain = self.is_plain(ends);
+        if plan.is_plain && stays == [false, false] {
+            // No place is better; its ends are for where that one is not legal.
+            self.group_plain(ends, plan);
+            let middle = midpoint(mesh.point(ends[0]), mesh.point(ends[1]));
+            let best = plan.classes[0].quadric.minimum(&middle, TETHER).0;
+            plan.candidates.clear();
+            plan.candidates.push(self.priced(mesh, edge, plan, best, None));
+            return Ok(());
+        }
         let on_seam = self.is_seam[edge.index()];
         // Beside a seam, what lies on it stays there.
         let may_go = |end: usize| !stays[end] && (on_seam || self.spots[ends[end].index()].seam_degree == 0);
@@ -39,7 +49,6 @@ impl<const D: usize, const K: usize> Seams<D, K> {
             return Err(Rule::Seam);
         }
         let first = connectivity.halfedge(edge);
-        plan.is_plain = self.is_plain(ends);
         self.group(connectivity, ends, [first, connectivity.twin(first)], plan);
         // The tip of a seam has one wedge for both sides: nothing tells which side it would go to.
         let [goes_to_first, goes_to_second] =
@@ -52,12 +61,6 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         let mut wanted = [None; 4];
         if goes_to_first && goes_to_second {
             let middle = midpoint(&places[0], &places[1]);
-            if plan.is_plain {
-                // No place is better; its ends are for where that one is not legal.
-                let best = plan.classes[0].quadric.minimum(&middle, TETHER).0;
-                plan.candidates.push(self.priced(mesh, edge, plan, best, None));
-                return Ok(());
-            }
             let best = shape.minimum(&middle, TETHER).0;
             if on_seam && has_image {
                 wanted[..2].copy_from_slice(&[Some((best, Some(0))), Some((best, Some(1)))]);
@@ -152,8 +155,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
                     at_end,
                     is_torn: [false; 2],
                     is_merged: false,
-                    value: wedges.attributes[wedge as usize],
-                    home: wedges.home[wedge as usize],
+                    value: wedges.at(wedge).attributes,
+                    home: wedges.at(wedge).home,
                 });
             } else {
                 let class = plan.members[class].class;
@@ -169,6 +172,25 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         }
     }
 
+    /// The same where each end has one wedge: they become one.
+    fn group_plain(&self, ends: [VertexId; 2], plan: &mut Plan<K>) {
+        let at_end = ends.map(|v| self.spots[v.index()].only);
+        let [a, b] = at_end.map(|wedge| &self.quadrics[wedge as usize]);
+        let &Wedge { attributes, home, .. } = self.wedges.at(at_end[0]);
+        plan.sides = [None; 2];
+        plan.members.clear();
+        plan.members.extend([0, 1].map(|end| Member { wedge: at_end[end], end, class: 0 }));
+        plan.classes.clear();
+        plan.classes.push(Class {
+            quadric: a.sum(b),
+            at_end,
+            is_torn: [false; 2],
+            is_merged: true,
+            value: attributes,
+            home,
+        });
+    }
+
     /// Attributes of a class at a place.
     pub(super) fn value(
         &self,
@@ -177,9 +199,8 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         place: &Vec3,
         keep: Option<usize>,
     ) -> [f64; K] {
-        let attributes = &self.wedges.attributes;
         let some = class.some();
-        let mut value = class.quadric.attributes_at(place, &attributes[some as usize]);
+        let mut value = class.quadric.attributes_at(place, &self.wedges.at(some).attributes);
         if !self.is_textured(some) {
             return value;
         }
@@ -204,7 +225,7 @@ impl<const D: usize, const K: usize> Seams<D, K> {
         }
         // To the bit, so that what has not changed is known for it.
         if let Some(end) = keep.filter(|&end| K == 2 && class.at_end[end] != NONE) {
-            value = attributes[class.at_end[end] as usize];
+            value = self.wedges.at(class.at_end[end]).attributes;
         }
         value
     }

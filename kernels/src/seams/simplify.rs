@@ -1,14 +1,20 @@
 //! Weld, collapse, and give out what is left.
 
 use super::record::Log;
-use super::state::{Knobs, Rule, Seams};
+use super::records::{Given, SeamRecords, places};
+use super::state::{Knobs, Rule};
 use super::surface::Surface;
-use super::weld;
+use super::texture::Charts;
+use super::wedges::{NONE, input_corner, seams, wedges};
+use super::weld::{UNTIED, Welded, weld};
 use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
-use crate::base::ids::VertexId;
+use crate::base::ids::{HalfedgeId, VertexId};
 use crate::base::progress::Progress;
-use crate::collapse::engine::{Engine, Merge, Refusal, Stop};
+use crate::collapse::engine::{Refusal, Stop};
+use crate::collapse::logs;
+use crate::collapse::rounds::{self, collapse};
+use crate::collapse::whole::Whole;
 use crate::fitting::fit::{Input, fit};
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
@@ -24,7 +30,8 @@ pub struct Outcome<const K: usize> {
     pub vertex_source: Vec<u32>,
     pub triangle_source: Vec<u32>,
     pub stop: Stop,
-    pub refused: Vec<(&'static str, usize)>,
+    /// Edges that are left, by the rule that refused them last.
+    pub refused: Refused,
     pub collapses: usize,
     pub attempts: u64,
     /// Largest distance in the image between a seam and what it was, as a length.
@@ -33,19 +40,45 @@ pub struct Outcome<const K: usize> {
     pub log: Option<Log<K>>,
 }
 
-/// Edges worked on at a time: what is known of them and around them fits into the caches.
-const WINDOW: usize = 6144;
+/// Edges by the rule that refused them last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Refused {
+    pub topology: usize,
+    pub bridge: usize,
+    pub locked: usize,
+    pub fold: usize,
+    pub seam: usize,
+    pub chart: usize,
+    pub drift: usize,
+}
+
+impl Refused {
+    fn count(&mut self, refusal: Refusal<Rule>) {
+        let count = match refusal {
+            Refusal::Illegal(Illegal::Topology) => &mut self.topology,
+            Refusal::Illegal(Illegal::Bridge) => &mut self.bridge,
+            Refusal::Illegal(Illegal::Locked) => &mut self.locked,
+            Refusal::Illegal(Illegal::Fold) => &mut self.fold,
+            Refusal::Barred(rule) | Refusal::Bound(rule) => match rule {
+                Rule::Locked => &mut self.locked,
+                Rule::Fold => &mut self.fold,
+                Rule::Seam => &mut self.seam,
+                Rule::Chart => &mut self.chart,
+                Rule::Drift => &mut self.drift,
+            },
+            Refusal::Later | Refusal::Rim => return,
+        };
+        *count += 1;
+    }
+}
 
 /// How far to go, and what to do besides.
 #[derive(Clone, Copy, Debug)]
 pub struct Goal {
-    /// Collapse until at most this many triangles are left.
-    pub triangles: usize,
+    /// How far, how and on how many threads to collapse.
+    pub rounds: rounds::Goal,
     /// Move vertices along their normals to fit the input at the end.
     pub fit: bool,
-    pub record: bool,
-    /// For the fit.
-    pub threads: usize,
 }
 
 /// Collapse as far as the goal says.
@@ -53,17 +86,63 @@ pub struct Goal {
 /// # Errors
 /// [`KernelError`] for an index out of range, a value that is not finite, or when interrupted.
 pub fn simplify<const D: usize, const K: usize>(
-    surface: Surface<K>,
+    surface: &Surface<K>,
     knobs: Knobs,
     goal: Goal,
     progress: &mut Progress,
 ) -> Result<Outcome<K>, KernelError> {
-    let target = goal.triangles;
     check_points(&surface.points)?;
     check_points(&surface.corners)?;
-    let welded = weld::weld(&surface.sets, &surface.triangles)?;
+    let welded = weld(&surface.sets, &surface.triangles)?;
     progress.check()?;
-    let triangles = welded.connectivity.triangle_count();
+    let tie = welded.tie.clone();
+    let mesh = connected(surface, welded);
+    let is_seam = seams(&mesh, surface);
+    let (wedges, of_corner) = wedges(&mesh, surface, &is_seam);
+    progress.check()?;
+    let charts = Charts::new(&mesh, surface, &is_seam, goal.rounds.threads);
+    let places = places(&mesh, surface, &tie);
+    let seams = seam_corners(&mesh, &is_seam);
+    let corners = of_corner.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
+    let numbered = goal.rounds.record.then(|| numbered(&mesh, surface, &of_corner));
+    let input = mesh.triangle_source.clone();
+    let (whole, sources) = Whole::from_mesh(mesh);
+    let given = Given { surface, triangle_source: &input, charts: &charts, seams: &seams };
+    let records = SeamRecords::<D, K>::new(knobs, given, places, wedges, corners, goal.rounds.record);
+    let before = goal.fit.then(|| Before::new(&whole));
+    let done = collapse(whole, records, &goal.rounds, progress)?;
+
+    let mut refused = Refused::default();
+    done.mesh.refused_edges().into_iter().for_each(|refusal| refused.count(refusal));
+    let (corners, corner_source) = corners_left(&done.mesh, &done.records);
+    let mut compact = done.mesh.into_compact();
+    let is_fitted = match before.filter(|_| done.collapses > 0 && done.stop != Stop::Enough) {
+        Some(before) => before.fit(&mut compact, &done.logs, goal.rounds.threads, progress)?,
+        None => false,
+    };
+    let seam_drift = done.records.largest_drift;
+    let log = done.records.changes.zip(numbered);
+    let log = log.map(|(changes, numbered)| Log::new(&done.logs, &changes, numbered));
+    let compact = compact.traced_to(&Some(sources));
+    Ok(Outcome {
+        points: compact.points,
+        triangles: compact.triangles,
+        corners,
+        corner_source,
+        vertex_source: compact.vertex_source,
+        triangle_source: compact.triangle_source,
+        stop: done.stop,
+        refused,
+        collapses: done.collapses,
+        attempts: done.attempts,
+        seam_drift,
+        is_fitted,
+        log,
+    })
+}
+
+/// A welded surface as a mesh, with tied vertices locked.
+fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
     let slots = welded.connectivity.vertex_slots();
     let mut points = vec![[0.0; 3]; slots];
     let mut vertex_source = vec![0; slots];
@@ -72,44 +151,66 @@ pub fn simplify<const D: usize, const K: usize>(
         let input = surface.triangles[welded.triangle_source[h / 3] as usize][h % 3];
         points[v.index()] = surface.points[input as usize];
         vertex_source[v.index()] = input;
-        if welded.tie[v.index()] != weld::UNTIED || surface.locked[input as usize] {
+        if welded.tie[v.index()] != UNTIED || surface.locked[input as usize] {
             locks[v.index()] = Lock::Locked;
         }
     }
-    let mesh = Mesh {
-        connectivity: welded.connectivity,
-        points,
-        vertex_source,
-        triangle_source: welded.triangle_source,
-        locks,
-    };
-    let measure = Seams::<D, K>::new(&mesh, &surface, welded.tie, knobs, goal.record);
-    let given = goal.fit.then(|| Given::new(&mesh));
-    let mut engine = Engine::new(mesh, measure);
-    progress.tell(0, triangles.saturating_sub(target) as u64)?;
-    let stop = engine.run_by_windows(target, WINDOW, progress)?;
-    gathered(engine, stop, given, goal.threads, progress)
+    let (connectivity, triangle_source) = (welded.connectivity, welded.triangle_source);
+    Mesh { connectivity, points, vertex_source, triangle_source, locks }
+}
+
+/// Which corners of each triangle start a seam edge, a bit each.
+fn seam_corners(mesh: &Mesh<3>, is_seam: &[bool]) -> Vec<u8> {
+    let bit = |h: usize| u8::from(is_seam[mesh.connectivity.edge(HalfedgeId::from_index(h)).index()]);
+    (0..mesh.connectivity.triangle_slots())
+        .map(|t| bit(3 * t) | bit(3 * t + 1) << 1 | bit(3 * t + 2) << 2)
+        .collect()
+}
+
+/// Wedge and vertex of each corner of the input; none in triangles that were left out.
+fn numbered<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, of_corner: &[u32]) -> [Vec<u32>; 2] {
+    let mut numbered = [0, 1].map(|_| vec![NONE; 3 * surface.triangles.len()]);
+    for (h, &wedge) in of_corner.iter().enumerate() {
+        let h = HalfedgeId::from_index(h);
+        let corner = input_corner(mesh, h);
+        numbered[0][corner] = wedge;
+        numbered[1][corner] = mesh.connectivity.origin(h).0;
+    }
+    numbered
+}
+
+/// Attributes of the corners that are left, in the order of the triangles at the start, and the corners of the input
+/// that have the same.
+fn corners_left<const D: usize, const K: usize>(
+    mesh: &Whole<3, Rule>,
+    records: &SeamRecords<'_, D, K>,
+) -> (Vec<[f64; K]>, Vec<u32>) {
+    let mut order: Vec<(u32, u32)> = mesh.triangle_source.iter().copied().zip(0..).collect();
+    order.sort_unstable();
+    let wedges =
+        order.iter().flat_map(|&(_, t)| records.corners.at(t)).map(|&wedge| records.wedges.at(wedge));
+    wedges.map(|wedge| (wedge.attributes, wedge.source)).unzip()
 }
 
 /// The surface before any collapse.
-struct Given {
+struct Before {
     points: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
+    locked: Vec<bool>,
 }
 
-impl Given {
-    fn new(mesh: &Mesh<3>) -> Self {
-        let corners = |t| mesh.connectivity.corners(t).map(|v| v.0);
-        Self { points: mesh.points.clone(), triangles: mesh.connectivity.triangles().map(corners).collect() }
+impl Before {
+    fn new(whole: &Whole<3, Rule>) -> Self {
+        let Whole { points, triangles, locked, .. } = whole;
+        Self { points: points.clone(), triangles: triangles.clone(), locked: locked.clone() }
     }
 
     /// Move what became of it along its normals, to fit it by least squares. Whether that was done: not where sheets
     /// touch in a way that their vertices alone do not tell.
     fn fit(
         &self,
-        mesh: &Mesh<3>,
         compact: &mut Compact<3>,
-        merges: &[Merge],
+        logs: &[logs::Log<3>],
         threads: usize,
         progress: &Progress,
     ) -> Result<bool, KernelError> {
@@ -117,11 +218,14 @@ impl Given {
             return Ok(false);
         };
         let mut became = vec![VertexId::NONE; self.points.len()];
-        for (number, v) in mesh.connectivity.vertices().enumerate() {
-            became[v.index()] = VertexId::from_index(number);
-            light.locks[number] = mesh.lock(v);
+        for (number, &v) in compact.vertex_source.iter().enumerate() {
+            became[v as usize] = VertexId::from_index(number);
+            if self.locked[v as usize] {
+                light.locks[number] = Lock::Locked;
+            }
         }
-        for merge in merges.iter().rev() {
+        // Of collapses in several regions of a round none needs another.
+        for merge in logs.iter().flat_map(|log| &log.merges).rev() {
             became[merge.removed.index()] = became[merge.survivor.index()];
         }
         let input = Input { points: &self.points, triangles: &self.triangles, became: &became };
@@ -129,63 +233,4 @@ impl Given {
         compact.points = light.points;
         Ok(true)
     }
-}
-
-fn gathered<const D: usize, const K: usize>(
-    engine: Engine<3, Seams<D, K>>,
-    stop: Stop,
-    given: Option<Given>,
-    threads: usize,
-    progress: &Progress,
-) -> Result<Outcome<K>, KernelError> {
-    let attempts = engine.attempts();
-    let (mesh, measure, refusals, merges, _) = engine.into_parts();
-    let mut compact = mesh.compact();
-    let is_fitted = match given.filter(|_| !merges.is_empty() && stop != Stop::Enough) {
-        Some(given) => given.fit(&mesh, &mut compact, &merges, threads, progress)?,
-        None => false,
-    };
-    let mut corners = Vec::with_capacity(3 * compact.triangles.len());
-    let mut corner_source = Vec::with_capacity(3 * compact.triangles.len());
-    for t in mesh.connectivity.triangles() {
-        for corner in 0..3 {
-            let (attributes, source) = measure.corner(t, corner);
-            corners.push(attributes);
-            corner_source.push(source);
-        }
-    }
-    let mut refused: Vec<(&'static str, usize)> =
-        ["topology", "bridge", "locked", "fold", "seam", "chart", "drift"].map(|name| (name, 0)).into();
-    for edge in mesh.connectivity.edges() {
-        let rule = match refusals[edge.index()] {
-            Some(Refusal::Illegal(Illegal::Topology)) => 0,
-            Some(Refusal::Illegal(Illegal::Bridge)) => 1,
-            Some(Refusal::Illegal(Illegal::Locked)) => 2,
-            Some(Refusal::Illegal(Illegal::Fold)) => 3,
-            Some(Refusal::Barred(bound) | Refusal::Bound(bound)) => match bound {
-                Rule::Locked => 2,
-                Rule::Fold => 3,
-                Rule::Seam => 4,
-                Rule::Chart => 5,
-                Rule::Drift => 6,
-            },
-            _ => continue,
-        };
-        refused[rule].1 += 1;
-    }
-    Ok(Outcome {
-        is_fitted,
-        points: compact.points,
-        triangles: compact.triangles,
-        corners,
-        corner_source,
-        vertex_source: compact.vertex_source,
-        triangle_source: compact.triangle_source,
-        stop,
-        refused,
-        collapses: merges.len(),
-        attempts,
-        seam_drift: measure.largest_drift(),
-        log: measure.into_log(),
-    })
 }

@@ -1,7 +1,9 @@
 //! The image of the surface in its texture: where a texture coordinate may go.
 
-use super::wedges::Wedges;
+use super::surface::Surface;
+use super::wedges::{input_corner, uv_of};
 use crate::base::ids::{EdgeId, HalfedgeId};
+use crate::base::parallel::fill;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
@@ -33,10 +35,16 @@ pub fn keeps_side(before: [Uv; 3], after: [Uv; 3]) -> bool {
     was * is > 0.0 && !is_flatter()
 }
 
+/// A triangle's image, and the halfedges beyond its sides in the same chart.
+#[derive(Clone, Copy)]
+struct Face {
+    uvs: [Uv; 3],
+    across: [u32; 3],
+}
+
 /// The charts of the input: its triangles' image, connected where no seam lies between.
 pub struct Charts {
-    uvs: Vec<Uv>,
-    across: Vec<u32>,
+    faces: Vec<Face>,
 }
 
 /// The longest way in search of a triangle; longer ones go round in circles in an image that is folded.
@@ -45,32 +53,37 @@ const MOST_STEPS: usize = 4096;
 const NONE: u32 = u32::MAX;
 
 impl Charts {
-    pub fn new<const K: usize>(mesh: &Mesh<3>, wedges: &Wedges<K>, is_seam: &[bool]) -> Self {
+    pub fn new<const K: usize>(
+        mesh: &Mesh<3>,
+        surface: &Surface<K>,
+        is_seam: &[bool],
+        threads: usize,
+    ) -> Self {
         let connectivity = &mesh.connectivity;
-        let count = 3 * connectivity.triangle_slots() as u32;
         let across = |h: HalfedgeId| {
             if is_seam[connectivity.edge(h).index()] { NONE } else { connectivity.twin(h).0 }
         };
-        Self {
-            uvs: (0..count).map(|h| wedges.uv(wedges.of(HalfedgeId(h)))).collect(),
-            across: (0..count).map(|h| across(HalfedgeId(h))).collect(),
-        }
+        let mut faces = vec![Face { uvs: [[0.0; 2]; 3], across: [NONE; 3] }; connectivity.triangle_slots()];
+        fill(&mut faces, threads, |t| {
+            let halfedges = [0, 1, 2].map(|i| HalfedgeId::from_index(3 * t + i));
+            Face {
+                uvs: halfedges.map(|h| uv_of(&surface.corners[input_corner(mesh, h)])),
+                across: halfedges.map(across),
+            }
+        });
+        Self { faces }
     }
 
     /// The triangle that holds `uv`, found by walking there from `start` within its chart; none if the way leaves the
     /// chart, crosses a fold or is too long.
     pub fn locate(&self, start: u32, uv: Uv) -> Option<u32> {
-        let corners = |t: u32| [0, 1, 2].map(|i| self.uvs[3 * t as usize + i]);
-        let area = |t: u32| {
-            let [a, b, c] = corners(t);
-            signed_area(a, b, c)
-        };
+        let area = |[a, b, c]: [Uv; 3]| signed_area(a, b, c);
         let mut t = start;
-        let side = area(t).signum();
+        let side = area(self.faces[t as usize].uvs).signum();
         let mut came_from = NONE;
         for step in 0..MOST_STEPS {
-            let points = corners(t);
-            if area(t) * side <= 0.0 {
+            let Face { uvs: points, across } = &self.faces[t as usize];
+            if area(*points) * side <= 0.0 {
                 return None;
             }
             // Which side to look at first turns from step to step, so that no walk runs in a circle.
@@ -81,7 +94,7 @@ impl Charts {
             let Some(i) = outside else {
                 return Some(t);
             };
-            came_from = self.across[(3 * t) as usize + i];
+            came_from = across[i];
             if came_from == NONE {
                 return None;
             }

@@ -65,70 +65,82 @@ pub fn uv_of<const K: usize>(attributes: &[f64; K]) -> [f64; 2] {
     if K < 2 { [0.0; 2] } else { [attributes[0], attributes[1]] }
 }
 
+/// A wedge: what its corners have in common.
+#[derive(Clone, Copy, Debug)]
+pub struct Wedge<const K: usize> {
+    pub attributes: [f64; K],
+    /// Its number at the start.
+    pub name: u32,
+    /// The corner of the input that has these attributes to the bit; none once they have changed.
+    pub source: u32,
+    /// A triangle of the input whose image holds the texture coordinate.
+    pub home: u32,
+    pub chart: u32,
+    pub is_textured: bool,
+}
+
+/// The wedges of a surface before any collapse, and that of each corner.
+pub fn wedges<const K: usize>(
+    mesh: &Mesh<3>,
+    surface: &Surface<K>,
+    is_seam: &[bool],
+) -> (Vec<Wedge<K>>, Vec<u32>) {
+    let connectivity = &mesh.connectivity;
+    let chart = charts(connectivity, is_seam);
+    let attributes = |h: HalfedgeId| &surface.corners[input_corner(mesh, h)];
+    // Whether a corner goes on with the wedge of the one before it, clockwise.
+    let goes_on = |h: HalfedgeId, before: HalfedgeId| {
+        !is_seam[connectivity.edge(h).index()] && attributes(h) == attributes(before)
+    };
+    let mut of_corner = vec![NONE; 3 * connectivity.triangle_slots()];
+    let mut wedges = Vec::with_capacity(mesh.points.len());
+    let mut fan = vec![];
+    for v in connectivity.vertices() {
+        fan.clear();
+        fan.extend(connectivity.fan(v));
+        // A closed fan begins where a wedge does.
+        if !connectivity.is_boundary_vertex(v) {
+            let last = fan.len() - 1;
+            let begin = (0..=last).find(|&i| !goes_on(fan[i], fan[if i == 0 { last } else { i - 1 }]));
+            fan.rotate_left(begin.unwrap_or(0));
+        }
+        for (i, &h) in fan.iter().enumerate() {
+            if i == 0 || !goes_on(h, fan[i - 1]) {
+                let source = input_corner(mesh, h);
+                wedges.push(Wedge {
+                    attributes: *attributes(h),
+                    name: wedges.len() as u32,
+                    source: source as u32,
+                    home: h.0 / 3,
+                    chart: chart[h.index() / 3],
+                    is_textured: surface.textured[source / 3],
+                });
+            }
+            of_corner[h.index()] = wedges.len() as u32 - 1;
+        }
+    }
+    (wedges, of_corner)
+}
+
+/// The wedges of a region.
 pub struct Wedges<const K: usize> {
     /// Wedge of each corner, by its halfedge.
     pub of_corner: Vec<u32>,
-    pub attributes: Vec<[f64; K]>,
-    /// The corner of the input that has these attributes to the bit; none once they have changed.
-    pub source: Vec<u32>,
-    /// A triangle of the input whose image holds the texture coordinate.
-    pub home: Vec<u32>,
-    pub chart: Vec<u32>,
-    pub is_textured: Vec<bool>,
+    pub all: Vec<Wedge<K>>,
 }
 
 impl<const K: usize> Wedges<K> {
-    pub fn new(mesh: &Mesh<3>, surface: &Surface<K>, is_seam: &[bool]) -> Self {
-        let connectivity = &mesh.connectivity;
-        let chart = charts(connectivity, is_seam);
-        let attributes = |h: HalfedgeId| &surface.corners[input_corner(mesh, h)];
-        // Whether a corner goes on with the wedge of the one before it, clockwise.
-        let goes_on = |h: HalfedgeId, before: HalfedgeId| {
-            !is_seam[connectivity.edge(h).index()] && attributes(h) == attributes(before)
-        };
-        let mut wedges = Self {
-            of_corner: vec![NONE; 3 * connectivity.triangle_slots()],
-            attributes: Vec::with_capacity(mesh.points.len()),
-            source: Vec::with_capacity(mesh.points.len()),
-            home: Vec::with_capacity(mesh.points.len()),
-            chart: Vec::with_capacity(mesh.points.len()),
-            is_textured: Vec::with_capacity(mesh.points.len()),
-        };
-        let mut fan = vec![];
-        for v in connectivity.vertices() {
-            fan.clear();
-            fan.extend(connectivity.fan(v));
-            // A closed fan begins where a wedge does.
-            if !connectivity.is_boundary_vertex(v) {
-                let last = fan.len() - 1;
-                let begin = (0..=last).find(|&i| !goes_on(fan[i], fan[if i == 0 { last } else { i - 1 }]));
-                fan.rotate_left(begin.unwrap_or(0));
-            }
-            for (i, &h) in fan.iter().enumerate() {
-                if i == 0 || !goes_on(h, fan[i - 1]) {
-                    wedges.attributes.push(*attributes(h));
-                    wedges.source.push(input_corner(mesh, h) as u32);
-                    wedges.home.push(h.0 / 3);
-                    wedges.chart.push(chart[h.index() / 3]);
-                    wedges.is_textured.push(surface.textured[input_corner(mesh, h) / 3]);
-                }
-                wedges.of_corner[h.index()] = wedges.attributes.len() as u32 - 1;
-            }
-        }
-        wedges
-    }
-
     /// Give a wedge attributes and home; `merged` are those it is made of, and where one of them had the same attributes
     /// to the bit, their source is known. Whether the attributes are others than before.
     pub fn put(&mut self, wedge: u32, merged: [u32; 2], attributes: [f64; K], home: u32) -> bool {
-        let at = wedge as usize;
-        self.home[at] = home;
-        if self.attributes[at] == attributes {
+        self.all[wedge as usize].home = home;
+        if self.at(wedge).attributes == attributes {
             return false;
         }
-        let same = merged.into_iter().find(|&w| w != NONE && self.attributes[w as usize] == attributes);
-        self.source[at] = same.map_or(NONE, |w| self.source[w as usize]);
-        self.attributes[at] = attributes;
+        let same = merged.into_iter().find(|&w| w != NONE && self.at(w).attributes == attributes);
+        let source = same.map_or(NONE, |w| self.at(w).source);
+        let wedge = &mut self.all[wedge as usize];
+        (wedge.attributes, wedge.source) = (attributes, source);
         true
     }
 
@@ -137,10 +149,15 @@ impl<const K: usize> Wedges<K> {
         self.of_corner[h.index()]
     }
 
+    #[inline]
+    pub fn at(&self, wedge: u32) -> &Wedge<K> {
+        &self.all[wedge as usize]
+    }
+
     /// Texture coordinate of a wedge.
     #[inline]
     pub fn uv(&self, wedge: u32) -> [f64; 2] {
-        uv_of(&self.attributes[wedge as usize])
+        uv_of(&self.at(wedge).attributes)
     }
 
     /// Whether two wedges are at one place of one chart.
@@ -149,8 +166,8 @@ impl<const K: usize> Wedges<K> {
         if a == b {
             return true;
         }
-        let (i, j) = (a as usize, b as usize);
-        self.chart[i] == self.chart[j] && (!self.is_textured[i] || self.uv(a) == self.uv(b))
+        let (one, other) = (self.at(a), self.at(b));
+        one.chart == other.chart && (!one.is_textured || self.uv(a) == self.uv(b))
     }
 
     /// Whether the surface's image is torn at an edge, or its material changes, or it ends.

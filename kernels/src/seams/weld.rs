@@ -51,7 +51,10 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
         }
     }
 
-    let (corner_vertex, vertex_count) = fans(&twins);
+    let (mut corner_vertex, mut vertex_count) = fans(&twins);
+    if take_apart(&corner_vertex, &mut twins, &mut torn) {
+        (corner_vertex, vertex_count) = fans(&twins);
+    }
     let mut fan_of_set = vec![VertexId::NONE; set_count];
     let mut set_is_tied = vec![false; set_count];
     for (h, &v) in corner_vertex.iter().enumerate() {
@@ -109,6 +112,35 @@ fn twins(count: usize, sets: usize, origin: impl Fn(u32) -> (u32, u32)) -> (Vec<
         }
     }
     (twins, torn)
+}
+
+/// Take fans apart, triangle by triangle, where two edges would have the same vertices: afterwards an edge is known by
+/// its vertices. More than two triangles meet there, so that nothing around moves. Whether any was.
+fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [bool]) -> bool {
+    let ends = |h: usize| {
+        let [a, b] = [h, Connectivity::next(HalfedgeId::from_index(h)).index()].map(|h| corner_vertex[h]);
+        [a.min(b), a.max(b)]
+    };
+    // Only edges where more than two triangles meet can be such, or where two were left open.
+    let open = |h: &usize| torn[*h];
+    let mut sides: Vec<([VertexId; 2], usize)> =
+        (0..twins.len()).filter(open).map(|h| (ends(h), h)).collect();
+    sides.sort_unstable();
+    let mut apart: Vec<VertexId> = vec![];
+    for same in sides.chunk_by(|g, h| g.0 == h.0) {
+        let is_one_edge = same.len() == 1 || (same.len() == 2 && twins[same[0].1].index() == same[1].1);
+        if !is_one_edge {
+            apart.push(same[0].0[0]);
+        }
+    }
+    apart.sort_unstable();
+    for h in 0..twins.len() {
+        let next = Connectivity::next(HalfedgeId::from_index(h)).index();
+        if !apart.is_empty() && [h, next].iter().any(|&h| apart.binary_search(&corner_vertex[h]).is_ok()) {
+            (twins[h], torn[h]) = (HalfedgeId::NONE, true);
+        }
+    }
+    !apart.is_empty()
 }
 
 fn join(sides: &[Side], twins: &mut [HalfedgeId]) -> bool {

@@ -4,8 +4,9 @@ use crate::common::{Noise, Triangles, coloured, gallery, torus};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::certified::history::History;
 use scanloom_kernels::certified::original::Original;
-use scanloom_kernels::collapse::region::Whole;
-use scanloom_kernels::collapse::rounds::{Goal, Log, collapse};
+use scanloom_kernels::collapse::logs::Log;
+use scanloom_kernels::collapse::rounds::{Goal, collapse};
+use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::quadric::qem::QemRecords;
 

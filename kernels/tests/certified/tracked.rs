@@ -8,8 +8,9 @@ use scanloom_kernels::certified::simplify::{Options, simplify};
 use scanloom_kernels::certified::tracked::{Limits, Lists, TrackedRecords};
 use scanloom_kernels::certify::{self, Deviation, Surface};
 use scanloom_kernels::collapse::engine::{Engine, Step};
-use scanloom_kernels::collapse::region::{Records, Whole};
+use scanloom_kernels::collapse::records::Records;
 use scanloom_kernels::collapse::rounds::Goal;
+use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::mesh::connectivity::Connectivity;
 
 fn goal(threads: usize, region: usize) -> Goal {

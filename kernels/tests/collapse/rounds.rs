@@ -5,8 +5,9 @@ use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{Vec3, cross, dot, position, sub};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::collapse::engine::Stop;
-use scanloom_kernels::collapse::region::Whole;
-use scanloom_kernels::collapse::rounds::{Goal, Outcome, REGION_TRIANGLES, Way, collapse};
+use scanloom_kernels::collapse::logs::Way;
+use scanloom_kernels::collapse::rounds::{Goal, Outcome, REGION_TRIANGLES, collapse};
+use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::jia01::{self, Limits, Options};
 use scanloom_kernels::mesh::triangle_mesh::{Compact, Mesh};
 use scanloom_kernels::quadric::qem::{Qem, QemRecords};
@@ -245,7 +246,7 @@ fn a_quadric_is_the_sum_it_stands_for() {
 #[test]
 fn quadrics_follow_the_mesh() {
     use scanloom_kernels::collapse::engine::{Engine, Step};
-    use scanloom_kernels::collapse::region::Records;
+    use scanloom_kernels::collapse::records::Records;
     let (hole, hole_triangles) = sheet_with_hole(4);
     for (points, triangles) in [wavy(16, 12), (coloured(&hole, 0.2, 4), hole_triangles)] {
         let records = QemRecords::<3> { weight: 1e-3, importance: vec![] };

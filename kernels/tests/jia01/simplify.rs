@@ -5,8 +5,8 @@ use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{distance2, norm2, position, sub};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::collapse::engine::{Engine, Step, Stop};
-use scanloom_kernels::collapse::region::Whole;
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
+use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::jia01::{Jia01, Limits, Options, Simplified, simplify};
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 

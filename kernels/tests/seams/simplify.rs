@@ -3,6 +3,7 @@
 use crate::common::{Noise, torus};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::collapse::engine::Stop;
+use scanloom_kernels::collapse::rounds::{self, REGION_TRIANGLES};
 use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::seams::texture::signed_area;
 use scanloom_kernels::seams::weld::{UNTIED, weld};
@@ -47,8 +48,9 @@ fn painted(w: u32, h: u32) -> Surface<2> {
 
 fn run(surface: Surface<2>, knobs: Knobs, target: usize) -> Outcome<2> {
     let control = Control::default();
-    let goal = Goal { triangles: target, fit: true, record: true, threads: 1 };
-    simplify::<5, 2>(surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
+    let rounds = rounds::Goal { triangles: target, threads: 1, region: REGION_TRIANGLES, record: true };
+    let goal = Goal { rounds, fit: true };
+    simplify::<5, 2>(&surface, knobs, goal, &mut Progress::new(&control)).expect("a sound surface")
 }
 
 fn euler(outcome: &Outcome<2>) -> i64 {

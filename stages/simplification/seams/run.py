@@ -26,8 +26,8 @@ from stages.surface.topology import areas
 
 RESULT_VERSION = 1
 
-# Triangles worked on at a time.
-REGION_TRIANGLES = 16384
+# Triangles worked on at a time: with all that is known of them they fit into the caches.
+REGION_TRIANGLES = 2048
 
 Floats = NDArray[np.float64]
 

@@ -1,0 +1,51 @@
+//! A list in parts, so that parts need not be copied to be one.
+
+/// What the regions of a round left, one after the other; members are numbered through.
+#[derive(Clone, Debug)]
+pub struct Joined<T> {
+    parts: Vec<Vec<T>>,
+    /// The number of the first member of each part.
+    starts: Vec<u32>,
+    count: u32,
+}
+
+impl<T> Default for Joined<T> {
+    fn default() -> Self {
+        Self { parts: vec![], starts: vec![], count: 0 }
+    }
+}
+
+impl<T> Joined<T> {
+    pub fn push(&mut self, part: Vec<T>) {
+        self.starts.push(self.count);
+        self.count += part.len() as u32;
+        self.parts.push(part);
+    }
+
+    pub fn len(&self) -> usize {
+        self.count as usize
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    pub fn at(&self, number: u32) -> &T {
+        let part = self.part(number);
+        &self.parts[part][(number - self.starts[part]) as usize]
+    }
+
+    /// The part of a member.
+    pub fn part(&self, number: u32) -> usize {
+        self.starts.partition_point(|&start| start <= number) - 1
+    }
+
+    /// The number of the first member of a part.
+    pub fn start(&self, part: usize) -> u32 {
+        self.starts[part]
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &T> {
+        self.parts.iter().flatten()
+    }
+}

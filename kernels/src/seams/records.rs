@@ -1,0 +1,416 @@
+//! What is known of the whole surface from round to round: wedges, quadrics, and how far seams have come.
+//!
+//! Quadrics are sums over the triangles of the input, and each triangle is in one region of the first round. So they
+//! are made there, by the thread that needs them next; for vertices on the rim the regions' shares are added up.
+
+use std::cell::RefCell;
+
+use super::joined::Joined;
+use super::record::Changes;
+use super::state::{Knobs, SEVERAL, Seams, Spot, common};
+use super::surface::Surface;
+use super::texture::{Charts, Drifts};
+use super::wedges::{NONE, Wedge, Wedges};
+use super::weld::UNTIED;
+use crate::base::geometry::position;
+use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::collapse::records::Records;
+use crate::collapse::region::SHARED;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::{Lock, Mesh};
+use crate::quadrics::quadric::Quadric;
+
+/// Weight of the walls on seams and boundaries, against the area of the square over the edge.
+const WALL: f64 = 1.0;
+
+/// Marks the wedge of a vertex on the rim, named by its number on the whole surface.
+const ON_RIM: u32 = 1 << 31;
+
+/// What is kept of a vertex beside its quadric.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    /// The set it must stay with; see [`super::weld`].
+    pub tie: u32,
+    /// Of all triangles it stands for, or [`SEVERAL`].
+    pub material: i32,
+    pub part: i32,
+}
+
+/// A seam's drift at a corner: triangle, corner and drift.
+type Drift = (u32, u8, f64);
+
+/// The surface before any collapse.
+pub struct Given<'a, const K: usize> {
+    pub surface: &'a Surface<K>,
+    /// Triangle of the input that each triangle is.
+    pub triangle_source: &'a [u32],
+    pub charts: &'a Charts,
+    /// Which corners of a triangle start a seam edge, a bit each.
+    pub seams: &'a [u8],
+}
+
+pub struct SeamRecords<'a, const D: usize, const K: usize> {
+    knobs: Knobs,
+    given: Given<'a, K>,
+    places: Joined<Place>,
+    /// Empty before the first round, as the other quadrics.
+    shape: Joined<Quadric<0>>,
+    pub wedges: Joined<Wedge<K>>,
+    quadrics: Joined<Quadric<K>>,
+    /// Wedges of the corners of each triangle.
+    pub corners: Joined<[u32; 3]>,
+    /// Of each part of the triangles, by its own numbers.
+    drifts: Vec<Vec<Drift>>,
+    pub largest_drift: f64,
+    has_ties: bool,
+    /// Of each region of each round, if they are recorded.
+    pub changes: Option<Vec<Changes<K>>>,
+}
+
+/// What is left of a region.
+pub struct Remains<const K: usize> {
+    places: Vec<Place>,
+    shape: Vec<Quadric<0>>,
+    wedges: Vec<Wedge<K>>,
+    quadrics: Vec<Quadric<K>>,
+    corners: Vec<[u32; 3]>,
+    drifts: Vec<Drift>,
+    largest_drift: f64,
+    changes: Option<Changes<K>>,
+    /// This region's shares of quadrics on the rim, in the first round: vertices and wedges by their numbers.
+    rim_shape: Vec<(u32, Quadric<0>)>,
+    rim_quadrics: Vec<(u32, Quadric<K>)>,
+}
+
+impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
+    pub fn new(
+        knobs: Knobs,
+        given: Given<'a, K>,
+        places: Vec<Place>,
+        wedges: Vec<Wedge<K>>,
+        corners: Vec<[u32; 3]>,
+        is_recorded: bool,
+    ) -> Self {
+        const { assert!(D == K + 3) };
+        let has_ties = places.iter().any(|place| place.tie != UNTIED);
+        let mut records = Self {
+            knobs,
+            given,
+            places: Joined::default(),
+            shape: Joined::default(),
+            wedges: Joined::default(),
+            quadrics: Joined::default(),
+            corners: Joined::default(),
+            drifts: vec![vec![]],
+            largest_drift: 0.0,
+            has_ties,
+            changes: is_recorded.then(Vec::new),
+        };
+        records.places.push(places);
+        records.wedges.push(wedges);
+        records.corners.push(corners);
+        records
+    }
+
+    /// The wedges of a region, their numbers on the whole surface and the vertices they are at.
+    fn load_wedges(&self, region: &Mesh<3>) -> (Wedges<K>, Vec<u32>, Vec<VertexId>) {
+        let connectivity = &region.connectivity;
+        let some = connectivity.vertex_slots() + connectivity.vertex_slots() / 4;
+        let mut wedges = Wedges {
+            of_corner: Vec::with_capacity(3 * connectivity.triangle_slots()),
+            all: Vec::with_capacity(some),
+        };
+        let (mut numbers, mut owners) = (Vec::with_capacity(some), Vec::with_capacity(some));
+        // The last wedge met of each vertex, and of each wedge the one before at the same vertex.
+        let mut last = vec![NONE; connectivity.vertex_slots()];
+        let mut before: Vec<u32> = Vec::with_capacity(some);
+        for (local, &t) in region.triangle_source.iter().enumerate() {
+            for (corner, &number) in self.corners.at(t).iter().enumerate() {
+                let v = connectivity.origin(HalfedgeId((3 * local + corner) as u32));
+                let mut wedge = last[v.index()];
+                while wedge != NONE && numbers[wedge as usize] != number {
+                    wedge = before[wedge as usize];
+                }
+                if wedge == NONE {
+                    wedge = numbers.len() as u32;
+                    wedges.all.push(*self.wedges.at(number));
+                    numbers.push(number);
+                    owners.push(v);
+                    before.push(std::mem::replace(&mut last[v.index()], wedge));
+                }
+                wedges.of_corner.push(wedge);
+            }
+        }
+        (wedges, numbers, owners)
+    }
+
+    /// Quadrics of vertices and wedges, from the triangles of the input.
+    fn fresh_quadrics(&self, region: &Mesh<3>, wedges: &Wedges<K>) -> (Vec<Quadric<0>>, Vec<Quadric<K>>) {
+        let connectivity = &region.connectivity;
+        let Given { surface, triangle_source, seams, .. } = self.given;
+        let mut shape = vec![Quadric::default(); connectivity.vertex_slots()];
+        let mut quadrics = vec![Quadric::default(); wedges.all.len()];
+        for (local, &t) in region.triangle_source.iter().enumerate() {
+            let halfedges = [0, 1, 2].map(|i| HalfedgeId((3 * local + i) as u32));
+            let places = halfedges.map(|h| region.point(connectivity.origin(h)));
+            let points: [[f64; D]; 3] = std::array::from_fn(|corner| {
+                let attributes = &wedges.at(wedges.of(halfedges[corner])).attributes;
+                std::array::from_fn(|i| if i < 3 { places[corner][i] } else { attributes[i - 3] })
+            });
+            let mut quadric = Quadric::<K>::of_triangle(points.each_ref(), 1.0);
+            let mut plane = Quadric::<0>::of_triangle(points.map(|p| position(&p)).each_ref(), 0.0);
+            let importance = surface.importance.get(triangle_source[t as usize] as usize).copied();
+            if let Some(importance) = importance {
+                quadric.scale(importance);
+                plane.scale(importance);
+            }
+            for h in halfedges {
+                quadrics[wedges.of(h) as usize].add(&quadric);
+                shape[connectivity.origin(h).index()].add(&plane);
+            }
+            for corner in (0..3).filter(|corner| seams[t as usize] >> corner & 1 == 1) {
+                let [a, b, across] = [0, 1, 2].map(|i| places[(corner + i) % 3]);
+                for h in [corner, (corner + 1) % 3] {
+                    let v = connectivity.origin(halfedges[h]);
+                    shape[v.index()].add_wall(WALL * importance.unwrap_or(1.0), [a, b, across]);
+                }
+            }
+        }
+        (shape, quadrics)
+    }
+
+    fn load_spots(&self, region: &Mesh<3>, wedges: &Wedges<K>, is_seam: &[bool]) -> Vec<Spot> {
+        const NOT_SEEN: u32 = NONE - 1;
+        let connectivity = &region.connectivity;
+        let spot = |&v: &u32| {
+            let &Place { material, part, .. } = self.places.at(v);
+            Spot { only: NOT_SEEN, seam_degree: 0, valence: 0, material, part }
+        };
+        let mut spots: Vec<Spot> = region.vertex_source.iter().map(spot).collect();
+        for (h, &wedge) in wedges.of_corner.iter().enumerate() {
+            let only = &mut spots[connectivity.origin(HalfedgeId::from_index(h)).index()].only;
+            *only = if *only == NOT_SEEN || *only == wedge { wedge } else { NONE };
+        }
+        for edge in connectivity.edges() {
+            for v in connectivity.ends(edge) {
+                let spot = &mut spots[v.index()];
+                spot.valence += 1;
+                spot.seam_degree += u32::from(is_seam[edge.index()]);
+            }
+        }
+        spots
+    }
+
+    fn load_drifts(&self, region: &Mesh<3>) -> Drifts {
+        let mut drifts = Drifts::new(region.connectivity.edge_slots());
+        for (local, &t) in region.triangle_source.iter().enumerate() {
+            let part = self.corners.part(t);
+            let (known, own) = (&self.drifts[part], t - self.corners.start(part));
+            let first = known.partition_point(|&(triangle, ..)| triangle < own);
+            for &(_, corner, drift) in known[first..].iter().take_while(|(triangle, ..)| *triangle == own) {
+                let h = HalfedgeId(3 * local as u32 + u32::from(corner));
+                drifts.raise(region.connectivity.edge(h), drift);
+            }
+        }
+        drifts
+    }
+}
+
+/// How far the seams at the corners of a region's triangles have come.
+fn drifts_left(connectivity: &Connectivity, drifts: &Drifts) -> Vec<Drift> {
+    let mut left = vec![];
+    for (number, t) in connectivity.triangles().enumerate() {
+        for corner in 0..3 {
+            let drift = drifts.of(connectivity.edge(HalfedgeId(3 * t.0 + corner)));
+            if drift > 0.0 {
+                left.push((number as u32, corner as u8, drift));
+            }
+        }
+    }
+    left
+}
+
+impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
+    type Measure = Seams<'a, D, K>;
+    type Remains = Remains<K>;
+
+    /// What touches where it is not joined is worked on together or not at all.
+    fn keep_together(&self, owner: &mut [u32]) {
+        if !self.has_ties {
+            return;
+        }
+        let mut tied: Vec<(u32, u32)> = self.places.iter().map(|place| place.tie).zip(0..).collect();
+        tied.retain(|(tie, _)| *tie != UNTIED);
+        tied.sort_unstable();
+        for set in tied.chunk_by(|a, b| a.0 == b.0) {
+            let first = owner[set[0].1 as usize];
+            if set.iter().any(|&(_, v)| owner[v as usize] != first) {
+                set.iter().for_each(|&(_, v)| owner[v as usize] = SHARED);
+            }
+        }
+    }
+
+    fn load(&self, region: &Mesh<3>) -> Seams<'a, D, K> {
+        let connectivity = &region.connectivity;
+        let (wedges, numbers, owners) = self.load_wedges(region);
+        let is_seam: Vec<bool> = (0..connectivity.edge_slots())
+            .map(|e| wedges.is_seam(connectivity, EdgeId::from_index(e)))
+            .collect();
+        let (shape, quadrics) = if self.shape.is_empty() {
+            self.fresh_quadrics(region, &wedges)
+        } else {
+            (
+                region.vertex_source.iter().map(|&v| *self.shape.at(v)).collect(),
+                numbers.iter().map(|&wedge| *self.quadrics.at(wedge)).collect(),
+            )
+        };
+        let tie: Vec<u32> = if self.has_ties {
+            region.vertex_source.iter().map(|&v| self.places.at(v).tie).collect()
+        } else {
+            vec![]
+        };
+        let vertices = (0..tie.len()).map(VertexId::from_index);
+        let mut sheets: Vec<(u32, VertexId)> =
+            tie.iter().copied().zip(vertices).filter(|(tie, _)| *tie != UNTIED).collect();
+        sheets.sort_unstable();
+        Seams {
+            knobs: self.knobs,
+            charts: self.given.charts,
+            spots: self.load_spots(region, &wedges, &is_seam),
+            drifts: self.load_drifts(region),
+            plan: RefCell::default(),
+            changes: self.changes.is_some().then(Changes::default),
+            wedges,
+            shape,
+            quadrics,
+            is_seam,
+            tie,
+            sheets,
+            numbers,
+            owners,
+        }
+    }
+
+    fn unload(measure: Seams<'a, D, K>, region: &Mesh<3>) -> Remains<K> {
+        let connectivity = &region.connectivity;
+        let is_rim = |v: VertexId| region.lock(v) == Lock::Rim;
+        let inside = connectivity.vertices().filter(|&v| !is_rim(v)).count();
+        let mut remains = Remains {
+            places: Vec::with_capacity(inside),
+            shape: Vec::with_capacity(inside),
+            wedges: Vec::with_capacity(inside),
+            quadrics: Vec::with_capacity(inside),
+            corners: Vec::with_capacity(connectivity.triangle_count()),
+            drifts: drifts_left(connectivity, &measure.drifts),
+            largest_drift: measure.drifts.largest,
+            changes: None,
+            rim_shape: vec![],
+            rim_quadrics: vec![],
+        };
+        let mut number: Vec<u32> = measure.numbers.iter().map(|wedge| wedge | ON_RIM).collect();
+        for v in connectivity.vertices().filter(|&v| !is_rim(v)) {
+            let spot = &measure.spots[v.index()];
+            remains.places.push(Place { tie: measure.tie(v), material: spot.material, part: spot.part });
+            remains.shape.push(measure.shape[v.index()]);
+            for wedge in connectivity.fan(v).map(|h| measure.wedges.of(h)) {
+                if number[wedge as usize] & ON_RIM != 0 {
+                    number[wedge as usize] = remains.wedges.len() as u32;
+                    remains.wedges.push(*measure.wedges.at(wedge));
+                    remains.quadrics.push(measure.quadrics[wedge as usize]);
+                }
+            }
+        }
+        for t in connectivity.triangles() {
+            let wedges = [0, 1, 2].map(|corner| measure.wedges.of(HalfedgeId(3 * t.0 + corner)));
+            remains.corners.push(wedges.map(|wedge| number[wedge as usize]));
+        }
+        for (v, &source) in region.vertex_source.iter().enumerate() {
+            if is_rim(VertexId::from_index(v)) {
+                remains.rim_shape.push((source, measure.shape[v]));
+            }
+        }
+        for (wedge, _) in measure.owners.iter().enumerate().filter(|(_, v)| is_rim(**v)) {
+            remains.rim_quadrics.push((measure.numbers[wedge], measure.quadrics[wedge]));
+        }
+        remains.changes = measure.changes;
+        remains
+    }
+
+    fn join(self, rim: &[u32], mut pieces: Vec<Remains<K>>) -> Self {
+        let is_first = self.shape.is_empty();
+        // Wedges of the rim that any corner still has, in their order.
+        let mut new_number = vec![NONE; self.wedges.len()];
+        for &wedge in pieces.iter().flat_map(|piece| &piece.corners).flatten().filter(|w| *w & ON_RIM != 0) {
+            new_number[(wedge & !ON_RIM) as usize] = 0;
+        }
+        let kept: Vec<u32> =
+            (0..).zip(&new_number).filter(|(_, n)| **n == 0).map(|(wedge, _)| wedge).collect();
+        kept.iter().zip(0..).for_each(|(&wedge, new)| new_number[wedge as usize] = new);
+
+        let (shape, quadrics) = if is_first {
+            let mut rim_number = vec![NONE; self.places.len()];
+            rim.iter().zip(0..).for_each(|(&v, new)| rim_number[v as usize] = new);
+            let mut shape = vec![Quadric::default(); rim.len()];
+            let mut quadrics = vec![Quadric::default(); kept.len()];
+            for piece in &pieces {
+                for (v, share) in &piece.rim_shape {
+                    shape[rim_number[*v as usize] as usize].add(share);
+                }
+                for (wedge, share) in &piece.rim_quadrics {
+                    if let Some(sum) = quadrics.get_mut(new_number[*wedge as usize] as usize) {
+                        sum.add(share);
+                    }
+                }
+            }
+            (shape, quadrics)
+        } else {
+            let shape = rim.iter().map(|&v| *self.shape.at(v)).collect();
+            (shape, kept.iter().map(|&wedge| *self.quadrics.at(wedge)).collect())
+        };
+
+        let mut next = Self {
+            places: Joined::default(),
+            shape: Joined::default(),
+            wedges: Joined::default(),
+            quadrics: Joined::default(),
+            corners: Joined::default(),
+            drifts: vec![],
+            ..self
+        };
+        next.places.push(rim.iter().map(|&v| *self.places.at(v)).collect());
+        next.shape.push(shape);
+        next.wedges.push(kept.iter().map(|&wedge| *self.wedges.at(wedge)).collect());
+        next.quadrics.push(quadrics);
+        for piece in &mut pieces {
+            let first = next.wedges.len() as u32;
+            let number =
+                |w: u32| if w & ON_RIM != 0 { new_number[(w & !ON_RIM) as usize] } else { first + w };
+            piece.corners.iter_mut().for_each(|corners| *corners = corners.map(number));
+            next.largest_drift = next.largest_drift.max(piece.largest_drift);
+            next.places.push(std::mem::take(&mut piece.places));
+            next.shape.push(std::mem::take(&mut piece.shape));
+            next.wedges.push(std::mem::take(&mut piece.wedges));
+            next.quadrics.push(std::mem::take(&mut piece.quadrics));
+            next.corners.push(std::mem::take(&mut piece.corners));
+            next.drifts.push(std::mem::take(&mut piece.drifts));
+            if let Some((all, changes)) = next.changes.as_mut().zip(piece.changes.take()) {
+                all.push(changes);
+            }
+        }
+        next
+    }
+}
+
+/// What is kept of each vertex at the start. `tie` is the set of each, or [`UNTIED`].
+pub fn places<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, tie: &[u32]) -> Vec<Place> {
+    let place = |&tie: &u32| Place { tie, material: SEVERAL, part: SEVERAL };
+    let mut places: Vec<Place> = tie.iter().map(place).collect();
+    for (v, place) in places.iter_mut().enumerate() {
+        let triangles = mesh.connectivity.fan(VertexId::from_index(v));
+        let source = |h: HalfedgeId| mesh.triangle_source[h.index() / 3] as usize;
+        let kinds = triangles.map(source).map(|t| (surface.materials[t], surface.parts[t]));
+        let all = kinds.reduce(|a, b| (common(a.0, b.0), common(a.1, b.1)));
+        (place.material, place.part) = all.unwrap_or((SEVERAL, SEVERAL));
+    }
+    places
+}
