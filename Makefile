@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+STUBS_FIT := $(VENV)/.stubs-fit
 KERNEL_SOURCES := $(shell find kernels/src -name '*.rs') kernels/Cargo.toml kernels/Cargo.lock
 # Tests start hundreds of Pythons: what they compile of our sources is kept, whatever the surroundings say.
 unexport PYTHONDONTWRITEBYTECODE
@@ -32,8 +33,11 @@ ruff:
 mypy:
 	$(BIN)/mypy
 
-stubtest:
-	$(BIN)/python -m mypy.stubtest --mypy-config-file pyproject.toml stages._kernels
+# When one of both sides has changed. With the settings of mypy it would spoil mypy's cache.
+stubtest: $(STUBS_FIT)
+$(STUBS_FIT): stages/_kernels.pyi $(READY)
+	$(BIN)/python -m mypy.stubtest stages._kernels
+	@touch $@
 
 clippy:
 	cd kernels && cargo fmt --check

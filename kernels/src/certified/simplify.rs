@@ -13,7 +13,7 @@ use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Compact;
 
 use super::history::History;
-use super::ledger::Ledger;
+use super::ledger::{Ledger, Open};
 use super::retreat::Retreat;
 use super::watched::Watched;
 
@@ -118,36 +118,34 @@ pub fn simplify<const D: usize, const K: usize>(
 ) -> Result<Certified<D>, KernelError> {
     let given = triangles.len();
     let whole = Whole::<D, Bound>::new(points, triangles, locked)?;
-    let mut locked = whole.locked;
+    let locked = whole.locked;
     let proper = (whole.triangles.len() < given).then_some(whole.triangle_source);
     progress.check()?;
     let original = Original::new(whole.points, whole.triangles);
     progress.check()?;
     let least = least_bounds(&original, &options.proof);
     let bounds = options.bounds.max(least);
-    let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
-    let mut limits = Limits {
-        shape: options.share * (bounds.shape - 0.5 * least.shape),
-        color: options.share * (bounds.color - certify::COLOR_SLACK),
-        factors: (0..original.points.len()).map(|v| 1.0 / factor(v)).collect(),
-    };
+    let mut limits = limits_of(options, bounds, least, original.points.len());
     let decision =
         certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
     let recorded = goal.record;
-    let mut history = History::new(&original, recorded);
     let goal = Goal { record: true, ..*goal };
     let mut ledger = None;
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
-    let mut failures = vec![0u8; original.points.len()];
+    let mut lost = Lost { failures: vec![0; original.points.len()], locked };
     progress.check()?;
-    let mut mesh = Whole::new(original.points.clone(), original.triangles.clone(), locked.clone())?;
-    let mut lists = Lists::of_input(&original);
+    let mut state = State {
+        mesh: Whole::new(original.points.clone(), original.triangles.clone(), lost.locked.clone())?,
+        lists: Lists::of_input(&original),
+        history: History::new(&original, recorded),
+    };
     loop {
+        let State { mesh, lists, mut history } = state;
         let importance = importance_of(&mesh, &history, &options.importance);
         let records = TrackedRecords::<D, K>::new(&original, &limits, options.weight, importance, lists);
         let outcome = collapse(mesh, records, &goal, progress)?;
-        (mesh, lists) = (outcome.mesh, outcome.records.lists);
+        let (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
         history.append(outcome.logs);
         let ledger = match &mut ledger {
@@ -163,14 +161,7 @@ pub fn simplify<const D: usize, const K: usize>(
         if settled || outcome.stop == Stop::Enough || history.kept() == 0 {
             let refused = mesh.refused_edges();
             let mut mesh = mesh.into_compact();
-            let certificate = if options.close {
-                let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
-                let proof = certify::Options { limit: None, threads: goal.threads, ..options.proof };
-                let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
-                if proven { ledger.closer(close) } else { close }
-            } else {
-                ledger.certificate(&mesh, &options.proof, progress)?
-            };
+            let certificate = certificate_of(&mesh, ledger, proven, options, goal.threads, progress)?;
             // With more effort the rest may be within the bounds after all.
             let proven = proven || certificate.bound.within(bounds);
             if let Some(last) = passes.last_mut().filter(|_| proven) {
@@ -183,22 +174,84 @@ pub fn simplify<const D: usize, const K: usize>(
             return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, refused, way });
         }
         progress.check()?;
-        let watched = Watched::new(&original, &mesh.triangle_source, &lists);
-        let mut retreat = Retreat::new(&original, history, watched);
-        let around = retreat.samples_around(&mesh, &open);
-        around.iter().for_each(|&v| limits.factors[v as usize] *= TIGHTER);
-        around.iter().for_each(|&v| failures[v as usize] = failures[v as usize].saturating_add(1));
+        state = State { mesh, lists, history };
+        state = state.step_back(&original, ledger, &open, &mut limits, &mut lost, passes.len());
+    }
+}
+
+/// What samples may use of the bounds at first.
+fn limits_of(options: &Options, bounds: Deviation, least: Deviation, vertices: usize) -> Limits {
+    let factor = |v: usize| options.importance.get(v).map_or(1.0, |i| i.max(1.0) as f32);
+    Limits {
+        shape: options.share * (bounds.shape - 0.5 * least.shape),
+        color: options.share * (bounds.color - certify::COLOR_SLACK),
+        factors: (0..vertices).map(|v| 1.0 / factor(v)).collect(),
+    }
+}
+
+/// What is proven of a result: each triangle's own bounds, or those that were asked for.
+fn certificate_of<const D: usize>(
+    mesh: &Compact<D>,
+    ledger: &mut Ledger<'_, D>,
+    proven: bool,
+    options: &Options,
+    threads: usize,
+    progress: &mut Progress,
+) -> Result<Certificate, KernelError> {
+    if !options.close {
+        return ledger.certificate(mesh, &options.proof, progress);
+    }
+    let result = Surface::new(&mesh.points, &mesh.triangles, threads)?;
+    let proof = certify::Options { limit: None, threads, ..options.proof };
+    let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
+    Ok(if proven { ledger.closer(close) } else { close })
+}
+
+/// The mesh between two passes, the samples of its triangles, and how it came about.
+struct State<'a, const D: usize> {
+    mesh: Whole<D, Bound>,
+    lists: Lists,
+    history: History<'a, D>,
+}
+
+/// What proofs that failed have led to, by vertex of the input.
+struct Lost {
+    /// How often they failed there.
+    failures: Vec<u8>,
+    locked: Vec<bool>,
+}
+
+impl<'a, const D: usize> State<'a, D> {
+    /// Take back what has no proof, and be stricter there from now on. `passes` is how many have been made.
+    fn step_back(
+        self,
+        original: &'a Original<D>,
+        ledger: &mut Ledger<'_, D>,
+        open: &Open,
+        limits: &mut Limits,
+        lost: &mut Lost,
+        passes: usize,
+    ) -> Self {
+        let Self { mesh, lists, history } = self;
+        let watched = Watched::new(original, &mesh.triangle_source, &lists);
+        let mut retreat = Retreat::new(original, history, watched);
+        let Lost { failures, locked } = lost;
+        for v in retreat.samples_around(&mesh, open) {
+            limits.factors[v as usize] *= TIGHTER;
+            failures[v as usize] = failures[v as usize].saturating_add(1);
+        }
         let stubborn = |times: usize| {
-            let times = if passes.len() < IMPATIENCE * times { times as u8 } else { 0 };
-            retreat.stubborn(&open, &failures, times)
+            let times = if passes < IMPATIENCE * times { times as u8 } else { 0 };
+            retreat.stubborn(open, failures, times)
         };
         let mut for_good = retreat.vertices_around(&stubborn(PATIENCE));
         for_good.extend(ledger.hopeless.iter().flat_map(|&t| original.triangles[t as usize]));
         let given_up = stubborn(END);
-        ledger.give_up(retreat.take_back(&open, &failures));
+        ledger.give_up(retreat.take_back(open, failures));
         ledger.give_up([given_up.of_result, given_up.of_input].concat());
-        retreat.lock(&for_good, &mut locked);
-        (mesh, lists, history) = retreat.mesh(mesh, &locked);
+        retreat.lock(&for_good, locked);
+        let (mesh, lists, history) = retreat.mesh(mesh, locked);
+        Self { mesh, lists, history }
     }
 }
 

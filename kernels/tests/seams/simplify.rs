@@ -77,6 +77,51 @@ fn a_torus_cut_open_twice_stays_a_torus_at_every_number_of_triangles() {
     }
 }
 
+/// Regions that meet along seams and across them, on one thread and on three.
+#[test]
+fn regions_of_any_size_leave_a_torus_the_same_on_any_number_of_threads() {
+    let surface = painted(48, 32);
+    for region in [40, 150, 700] {
+        let [one, three] = [1, 3].map(|threads| {
+            let rounds = rounds::Goal { triangles: 400, threads, region, record: true };
+            let control = Control::default();
+            let goal = Goal { rounds, fit: false };
+            simplify::<5, 2>(&surface, KNOBS, goal, &mut Progress::new(&control)).expect("a sound surface")
+        });
+        assert_eq!(euler(&one), 0, "{region}");
+        assert!((399..=400).contains(&one.triangles.len()), "{region}: {}", one.triangles.len());
+        assert_eq!(one.points, three.points);
+        assert_eq!((&one.triangles, &one.corners), (&three.triangles, &three.corners));
+        for corners in one.corners.chunks_exact(3) {
+            assert!(signed_area(corners[0], corners[1], corners[2]) > 0.0, "{region}");
+        }
+        // Every vertex that is gone went in a collapse that was told, to a place that was told.
+        let log = one.log.expect("a record was asked for");
+        assert_eq!(log.removed.len(), one.collapses);
+        let mut place = std::collections::BTreeMap::new();
+        place.extend(log.survivor.iter().copied().zip(log.places));
+        place.retain(|v, _| !log.removed.contains(v));
+        let points: Vec<_> = one.points.iter().collect();
+        assert!(place.values().all(|to| points.contains(&to)), "{region}");
+    }
+}
+
+/// Two sheets cross along an edge that both of them pass twice: each vertex keeps a name for every fan.
+#[test]
+fn an_edge_is_known_by_its_vertices() {
+    let ring = |v: u32| [[0, 1, v], [1, 0, v + 1], [v, 1, v + 1], [0, v, v + 1]];
+    let triangles: Vec<[u32; 3]> = [2, 4].into_iter().flat_map(ring).collect();
+    let welded = weld(&[0, 1, 2, 3, 4, 5], &triangles).expect("indices in range");
+    let corners: Vec<[u32; 3]> =
+        welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
+    let vertices = welded.connectivity.vertex_slots();
+    let again = Connectivity::from_triangles(vertices, &corners).expect("a manifold");
+    for e in again.edges() {
+        let h = again.halfedge(e);
+        assert_eq!(again.twin(h), welded.connectivity.twin(h));
+    }
+}
+
 #[test]
 fn straight_seams_do_not_drift_and_a_bound_of_zero_is_kept() {
     let surface = painted(24, 16);

@@ -24,7 +24,7 @@ from stages.surface.raycasting import bounding_box
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Triangles worked on at a time: with all that is known of them they fit into the caches.
 REGION_TRIANGLES = 2048
