@@ -15,6 +15,9 @@ from stages.surface.sheets import taken_apart
 _MOST_PAIRS = 64
 # Vertices that are asked how many there are, before all are.
 _ASKED = 4096
+# A direction that edges and axes of models do not have, and neighbours along it that are looked at.
+_SKEW = np.array([0.6180339887, 0.5346801132, 0.5763518722])
+_MOST_STEPS = 32
 
 
 def similar_sets(
@@ -113,22 +116,13 @@ def _similar(
     """Return the set of similar vertices each one is in; `equal` itself if no `positions` of its sets are."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
 
     count = len(positions)
     if distance == 0 or count < 2:
         return equal
-    tree = cKDTree(positions)
-    # Counting all pairs takes three times as long as listing the few there should be.
-    some = positions[:: max(count // _ASKED, 1)]
-    if tree.query_ball_point(some, distance, return_length=True).mean() > _MOST_PAIRS / 2:
-        pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
-        if pairs_in_all > _MOST_PAIRS * count:
-            raise UsageError(
-                f"similar_distance {distance:g} m is far more than the distance between vertices: "
-                f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
-            )
-    pairs = tree.query_pairs(distance, output_type="ndarray")
+    pairs = _few_pairs(positions, distance)
+    if pairs is None:
+        pairs = _pairs_in_tree(positions, distance)
     if not len(pairs):
         return equal
     close = np.zeros(count, bool)
@@ -138,6 +132,52 @@ def _similar(
     pairs = pairs[~np.isin(pairs @ [count, 1], edges @ [count, 1])]
     links = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     return _ranked(connected_components(links, directed=False)[1][equal])
+
+
+def _few_pairs(positions: Vertices, distance: float) -> NDArray[np.integer[Any]] | None:
+    """Return the pairs (k, 2) no farther apart than `distance` if there are few to look at; else None.
+
+    What is near in space is near along any line. Along one that no grid is aligned with, of vertices that are
+    far apart hardly two are; sorting them is several times faster than building a tree.
+    """
+    along = positions @ _SKEW
+    order = np.argsort(along)
+    along = along[order]
+    # What is lost to rounding in the product.
+    reach = distance + 8 * np.finfo(np.float64).eps * float(np.abs(along).max())
+    found: list[NDArray[np.integer[Any]]] = [np.empty((0, 2), np.int64)]
+    for step in range(1, _MOST_STEPS):
+        near = np.flatnonzero(along[step:] - along[:-step] <= reach)
+        if not len(near):
+            pairs = np.concatenate(found)
+            offsets = positions[pairs[:, 0]] - positions[pairs[:, 1]]
+            return np.asarray(pairs[(offsets * offsets).sum(axis=1) <= distance * distance])
+        found.append(np.stack([order[near], order[near + step]], axis=1))
+    return None
+
+
+def _pairs_in_tree(positions: Vertices, distance: float) -> NDArray[np.integer[Any]]:
+    """Return the pairs (k, 2) that are no farther apart than `distance`.
+
+    Raises
+    ------
+    UsageError
+        If there are so many that the distance must be a mistake.
+    """
+    from scipy.spatial import cKDTree
+
+    tree, count = cKDTree(positions), len(positions)
+    # Counting all pairs takes three times as long as listing the few there should be.
+    some = positions[:: max(count // _ASKED, 1)]
+    if tree.query_ball_point(some, distance, return_length=True).mean() > _MOST_PAIRS / 2:
+        pairs_in_all = (int(tree.count_neighbors(tree, distance)) - count) // 2
+        if pairs_in_all > _MOST_PAIRS * count:
+            raise UsageError(
+                f"similar_distance {distance:g} m is far more than the distance between vertices: "
+                f"{pairs_in_all:,} pairs of {count:,} vertices are closer; give a smaller one."
+            )
+    pairs: NDArray[np.integer[Any]] = tree.query_pairs(distance, output_type="ndarray")
+    return pairs
 
 
 def _means(vertices: Vertices, sets: NDArray[np.int32]) -> Vertices:
