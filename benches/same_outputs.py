@@ -178,8 +178,9 @@ def environment(checkout: Path, work: Path) -> Mapping[str, str]:
 def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) -> Row:
     """Run a job on both sides."""
     places = {**places, "first": first.folder_of(job)}
-    before = kept(job, first) or made(job, first, places)
-    after = made(job, second, places)
+    work = work_of(job, places)
+    before = kept(job, first, work) or made(job, first, places, work)
+    after = made(job, second, places, work)
     unexpected, expected = [], []
     for difference in leaves.differences(before.leaves, after.leaves):
         reason = next((one for one in EXPECTED if one.covers(job.name, difference)), None)
@@ -192,31 +193,32 @@ def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) ->
     return Row(job, before, after, tuple(unexpected), tuple(expected))
 
 
-def kept(job: Job, one: Side) -> Made | None:
+def kept(job: Job, one: Side, work: str) -> Made | None:
     """Return what an earlier run of the same code left of the same job, if it did."""
     record = one.work / job.name / "made.json"
     if one.identity is None or not record.is_file():
         return None
     found = json.loads(record.read_text())
-    if found["of"] != [one.identity, work_of(job)]:
+    if found["of"] != [one.identity, work]:
         return None
     return Made(found["leaves"], found["seconds"], is_kept=True)
 
 
-def made(job: Job, one: Side, places: Mapping[str, Path]) -> Made:
+def made(job: Job, one: Side, places: Mapping[str, Path], work: str) -> Made:
     """Run the steps of a job, and return what they left behind; a record of it stays beside the outputs."""
     folder = new_folder(one.folder_of(job))
     folder.mkdir(parents=True)
     # What both sides call alike; the first one's own folder is its {first}.
     named = {str(path): f"{{{name}}}" for name, path in places.items()}
     named |= {str(one.checkout): "{checkout}", str(folder): "{folder}", str(places["first"]): "{folder}"}
+    named[str(SNIPPETS)] = "{snippets}"
     found: Leaves = {}
     began = time.monotonic()
     for number, step in enumerate(job.steps, 1):
         found |= step_leaves(step, number, one, folder, places, named)
     seconds = time.monotonic() - began
     found |= leaves.of_folder(folder, named)
-    record = {"of": [one.identity, work_of(job)], "seconds": seconds, "leaves": found}
+    record = {"of": [one.identity, work], "seconds": seconds, "leaves": found}
     (folder.parent / "made.json").write_text(json.dumps(record, indent=1))
     return Made(found, seconds)
 
@@ -250,9 +252,9 @@ def step_leaves(
     }
 
 
-def work_of(job: Job) -> str:
-    """Return a digest of all that a job does beside the checkout's code: steps, snippets and inputs."""
-    digest = hashlib.sha256("\n".join(job.steps).encode())
+def work_of(job: Job, places: Mapping[str, Path]) -> str:
+    """Return a digest of all that a job is made of beside the checkout's code: steps, snippets and inputs."""
+    digest = hashlib.sha256("\n".join([str(places["data"]), *job.steps]).encode())
     sources = [Path(inputs.__file__), Path(leaves.__file__)]
     for path in [*sources, *(SNIPPETS / word for step in job.steps for word in step.split()[:1])]:
         if path.is_file():

@@ -30,7 +30,6 @@ class Model:
 
     path: str
     shape: float
-    is_clean: bool = True
     is_colored: bool = False
 
 
@@ -53,7 +52,7 @@ QUICK = (
     "controlled/*",
     "records/*",
     "normal_meshes/camelhead*",
-    "textures/spot",
+    "textures/duck",
     "measures/spot*",
     "pictures/spot",
     "scans/samples*",
@@ -96,7 +95,7 @@ def _methods() -> Iterator[Job]:
         shape = f"--max-shape {model.shape}"
         bounds = f"{shape} --max-texture 40" if model.is_colored else shape
         options = {
-            "quadric": ("--ratio 0.1", "--triangles 500 --no-fit", f"--ratio 0.1 {shape}"),
+            "quadric": ("--ratio 0.1", "--triangles 500 --no-fit"),
             "certified": (
                 shape,
                 bounds,
@@ -111,14 +110,12 @@ def _methods() -> Iterator[Job]:
                 "--ratio 0.3 --texture-weight 2 --normal-weight 0.2 --shape-weight 0.5 --valence-penalty 1 "
                 "--set-penalty 1 --across-textures 1 --across-parts 1",
                 f"--ratio 0.1 --similar-distance {model.shape / 4}",
-                f"--ratio 0.1 {shape}",
             ),
             "jia01": ("", bounds, "--ratio 0.3", f"{bounds} --paper-rule", f"--resolution {8 * model.shape}"),
             "planar": (
                 "",
                 bounds,
                 f"{shape} --patch-angle 20 --crease-angle 30 --noise-angle 0",
-                "--ratio 0.1",
             ),
             "auto": ("", "--ratio 0.25", "--triangles 800", bounds),
         }
@@ -167,7 +164,6 @@ def _records() -> Iterator[Job]:
         ("spot", "seams", "--ratio 0.05"),
         ("duck", "seams", "--ratio 0.05"),
         ("airplane", "seams", "--ratio 0.05"),
-        ("camelhead", "planar", ""),
     ):
         yield Job(
             f"records/{name}/{method}",
@@ -185,6 +181,13 @@ def _records() -> Iterator[Job]:
                 "replay cut.npz cut.ply --ratio 0.5 --json",
             ),
         )
+    yield Job(
+        "records/none",
+        (
+            f"simplify {_mesh('spot')} light.ply --method planar --save-record record.npz --json",
+            "replay record.npz half.ply --ratio 0.5 --json",
+        ),
+    )
     yield Job("records/api/quadric", (f"recorded.py {_mesh('airplane')} quadric ratio=0.1",))
     yield Job("records/api/seams", (f"recorded.py {_mesh('duck')} seams ratio=0.1",))
     yield Job("records/api/jia01", (f"recorded.py {_mesh('airplane')} jia01 ratio=0.3",))
@@ -220,7 +223,7 @@ def _normal_meshes() -> Iterator[Job]:
 
 def _textures() -> Iterator[Job]:
     """Yield light meshes with all the colour of their originals in a texture."""
-    for name in ("spot", "airplane", "fuze"):
+    for name in ("duck", "airplane", "fuze"):
         original = _mesh(name)
         yield Job(
             f"textures/{name}",
@@ -238,6 +241,7 @@ def _measures() -> Iterator[Job]:
     """Yield distances, proofs and patches."""
     for name, model in MODELS.items():
         original = _mesh(name)
+        max_color, max_texture = ("--max-color 60", "--max-texture 20") if model.is_colored else ("", "")
         yield Job(
             f"measures/{name}",
             (
@@ -245,10 +249,10 @@ def _measures() -> Iterator[Job]:
                 f"compare {original} light.ply --json",
                 f"compare {original} light.ply --samples 20000 --seed 7 --json",
                 f"certify light.ply {original} --json --save-bounds bounds.ply",
-                f"certify light.ply {original} --max-shape {model.shape} --max-color 60 --json",
+                f"certify light.ply {original} --max-shape {model.shape} {max_color} --json",
                 f"certify light.ply {original} --effort 1 --shape-tolerance 0.2 --json",
                 f"patches {original} patches.ply --json",
-                f"patches {original} thin.ply --max-shape {model.shape / 4} --max-texture 20 --json "
+                f"patches {original} thin.ply --max-shape {model.shape / 4} {max_texture} --json "
                 "--patch-angle 15 --crease-angle 15 --noise-angle 0",
                 f"measured.py {original}",
             ),
@@ -390,8 +394,9 @@ def _stages() -> Iterator[Job]:
     yield Job(
         "stages/register",
         (
-            f"register {rgbd} found --every 3 --json",
-            f"fuse {rgbd} fused.ply --every 3 --poses found/trajectory.tum --json",
+            f"register {rgbd} found --json",
+            f"fuse {rgbd} fused.ply --poses found/trajectory.tum --voxel-size 0.01 --json",
+            f"fuse {rgbd} some.ply --poses found/trajectory.tum --every 3 --json",
             f"register {rgbd} refined --every 4 --refine --no-loops --json",
         ),
     )
@@ -412,7 +417,6 @@ def _stages() -> Iterator[Job]:
         ("open3d", "rgbd/open3d_testdata/RGBD", "--voxel-size 0.02"),
         ("turntable", "rgbd/turntable_d435_data1", "--last 0"),
         ("rpy", "real/rgbd_dataset_freiburg1_rpy", "--every 4 --voxel-size 0.02"),
-        ("cabinet", "real/freiburg3_cabinet_keyframes", "--every 6 --voxel-size 0.02"),
         ("phone", "real/phone_desk_no_calibration", "--last 0"),
     ):
         yield Job(f"fuse/{name}", (f"fuse {{data}}/{scan} fused.ply {options} --json",))
@@ -452,18 +456,17 @@ def _kitchen() -> Iterator[Job]:
 def _runs() -> Iterator[Job]:
     """Yield whole runs; a second one in the same folder says what it did again, and why."""
     everything = "--set bake.enabled=true --set remesh.enabled=true"
-    for sample in ("rgbd", "stereo"):
-        scan = f"{{samples}}/{sample}"
-        yield Job(
-            f"run/{sample}",
-            (
-                f"run {scan} -o out {everything} --json",
-                f"run {scan} -o out --set simplify.max_shape=0.01 --set simplify.max_texture=60 "
-                "--set bake.enabled=true --json",
-                f"run {scan} -o out --until clean",
-                "cache verify --cache out/cache",
-            ),
-        )
+    yield Job("run/stereo", (f"run {{samples}}/stereo -o out {everything} --json",))
+    yield Job(
+        "run/rgbd",
+        (
+            f"run {{samples}}/rgbd -o out {everything} --json",
+            "run {samples}/rgbd -o out --set simplify.max_shape=0.01 --set simplify.max_texture=60 "
+            "--set bake.enabled=true --json",
+            "run {samples}/rgbd -o out --until clean",
+            "cache verify out",
+        ),
+    )
     yield Job("run/registered", ("run {samples}/rgbd -o out --every 3 --set register.enabled=true --json",))
     yield Job("run/parameters", ("run {samples}/rgbd -o out --every 3 --config {inputs}/run.toml",))
     yield Job(
@@ -504,13 +507,17 @@ def _words() -> Iterator[Job]:
             "simplify missing.ply light.ply --ratio 0.1",
             f"simplify {spot} light.ply --ratio 2 --json",
             f"simplify {spot} light.ply --ratio 0.1 --triangles 5 --json",
+            f"simplify {spot} light.ply --ratio 0.1 --method planar --json",
+            f"simplify {spot} light.ply --ratio 0.1 --max-shape 0.01 --method quadric --json",
+            f"simplify {spot} light.ply --ratio 0.1 --max-shape 0.01 --method seams --json",
             f"simplify {spot} light.ply --method fastest",
             f"simplify {spot} light.ply --unheard-of",
             f"simplify {spot} light.ply --max-texture 20 --method certified --json",
             f"simplify {spot} light.ply --ratio 0.1 --region 'cone 1 2 3' --json",
             f"simplify {spot} light.ply --ratio 0.1 --region 'sphere 9 9 9 1 lock' --json",
             f"simplify {spot} light.ply --method planar --save-bounds bounds.ply --json",
-            f"simplify {spot} light.stl --bake --json",
+            f"simplify {spot} light.stl --ratio 0.1 --bake --json",
+            f"simplify {spot} light.glb --ratio 0.1 --bake --json",
             "simplify {data}/meshes/cow.obj light.ply --method quadric --ratio 0.1 --json",
             f"remesh {spot} out.ply --levels 99",
             "remesh {data}/meshes/pirate.obj out.ply --json",
