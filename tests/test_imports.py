@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from import_graphs import circles, python_graph, rust_graph
+from import_graphs import Graph, circles, python_graph, rust_graph
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -32,6 +32,12 @@ LATER = {"compression", "tomllib"}
 # Type checkers bring it themselves; no program imports it.
 TYPES_ONLY = {"typing_extensions"}
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
+
+
+@pytest.fixture(scope="module")
+def graph() -> Graph:
+    """Who imports whom in our own Python."""
+    return python_graph(ROOT, ROOMS)
 
 
 def imported(path: Path) -> set[str]:
@@ -62,9 +68,7 @@ def test_imports_go_one_way_and_are_declared(path):
     assert others <= allowed, f"{path} imports {sorted(others - allowed)}"
 
 
-def test_python_has_no_circle_of_files_or_rooms():
-    graph = python_graph(ROOT, ROOMS)
-
+def test_python_has_no_circle_of_files_or_rooms(graph: Graph):
     assert len(graph["stages"]) > 20
     found = circles(graph)
     assert not found, "\n".join(["a circle of imports", *found])
@@ -78,9 +82,7 @@ def test_rust_has_no_circle_of_files_or_rooms():
     assert not found, "\n".join(["a circle of imports", *found])
 
 
-def test_stages_alone_knows_the_kernels():
-    graph = python_graph(ROOT, ROOMS)
-
+def test_stages_alone_knows_the_kernels(graph: Graph):
     using = {module.split(".")[0] for module, imported in graph.items() if "stages._kernels" in imported}
     assert using == {"stages"}
     assert not graph["stages._kernels"]

@@ -1,8 +1,8 @@
 //! Jia's sums of changes, to a tenth of the triangles.
 
 use criterion::Criterion;
-use scanloom_kernels::collapse::region::Whole;
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
+use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::jia01::{Limits, Options, simplify};
 
 use crate::common::{alone, field, measure};

@@ -1,8 +1,8 @@
 //! Collapses by attribute quadrics, to a tenth of the triangles.
 
 use criterion::Criterion;
-use scanloom_kernels::collapse::region::Whole;
 use scanloom_kernels::collapse::rounds::{Goal, Outcome, REGION_TRIANGLES, collapse};
+use scanloom_kernels::collapse::whole::Whole;
 use scanloom_kernels::quadric::qem::QemRecords;
 
 use crate::common::{Triangles, alone, field, measure};

@@ -1,6 +1,9 @@
 //! A textured surface of charts with seams between them, to a tenth of its triangles, the fit left out.
 
+use std::rc::Rc;
+
 use criterion::Criterion;
+use scanloom_kernels::collapse::rounds;
 use scanloom_kernels::seams::{Goal, Knobs, Surface, simplify};
 
 use crate::common::{alone, field, measure};
@@ -13,14 +16,23 @@ const KNOBS: Knobs = Knobs {
     shape: 1.0,
     seam_drift: f64::INFINITY,
 };
+/// As `stages` asks for.
+const REGION_TRIANGLES: usize = 2048;
 /// Length of a chart's side, in spacings of vertices.
 const CHART: f64 = 50.0;
 
 pub fn bench(criterion: &mut Criterion) {
-    measure(criterion, "seams", textured, |surface| {
-        let goal = Goal { triangles: surface.triangles.len() / 10, fit: false, record: false, threads: 1 };
-        alone(|progress| simplify::<8, 5>(surface, KNOBS, goal, progress)).expect("a manifold")
-    });
+    measure(
+        criterion,
+        "seams",
+        |size| Rc::new(textured(size)),
+        |surface| {
+            let triangles = surface.triangles.len() / 10;
+            let rounds = rounds::Goal { triangles, threads: 1, region: REGION_TRIANGLES, record: false };
+            let goal = Goal { rounds, fit: false };
+            alone(|progress| simplify::<8, 5>(&surface, KNOBS, goal, progress)).expect("a manifold")
+        },
+    );
 }
 
 /// A field in square charts, each with a place of its own in the image; corners have image coordinates and a colour.

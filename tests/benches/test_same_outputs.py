@@ -189,6 +189,7 @@ def test_jobs_have_names_of_their_own_and_their_snippets_are_there(shared_data: 
     assert snippets == {path.name for path in same_outputs.SNIPPETS.iterdir() if path.suffix == ".py"}
 
 
+@pytest.mark.slow
 def test_made_inputs_are_the_same_each_time(tmp_path: Path):
     sample = Path(__file__).parents[2] / "samples" / "rgbd"
     for name in "ab":

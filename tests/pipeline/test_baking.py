@@ -19,6 +19,7 @@ def scan() -> Scan:
     return Scan(frames=(), folder=None, layout="none")
 
 
+@pytest.mark.slow
 def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
     original = sheet(n=20)
     light = simplify(original, ratio=0.1).mesh

@@ -3,6 +3,7 @@
 import ast
 import pkgutil
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -37,8 +38,13 @@ METHODS = (
 )
 
 
+@cache
+def config(words: str) -> Config:
+    return Config().set(words.split())
+
+
 def versions(stage: Stage, scan: Scan, words: str = "") -> Mapping[str, int]:
-    return stage.versions(dict.fromkeys(stage.reads, scan), Config().set(words.split()))
+    return stage.versions(dict.fromkeys(stage.reads, scan), config(words))
 
 
 def all_versions() -> dict[tuple[Any, ...], Mapping[str, int]]:
@@ -101,7 +107,12 @@ def name_in_keys(module: ModuleType) -> str:
     return folder if file == "run" and folder != "pipeline" else file
 
 
-def imported(module: ModuleType) -> Iterator[str]:
+@cache
+def imported(module: ModuleType) -> frozenset[str]:
+    return frozenset(imports(module))
+
+
+def imports(module: ModuleType) -> Iterator[str]:
     if module.__file__.endswith(".py"):
         for node in ast.walk(ast.parse(Path(module.__file__).read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module:
@@ -113,8 +124,9 @@ def test_what_a_stage_runs_is_in_its_key_too():
     # Whose code is imported by what a stage runs may decide its result: bake measures colours with compare.
     by_name = {module.__name__: module for module in MODULES}
     stating = {name_in_keys(module): module.__name__ for module in STATING}
+    in_keys = all_versions()
     for stage in STAGES:
-        named = {name for key, found in all_versions().items() if key[0] == stage.name for name in found}
+        named = {name for key, found in in_keys.items() if key[0] == stage.name for name in found}
         reached, waiting = set(), {stating[name] for name in named}
         while waiting:
             one = waiting.pop()

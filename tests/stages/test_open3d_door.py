@@ -23,6 +23,7 @@ print(mesh.vertex.positions.shape[0])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Open3D's Linux wheel wants libusb from the system")
 def test_imports_without_system_libusb():
     result = subprocess.run(

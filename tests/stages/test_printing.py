@@ -125,6 +125,7 @@ def results():
     return everything()
 
 
+@pytest.mark.slow
 def test_results_print_as_a_line_or_two_without_arrays(results):
     for result in results:
         text = repr(result)

@@ -245,6 +245,7 @@ def six(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return said
 
 
+@pytest.mark.slow
 def test_a_sixth_method_is_in_the_api(six: dict[str, Any]) -> None:
     assert six["removed"] == 16
     assert six["method"] == "cut"

@@ -310,6 +310,7 @@ def test_the_order_of_the_input_hardly_matters(method: str) -> None:
 # -- progress --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_progress_is_told_and_may_stop_the_work() -> None:
     mesh = sheet(400, hills, 0.001)
     seen: list[tuple[int, int]] = []

@@ -42,6 +42,7 @@ def inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np
     return triangles, weights, np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
 
 
+@pytest.mark.slow
 def test_a_light_mesh_shows_what_its_original_shows():
     original = sheet(height=0.0, noise=0.0)
     baked = bake(square(), original, texel_size=0.004)
@@ -128,6 +129,7 @@ def test_charts_have_area_lie_apart_and_keep_their_padding():
             assert cv2.distanceTransform(1 - others, cv2.DIST_L2, 5)[chart == number].min() > 2 * padding
 
 
+@pytest.mark.slow
 def test_halved_images_keep_each_charts_colour():
     light = of_trimesh(trimesh.creation.box()).with_(colors=None)
     size, padding = 128, 8

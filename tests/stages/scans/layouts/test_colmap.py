@@ -408,6 +408,7 @@ def test_binary_models_cut_anywhere_are_refused(scan_folder, which):
             read_scan(scan_folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [0x00, 0x7F, 0xFF])
 def test_any_damaged_byte_of_points_is_refused_or_read(workspace, value):
     write_text(workspace / "sparse")
@@ -425,6 +426,7 @@ def test_any_damaged_byte_of_points_is_refused_or_read(workspace, value):
             assert "points3D.bin" in str(error)  # noqa: PT017
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize("value", [0x00, 0x7F, 0xFF])
 def test_any_damaged_byte_is_refused_or_read(scan_folder, which, value):
