@@ -97,7 +97,7 @@ fn mesh_of<const D: usize>(
     triangles: &[[u32; 3]],
     locked: &[bool],
 ) -> Result<Mesh<D>, crate::base::errors::KernelError> {
-    let mut mesh = Mesh::<D>::new(points, triangles)?;
+    let mut mesh = Mesh::<D>::new_on(threads, points, triangles)?;
     for (lock, _) in mesh.locks.iter_mut().zip(locked).filter(|(_, locked)| **locked) {
         *lock = Lock::Locked;
     }
@@ -196,7 +196,7 @@ fn patches_of_points<const D: usize, const K: usize>(
 ) -> PyResult<PlanarPatches> {
     let (points, triangles) = inputs.copied::<D>()?;
     let (mesh, patches) = detached(py, Some(progress), false, |progress| {
-        let mesh = mesh_of(points, &triangles, &[])?;
+        let mesh = mesh_of(points, &triangles, &[], options.threads)?;
         let patches =
             propagate::propagate::<D, K>(&mesh, &facets(&mesh, options.threads), options, progress)?;
         Ok((mesh, patches))
