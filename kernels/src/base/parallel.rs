@@ -48,14 +48,19 @@ pub fn map<T: Send, S>(
 
 /// Fill a slice with a value for each place, each thread a part of it.
 pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> T + Sync) {
+    update(values, threads, |i, slot| *slot = value(i));
+}
+
+/// Change each place of a slice, each thread a part of them.
+pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, &mut T) + Sync) {
     let part = values.len().div_ceil(threads.max(1)).max(1);
     thread::scope(|scope| {
         let mut parts = values.chunks_mut(part).enumerate();
         let own = parts.next();
-        let value = &value;
+        let change = &change;
         let run = move |(number, values): (usize, &mut [T])| {
             for (i, slot) in values.iter_mut().enumerate() {
-                *slot = value(number * part + i);
+                change(number * part + i, slot);
             }
         };
         for other in parts {

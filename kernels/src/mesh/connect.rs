@@ -2,7 +2,7 @@
 //! threads.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
@@ -124,10 +124,15 @@ fn paired(
     vertex_count: usize,
     triangles: &[[u32; 3]],
 ) -> Result<(Vec<HalfedgeId>, Vec<Halfedge>), KernelError> {
-    let twins = parallel::collect(3 * triangles.len(), threads, |_| AtomicU64::new(0));
+    let corners = triangles.as_flattened();
+    let mut halfedges = parallel::collect(corners.len(), threads, |h| Halfedge {
+        origin: VertexId(corners[h]),
+        twin: HalfedgeId::NONE,
+        edge: EdgeId::NONE,
+    });
     let ranges = even_ranges(threads, vertex_count, triangles);
-    let found =
-        parallel::map(ranges.len(), threads, || (), |(), i| Edges::new(&ranges[i], triangles, &twins));
+    let told = shared(&mut halfedges);
+    let found = parallel::map(ranges.len(), threads, || (), |(), i| Edges::new(&ranges[i], triangles, told));
     // Where the edges of each range begin.
     let (mut edges, mut begins) = (vec![], vec![]);
     let (mut crowded, mut inconsistent) = (vec![], vec![]);
@@ -148,7 +153,25 @@ fn paired(
         return Err(KernelError::InconsistentEdges(inconsistent));
     }
     let begin = |low: u32| begins[ranges.iter().position(|range| low < range.end).unwrap_or(0)];
-    Ok((edges, halfedges(threads, triangles, &twins, begin)?))
+    let is_any_doubled = AtomicBool::new(false);
+    parallel::update(&mut halfedges, threads, |h, halfedge| {
+        halfedge.edge.0 += begin(ends(&triangles[h / 3], h % 3)[0]);
+        if is_back_to_back(triangles, HalfedgeId::from_index(h), halfedge.twin) {
+            is_any_doubled.store(true, Relaxed);
+        }
+    });
+    if is_any_doubled.into_inner() {
+        Err(back_to_back(triangles, &halfedges))
+    } else {
+        Ok((edges, halfedges))
+    }
+}
+
+/// Halfedges that several threads may change: origin, twin and edge of each.
+fn shared(halfedges: &mut [Halfedge]) -> &[[AtomicU32; 3]] {
+    // SAFETY: a halfedge is three numbers of 32 bits, laid out as in C; an atomic number is laid out as a plain one. Nobody
+    // else has the halfedges while they are borrowed.
+    unsafe { &*(std::ptr::from_mut(halfedges) as *const [[AtomicU32; 3]]) }
 }
 
 /// The ends of the side that leaves a corner of a triangle, the lower one first.
@@ -185,29 +208,37 @@ struct Edges {
 }
 
 impl Edges {
-    /// Find them, and tell each halfedge its twin and its edge, counted from the first of the range, in the lower and
-    /// the upper half of a number.
-    fn new(range: &Range<u32>, triangles: &[[u32; 3]], twins: &[AtomicU64]) -> Self {
-        let Sides { mut sides, starts } = Sides::new(range, triangles);
+    /// Find them, and tell each halfedge its twin and its edge, counted from the first of the range.
+    fn new(range: &Range<u32>, triangles: &[[u32; 3]], told: &[[AtomicU32; 3]]) -> Self {
+        let Sides { sides, starts } = Sides::new(range, triangles);
         let mut found =
             Self { first: Vec::with_capacity(sides.len() / 2 + 1), crowded: vec![], inconsistent: vec![] };
+        // The higher end and the halfedge, in the upper and the lower half of a number.
+        let mut around: Vec<u64> = vec![];
         for (low, group) in range.clone().zip(starts.windows(2)) {
+            let group = &sides[group[0] as usize..group[1] as usize];
+            let high = |h: u32| ends(&triangles[h as usize / 3], h as usize % 3)[1];
+            around.clear();
+            around.extend(group.iter().map(|&h| u64::from(high(h)) << 32 | u64::from(h)));
             // As few as a vertex has neighbours.
-            let around = &mut sides[group[0] as usize..group[1] as usize];
             around.sort_unstable();
             for same in around.chunk_by(|g, h| g >> 32 == h >> 32) {
-                found.note(low, same, triangles, twins);
+                found.note(low, same, triangles, told);
             }
         }
         found
     }
 
     /// Note an edge: all its sides, in the order of their halfedges.
-    fn note(&mut self, low: u32, same: &[u64], triangles: &[[u32; 3]], twins: &[AtomicU64]) {
+    #[inline]
+    fn note(&mut self, low: u32, same: &[u64], triangles: &[[u32; 3]], told: &[[AtomicU32; 3]]) {
         let high = (same[0] >> 32) as u32;
         let origin = |h: u32| triangles[h as usize / 3][h as usize % 3];
-        let edge = (self.first.len() as u64) << 32;
-        let tell = |h: u32, twin: u32| twins[h as usize].store(edge | u64::from(twin), Relaxed);
+        let edge = self.first.len() as u32;
+        let tell = |h: u32, twin: u32| {
+            told[h as usize][1].store(twin, Relaxed);
+            told[h as usize][2].store(edge, Relaxed);
+        };
         let first = same[0] as u32;
         match *same {
             [_] => tell(first, HalfedgeId::NONE.0),
@@ -222,10 +253,9 @@ impl Edges {
     }
 }
 
-/// The sides of triangles whose lower ends are in a range, grouped by these: the higher end and the halfedge, in the
-/// upper and the lower half of a number.
+/// The sides of triangles, as halfedges, whose lower ends are in a range, grouped by these.
 struct Sides {
-    sides: Vec<u64>,
+    sides: Vec<u32>,
     /// Where the group of each vertex begins, and the end.
     starts: Vec<u32>,
 }
@@ -244,14 +274,13 @@ impl Sides {
             }
         }
         (0..width as usize).for_each(|v| starts[v + 2] += starts[v + 1]);
-        let mut sides = vec![0u64; starts[width as usize + 1] as usize];
+        let mut sides = vec![0u32; starts[width as usize + 1] as usize];
         for (t, triangle) in triangles.iter().enumerate() {
             for corner in 0..3 {
-                let [low, high] = ends(triangle, corner);
-                let place = low.wrapping_sub(range.start);
+                let place = ends(triangle, corner)[0].wrapping_sub(range.start);
                 if place < width {
                     let next = &mut starts[place as usize + 1];
-                    sides[*next as usize] = u64::from(high) << 32 | (3 * t + corner) as u64;
+                    sides[*next as usize] = (3 * t + corner) as u32;
                     *next += 1;
                 }
             }
@@ -261,39 +290,18 @@ impl Sides {
     }
 }
 
-/// The halfedges of all triangles from what [`Edges::new`] tells of them. `begin` says where the edges with a lower end
-/// are counted from.
-fn halfedges(
-    threads: usize,
-    triangles: &[[u32; 3]],
-    twins: &[AtomicU64],
-    begin: impl Fn(u32) -> u32 + Sync,
-) -> Result<Vec<Halfedge>, KernelError> {
-    let across = |h: HalfedgeId| {
-        let to = Connectivity::prev(h).index();
-        triangles[to / 3][to % 3]
-    };
-    let is_any_doubled = AtomicBool::new(false);
-    let halfedges = parallel::collect(twins.len(), threads, |h| {
-        let told = twins[h].load(Relaxed);
-        let (own, twin) = (HalfedgeId::from_index(h), HalfedgeId(told as u32));
-        if twin.is_some() && own < twin && across(own) == across(twin) {
-            is_any_doubled.store(true, Relaxed);
-        }
-        let (triangle, corner) = (&triangles[h / 3], h % 3);
-        let edge = begin(ends(triangle, corner)[0]) + (told >> 32) as u32;
-        Halfedge { origin: VertexId(triangle[corner]), twin, edge: EdgeId(edge) }
-    });
-    if is_any_doubled.into_inner() { Err(back_to_back(&halfedges)) } else { Ok(halfedges) }
+/// Whether two triangles that share a side have all their vertices in common; said of the first of their halfedges.
+fn is_back_to_back(triangles: &[[u32; 3]], h: HalfedgeId, twin: HalfedgeId) -> bool {
+    let across = |h: HalfedgeId| triangles.as_flattened()[Connectivity::prev(h).index()];
+    twin.is_some() && h < twin && across(h) == across(twin)
 }
 
 /// The complaint about triangles with the same vertices.
-fn back_to_back(halfedges: &[Halfedge]) -> KernelError {
-    let across = |h| halfedges[Connectivity::prev(h).index()].origin;
+fn back_to_back(triangles: &[[u32; 3]], halfedges: &[Halfedge]) -> KernelError {
     let mut doubled: Vec<[u32; 2]> = vec![];
     for (h, halfedge) in halfedges.iter().enumerate() {
         let (own, twin) = (HalfedgeId::from_index(h), halfedge.twin);
-        if twin.is_some() && own < twin && across(own) == across(twin) {
+        if is_back_to_back(triangles, own, twin) {
             doubled.push([own, twin].map(|h| Connectivity::triangle(h).0));
         }
     }

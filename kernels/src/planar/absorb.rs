@@ -39,7 +39,7 @@ pub fn absorb<const D: usize, const K: usize>(
             }
         }
     }
-    forget(claims, grown, &is_loose);
+    forget(ground.options.threads, claims, grown, &is_loose);
     looks
 }
 
@@ -95,7 +95,7 @@ fn take_in<const D: usize, const K: usize>(ground: &Ground<'_, D>, grown: &mut G
 }
 
 /// Number the patches that are left without gaps.
-fn forget<const K: usize>(claims: &mut Claims, grown: &mut Vec<Grown<K>>, is_loose: &[bool]) {
+fn forget<const K: usize>(threads: usize, claims: &mut Claims, grown: &mut Vec<Grown<K>>, is_loose: &[bool]) {
     let mut kept = 0;
     let number: Vec<u32> = is_loose
         .iter()
@@ -106,5 +106,5 @@ fn forget<const K: usize>(claims: &mut Claims, grown: &mut Vec<Grown<K>>, is_loo
         .collect();
     let mut loose = is_loose.iter();
     grown.retain(|_| !loose.next().copied().unwrap_or(false));
-    claims.renumber(&number);
+    claims.renumber(threads, &number);
 }

@@ -5,7 +5,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering::Relaxed};
 
-use crate::base::parallel::collect;
+use crate::base::parallel::{collect, update};
 
 /// Nobody's.
 const FREE: u32 = u32::MAX;
@@ -156,9 +156,12 @@ impl Claims {
     }
 
     /// Give the patches that stand other numbers.
-    pub fn renumber(&mut self, number: &[u32]) {
-        for of in self.of.iter_mut().map(AtomicU32::get_mut).filter(|of| **of != TAKEN && **of < CLAIM) {
-            *of = number[*of as usize - 1] + 1;
-        }
+    pub fn renumber(&mut self, threads: usize, number: &[u32]) {
+        update(&mut self.of, threads, |_, of| {
+            let of = of.get_mut();
+            if *of != TAKEN && *of < CLAIM {
+                *of = number[*of as usize - 1] + 1;
+            }
+        });
     }
 }

@@ -26,13 +26,19 @@
 //! | [`polygon`] | what is left of a patch's loops, seen along its normal |
 //! | [`retriangulate`] | triangles for a polygon with holes |
 //! | [`assemble`] | all patches together, until the result is a manifold |
+//! | [`assembly`] | which vertices stay, and what each patch has become |
+//! | [`attempt`] | one patch of them: new triangles, or what has to come back first |
+//! | [`conflicts`] | what makes them no manifold although each is sound |
 //! | [`reasons`] | what keeps patches apart |
 
 mod absorb;
 mod ahead;
 pub mod assemble;
+mod assembly;
+mod attempt;
 pub mod border;
 mod claims;
+mod conflicts;
 pub mod fit;
 mod ground;
 mod growth;

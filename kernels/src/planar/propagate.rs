@@ -26,14 +26,15 @@ pub fn propagate<const D: usize, const K: usize>(
     let ground = Ground::new(mesh, facets, options, &[]);
     let mut claims = Claims::new(facets.len(), options.threads, |_| false);
     let mut grown: Vec<Grown<K>> = vec![];
-    let seeds = flattest_first(&ground, (0..facets.len() as u32).collect());
+    let seeds = flattest_first(&ground, facets.len(), |i| i as u32);
     let mut looks = grow_all(&ground, &mut claims, &seeds, &mut grown, progress)?;
     if options.noise <= 1.0 {
         looks += absorb(&ground, &mut claims, &mut grown);
         looks += grow_all(&ground, &mut claims, &seeds, &mut grown, progress)?;
     }
-    let of = collect(facets.len(), options.threads, |t| claims.patch(t as u32).unwrap_or_default());
-    Ok(by_area(settled(&grown), of, looks, options.threads).0)
+    let (patches, number, _) = by_area(&settled(&grown));
+    let of = collect(facets.len(), options.threads, |t| number[claims.patch(t as u32).unwrap_or(0) as usize]);
+    Ok(Patches { patches, of, looks })
 }
 
 /// Grow those patches again that lie over themselves, seen along their normals, as several that do not. Returns
@@ -53,28 +54,35 @@ pub fn separate<const D: usize, const K: usize>(
     let ground = Ground::new(mesh, facets, options, &patches.of);
     let mut claims = Claims::new(facets.len(), options.threads, |t| !is_open(t));
     let mut grown: Vec<Grown<K>> = vec![];
-    let all = (0..facets.len() as u32).filter(|&t| is_open(t as usize)).collect();
-    let seeds = flattest_first(&ground, all);
+    let open: Vec<u32> = (0..facets.len() as u32).filter(|&t| is_open(t as usize)).collect();
+    let seeds = flattest_first(&ground, open.len(), |i| open[i]);
     let looks = grow_all(&ground, &mut claims, &seeds, &mut grown, progress)?;
     // The patches that stand, and these: sorted among themselves first, as equal areas stay in this order.
     let standing: Vec<u32> = (0..is_folded.len() as u32).filter(|&p| !is_folded[p as usize]).collect();
-    let again = settled(&grown);
-    let order = largest_first(&again);
-    let numbers = [numbers(is_folded.len(), &standing), numbers(again.len(), &order)];
-    let of = collect(facets.len(), options.threads, |t| match claims.patch(t as u32) {
-        None => numbers[0][patches.of[t] as usize],
-        Some(patch) => standing.len() as u32 + numbers[1][patch as usize],
-    });
+    let (again, again_number, _) = by_area(&settled(&grown));
+    let standing_number = numbers(is_folded.len(), &standing);
     let kept = standing.iter().map(|&p| patches.patches[p as usize]);
-    let all = kept.chain(order.iter().map(|&p| again[p as usize])).collect();
-    let (patches, order) = by_area(all, of, patches.looks + looks, options.threads);
-    Ok((patches, order.into_iter().map(|id| standing.get(id as usize).copied()).collect()))
+    let all: Vec<Patch> = kept.chain(again).collect();
+    let (all, number, order) = by_area(&all);
+    let of = collect(facets.len(), options.threads, |t| {
+        let among_all = match claims.patch(t as u32) {
+            None => standing_number[patches.of[t] as usize],
+            Some(patch) => standing.len() as u32 + again_number[patch as usize],
+        };
+        number[among_all as usize]
+    });
+    let was = order.into_iter().map(|id| standing.get(id as usize).copied()).collect();
+    Ok((Patches { patches: all, of, looks: patches.looks + looks }, was))
 }
 
-/// Some triangles sorted by the sharpest of their edges; in a class as they were.
-fn flattest_first<const D: usize>(ground: &Ground<'_, D>, triangles: Vec<u32>) -> Vec<u32> {
-    let classes: Vec<u8> = collect(triangles.len(), ground.options.threads, |i| {
-        let t = triangles[i];
+/// So many triangles sorted by the sharpest of their edges; in a class as they were.
+fn flattest_first<const D: usize>(
+    ground: &Ground<'_, D>,
+    count: usize,
+    triangle: impl Fn(usize) -> u32 + Sync,
+) -> Vec<u32> {
+    let classes: Vec<u8> = collect(count, ground.options.threads, |i| {
+        let t = triangle(i);
         let sharpest = ground
             .beside(t)
             .map(|other| dot(&ground.facets[t as usize].0, &ground.facets[other as usize].0))
@@ -87,8 +95,8 @@ fn flattest_first<const D: usize>(ground: &Ground<'_, D>, triangles: Vec<u32>) -
     classes.iter().for_each(|&class| next[class as usize + 1] += 1);
     (0..CLASSES).for_each(|class| next[class + 1] += next[class]);
     let mut sorted = vec![0; classes.len()];
-    for (&t, &class) in triangles.iter().zip(&classes) {
-        sorted[next[class as usize]] = t;
+    for (i, &class) in classes.iter().enumerate() {
+        sorted[next[class as usize]] = triangle(i);
         next[class as usize] += 1;
     }
     sorted
@@ -101,23 +109,15 @@ fn settled<const K: usize>(grown: &[Grown<K>]) -> Vec<Patch> {
     grown.iter().map(settled).collect()
 }
 
-/// Patches numbered by area, largest first, and which each was before.
-fn by_area(patches: Vec<Patch>, of: Vec<u32>, looks: u64, threads: usize) -> (Patches, Vec<u32>) {
-    let order = largest_first(&patches);
-    let number = numbers(patches.len(), &order);
-    let of = collect(of.len(), threads, |t| number[of[t] as usize]);
-    let patches = order.iter().map(|&id| patches[id as usize]).collect();
-    (Patches { patches, of, looks }, order)
-}
-
-/// The numbers of patches, by area.
-fn largest_first(patches: &[Patch]) -> Vec<u32> {
+/// Patches by area, largest first; the number that each has then, and which each was before.
+fn by_area(patches: &[Patch]) -> (Vec<Patch>, Vec<u32>, Vec<u32>) {
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
     order.sort_by(|&a, &b| {
         let area = |id: u32| patches[id as usize].area;
         area(b).total_cmp(&area(a)).then(a.cmp(&b))
     });
-    order
+    let sorted = order.iter().map(|&id| patches[id as usize]).collect();
+    (sorted, numbers(patches.len(), &order), order)
 }
 
 /// The place of each of so many in an order of some of them.
