@@ -1,5 +1,6 @@
 //! The same work on many parts, on several threads, with results that do not depend on how many.
 
+use std::mem::MaybeUninit;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::thread;
@@ -47,14 +48,19 @@ pub fn map<T: Send, S>(
 
 /// Fill a slice with a value for each place, each thread a part of it.
 pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> T + Sync) {
+    update(values, threads, |i, slot| *slot = value(i));
+}
+
+/// Change each place of a slice, each thread a part of them.
+pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, &mut T) + Sync) {
     let part = values.len().div_ceil(threads.max(1)).max(1);
     thread::scope(|scope| {
         let mut parts = values.chunks_mut(part).enumerate();
         let own = parts.next();
-        let value = &value;
+        let change = &change;
         let run = move |(number, values): (usize, &mut [T])| {
             for (i, slot) in values.iter_mut().enumerate() {
-                *slot = value(number * part + i);
+                change(number * part + i, slot);
             }
         };
         for other in parts {
@@ -62,6 +68,19 @@ pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> 
         }
         own.into_iter().for_each(run);
     });
+}
+
+/// A value for each number below `count`, each thread a part of them.
+pub fn collect<T: Send>(count: usize, threads: usize, value: impl Fn(usize) -> T + Sync) -> Vec<T> {
+    if threads <= 1 {
+        return (0..count).map(value).collect();
+    }
+    let mut values = Vec::with_capacity(count);
+    // Memory is touched first where it is filled: that costs more than filling it.
+    fill(&mut values.spare_capacity_mut()[..count], threads, |i| MaybeUninit::new(value(i)));
+    // SAFETY: there is room for `count` values, and each place has got one: the threads that fill have ended, none by a panic.
+    unsafe { values.set_len(count) };
+    values
 }
 
 /// `work` on each of some parts, which it takes with it.

@@ -1,8 +1,22 @@
-//! From a list of triangles to connectivity, by one counting sort.
+//! From a list of triangles to connectivity, by a counting sort of their sides; in the same numbers on any number of
+//! threads.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 
 use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
+use crate::base::parallel;
 use crate::mesh::connectivity::{Connectivity, Halfedge};
+
+/// Fewer triangles than this are connected on one thread.
+const FEW: usize = 1 << 14;
+
+/// Vertices whose fans one thread walks around in one go.
+const BATCH: usize = 1 << 14;
+
+/// Sides that are looked at to divide all sides evenly.
+const SAMPLES: usize = 1 << 12;
 
 /// # Errors
 /// More triangles than have numbers, or an index out of range.
@@ -10,6 +24,10 @@ pub fn check_indices(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<(), 
     let limit = Connectivity::MOST_TRIANGLES;
     if triangles.len() > limit || vertex_count >= (u32::MAX / 2) as usize {
         return Err(KernelError::TooManyTriangles { wanted: triangles.len() as f64, limit });
+    }
+    // To look at all is faster than to stop at the first that is wrong.
+    if triangles.as_flattened().iter().fold(true, |known, &v| known & (v < vertex_count as u32)) {
+        return Ok(());
     }
     let out_of_range = |corners: &[u32; 3]| corners.iter().copied().find(|&v| v as usize >= vertex_count);
     for (triangle, corners) in triangles.iter().enumerate() {
@@ -31,7 +49,19 @@ impl Connectivity {
     /// An index out of range, an edge of three triangles or of two with opposite orientation, two triangles with
     /// the same vertices, a vertex where two fans touch. Triangles that name a vertex twice must be left out.
     pub fn from_triangles(vertex_count: usize, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
-        Self::from_region(vertex_count, triangles, |_| false)
+        Self::from_triangles_on(1, vertex_count, triangles)
+    }
+
+    /// The same on several threads.
+    ///
+    /// # Errors
+    /// As [`Connectivity::from_triangles`].
+    pub fn from_triangles_on(
+        threads: usize,
+        vertex_count: usize,
+        triangles: &[[u32; 3]],
+    ) -> Result<Self, KernelError> {
+        connect(threads, vertex_count, triangles, |_| false)
     }
 
     /// The same for a part of a mesh. Vertices on its rim have triangles elsewhere, too, and are not held against
@@ -42,23 +72,9 @@ impl Connectivity {
     pub fn from_region(
         vertex_count: usize,
         triangles: &[[u32; 3]],
-        on_rim: impl Fn(VertexId) -> bool,
+        on_rim: impl Fn(VertexId) -> bool + Sync,
     ) -> Result<Self, KernelError> {
-        check_indices(vertex_count, triangles)?;
-        let mut halfedges: Vec<Halfedge> = Vec::with_capacity(3 * triangles.len());
-        for &corner in triangles.iter().flatten() {
-            halfedges.push(Halfedge { origin: VertexId(corner), twin: HalfedgeId::NONE, edge: EdgeId::NONE });
-        }
-        let edges = pair_twins(vertex_count, &mut halfedges)?;
-        let mut connectivity = Self {
-            halfedges,
-            outgoing: vec![HalfedgeId::NONE; vertex_count],
-            edges,
-            triangle_count: triangles.len(),
-        };
-        connectivity.find_back_to_back()?;
-        connectivity.find_outgoing(on_rim)?;
-        Ok(connectivity)
+        connect(1, vertex_count, triangles, on_rim)
     }
 
     /// Connect triangles whose sides are paired already. `origins` names the vertex each halfedge starts from: one for
@@ -85,86 +101,50 @@ impl Connectivity {
         }
         Self { halfedges, outgoing, edges, triangle_count }
     }
-
-    fn find_back_to_back(&self) -> Result<(), KernelError> {
-        let across = |h| self.origin(Self::prev(h));
-        let same = |&edge: &EdgeId| {
-            let h = self.halfedge(edge);
-            self.twin(h).is_some() && across(h) == across(self.twin(h))
-        };
-        let beside = |edge| {
-            let h = self.halfedge(edge);
-            let (one, other) = (Self::triangle(h).0, Self::triangle(self.twin(h)).0);
-            [one.min(other), one.max(other)]
-        };
-        let mut pairs: Vec<[u32; 2]> = self.edges().filter(same).map(beside).collect();
-        pairs.sort_unstable();
-        pairs.dedup();
-        if pairs.is_empty() { Ok(()) } else { Err(KernelError::SameVertices(pairs)) }
-    }
-
-    fn find_outgoing(&mut self, on_rim: impl Fn(VertexId) -> bool) -> Result<(), KernelError> {
-        let mut degree = vec![0u32; self.outgoing.len()];
-        for (index, halfedge) in self.halfedges.iter().enumerate() {
-            let slot = &mut self.outgoing[halfedge.origin.index()];
-            if slot.is_none() || halfedge.twin.is_none() {
-                *slot = HalfedgeId::from_index(index);
-            }
-            degree[halfedge.origin.index()] += 1;
-        }
-        let pinched: Vec<u32> = self
-            .vertices()
-            .filter(|&v| !on_rim(v) && self.fan(v).count() != degree[v.index()] as usize)
-            .map(|v| v.0)
-            .collect();
-        if pinched.is_empty() { Ok(()) } else { Err(KernelError::PinchedVertices(pinched)) }
-    }
 }
 
-/// Number the edges and let the two halfedges of each know each other; returns one halfedge of every edge.
-fn pair_twins(vertex_count: usize, halfedges: &mut [Halfedge]) -> Result<Vec<HalfedgeId>, KernelError> {
-    // Lower end first.
-    let ends = |halfedges: &[Halfedge], h: u32| {
-        let target = Connectivity::next(HalfedgeId(h)).index();
-        let (a, b) = (halfedges[h as usize].origin.0, halfedges[target].origin.0);
-        if a < b { (a, b) } else { (b, a) }
-    };
-    // Halfedges grouped by the lower end of their edge; a group is as small as a vertex's degree.
-    let mut group = vec![0u32; vertex_count + 1];
-    for h in 0..halfedges.len() as u32 {
-        group[ends(halfedges, h).0 as usize + 1] += 1;
-    }
-    for v in 0..vertex_count {
-        group[v + 1] += group[v];
-    }
-    let mut fill = group.clone();
-    let mut sorted = vec![(0u32, 0u32); halfedges.len()];
-    for h in 0..halfedges.len() as u32 {
-        let (low, high) = ends(halfedges, h);
-        let place = &mut fill[low as usize];
-        sorted[*place as usize] = (high, h);
-        *place += 1;
-    }
-    drop(fill);
+fn connect(
+    threads: usize,
+    vertex_count: usize,
+    triangles: &[[u32; 3]],
+    on_rim: impl Fn(VertexId) -> bool + Sync,
+) -> Result<Connectivity, KernelError> {
+    check_indices(vertex_count, triangles)?;
+    let threads = if triangles.len() < FEW { 1 } else { threads };
+    let (edges, halfedges) = paired(threads, vertex_count, triangles)?;
+    let (outgoing, degree) = outgoing(threads, vertex_count, &halfedges);
+    let connectivity = Connectivity { halfedges, outgoing, edges, triangle_count: triangles.len() };
+    connectivity.check_fans(threads, &degree, on_rim)?;
+    Ok(connectivity)
+}
 
-    let mut edges = Vec::with_capacity(halfedges.len() / 2 + 1);
-    let (mut crowded, mut inconsistent) = (Vec::new(), Vec::new());
-    for low in 0..vertex_count {
-        let around = &mut sorted[group[low] as usize..group[low + 1] as usize];
-        around.sort_unstable();
-        for same in around.chunk_by(|g, h| g.0 == h.0) {
-            let edge = EdgeId::from_index(edges.len());
-            edges.push(HalfedgeId(same[0].1));
-            match *same {
-                [(_, h)] => halfedges[h as usize].edge = edge,
-                [(_, g), (_, h)] if halfedges[g as usize].origin != halfedges[h as usize].origin => {
-                    halfedges[g as usize] = Halfedge { twin: HalfedgeId(h), edge, ..halfedges[g as usize] };
-                    halfedges[h as usize] = Halfedge { twin: HalfedgeId(g), edge, ..halfedges[h as usize] };
-                }
-                [(high, _), _] => inconsistent.push([low as u32, high]),
-                _ => crowded.push([low as u32, same[0].0]),
-            }
+/// The first halfedge of every edge, and all halfedges. Edges are numbered by their lower ends, then by the higher.
+fn paired(
+    threads: usize,
+    vertex_count: usize,
+    triangles: &[[u32; 3]],
+) -> Result<(Vec<HalfedgeId>, Vec<Halfedge>), KernelError> {
+    let corners = triangles.as_flattened();
+    let mut halfedges = parallel::collect(corners.len(), threads, |h| Halfedge {
+        origin: VertexId(corners[h]),
+        twin: HalfedgeId::NONE,
+        edge: EdgeId::NONE,
+    });
+    let ranges = even_ranges(threads, vertex_count, triangles);
+    let told = shared(&mut halfedges);
+    let found = parallel::map(ranges.len(), threads, || (), |(), i| Edges::new(&ranges[i], triangles, told));
+    // Where the edges of each range begin.
+    let (mut edges, mut begins) = (vec![], vec![]);
+    let (mut crowded, mut inconsistent) = (vec![], vec![]);
+    for of_range in found {
+        begins.push(edges.len() as u32);
+        if edges.is_empty() {
+            edges = of_range.first;
+        } else {
+            edges.extend(of_range.first);
         }
+        crowded.extend(of_range.crowded);
+        inconsistent.extend(of_range.inconsistent);
     }
     if !crowded.is_empty() {
         return Err(KernelError::NonManifoldEdges(crowded));
@@ -172,5 +152,207 @@ fn pair_twins(vertex_count: usize, halfedges: &mut [Halfedge]) -> Result<Vec<Hal
     if !inconsistent.is_empty() {
         return Err(KernelError::InconsistentEdges(inconsistent));
     }
-    Ok(edges)
+    let begin = |low: u32| begins[ranges.iter().position(|range| low < range.end).unwrap_or(0)];
+    let is_any_doubled = AtomicBool::new(false);
+    parallel::update(&mut halfedges, threads, |h, halfedge| {
+        halfedge.edge.0 += begin(ends(&triangles[h / 3], h % 3)[0]);
+        if is_back_to_back(triangles, HalfedgeId::from_index(h), halfedge.twin) {
+            is_any_doubled.store(true, Relaxed);
+        }
+    });
+    if is_any_doubled.into_inner() {
+        Err(back_to_back(triangles, &halfedges))
+    } else {
+        Ok((edges, halfedges))
+    }
+}
+
+/// Halfedges that several threads may change: origin, twin and edge of each.
+fn shared(halfedges: &mut [Halfedge]) -> &[[AtomicU32; 3]] {
+    // SAFETY: a halfedge is three numbers of 32 bits, laid out as in C; an atomic number is laid out as a plain one. Nobody
+    // else has the halfedges while they are borrowed.
+    unsafe { &*(std::ptr::from_mut(halfedges) as *const [[AtomicU32; 3]]) }
+}
+
+/// The ends of the side that leaves a corner of a triangle, the lower one first.
+#[inline]
+fn ends(triangle: &[u32; 3], corner: usize) -> [u32; 2] {
+    let (a, b) = (triangle[corner], triangle[(corner + 1) % 3]);
+    [a.min(b), a.max(b)]
+}
+
+/// Ranges of vertices that are the lower ends of about as many sides each.
+fn even_ranges(count: usize, vertex_count: usize, triangles: &[[u32; 3]]) -> Vec<Range<u32>> {
+    let last = vertex_count as u32;
+    if count <= 1 {
+        return std::iter::once(0..last).collect();
+    }
+    let step = (3 * triangles.len()).div_ceil(SAMPLES).max(1);
+    let mut low: Vec<u32> =
+        (0..3 * triangles.len()).step_by(step).map(|h| ends(&triangles[h / 3], h % 3)[0]).collect();
+    low.sort_unstable();
+    let begin = |i: usize| {
+        if i == 0 { 0 } else { low.get(i * low.len() / count).copied().unwrap_or(last) }
+    };
+    (0..count).map(|i| begin(i)..if i + 1 < count { begin(i + 1) } else { last }).collect()
+}
+
+/// The edges whose lower ends are in a range.
+struct Edges {
+    /// The first halfedge of each.
+    first: Vec<HalfedgeId>,
+    /// The ends of edges with more than two triangles.
+    crowded: Vec<[u32; 2]>,
+    /// The ends of edges that both triangles run through in the same direction.
+    inconsistent: Vec<[u32; 2]>,
+}
+
+impl Edges {
+    /// Find them, and tell each halfedge its twin and its edge, counted from the first of the range.
+    fn new(range: &Range<u32>, triangles: &[[u32; 3]], told: &[[AtomicU32; 3]]) -> Self {
+        let Sides { sides, starts } = Sides::new(range, triangles);
+        let mut found =
+            Self { first: Vec::with_capacity(sides.len() / 2 + 1), crowded: vec![], inconsistent: vec![] };
+        // The higher end and the halfedge, in the upper and the lower half of a number.
+        let mut around: Vec<u64> = vec![];
+        for (low, group) in range.clone().zip(starts.windows(2)) {
+            let group = &sides[group[0] as usize..group[1] as usize];
+            let high = |h: u32| ends(&triangles[h as usize / 3], h as usize % 3)[1];
+            around.clear();
+            around.extend(group.iter().map(|&h| u64::from(high(h)) << 32 | u64::from(h)));
+            // As few as a vertex has neighbours.
+            around.sort_unstable();
+            for same in around.chunk_by(|g, h| g >> 32 == h >> 32) {
+                found.note(low, same, triangles, told);
+            }
+        }
+        found
+    }
+
+    /// Note an edge: all its sides, in the order of their halfedges.
+    #[inline]
+    fn note(&mut self, low: u32, same: &[u64], triangles: &[[u32; 3]], told: &[[AtomicU32; 3]]) {
+        let high = (same[0] >> 32) as u32;
+        let origin = |h: u32| triangles[h as usize / 3][h as usize % 3];
+        let edge = self.first.len() as u32;
+        let tell = |h: u32, twin: u32| {
+            told[h as usize][1].store(twin, Relaxed);
+            told[h as usize][2].store(edge, Relaxed);
+        };
+        let first = same[0] as u32;
+        match *same {
+            [_] => tell(first, HalfedgeId::NONE.0),
+            [_, second] if origin(first) != origin(second as u32) => {
+                tell(first, second as u32);
+                tell(second as u32, first);
+            }
+            [_, _] => self.inconsistent.push([low, high]),
+            _ => self.crowded.push([low, high]),
+        }
+        self.first.push(HalfedgeId(first));
+    }
+}
+
+/// The sides of triangles, as halfedges, whose lower ends are in a range, grouped by these.
+struct Sides {
+    sides: Vec<u32>,
+    /// Where the group of each vertex begins, and the end.
+    starts: Vec<u32>,
+}
+
+impl Sides {
+    fn new(range: &Range<u32>, triangles: &[[u32; 3]]) -> Self {
+        let width = range.end.saturating_sub(range.start);
+        // Counted two places on, a group begins where it is said one place on; filling it moves that to its end.
+        let mut starts = vec![0u32; width as usize + 2];
+        for triangle in triangles {
+            for corner in 0..3 {
+                let place = ends(triangle, corner)[0].wrapping_sub(range.start);
+                if place < width {
+                    starts[place as usize + 2] += 1;
+                }
+            }
+        }
+        (0..width as usize).for_each(|v| starts[v + 2] += starts[v + 1]);
+        let mut sides = vec![0u32; starts[width as usize + 1] as usize];
+        for (t, triangle) in triangles.iter().enumerate() {
+            for corner in 0..3 {
+                let place = ends(triangle, corner)[0].wrapping_sub(range.start);
+                if place < width {
+                    let next = &mut starts[place as usize + 1];
+                    sides[*next as usize] = (3 * t + corner) as u32;
+                    *next += 1;
+                }
+            }
+        }
+        starts.pop();
+        Self { sides, starts }
+    }
+}
+
+/// Whether two triangles that share a side have all their vertices in common; said of the first of their halfedges.
+fn is_back_to_back(triangles: &[[u32; 3]], h: HalfedgeId, twin: HalfedgeId) -> bool {
+    let across = |h: HalfedgeId| triangles.as_flattened()[Connectivity::prev(h).index()];
+    twin.is_some() && h < twin && across(h) == across(twin)
+}
+
+/// The complaint about triangles with the same vertices.
+fn back_to_back(triangles: &[[u32; 3]], halfedges: &[Halfedge]) -> KernelError {
+    let mut doubled: Vec<[u32; 2]> = vec![];
+    for (h, halfedge) in halfedges.iter().enumerate() {
+        let (own, twin) = (HalfedgeId::from_index(h), halfedge.twin);
+        if is_back_to_back(triangles, own, twin) {
+            doubled.push([own, twin].map(|h| Connectivity::triangle(h).0));
+        }
+    }
+    doubled.sort_unstable();
+    doubled.dedup();
+    KernelError::SameVertices(doubled)
+}
+
+/// A halfedge that leaves each vertex, on a boundary the last that has no twin, and how many do.
+fn outgoing(threads: usize, vertex_count: usize, halfedges: &[Halfedge]) -> (Vec<HalfedgeId>, Vec<u32>) {
+    let (mut outgoing, mut degree) = (vec![HalfedgeId::NONE; vertex_count], vec![0u32; vertex_count]);
+    let part = vertex_count.div_ceil(threads.max(1)).max(1);
+    let parts = outgoing.chunks_mut(part).zip(degree.chunks_mut(part)).enumerate().collect();
+    parallel::each(parts, threads, |(number, (outgoing, degree))| {
+        let first = (number * part) as u32;
+        for (h, halfedge) in halfedges.iter().enumerate() {
+            let place = halfedge.origin.0.wrapping_sub(first) as usize;
+            if let Some(slot) = outgoing.get_mut(place) {
+                if slot.is_none() || halfedge.twin.is_none() {
+                    *slot = HalfedgeId::from_index(h);
+                }
+                degree[place] += 1;
+            }
+        }
+    });
+    (outgoing, degree)
+}
+
+impl Connectivity {
+    /// Whether all triangles at a vertex are met by turning around it.
+    fn check_fans(
+        &self,
+        threads: usize,
+        degree: &[u32],
+        on_rim: impl Fn(VertexId) -> bool + Sync,
+    ) -> Result<(), KernelError> {
+        let is_pinched = |&v: &u32| {
+            degree[v as usize] > 0
+                && !on_rim(VertexId(v))
+                && self.fan(VertexId(v)).count() != degree[v as usize] as usize
+        };
+        let pinched = parallel::map(
+            degree.len().div_ceil(BATCH),
+            threads,
+            || (),
+            |(), batch| {
+                let vertices = batch * BATCH..degree.len().min((batch + 1) * BATCH);
+                vertices.map(|v| v as u32).filter(is_pinched).collect::<Vec<u32>>()
+            },
+        )
+        .concat();
+        if pinched.is_empty() { Ok(()) } else { Err(KernelError::PinchedVertices(pinched)) }
+    }
 }

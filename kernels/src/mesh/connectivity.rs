@@ -8,6 +8,7 @@
 use crate::base::ids::{EdgeId, HalfedgeId, TriangleId, VertexId};
 
 #[derive(Clone, Copy, Debug)]
+#[repr(C)]
 pub(crate) struct Halfedge {
     pub origin: VertexId,
     pub twin: HalfedgeId,

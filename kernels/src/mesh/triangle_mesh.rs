@@ -60,7 +60,10 @@ impl<const D: usize> Compact<D> {
 /// # Errors
 /// [`KernelError::NotFinite`] for a value that is not finite or is beyond ±1e60.
 pub fn check_points<const D: usize>(points: &[[f64; D]]) -> Result<(), KernelError> {
-    // NaN fails the comparison too.
+    // NaN fails the comparison too. To look at all is faster than to stop at the first that fails.
+    if points.as_flattened().iter().fold(true, |sound, x| sound & (x.abs() <= LARGEST)) {
+        return Ok(());
+    }
     match points.iter().position(|p| !p.iter().all(|x| x.abs() <= LARGEST)) {
         Some(vertex) => Err(KernelError::NotFinite { vertex }),
         None => Ok(()),
@@ -73,16 +76,28 @@ impl<const D: usize> Mesh<D> {
     /// # Errors
     /// As [`Connectivity::from_triangles`], and for a value that is not finite or is beyond ±1e60.
     pub fn new(points: Vec<[f64; D]>, triangles: &[[u32; 3]]) -> Result<Self, KernelError> {
+        Self::new_on(1, points, triangles)
+    }
+
+    /// The same on several threads.
+    ///
+    /// # Errors
+    /// As [`Mesh::new`].
+    pub fn new_on(
+        threads: usize,
+        points: Vec<[f64; D]>,
+        triangles: &[[u32; 3]],
+    ) -> Result<Self, KernelError> {
         const { assert!(D >= 3, "a point has three coordinates") };
         check_points(&points)?;
         let proper = |t: &[u32; 3]| t[0] != t[1] && t[1] != t[2] && t[2] != t[0];
-        let kept: Vec<u32> =
-            (0..triangles.len() as u32).filter(|&t| proper(&triangles[t as usize])).collect();
-        let connectivity = if kept.len() == triangles.len() {
-            Connectivity::from_triangles(points.len(), triangles)?
+        let all = 0..triangles.len() as u32;
+        let (connectivity, kept) = if triangles.iter().all(proper) {
+            (Connectivity::from_triangles_on(threads, points.len(), triangles)?, all.collect())
         } else {
+            let kept: Vec<u32> = all.filter(|&t| proper(&triangles[t as usize])).collect();
             let proper: Vec<[u32; 3]> = kept.iter().map(|&t| triangles[t as usize]).collect();
-            Connectivity::from_triangles(points.len(), &proper)?
+            (Connectivity::from_triangles_on(threads, points.len(), &proper)?, kept)
         };
         let vertex_source = (0..points.len() as u32).collect();
         let locks = vec![Lock::Free; points.len()];

@@ -10,6 +10,9 @@ use crate::mesh::connectivity::Connectivity;
 /// Halfedges that one thread looks at in one go.
 const BATCH: u32 = 1 << 16;
 
+/// Patches whose loops one thread traces in one go.
+const PATCHES: usize = 16;
+
 /// The borders of all patches; each border halfedge has its patch on the left.
 #[derive(Clone, Debug)]
 pub struct Borders {
@@ -63,7 +66,7 @@ pub fn trace(
     connectivity: &Connectivity,
     patches: &Patches,
     threads: usize,
-    progress: &mut Progress,
+    progress: &Progress,
 ) -> Result<Borders, KernelError> {
     let of = &patches.of;
     let count = 3 * connectivity.triangle_slots() as u32;
@@ -72,7 +75,7 @@ pub fn trace(
         loops: vec![0],
         patches: Vec::with_capacity(patches.patches.len() + 1),
         degree: vec![0; connectivity.vertex_slots()],
-        inside: vec![0; patches.patches.len()],
+        inside: vec![],
     };
     let all = parallel::map(
         count.div_ceil(BATCH) as usize,
@@ -92,42 +95,110 @@ pub fn trace(
         }
     }
     progress.check()?;
-    for v in (0..borders.degree.len()).filter(|&v| borders.degree[v] == 0) {
-        if let Some(h) = connectivity.fan(VertexId::from_index(v)).next() {
-            borders.inside[of[Connectivity::triangle(h).index()] as usize] += 1;
-        }
-    }
-    borders.trace_loops(connectivity, of, &by_patch(&all, patches), progress)?;
+    borders.inside = inside(connectivity, patches, &borders.degree, threads);
+    borders.trace_loops(connectivity, of, &by_patch(&all, patches), threads, progress)?;
     Ok(borders)
 }
+
+/// How many vertices each patch has that are on no border.
+fn inside(connectivity: &Connectivity, patches: &Patches, degree: &[u32], threads: usize) -> Vec<u32> {
+    let part = degree.len().div_ceil(threads.max(1)).max(1);
+    let parts = degree.len().div_ceil(part);
+    let counted = parallel::map(
+        parts,
+        threads,
+        || (),
+        |(), number| {
+            let mut inside = vec![0u32; patches.patches.len()];
+            for v in (number * part..degree.len().min((number + 1) * part)).filter(|&v| degree[v] == 0) {
+                if let Some(h) = connectivity.fan(VertexId::from_index(v)).next() {
+                    inside[patches.of[Connectivity::triangle(h).index()] as usize] += 1;
+                }
+            }
+            inside
+        },
+    );
+    parallel::collect(patches.patches.len(), 1, |patch| counted.iter().map(|part| part[patch]).sum())
+}
+
+/// The loops of some patches: their halfedges, how long each is, and how many each patch has.
+type Loops = (Vec<HalfedgeId>, Vec<u32>, Vec<u32>);
 
 impl Borders {
     fn trace_loops(
         &mut self,
         connectivity: &Connectivity,
         of: &[u32],
-        grouped: &(Vec<HalfedgeId>, Vec<u32>),
-        progress: &mut Progress,
+        (all, starts): &(Vec<HalfedgeId>, Vec<u32>),
+        threads: usize,
+        progress: &Progress,
     ) -> Result<(), KernelError> {
-        let mut is_done = vec![false; 3 * connectivity.triangle_slots()];
-        self.halfedges.reserve(grouped.0.len());
-        for range in grouped.1.windows(2) {
-            progress.check_now_and_then()?;
-            self.patches.push(self.loops.len() as u32 - 1);
-            for &start in &grouped.0[range[0] as usize..range[1] as usize] {
-                let mut h = start;
-                while !std::mem::replace(&mut is_done[h.index()], true) {
-                    self.halfedges.push(h);
-                    h = next_border(connectivity, of, h);
-                }
-                if *self.loops.last().unwrap_or(&0) < self.halfedges.len() as u32 {
-                    self.loops.push(self.halfedges.len() as u32);
-                }
-            }
+        let count = starts.len() - 1;
+        let found: Vec<Result<Loops, KernelError>> = parallel::map(
+            count.div_ceil(PATCHES),
+            threads,
+            || (),
+            |(), batch| {
+                progress.check()?;
+                let patches = starts[batch * PATCHES..=count.min((batch + 1) * PATCHES)].windows(2);
+                let borders = patches.map(|range| &all[range[0] as usize..range[1] as usize]);
+                Ok(loops(connectivity, of, borders))
+            },
+        );
+        self.halfedges.reserve(all.len());
+        self.patches.push(0);
+        let (mut end, mut last) = (0, 0);
+        for traced in found {
+            let (halfedges, lengths, counts) = traced?;
+            self.halfedges.extend(halfedges);
+            self.loops.extend(lengths.into_iter().map(|length| {
+                end += length;
+                end
+            }));
+            self.patches.extend(counts.into_iter().map(|count| {
+                last += count;
+                last
+            }));
         }
-        self.patches.push(self.loops.len() as u32 - 1);
         Ok(())
     }
+}
+
+/// Trace the loops of patches, each given with its border halfedges in their order.
+fn loops<'a>(
+    connectivity: &Connectivity,
+    of: &[u32],
+    borders: impl Iterator<Item = &'a [HalfedgeId]>,
+) -> Loops {
+    let (mut traced, mut lengths, mut counts) = (vec![], vec![], vec![]);
+    let mut is_done = vec![];
+    for border in borders {
+        is_done.clear();
+        is_done.resize(border.len(), false);
+        let mut count = 0;
+        for (i, &start) in border.iter().enumerate() {
+            if is_done[i] {
+                continue;
+            }
+            let first = traced.len();
+            let mut h = start;
+            loop {
+                // A border is a few halfedges, in order.
+                if let Ok(place) = border.binary_search(&h) {
+                    is_done[place] = true;
+                }
+                traced.push(h);
+                h = next_border(connectivity, of, h);
+                if h == start {
+                    break;
+                }
+            }
+            lengths.push((traced.len() - first) as u32);
+            count += 1;
+        }
+        counts.push(count);
+    }
+    (traced, lengths, counts)
 }
 
 /// Halfedges sorted by patch, and where each patch begins: a counting sort.

@@ -14,18 +14,34 @@
 //! | [`simplify`](simplify()) | the loop |
 //! | [`patches`] | what patches are, and what limits them |
 //! | [`fit`] | the plane of a patch and the linear function of its colours |
-//! | [`propagate`] | growing patches |
+//! | [`propagate`] | the patches of a mesh, from the flattest triangles first |
+//! | [`ground`] | what patches grow on, and which neighbours are alike |
+//! | [`claims`] | whose each triangle is while patches grow |
+//! | [`growth`] | one patch, layer by layer |
+//! | [`ahead`] | growing all of them, several at the same time |
+//! | [`absorb`] | what is left over joins its neighbours |
 //! | [`overlap`] | patches that lie over themselves |
 //! | [`border`] | their borders as loops of halfedges; which vertices are corners |
 //! | [`straighten`] | the vertices a border can do without |
 //! | [`polygon`] | what is left of a patch's loops, seen along its normal |
 //! | [`retriangulate`] | triangles for a polygon with holes |
 //! | [`assemble`] | all patches together, until the result is a manifold |
+//! | [`assembly`] | which vertices stay, and what each patch has become |
+//! | [`attempt`] | one patch of them: new triangles, or what has to come back first |
+//! | [`conflicts`] | what makes them no manifold although each is sound |
 //! | [`reasons`] | what keeps patches apart |
 
+mod absorb;
+mod ahead;
 pub mod assemble;
+mod assembly;
+mod attempt;
 pub mod border;
+mod claims;
+mod conflicts;
 pub mod fit;
+mod ground;
+mod growth;
 pub mod overlap;
 pub mod patches;
 pub mod polygon;

@@ -18,7 +18,8 @@ pub struct Sheet {
     /// First entry of each cell, and for each entry the next of its cell and its triangle.
     first: Vec<u32>,
     entries: Vec<(u32, u32)>,
-    triangles: Vec<Flat>,
+    /// Each with whether it turns left.
+    triangles: Vec<(Flat, bool)>,
 }
 
 impl Sheet {
@@ -33,43 +34,70 @@ impl Sheet {
         Self { low, cell, size, first: vec![NONE; size[0] * size[1]], entries: vec![], triangles: vec![] }
     }
 
-    fn cells(&self, triangle: &Flat) -> impl Iterator<Item = usize> + use<> {
+    /// The first and last column and row of the cells that a triangle may reach into.
+    fn cells(&self, triangle: &Flat) -> [[usize; 2]; 2] {
         let place =
             |x: f64, i: usize| (((x - self.low[i]) / self.cell).max(0.0) as usize).min(self.size[i] - 1);
-        let range = |i: usize| {
-            let (low, high) =
-                triangle.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[i]), h.max(p[i])));
-            place(low, i)..=place(high, i)
-        };
-        let (columns, width) = (range(0), self.size[0]);
-        range(1).flat_map(move |y| columns.clone().map(move |x| y * width + x))
+        [0, 1].map(|i| span(triangle, i).map(|x| place(x, i)))
     }
 
     /// Add a triangle, counter-clockwise, unless it lies over another.
     pub fn add(&mut self, triangle: Flat) -> bool {
-        for cell in self.cells(&triangle) {
-            let mut entry = self.first[cell];
-            while entry != NONE {
-                let (next, other) = self.entries[entry as usize];
-                if lie_over(&triangle, &self.triangles[other as usize]) {
-                    return false;
+        let [columns, rows] = self.cells(&triangle);
+        let is_sound = turn(triangle) > 0.0;
+        for y in rows[0]..=rows[1] {
+            for x in columns[0]..=columns[1] {
+                let mut entry = self.first[y * self.size[0] + x];
+                while entry != NONE {
+                    let (next, number) = self.entries[entry as usize];
+                    let (other, is_other_sound) = &self.triangles[number as usize];
+                    // Of two with an area the one is outside the other if their boxes are; exact, too.
+                    let are_apart = is_sound && *is_other_sound && are_apart(&triangle, other);
+                    if !are_apart && lie_over(&triangle, other) {
+                        return false;
+                    }
+                    entry = next;
                 }
-                entry = next;
             }
         }
         let number = self.triangles.len() as u32;
-        for cell in self.cells(&triangle) {
-            self.entries.push((self.first[cell], number));
-            self.first[cell] = self.entries.len() as u32 - 1;
+        for y in rows[0]..=rows[1] {
+            for x in columns[0]..=columns[1] {
+                let first = &mut self.first[y * self.size[0] + x];
+                self.entries.push((*first, number));
+                *first = self.entries.len() as u32 - 1;
+            }
         }
-        self.triangles.push(triangle);
+        self.triangles.push((triangle, is_sound));
         true
     }
 }
 
+/// The least and the greatest of a coordinate.
+fn span(triangle: &Flat, i: usize) -> [f64; 2] {
+    triangle.iter().fold([f64::MAX, f64::MIN], |[low, high], p| [low.min(p[i]), high.max(p[i])])
+}
+
+/// Whether the boxes around two triangles have no point in common but on their sides.
+fn are_apart(a: &Flat, b: &Flat) -> bool {
+    (0..2).any(|i| {
+        let (a, b) = (span(a, i), span(b, i));
+        a[1] <= b[0] || b[1] <= a[0]
+    })
+}
+
+fn coordinate(p: [f64; 2]) -> Coord<f64> {
+    Coord { x: p[0], y: p[1] }
+}
+
+/// Positive for a triangle that turns left; exact.
+fn turn(triangle: Flat) -> f64 {
+    let [a, b, c] = triangle.map(coordinate);
+    orient2d(a, b, c)
+}
+
 /// Whether no side of either has all of the other on its right; exact.
 fn lie_over(a: &Flat, b: &Flat) -> bool {
-    let coordinate = |p: [f64; 2]| Coord { x: p[0], y: p[1] };
     let parts = |a: &Flat, b: &Flat| {
         (0..3).any(|i| {
             let (p, q) = (coordinate(a[i]), coordinate(a[(i + 1) % 3]));

@@ -2,7 +2,7 @@
 
 use crate::base::geometry::{Vec3, cross, norm2, position, sub};
 use crate::base::ids::{HalfedgeId, TriangleId};
-use crate::base::parallel::fill;
+use crate::base::parallel::collect;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
@@ -90,13 +90,11 @@ pub type Facet = (Vec3, f64);
 
 /// Of each triangle.
 pub fn facets<const D: usize>(mesh: &Mesh<D>, threads: usize) -> Vec<Facet> {
-    let mut facets = vec![([0.0; 3], 0.0); mesh.connectivity.triangle_slots()];
-    fill(&mut facets, threads, |t| {
+    collect(mesh.connectivity.triangle_slots(), threads, |t| {
         let [a, b, c] = mesh.triangle_points(TriangleId::from_index(t)).map(|p| position(&p));
         let normal = cross(&sub(&b, &a), &sub(&c, &a));
         let twice = norm2(&normal).sqrt();
         let inverse = if twice > 0.0 { 1.0 / twice } else { 0.0 };
         (normal.map(|x| x * inverse), 0.5 * twice)
-    });
-    facets
+    })
 }

@@ -1,16 +1,20 @@
 //! What keeps two patches apart.
 
 use super::border::Borders;
+use super::ground::FOR_THICKNESS;
 use super::patches::{Options, Patches};
-use super::propagate::FOR_THICKNESS;
 use crate::base::geometry::{cross, dot, position, sub, unit};
-use crate::base::ids::TriangleId;
+use crate::base::ids::{HalfedgeId, TriangleId};
+use crate::base::parallel;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
 
 /// The paper's two criteria; the bound on distance; else colours, a locked vertex, or that another patch was there
 /// first.
 pub const REASONS: [&str; 4] = ["fidelity", "detail", "shape", "other"];
+
+/// Halfedges that one thread looks at in one go.
+const BATCH: usize = 1 << 13;
 
 /// Edges of the mesh between two patches, by the first of the reasons that holds for the patches on both sides.
 pub fn count<const D: usize>(
@@ -36,14 +40,8 @@ pub fn count<const D: usize>(
         let high = heights.into_iter().fold(patch.heights[1], f64::max);
         high - low <= FOR_THICKNESS * options.max_distance
     };
-    let mut refused = [0; 4];
-    for &h in borders.all() {
-        let twin = connectivity.twin(h);
-        if twin.is_none() || h > twin {
-            continue;
-        }
-        let [s, t] = [h, twin].map(|h| Connectivity::triangle(h).0);
-        let reason = if !suits(s, t) && !suits(t, s) {
+    let reason = |s: u32, t: u32| {
+        if !suits(s, t) && !suits(t, s) {
             0
         } else if dot(&normal(s), &normal(t)) <= options.detail {
             1
@@ -51,8 +49,24 @@ pub fn count<const D: usize>(
             2
         } else {
             3
-        };
-        refused[reason] += 1;
-    }
-    refused
+        }
+    };
+    let batches: Vec<&[HalfedgeId]> = borders.all().chunks(BATCH).collect();
+    let counted = parallel::map(
+        batches.len(),
+        options.threads,
+        || (),
+        |(), batch| {
+            let mut refused = [0; 4];
+            for &h in batches[batch] {
+                let twin = connectivity.twin(h);
+                if twin.is_some() && h < twin {
+                    let [s, t] = [h, twin].map(|h| Connectivity::triangle(h).0);
+                    refused[reason(s, t)] += 1;
+                }
+            }
+            refused
+        },
+    );
+    counted.into_iter().fold([0; 4], |sum: [u64; 4], part| std::array::from_fn(|i| sum[i] + part[i]))
 }

@@ -9,12 +9,16 @@ use super::patches::{Options, Patch, Patches, is_border};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, norm2, position, segment_distance2, sub};
 use crate::base::ids::{HalfedgeId, VertexId};
+use crate::base::parallel;
 use crate::base::progress::Progress;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 /// A longer chain is cut, as the time for a chain can grow with the square of its length.
 const LONGEST: usize = 512;
+
+/// Patches that one thread takes at a time.
+const BATCH: usize = 16;
 
 /// How far the border of a patch may leave its chords.
 pub fn tolerance(patch: &Patch, options: &Options) -> f64 {
@@ -36,46 +40,65 @@ pub fn straighten<const D: usize>(
     borders: &Borders,
     known: Option<(&[bool], &[Option<u32>])>,
     options: &Options,
-    progress: &mut Progress,
+    progress: &Progress,
 ) -> Result<Vec<bool>, KernelError> {
-    let connectivity = &mesh.connectivity;
     let is_corner = |v: VertexId| borders.degree[v.index()] != 2 || mesh.lock(v) != Lock::Free;
-    let mut stays: Vec<bool> = (0..mesh.points.len()).map(VertexId::from_index).map(is_corner).collect();
-    let mut is_done = vec![false; mesh.points.len()];
-    let mut chain = Chain { mesh, vertices: vec![], stack: vec![], is_closed: false };
+    let mut stays: Vec<bool> =
+        parallel::collect(mesh.points.len(), options.threads, |v| is_corner(VertexId::from_index(v)));
     let tolerances: Vec<f64> = patches.patches.iter().map(|p| tolerance(p, options)).collect();
-    // Chains between corners first; what is left then has none.
-    for from_corner in [true, false] {
-        for patch in 0..patches.patches.len() {
-            progress.check_now_and_then()?;
-            for &h in borders.loops(patch).flatten() {
-                let (start, second) = (connectivity.origin(h), connectivity.target(h));
-                let is_new = if from_corner {
-                    is_corner(start) && !is_corner(second) && !is_done[second.index()]
-                } else {
-                    !is_corner(start) && !is_done[start.index()]
-                };
-                if !is_new {
-                    continue;
-                }
-                chain.trace(&patches.of, h, is_corner);
-                let twin = connectivity.twin(h);
-                let beside = if twin.is_some() {
-                    patches.of[Connectivity::triangle(twin).index()] as usize
-                } else {
-                    patch
-                };
-                chain.vertices.iter().for_each(|v| is_done[v.index()] = true);
-                match known {
-                    Some((before, was)) if was[patch].is_some() && was[beside].is_some() => {
-                        chain.vertices.iter().for_each(|v| stays[v.index()] |= before[v.index()]);
+    let count = patches.patches.len();
+    let kept: Vec<Result<Vec<VertexId>, KernelError>> = parallel::map(
+        count.div_ceil(BATCH),
+        options.threads,
+        || Chain { mesh, vertices: vec![], stack: vec![], is_closed: false, stays: vec![] },
+        |chain, batch| {
+            progress.check()?;
+            for patch in batch * BATCH..count.min((batch + 1) * BATCH) {
+                for (start, beside) in chains(mesh, patches, borders, patch, is_corner) {
+                    chain.trace(&patches.of, start, is_corner);
+                    match known {
+                        Some((before, was)) if was[patch].is_some() && was[beside].is_some() => {
+                            chain.stays.extend(chain.vertices.iter().filter(|v| before[v.index()]));
+                        }
+                        _ => chain.straighten(tolerances[patch].min(tolerances[beside]), is_corner),
                     }
-                    _ => chain.straighten(tolerances[patch].min(tolerances[beside]), &mut stays),
                 }
             }
-        }
+            Ok(std::mem::take(&mut chain.stays))
+        },
+    );
+    for vertices in kept {
+        vertices?.into_iter().for_each(|v| stays[v.index()] = true);
     }
     Ok(stays)
+}
+
+/// Where the chains begin that a patch is on the left of, and the patch on their other side; of a chain between two
+/// patches the one with the lower number takes care.
+fn chains<const D: usize>(
+    mesh: &Mesh<D>,
+    patches: &Patches,
+    borders: &Borders,
+    patch: usize,
+    is_corner: impl Fn(VertexId) -> bool + Copy,
+) -> impl Iterator<Item = (HalfedgeId, usize)> {
+    let connectivity = &mesh.connectivity;
+    let begins =
+        move |&h: &HalfedgeId| is_corner(connectivity.origin(h)) && !is_corner(connectivity.target(h));
+    let own = move |h: HalfedgeId| {
+        let twin = connectivity.twin(h);
+        let beside =
+            if twin.is_some() { patches.of[Connectivity::triangle(twin).index()] as usize } else { patch };
+        (beside >= patch).then_some((h, beside))
+    };
+    // A loop without a corner is a chain that begins anywhere.
+    let starts = move |halfedges: &'_ [HalfedgeId]| {
+        let is_bare = !halfedges.iter().any(|&h| is_corner(connectivity.origin(h)));
+        let bare = is_bare.then(|| halfedges[0]);
+        let from_corners: Vec<HalfedgeId> = halfedges.iter().copied().filter(begins).collect();
+        bare.into_iter().chain(from_corners)
+    };
+    borders.loops(patch).flat_map(starts).filter_map(own)
 }
 
 struct Chain<'a, const D: usize> {
@@ -84,6 +107,8 @@ struct Chain<'a, const D: usize> {
     stack: Vec<(usize, usize)>,
     /// Whether its ends are the same vertex.
     is_closed: bool,
+    /// The vertices of all chains that stay.
+    stays: Vec<VertexId>,
 }
 
 impl<const D: usize> Chain<'_, D> {
@@ -109,14 +134,14 @@ impl<const D: usize> Chain<'_, D> {
         position(self.mesh.point(self.vertices[i]))
     }
 
-    fn straighten(&mut self, tolerance: f64, stays: &mut [bool]) {
+    fn straighten(&mut self, tolerance: f64, is_corner: impl Fn(VertexId) -> bool) {
         let last = self.vertices.len() - 1;
         if !self.is_closed {
-            stays[self.vertices[0].index()] = true;
-            self.keep_between(0, last, tolerance, stays);
+            self.stays.push(self.vertices[0]);
+            self.keep_between(0, last, tolerance);
             return;
         }
-        if self.vertices.iter().all(|v| !stays[v.index()]) {
+        if !is_corner(self.vertices[0]) {
             // Without a corner, begin at an end of it.
             let far = self.farthest_from(self.at(0), 0, last);
             self.vertices.pop();
@@ -124,15 +149,14 @@ impl<const D: usize> Chain<'_, D> {
             self.vertices.push(self.vertices[0]);
         }
         let middle = self.farthest_from(self.at(0), 0, last);
-        stays[self.vertices[0].index()] = true;
-        stays[self.vertices[middle].index()] = true;
-        let kept = self.keep_between(0, middle, tolerance, stays)
-            + self.keep_between(middle, last, tolerance, stays);
+        self.stays.push(self.vertices[0]);
+        self.stays.push(self.vertices[middle]);
+        let kept = self.keep_between(0, middle, tolerance) + self.keep_between(middle, last, tolerance);
         if kept == 0 {
             // Two vertices bound nothing.
             let sides = [self.farthest_between(0, middle), self.farthest_between(middle, last)];
             if let Some((i, _)) = sides.into_iter().flatten().max_by(|a, b| a.1.total_cmp(&b.1)) {
-                stays[self.vertices[i].index()] = true;
+                self.stays.push(self.vertices[i]);
             }
         }
     }
@@ -162,20 +186,20 @@ impl<const D: usize> Chain<'_, D> {
     }
 
     /// Returns how many vertices stay between the two.
-    fn keep_between(&mut self, from: usize, to: usize, tolerance: f64, stays: &mut [bool]) -> usize {
+    fn keep_between(&mut self, from: usize, to: usize, tolerance: f64) -> usize {
         let mut kept = 0;
         let mut begin = from;
         while begin < to {
             let end = if to - begin > LONGEST { begin + LONGEST } else { to };
             if end < to {
-                stays[self.vertices[end].index()] = true;
+                self.stays.push(self.vertices[end]);
                 kept += 1;
             }
             self.stack.push((begin, end));
             while let Some((a, b)) = self.stack.pop() {
                 let Some((far, away)) = self.farthest_between(a, b) else { continue };
                 if away > tolerance * tolerance {
-                    stays[self.vertices[far].index()] = true;
+                    self.stays.push(self.vertices[far]);
                     kept += 1;
                     self.stack.extend([(a, far), (far, b)]);
                 }

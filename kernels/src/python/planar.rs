@@ -93,11 +93,12 @@ fn options(
 
 /// The mesh with its locked vertices.
 fn mesh_of<const D: usize>(
+    threads: usize,
     points: Vec<[f64; D]>,
     triangles: &[[u32; 3]],
     locked: &[bool],
 ) -> Result<Mesh<D>, crate::base::errors::KernelError> {
-    let mut mesh = Mesh::<D>::new(points, triangles)?;
+    let mut mesh = Mesh::<D>::new_on(threads, points, triangles)?;
     for (lock, _) in mesh.locks.iter_mut().zip(locked).filter(|(_, locked)| **locked) {
         *lock = Lock::Locked;
     }
@@ -143,7 +144,7 @@ fn simplify_points<const D: usize, const K: usize>(
     let (points, triangles) = inputs.copied::<D>()?;
     let (mesh, result, is_partial): (Mesh<D>, Planar, bool) =
         detached(py, Some(progress), partial, |progress| {
-            let mesh = mesh_of(points, &triangles, locked)?;
+            let mesh = mesh_of(options.threads, points, &triangles, locked)?;
             let result = simplify::<D, K>(&mesh, options, progress)?;
             Ok((mesh, result, progress.is_enough()))
         })?;
@@ -196,7 +197,7 @@ fn patches_of_points<const D: usize, const K: usize>(
 ) -> PyResult<PlanarPatches> {
     let (points, triangles) = inputs.copied::<D>()?;
     let (mesh, patches) = detached(py, Some(progress), false, |progress| {
-        let mesh = mesh_of(points, &triangles, &[])?;
+        let mesh = mesh_of(options.threads, points, &triangles, &[])?;
         let patches =
             propagate::propagate::<D, K>(&mesh, &facets(&mesh, options.threads), options, progress)?;
         Ok((mesh, patches))

@@ -57,6 +57,63 @@ fn errors_name_the_elements() {
     assert_eq!(message, "1 edge belongs to more than two triangles (0–1)");
 }
 
+/// A sheet whose vertices and triangles are in no order; large enough to be connected on several threads.
+fn shuffled_sheet() -> (usize, Vec<[u32; 3]>) {
+    let (points, mut triangles) = sheet(150, 100);
+    let mut noise = Noise(5);
+    let mut name: Vec<u32> = (0..points.len() as u32).collect();
+    for i in (1..name.len()).rev() {
+        name.swap(i, noise.below(i + 1));
+    }
+    triangles.iter_mut().flatten().for_each(|v| *v = name[*v as usize]);
+    for i in (1..triangles.len()).rev() {
+        triangles.swap(i, noise.below(i + 1));
+    }
+    (points.len(), triangles)
+}
+
+#[test]
+fn numbers_are_the_same_on_any_number_of_threads() {
+    let (vertices, triangles) = shuffled_sheet();
+    let alone = connect(vertices, &triangles);
+    alone.validate().unwrap();
+    // By the lower end, then by the higher.
+    let ends = |e: EdgeId| {
+        let [a, b] = alone.ends(e);
+        [a.min(b), a.max(b)]
+    };
+    assert!(alone.edges().map(ends).is_sorted());
+    for threads in [2, 3, 16] {
+        let found = Connectivity::from_triangles_on(threads, vertices, &triangles).unwrap();
+        assert_eq!(format!("{found:?}"), format!("{alone:?}"));
+    }
+}
+
+#[test]
+fn complaints_are_the_same_on_any_number_of_threads() {
+    let (vertices, sound) = shuffled_sheet();
+    let turned = |t: &[u32; 3]| [t[0], t[2], t[1]];
+    let with = |spoil: &dyn Fn(&mut Vec<[u32; 3]>)| {
+        let mut triangles = sound.clone();
+        spoil(&mut triangles);
+        triangles
+    };
+    let last = vertices as u32;
+    for triangles in [
+        with(&|t| (0..t.len()).step_by(1000).for_each(|i| t.push(t[i]))),
+        with(&|t| (0..t.len()).step_by(1000).for_each(|i| t[i] = turned(&t[i]))),
+        with(&|t| t.extend([[last, last + 1, last + 2], [last, last + 2, last + 1]])),
+        with(&|t| t.extend([[t[0][0], last, last + 1], [t[9][0], last + 1, last + 2]])),
+        with(&|t| t[7][1] = last + 3),
+    ] {
+        let alone = Connectivity::from_triangles(vertices + 3, &triangles).unwrap_err();
+        for threads in [2, 3] {
+            let found = Connectivity::from_triangles_on(threads, vertices + 3, &triangles).unwrap_err();
+            assert_eq!(found, alone);
+        }
+    }
+}
+
 #[test]
 fn a_closed_fan_and_an_open_one_at_a_vertex_are_a_pinch() {
     let (_, mut triangles) = octahedron();

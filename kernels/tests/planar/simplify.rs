@@ -222,3 +222,38 @@ fn triangles_of_different_labels_are_in_different_patches() {
         assert_eq!(is_left, source / 2 % n < n / 2);
     }
 }
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    // Patches of all sizes, many of them restless, and some that lie over themselves.
+    let (mut points, triangles) = ball(6);
+    let mut noise = Noise(11);
+    for p in &mut points {
+        let waves = 1.0 + 0.05 * (7.0 * p[0]).sin() * (9.0 * p[1]).cos() + 0.004 * (noise.next() - 0.5);
+        *p = p.map(|x| x * waves);
+    }
+    let colored: Vec<[f64; 6]> = points
+        .iter()
+        .map(|p| [p[0], p[1], p[2], 90.0 * p[0], 90.0 * p[1] * p[2], 50.0 * noise.next()])
+        .collect();
+    for distance in [0.002, 0.01, 0.05] {
+        for (max_color, noise) in [(f64::INFINITY, 0.3), (40.0, 0.3), (40.0, 2.0)] {
+            let on = |threads: usize| {
+                let mesh = Mesh::<6>::new_on(threads, colored.clone(), &triangles).expect("a manifold");
+                let options = Options { max_color, noise, threads, ..options(distance) };
+                let mut result = planar::<6, 3>(&mesh, &options);
+                let patches = std::mem::take(&mut result.patches.patches);
+                let bits: Vec<[u64; 6]> = patches
+                    .iter()
+                    .map(|p| [p.area, p.heights[0], p.heights[1], p.residual, p.gradient, p.normal[0]])
+                    .map(|values| values.map(f64::to_bits))
+                    .collect();
+                (format!("{result:?}"), bits)
+            };
+            let alone = on(1);
+            for threads in [2, 3, 8] {
+                assert!(on(threads) == alone, "{threads} threads, {distance}, {max_color}, {noise}");
+            }
+        }
+    }
+}

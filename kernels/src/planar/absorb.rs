@@ -1,0 +1,110 @@
+//! What is left over in patches too small to matter joins a neighbour that holds it within its bounds.
+
+use super::claims::Claims;
+use super::ground::{Ground, LEAST_COSINE};
+use super::growth::Grown;
+use crate::base::geometry::dot;
+use crate::base::parallel;
+
+/// Patches of less area than so many squares of the largest distance count as noise.
+const NOISE_AREA: f64 = 4.0;
+
+/// Triangles that one thread looks at in one go.
+const BATCH: usize = 1 << 15;
+
+/// Set the triangles of small patches free, and let the others take in, layer by layer, what their bounds hold.
+/// Returns the faces looked at.
+pub fn absorb<const D: usize, const K: usize>(
+    ground: &Ground<'_, D>,
+    claims: &mut Claims,
+    grown: &mut Vec<Grown<K>>,
+) -> u64 {
+    let least = NOISE_AREA * ground.options.max_distance * ground.options.max_distance;
+    let is_loose: Vec<bool> = grown.iter().map(|grown| grown.patch.area < least).collect();
+    if !is_loose.contains(&true) {
+        return 0;
+    }
+    let (loose, mut wave) = loose_and_beside(ground, claims, &is_loose);
+    loose.into_iter().for_each(|t| claims.unsettle(t));
+    let (mut at, mut looks) = (0, 0);
+    while at < wave.len() {
+        let from = wave[at];
+        at += 1;
+        let Some(id) = claims.patch(from) else { continue };
+        for to in ground.beside(from) {
+            looks += 1;
+            if claims.is_free(to) && take_in(ground, &mut grown[id as usize], to) {
+                claims.settle(to, id);
+                wave.push(to);
+            }
+        }
+    }
+    forget(ground.options.threads, claims, grown, &is_loose);
+    looks
+}
+
+/// The triangles of loose patches, and those of others that are beside them.
+fn loose_and_beside<const D: usize>(
+    ground: &Ground<'_, D>,
+    claims: &Claims,
+    is_loose: &[bool],
+) -> (Vec<u32>, Vec<u32>) {
+    let is_loose = |t: u32| claims.patch(t).is_some_and(|patch| is_loose[patch as usize]);
+    let count = ground.facets.len();
+    let found = parallel::map(
+        count.div_ceil(BATCH),
+        ground.options.threads,
+        || (),
+        |(), batch| {
+            let (mut loose, mut beside) = (vec![], vec![]);
+            for t in (batch * BATCH..count.min((batch + 1) * BATCH)).map(|t| t as u32) {
+                if is_loose(t) {
+                    loose.push(t);
+                } else if ground.beside(t).any(is_loose) {
+                    beside.push(t);
+                }
+            }
+            (loose, beside)
+        },
+    );
+    let (loose, beside): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    (loose.concat(), beside.concat())
+}
+
+/// Let a patch take in a triangle, if it is the kind of patch, and within its bounds.
+fn take_in<const D: usize, const K: usize>(ground: &Ground<'_, D>, grown: &mut Grown<K>, to: u32) -> bool {
+    let (normal, area) = ground.facets[to as usize];
+    let stands = area == 0.0 || dot(&normal, &grown.fit.normal) > ground.options.noise.max(LEAST_COSINE);
+    let stands = stands && ground.have_one_label(grown.patch.seed, to);
+    if !grown.is_open || !stands || ground.is_locked(to) {
+        return false;
+    }
+    let (mut heights, mut residual2) = (grown.heights, grown.residual2);
+    for p in ground.corners(to) {
+        let height = grown.fit.height(p);
+        heights = [heights[0].min(height), heights[1].max(height)];
+        residual2 = residual2.max(grown.fit.residual2(p));
+    }
+    if ground.exceeds(heights, residual2, K > 0) {
+        return false;
+    }
+    (grown.heights, grown.residual2) = (heights, residual2);
+    grown.patch.area += area;
+    grown.patch.faces += 1;
+    true
+}
+
+/// Number the patches that are left without gaps.
+fn forget<const K: usize>(threads: usize, claims: &mut Claims, grown: &mut Vec<Grown<K>>, is_loose: &[bool]) {
+    let mut kept = 0;
+    let number: Vec<u32> = is_loose
+        .iter()
+        .map(|&loose| {
+            kept += u32::from(!loose);
+            kept.wrapping_sub(1)
+        })
+        .collect();
+    let mut loose = is_loose.iter();
+    grown.retain(|_| !loose.next().copied().unwrap_or(false));
+    claims.renumber(threads, &number);
+}

@@ -1,0 +1,153 @@
+//! The state of an assembly: which vertices stay, and what each patch has become.
+
+use std::sync::OnceLock;
+
+use super::border::Borders;
+use super::patches::{Options, Patch, Patches};
+use super::polygon::Polygon;
+use crate::base::ids::{TriangleId, VertexId};
+use crate::base::parallel;
+use crate::mesh::connectivity::Connectivity;
+use crate::mesh::triangle_mesh::Mesh;
+
+/// Patches that one thread takes at a time.
+pub(super) const BATCH: usize = 64;
+
+/// The triangles of the input sorted by patch, and where each patch begins.
+fn by_patch(patches: &Patches) -> (Vec<u32>, Vec<u32>) {
+    let mut starts = vec![0u32; patches.patches.len() + 1];
+    patches.of.iter().for_each(|&p| starts[p as usize + 1] += 1);
+    (0..patches.patches.len()).for_each(|p| starts[p + 1] += starts[p]);
+    let mut next = starts.clone();
+    let mut members = vec![0; patches.of.len()];
+    for (t, &p) in patches.of.iter().enumerate() {
+        members[next[p as usize] as usize] = t as u32;
+        next[p as usize] += 1;
+    }
+    (members, starts)
+}
+
+pub(super) struct Assembly<'a, const D: usize> {
+    pub(super) mesh: &'a Mesh<D>,
+    pub(super) options: &'a Options,
+    pub(super) patches: &'a Patches,
+    pub(super) borders: &'a Borders,
+    /// The triangles of all patches, which few results need.
+    pub(super) members: OnceLock<(Vec<u32>, Vec<u32>)>,
+    /// Vertices on borders that the result has.
+    pub(super) stays: Vec<bool>,
+    /// Patches that keep their triangles, inner vertices included.
+    pub(super) kept: Vec<bool>,
+    /// Those of them that have no triangulation though all vertices of their borders are there.
+    pub(super) is_folded: Vec<bool>,
+    pub(super) tries: Vec<u8>,
+    /// Edges that a patch must not have inside, as they are elsewhere; sorted.
+    pub(super) forbidden: Vec<(u32, [VertexId; 2])>,
+    /// The triangles of each patch that does not keep its own, and their sources.
+    pub(super) triangles: Vec<Vec<([u32; 3], u32)>>,
+    /// Of the result, sorted, but for the patches that have changed.
+    pub(super) edges: Vec<Edge>,
+    /// Patches whose edges may be others since these were gathered.
+    pub(super) has_changed: Vec<bool>,
+    pub(super) rounds: usize,
+}
+
+impl<const D: usize> Assembly<'_, D> {
+    pub(super) fn polygon(&self, patch: u32) -> Polygon<'_> {
+        let number = patch as usize;
+        Polygon::new(self.mesh, self.borders, number, &self.patches.patches[number], &self.stays)
+    }
+
+    pub(super) fn once_each(&self, mut again: Vec<u32>) -> Vec<u32> {
+        again.sort_unstable();
+        again.dedup();
+        again.retain(|&p| !self.kept[p as usize]);
+        again
+    }
+
+    pub(super) fn put_back(&mut self, v: VertexId, again: &mut Vec<u32>) {
+        if !std::mem::replace(&mut self.stays[v.index()], true) {
+            let triangles = self.mesh.connectivity.fan(v).map(|h| Connectivity::triangle(h).index());
+            again.extend(triangles.map(|t| self.patches.of[t]));
+        }
+    }
+
+    pub(super) fn keep(&mut self, patch: u32, again: &mut Vec<u32>) {
+        self.kept[patch as usize] = true;
+        self.has_changed[patch as usize] = true;
+        self.triangles[patch as usize] = vec![];
+        let borders = self.borders;
+        for &h in borders.loops(patch as usize).flatten() {
+            self.put_back(self.mesh.connectivity.origin(h), again);
+        }
+    }
+
+    pub(super) fn members(&self, patch: u32) -> &[u32] {
+        let (members, starts) = self.members.get_or_init(|| by_patch(self.patches));
+        &members[starts[patch as usize] as usize..starts[patch as usize + 1] as usize]
+    }
+
+    /// How far the surfaces are apart in each patch at most, in shape and in colour.
+    pub(super) fn bounds(&self) -> Vec<[f64; 2]> {
+        let mut bounds = vec![[0.0; 2]; self.patches.patches.len()];
+        parallel::fill(&mut bounds, self.options.threads, |p| {
+            let patch: &Patch = &self.patches.patches[p];
+            if self.kept[p] {
+                return [0.0; 2];
+            }
+            let polygon = self.polygon(p as u32);
+            let away = (0..polygon.corners.len()).filter_map(|c| polygon.farthest(self.mesh, c));
+            let aside = away.map(|(_, away)| away).fold(0.0, f64::max);
+            [patch.thickness().hypot(aside), 2.0 * patch.residual + patch.gradient * aside]
+        });
+        bounds
+    }
+
+    #[allow(clippy::type_complexity)]
+    pub(super) fn output(&self) -> (Vec<u32>, Vec<[u32; 3]>, Vec<u32>, Vec<u32>) {
+        let connectivity = &self.mesh.connectivity;
+        let (mut triangles, mut sources, mut patch) = (vec![], vec![], vec![]);
+        for p in 0..self.patches.patches.len() as u32 {
+            if self.kept[p as usize] {
+                for &t in self.members(p) {
+                    triangles.push(connectivity.corners(TriangleId(t)).map(|v| v.0));
+                    sources.push(t);
+                }
+            } else {
+                for &(triangle, source) in &self.triangles[p as usize] {
+                    triangles.push(triangle);
+                    sources.push(source);
+                }
+            }
+            patch.resize(triangles.len(), p);
+        }
+        let mut number = vec![u32::MAX; self.mesh.points.len()];
+        triangles.iter().flatten().for_each(|&v| number[v as usize] = 0);
+        let mut vertices = vec![];
+        for (v, number) in number.iter_mut().enumerate().filter(|(_, n)| **n == 0) {
+            *number = vertices.len() as u32;
+            vertices.push(v as u32);
+        }
+        triangles.iter_mut().flatten().for_each(|v| *v = number[*v as usize]);
+        sources.iter_mut().for_each(|t| *t = self.mesh.triangle_source[*t as usize]);
+        (vertices, triangles, sources, patch)
+    }
+}
+
+pub(super) fn sorted(a: VertexId, b: VertexId) -> [VertexId; 2] {
+    [a.min(b), a.max(b)]
+}
+
+/// What an edge of the result is; in the order in which one of several between the same vertices may stay.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+pub(super) enum Kind {
+    /// An edge of the input.
+    Own,
+    /// A chord of a border.
+    Chord,
+    /// An edge inside a patch.
+    Inner,
+}
+
+/// An edge of the result: its ends, what it is, which one of its kind, and whose.
+pub(super) type Edge = ([VertexId; 2], Kind, u32, u32);

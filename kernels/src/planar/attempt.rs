@@ -1,0 +1,128 @@
+//! One patch of an assembly: triangles in its place, or what has to come back first.
+
+use super::assembly::{Assembly, sorted};
+use super::polygon::Polygon;
+use super::retriangulate::{Triangles, Unsound, is_left, triangulate};
+use super::straighten::tolerance;
+use crate::base::geometry::dot;
+use crate::base::ids::VertexId;
+use crate::mesh::connectivity::Connectivity;
+
+/// After so many tries a patch gets all vertices of its border back, and then keeps its triangles.
+pub(super) const MOST_TRIES: u8 = 8;
+
+#[derive(Clone)]
+pub(super) enum Outcome {
+    New(Vec<([u32; 3], u32)>),
+    /// Vertices without which there is no triangulation.
+    PutBack(Vec<VertexId>),
+    /// Vertices that are too far from what has become of their chord since others were put back.
+    Tighten(Vec<VertexId>),
+    /// Nothing to gain.
+    Keep,
+    /// Nothing has helped.
+    GiveUp,
+}
+
+impl<const D: usize> Assembly<'_, D> {
+    pub(super) fn retriangulate(&self, number: u32) -> Outcome {
+        let patch = &self.patches.patches[number as usize];
+        let inner = self.borders.inside[number as usize];
+        if patch.faces == 1 && self.polygon_is_whole(number) {
+            return Outcome::Keep;
+        }
+        if !self.borders.is_planar(number as usize, patch.faces) || dot(&patch.normal, &patch.normal) == 0.0 {
+            return Outcome::GiveUp;
+        }
+        let polygon = self.polygon(number);
+        if inner == 0 && polygon.is_whole() {
+            return Outcome::Keep;
+        }
+        if self.rounds > 1 {
+            let most = tolerance(patch, self.options);
+            let too_far = |c| polygon.farthest(self.mesh, c).filter(|(_, away)| *away > most);
+            let far: Vec<VertexId> = (0..polygon.corners.len()).filter_map(too_far).map(|(v, _)| v).collect();
+            if !far.is_empty() {
+                return Outcome::Tighten(far);
+            }
+        }
+        let found = triangulate(&polygon).and_then(|found| self.without_forbidden(number, &polygon, found));
+        match found {
+            Ok(triangles) => Outcome::New(self.with_sources(&polygon, &triangles)),
+            Err(Unsound(chords)) => self.relieved(number, &polygon, &chords),
+        }
+    }
+
+    fn polygon_is_whole(&self, patch: u32) -> bool {
+        let mut border = self.borders.loops(patch as usize).flatten();
+        border.all(|&h| self.stays[self.mesh.connectivity.origin(h).index()])
+    }
+
+    /// Vertices to put back: of the chords in the way, or of all, if these are not known.
+    pub(super) fn relieved(&self, number: u32, polygon: &Polygon<'_>, chords: &[usize]) -> Outcome {
+        let tries = self.tries[number as usize];
+        if tries > MOST_TRIES || polygon.is_whole() {
+            return Outcome::GiveUp;
+        }
+        if tries == MOST_TRIES {
+            let all = self.borders.loops(number as usize).flatten();
+            return Outcome::PutBack(all.map(|&h| self.mesh.connectivity.origin(h)).collect());
+        }
+        let mut back = polygon.all_of_bare_loops();
+        let farthest = |&c: &usize| polygon.farthest(self.mesh, c).map(|(v, _)| v);
+        back.extend(chords.iter().filter_map(farthest));
+        if back.is_empty() {
+            // Small loops are the likely ones to have gone astray.
+            let longest = polygon.loops.iter().map(|l| l.len()).max().unwrap_or(0);
+            let small = polygon.loops.iter().filter(|l| l.len() < longest).flat_map(Clone::clone);
+            back.extend(small.filter_map(|c| farthest(&c)));
+        }
+        if back.is_empty() {
+            back.extend((0..polygon.corners.len()).filter_map(|c| farthest(&c)));
+        }
+        Outcome::PutBack(back)
+    }
+
+    fn with_sources(&self, polygon: &Polygon<'_>, triangles: &Triangles) -> Vec<([u32; 3], u32)> {
+        let corner = |c: u32| &polygon.corners[c as usize];
+        let sourced =
+            |t: &[u32; 3]| (t.map(|c| corner(c).vertex.0), Connectivity::triangle(corner(t[0]).halfedge).0);
+        triangles.iter().map(sourced).collect()
+    }
+
+    /// Flip the edges that are elsewhere already.
+    fn without_forbidden(
+        &self,
+        number: u32,
+        polygon: &Polygon<'_>,
+        mut triangles: Triangles,
+    ) -> Result<Triangles, Unsound> {
+        let from = self.forbidden.partition_point(|f| f.0 < number);
+        let own: Vec<[VertexId; 2]> =
+            self.forbidden[from..].iter().take_while(|f| f.0 == number).map(|f| f.1).collect();
+        let vertex = |c: u32| polygon.corners[c as usize].vertex;
+        let is_forbidden = |a: u32, b: u32| own.binary_search(&sorted(vertex(a), vertex(b))).is_ok();
+        for _ in 0..2 * own.len() {
+            let Some((t, side)) = (0..triangles.len())
+                .flat_map(|t| (0..3).map(move |side| (t, side)))
+                .find(|&(t, side)| is_forbidden(triangles[t][side], triangles[t][(side + 1) % 3]))
+            else {
+                return Ok(triangles);
+            };
+            let [a, b, c] = [0, 1, 2].map(|i| triangles[t][(side + i) % 3]);
+            let across =
+                (0..triangles.len()).flat_map(|t| (0..3).map(move |side| (t, side))).find(|&(u, side)| {
+                    let ends = (triangles[u][side], triangles[u][(side + 1) % 3]);
+                    vertex(ends.0) == vertex(b) && vertex(ends.1) == vertex(a)
+                });
+            let Some((u, other)) = across else { return Err(Unsound(vec![])) };
+            let d = triangles[u][(other + 2) % 3];
+            let flipped = [[a, d, c], [d, b, c]];
+            if is_forbidden(c, d) || !flipped.iter().all(|&f| is_left(polygon, f)) {
+                return Err(Unsound(vec![]));
+            }
+            (triangles[t], triangles[u]) = (flipped[0], flipped[1]);
+        }
+        if own.is_empty() { Ok(triangles) } else { Err(Unsound(vec![])) }
+    }
+}

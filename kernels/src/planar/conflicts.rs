@@ -1,0 +1,147 @@
+//! What makes an assembly no manifold although each of its patches is sound: edges that are there more than once, and
+//! triangles back to back.
+
+use super::assembly::{Assembly, BATCH, Edge, Kind, sorted};
+use super::attempt::{MOST_TRIES, Outcome};
+use crate::base::errors::KernelError;
+use crate::base::ids::{HalfedgeId, VertexId};
+use crate::base::parallel;
+use crate::mesh::connectivity::Connectivity;
+
+impl<const D: usize> Assembly<'_, D> {
+    /// Resolve what makes the result no manifold; returns the patches that have to be done again.
+    pub(super) fn conflicts(&mut self) -> Vec<u32> {
+        let edges = self.gathered_edges();
+        let mut again = vec![];
+        for same in edges.chunk_by(|e, f| e.0 == f.0) {
+            // The first may stay, seen from both sides.
+            let first = (same[0].1, same[0].2);
+            for edge in same.iter().filter(|e| (e.1, e.2) != first) {
+                self.resolve(edge, &mut again);
+            }
+        }
+        self.edges = edges;
+        self.forbidden.sort_unstable();
+        self.forbidden.dedup();
+        if again.is_empty() {
+            self.look_at_whole(&mut again);
+        }
+        self.once_each(again)
+    }
+
+    /// All edges, sorted; those of patches that have not changed are known.
+    fn gathered_edges(&mut self) -> Vec<Edge> {
+        let count = self.has_changed.len();
+        let changed: Vec<u32> = (0..count as u32).filter(|&p| self.has_changed[p as usize]).collect();
+        let mut fresh: Vec<Edge> = parallel::map(
+            changed.len().div_ceil(BATCH),
+            self.options.threads,
+            || (),
+            |_, batch| {
+                let end = changed.len().min((batch + 1) * BATCH);
+                changed[batch * BATCH..end].iter().flat_map(|&p| self.edges(p)).collect::<Vec<_>>()
+            },
+        )
+        .concat();
+        fresh.sort_unstable();
+        let mut edges = std::mem::take(&mut self.edges);
+        edges.retain(|edge| !self.has_changed[edge.3 as usize]);
+        edges.extend(fresh);
+        // Of two sorted runs a stable sort makes one.
+        edges.sort();
+        self.has_changed.fill(false);
+        edges
+    }
+
+    fn edges(&self, patch: u32) -> Vec<Edge> {
+        let connectivity = &self.mesh.connectivity;
+        let mut edges = vec![];
+        if self.kept[patch as usize] {
+            for &t in self.members(patch) {
+                for h in (3 * t..3 * t + 3).map(HalfedgeId) {
+                    let ends = sorted(connectivity.origin(h), connectivity.target(h));
+                    edges.push((ends, Kind::Own, connectivity.edge(h).0, patch));
+                }
+            }
+            return edges;
+        }
+        let polygon = self.polygon(patch);
+        let mut border: Vec<[VertexId; 2]> = vec![];
+        for (c, corner) in polygon.corners.iter().enumerate() {
+            let ends = sorted(corner.vertex, polygon.corners[corner.next].vertex);
+            let (mut length, mut least) = (0, u32::MAX);
+            for h in polygon.chord(c) {
+                (length, least) = (length + 1, least.min(connectivity.edge(h).0));
+            }
+            edges.push((ends, if length == 1 { Kind::Own } else { Kind::Chord }, least, patch));
+            border.push(ends);
+        }
+        border.sort_unstable();
+        for (triangle, _) in &self.triangles[patch as usize] {
+            for side in 0..3 {
+                let [a, b] = [triangle[side], triangle[(side + 1) % 3]].map(VertexId);
+                // Once from each side.
+                if a < b && border.binary_search(&[a, b]).is_err() {
+                    edges.push(([a, b], Kind::Inner, patch, patch));
+                }
+            }
+        }
+        edges
+    }
+
+    fn resolve(&mut self, &(ends, kind, least, patch): &Edge, again: &mut Vec<u32>) {
+        self.tries[patch as usize] = self.tries[patch as usize].saturating_add(1);
+        if self.tries[patch as usize] > 2 * MOST_TRIES {
+            return self.keep(patch, again);
+        }
+        match kind {
+            Kind::Own => {}
+            Kind::Inner => {
+                self.forbidden.push((patch, ends));
+                again.push(patch);
+            }
+            Kind::Chord => {
+                let polygon = self.polygon(patch);
+                let edge = |h| self.mesh.connectivity.edge(h).0;
+                let chord =
+                    (0..polygon.corners.len()).find(|&c| polygon.chord(c).map(edge).min() == Some(least));
+                let vertex = chord.and_then(|c| polygon.farthest(self.mesh, c));
+                if let Some((v, _)) = vertex {
+                    self.put_back(v, again);
+                }
+            }
+        }
+    }
+
+    /// Single edges are sound by now; two triangles back to back are not, and nothing else may be wrong.
+    fn look_at_whole(&mut self, again: &mut Vec<u32>) {
+        let (vertices, triangles, _, patch) = self.output();
+        let wrong = match Connectivity::from_triangles(vertices.len(), &triangles) {
+            Ok(_) => return,
+            Err(KernelError::SameVertices(pairs)) => pairs.into_iter().flatten().collect::<Vec<u32>>(),
+            Err(KernelError::PinchedVertices(pinched)) => (0..triangles.len() as u32)
+                .filter(|&t| triangles[t as usize].iter().any(|v| pinched.binary_search(v).is_ok()))
+                .collect(),
+            Err(_) => (0..triangles.len() as u32).collect(),
+        };
+        let mut concerned: Vec<u32> = wrong.iter().map(|&t| patch[t as usize]).collect();
+        concerned.sort_unstable();
+        concerned.dedup();
+        concerned.retain(|&p| !self.kept[p as usize]);
+        for number in concerned {
+            let relief = self.relieved(number, &self.polygon(number), &[]);
+            match relief {
+                Outcome::PutBack(vertices) => {
+                    self.tries[number as usize] += 1;
+                    vertices.into_iter().for_each(|v| self.put_back(v, again));
+                }
+                _ => self.keep(number, again),
+            }
+            again.push(number);
+        }
+        // What is kept has changed the result even where nothing is left to be done again.
+        if self.once_each(again.clone()).is_empty() {
+            self.look_at_whole(again);
+        }
+    }
+}
