@@ -35,8 +35,9 @@ from pathlib import Path
 
 from markdown_tables import print_head, print_row
 from outputs import inputs, leaves
+from outputs.differences import Difference, Expected, differences, matches
 from outputs.jobs import QUICK, Job, all_jobs
-from outputs.leaves import Difference, Expected, Leaves, matches
+from outputs.leaves import Leaves
 
 # Differences that are meant: in which jobs, which (as they are printed: "changed 1 simplify:triangles",
 # "moved 1 simplify:proven -> 1 simplify:details.proven", ...; * is any text), and why.
@@ -182,7 +183,7 @@ def compared(job: Job, first: Side, second: Side, places: Mapping[str, Path]) ->
     before = kept(job, first, work) or made(job, first, places, work)
     after = made(job, second, places, work)
     unexpected, expected = [], []
-    for difference in leaves.differences(before.leaves, after.leaves):
+    for difference in differences(before.leaves, after.leaves):
         reason = next((one for one in EXPECTED if one.covers(job.name, difference)), None)
         if reason is None:
             unexpected.append(difference)
@@ -307,11 +308,7 @@ def print_kinds(rows: Iterable[Row]) -> None:
 
 def print_differences(found: Iterable[Difference]) -> None:
     """Print differences, one a line, with the values of both sides."""
-    lines = []
-    for one in found:
-        values = {"changed": f": {one.first} | {one.second}", "moved": f": {one.first}"}
-        values |= {"gone": f": {one.first}", "new": f": {one.second}"}
-        lines.append(f"- {one}{values[one.kind]}")
+    lines = [f"- {one}: {one.values}" for one in found]
     print(*lines[:_SHOWN], sep="\n")
     if len(lines) > _SHOWN:
         print(f"- and {len(lines) - _SHOWN} more")

@@ -1,4 +1,4 @@
-"""What a job left behind as leaves, each a name and a value, and where two sides differ.
+"""What a job left behind as leaves, each a name and a value.
 
 A leaf is a file and the digest of its bytes, a member of an archive, a value in a JSON document, or a line of
 text. What is different in each run has no leaf: seconds, dates, memory, keys of the cache.
@@ -11,8 +11,7 @@ import json
 import re
 import zipfile
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,37 +23,6 @@ VOLATILE = {"created", "last_used", "made_in_s", "peak_memory_mb", "seconds"}
 _BOOKKEEPING = {"CACHEDIR.TAG", "manifest.json", "names.lock", "in-use.lock", "runs"}
 _KEY = re.compile("[0-9a-f]{64}")
 _SECONDS = re.compile(r"\b\d+(\.\d+)? (s|ms|min)\b")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One leaf that is not the same on both sides; `kind` is changed, gone, new or moved."""
-
-    kind: str
-    where: str
-    first: str = ""
-    second: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.kind} {self.where}"
-
-
-@dataclass(frozen=True)
-class Expected:
-    """A difference that is meant; `*` in `job` and `what` stands for any text."""
-
-    job: str
-    what: str
-    reason: str
-
-    def covers(self, job: str, difference: Difference) -> bool:
-        """Return whether this is the difference that is meant, in the job it is meant for."""
-        return matches(self.job, job) and matches(self.what, str(difference))
-
-
-def matches(pattern: str, text: str) -> bool:
-    """Return whether the whole text fits the pattern, where `*` stands for any text."""
-    return re.fullmatch(".*".join(map(re.escape, pattern.split("*"))), text, re.DOTALL) is not None
 
 
 def of_folder(folder: Path, places: Mapping[str, str]) -> Leaves:
@@ -133,55 +101,3 @@ def _placed(text: str, places: Mapping[str, str]) -> str:
 
 def _digest(data: bytes) -> str:
     return f"{len(data):,} bytes, {hashlib.sha256(data).hexdigest()}"
-
-
-def differences(first: Leaves, second: Leaves) -> list[Difference]:
-    """Return where two sides differ. A value that only has another name now is told as moved.
-
-    Moved is a value of one document that is gone from one place and new in another, when the last part of
-    the name is the same, or no other that is gone or new there has this value.
-    """
-    found = [
-        Difference("changed", name, value, second[name])
-        for name, value in first.items()
-        if name in second and second[name] != value
-    ]
-    gone = [name for name in first if name not in second]
-    new = [name for name in second if name not in first]
-    for before, after in _moved(gone, new, first, second):
-        gone.remove(before)
-        new.remove(after)
-        found.append(Difference("moved", f"{before} -> {after}", first[before], second[after]))
-    found += [Difference("gone", name, first[name]) for name in gone]
-    found += [Difference("new", name, "", second[name]) for name in new]
-    return sorted(found, key=lambda one: one.where)
-
-
-def _moved(
-    gone: Sequence[str], new: Sequence[str], first: Leaves, second: Leaves
-) -> Iterator[tuple[str, str]]:
-    unpaired_gone, unpaired_new = _by_value(gone, first), _by_value(new, second)
-    for key, befores in unpaired_gone.items():
-        afters = unpaired_new[key]
-        for before in list(befores):
-            alike = [after for after in afters if _last(after) == _last(before)]
-            if len(alike) == 1 and sum(_last(other) == _last(before) for other in befores) == 1:
-                befores.remove(before)
-                afters.remove(alike[0])
-                yield before, alike[0]
-        if len(befores) == len(afters) == 1:
-            yield befores[0], afters[0]
-
-
-def _by_value(names: Sequence[str], leaves: Leaves) -> dict[tuple[str, str], list[str]]:
-    """Return the names in documents by document and value; files and lines of text have no other name."""
-    grouped: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for name in names:
-        document, colon, place = name.partition(":")
-        if colon and not place.startswith(" "):
-            grouped[document, leaves[name]].append(name)
-    return grouped
-
-
-def _last(name: str) -> str:
-    return name.rpartition(":")[2].rpartition(".")[2]

@@ -9,8 +9,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 import same_outputs
 from outputs import inputs
+from outputs.differences import Difference, Expected, differences, matches
 from outputs.jobs import QUICK, Job, all_jobs
-from outputs.leaves import Difference, Expected, differences, matches, of_folder, of_json, of_lines
+from outputs.leaves import of_folder, of_json, of_lines
 from same_outputs import Side, compared, conclude
 
 
@@ -82,8 +83,14 @@ def test_a_value_under_another_name_is_moved():
     assert told({"j:max_texture": "30"}, {"j:max_color": "30"}) == ["moved j:max_texture -> j:max_color"]
     # Which of the two is it?
     assert told({"j:a": "0"}, {"j:b": "0", "j:c": "0"}) == ["gone j:a", "new j:b", "new j:c"]
-    # Neither with another value, nor in another document; files and lines have no name but their own.
+    assert told({"j:a.0": "0", "j:b.0": "0"}, {"j:d.a.0": "0", "j:d.b.0": "0"}) == [
+        "moved j:a.0 -> j:d.a.0",
+        "moved j:b.0 -> j:d.b.0",
+    ]
+    # With another value too, if at least the name's last part is the same.
+    assert told({"j:a": "0"}, {"j:d.a": "1"}) == ["changed j:a -> j:d.a"]
     assert told({"j:a": "0"}, {"j:b": "1"}) == ["gone j:a", "new j:b"]
+    # Not in another document; files and lines have no name but their own.
     assert told({"j:a": "0"}, {"k:a": "0"}) == ["gone j:a", "new k:a"]
     assert told({"a.ply": "0", "log: a": "1"}, {"b.ply": "0", "log: b": "1"}) == [
         "gone a.ply",
