@@ -24,13 +24,13 @@ class Sheets:
     triangle_source : (k,) int32, the triangle of the input each was; those with two corners in one set are
         left out.
     vertex_source : (p,) int32, a vertex of the input that each one is.
-    is_tied : (p,) bool, vertices where sheets touch: if one moved, they would come apart.
+    touches : (p,) bool, vertices where sheets touch: if one moved, they would come apart.
     """
 
     triangles: Triangles
     triangle_source: NDArray[np.int32]
     vertex_source: NDArray[np.int32]
-    is_tied: NDArray[np.bool_]
+    touches: NDArray[np.bool_]
 
 
 def taken_apart(triangles: Triangles, sets: Ids) -> Sheets:
@@ -42,6 +42,6 @@ def taken_apart(triangles: Triangles, sets: Ids) -> Sheets:
     sets : (n,) numbers from 0 to n - 1; vertices of one set are one.
     """
     welded = _kernels.weld_sheets(sets.astype(np.int32), triangles)
-    vertex_source = np.empty(len(welded.is_tied), np.int32)
+    vertex_source = np.empty(len(welded.touches), np.int32)
     vertex_source[welded.triangles] = triangles[welded.triangle_source]
-    return Sheets(welded.triangles, welded.triangle_source, vertex_source, welded.is_tied)
+    return Sheets(welded.triangles, welded.triangle_source, vertex_source, welded.touches)

@@ -58,20 +58,20 @@ pub fn separate<const D: usize, const K: usize>(
     let seeds = flattest_first(&ground, open.len(), |i| open[i]);
     let looks = grow_all(&ground, &mut claims, &seeds, &mut grown, progress)?;
     // The patches that stand, and these: sorted among themselves first, as equal areas stay in this order.
-    let standing: Vec<u32> = (0..is_folded.len() as u32).filter(|&p| !is_folded[p as usize]).collect();
+    let unfolded: Vec<u32> = (0..is_folded.len() as u32).filter(|&p| !is_folded[p as usize]).collect();
     let (again, again_number, _) = by_area(&settled(&grown));
-    let standing_number = numbers(is_folded.len(), &standing);
-    let kept = standing.iter().map(|&p| patches.patches[p as usize]);
+    let unfolded_number = numbers(is_folded.len(), &unfolded);
+    let kept = unfolded.iter().map(|&p| patches.patches[p as usize]);
     let all: Vec<Patch> = kept.chain(again).collect();
     let (all, number, order) = by_area(&all);
     let of = collect(facets.len(), options.threads, |t| {
         let among_all = match claims.patch(t as u32) {
-            None => standing_number[patches.of[t] as usize],
-            Some(patch) => standing.len() as u32 + again_number[patch as usize],
+            None => unfolded_number[patches.of[t] as usize],
+            Some(patch) => unfolded.len() as u32 + again_number[patch as usize],
         };
         number[among_all as usize]
     });
-    let was = order.into_iter().map(|id| standing.get(id as usize).copied()).collect();
+    let was = order.into_iter().map(|id| unfolded.get(id as usize).copied()).collect();
     Ok((Patches { patches: all, of, looks: patches.looks + looks }, was))
 }
 

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
 use super::simplified::{Running, stopped_by};
-use crate::seams::weld::{UNTIED, weld};
+use crate::seams::weld::{TOUCHES_NONE, weld};
 use crate::seams::{Goal, Knobs, Outcome, Refused, Surface, simplify};
 
 /// Penalties and weights of `simplify_seams`; see `scanloom_kernels::seams::Knobs`.
@@ -141,7 +141,7 @@ pub fn simplify_seams(
 pub struct WeldedSheets {
     triangles: Py<PyArray2<i32>>,
     triangle_source: Py<PyArray1<i32>>,
-    is_tied: Py<PyArray1<bool>>,
+    touches: Py<PyArray1<bool>>,
 }
 
 /// Join triangles where two of them meet between the same `sets` (n,), and take them apart where more do.
@@ -160,11 +160,11 @@ pub fn weld_sheets(
     let welded = py.detach(|| weld(&sets, &triangles))?;
     let corners: Vec<[u32; 3]> =
         welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
-    let is_tied = welded.tie.iter().map(|&set| set != UNTIED).collect();
+    let touches = welded.touching.iter().map(|&set| set != TOUCHES_NONE).collect();
     Ok(WeldedSheets {
         triangles: triangle_array(py, &corners)?,
         triangle_source: id_array(py, welded.triangle_source.into_iter()),
-        is_tied: PyArray1::from_vec(py, is_tied).unbind(),
+        touches: PyArray1::from_vec(py, touches).unbind(),
     })
 }
 

@@ -6,20 +6,15 @@
 //! remembering, and is better: on scans, shape errors are a sixth lower at equal weight of the colours. What
 //! drifts is put right at the end by the fit.
 
-use crate::base::geometry::{Vec3, distance2, midpoint, position};
+use crate::base::geometry::{Vec3, distance2, position};
 use crate::base::ids::{EdgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::collapse::records::Records;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
+use crate::quadrics::placement::{best_place, shorter_first};
 use crate::quadrics::quadric::Quadric;
-
-/// Strength of the spring that holds a vertex at the middle of its edge where the error does not: on a plane.
-const TETHER: f64 = 1e-9;
-
-/// The same for the choice among edges that cost nothing: shorter ones go first.
-const SHORTER_FIRST: f64 = 1e-10;
 
 /// Weight of the boundary: of the squared distance from each boundary edge's own side wall, against the area of
 /// the square over the edge.
@@ -109,11 +104,11 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         let ends = mesh.connectivity.ends(edge);
         let [a, b] = ends.map(|v| position(mesh.point(v)));
         let (place, error) = match mesh.staying_ends(edge) {
-            [false, false] => together.minimum(&midpoint(&a, &b), TETHER),
+            [false, false] => best_place(together, [&a, &b]),
             [true, _] => (a, together.error(&a)),
             [_, true] => (b, together.error(&b)),
         };
-        (place, error + SHORTER_FIRST * together.area * distance2(&a, &b))
+        (place, error + shorter_first(together.area, [&a, &b]))
     }
 
     #[inline]

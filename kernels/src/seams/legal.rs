@@ -5,7 +5,7 @@ use super::classes::{Candidate, Plan};
 use super::state::{Rule, Seams};
 use super::texture::keeps_side;
 use super::wedges::{NONE, uv_of};
-use super::weld::UNTIED;
+use super::weld::TOUCHES_NONE;
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::legality::keeps_triangles;
@@ -101,46 +101,46 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         self.sheets[first..].iter().take_while(move |(other, _)| *other == set).map(|&(_, v)| v)
     }
 
-    /// A new spoke of the survivor, to or from a tied vertex.
+    /// A new spoke of the survivor, to or from a touching vertex.
     fn lays_an_edge_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
-        let own = self.tie(kept);
+        let own = self.touching(kept);
         let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
         // Whether a vertex has a neighbour in a set, beside one it is known to have.
         let reaches = |from: VertexId, set: u32, known: VertexId| {
-            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.tie(v) == set)
+            mesh.connectivity.spokes(from).any(|(_, v)| v != known && self.touching(v) == set)
         };
         let is_beside =
             |one: VertexId, other: VertexId| mesh.connectivity.spokes(one).any(|(_, v)| v == other);
         mesh.connectivity.spokes(gone).filter(|(_, v)| *v != kept).any(|(_, v)| {
-            let tie = self.tie(v);
-            if tie != UNTIED {
-                (own != UNTIED && (own == tie || !is_apex(v))) || reaches(kept, tie, v)
+            let touching = self.touching(v);
+            if touching != TOUCHES_NONE {
+                (own != TOUCHES_NONE && (own == touching || !is_apex(v))) || reaches(kept, touching, v)
             } else {
                 // Its own spokes may not all be of this region, while those of the set are.
                 let others = || self.of_set(own).filter(|&other| other != kept);
-                own != UNTIED && !is_apex(v) && others().any(|other| is_beside(other, v))
+                own != TOUCHES_NONE && !is_apex(v) && others().any(|other| is_beside(other, v))
             }
         })
     }
 
-    /// A triangle with the corners of another one. Two of them are tied then: elsewhere the link condition sees it.
+    /// A triangle with the corners of another one. Two of them are touching then: elsewhere the link condition sees it.
     fn lays_a_triangle_twice(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize) -> bool {
         let connectivity = &mesh.connectivity;
         let (kept, gone) = (star.ends[survivor], star.ends[1 - survivor]);
         // What a vertex is afterwards, in space: its set, or itself.
         let place = |v: VertexId| {
             let v = if v == gone { kept } else { v };
-            let set = self.tie(v);
-            if set == UNTIED { (UNTIED, v) } else { (set, VertexId::NONE) }
+            let set = self.touching(v);
+            if set == TOUCHES_NONE { (TOUCHES_NONE, v) } else { (set, VertexId::NONE) }
         };
-        let is_tied = |v: VertexId| place(v).0 != UNTIED;
+        let touches = |v: VertexId| place(v).0 != TOUCHES_NONE;
         let vanishes = |t: TriangleId| star.vanishing.iter().any(|(vanishing, ..)| *vanishing == t);
-        let own = self.tie(kept);
+        let own = self.touching(kept);
         let is_another = |v: &VertexId| *v != kept;
         let fans = || [kept, gone].into_iter().chain(self.of_set(own).filter(is_another));
         let moved = star.wings.iter().filter(|wing| wing.end != survivor);
-        moved.filter(|wing| [kept, wing.from, wing.to].into_iter().filter(|&v| is_tied(v)).count() > 1).any(
+        moved.filter(|wing| [kept, wing.from, wing.to].into_iter().filter(|&v| touches(v)).count() > 1).any(
             |wing| {
                 let [from, to] = [wing.from, wing.to].map(place);
                 fans().flat_map(|v| connectivity.fan(v)).any(|h| {

@@ -10,14 +10,15 @@
 //! goes from lies in further charts, as where three meet, it keeps its place in those.
 
 use super::classes::Plan;
-use super::state::{Rule, SHORTER_FIRST, Seams, TETHER, common};
+use super::state::{Rule, Seams, common};
 use super::wedges::{NONE, Wedge};
-use crate::base::geometry::{distance2, midpoint};
+use crate::base::geometry::distance2;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
+use crate::quadrics::placement::{best_place, shorter_first};
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// Where the star goes: the cheapest place that is legal, which is then first in the plan.
@@ -160,8 +161,8 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
             let [a, b] = ends.map(|v| &self.quadrics[self.spots[v.index()].only as usize]);
             let together = a.sum(b);
             let places = ends.map(|v| mesh.point(v));
-            let (_, error) = together.minimum(&midpoint(places[0], places[1]), TETHER);
-            let cost = error + SHORTER_FIRST * together.area * distance2(places[0], places[1]);
+            let (_, error) = best_place(&together, places);
+            let cost = error + shorter_first(together.area, places);
             return Ok(self.penalty(ends, 2) * cost);
         }
         let mut plan = self.plan.borrow_mut();

@@ -1,13 +1,14 @@
 //! What a collapse costs: the wedges around an edge, the places its vertex may go to, and the price of each.
 
 use super::classes::{Candidate, Class, Member, Plan, Run};
-use super::state::{HIGH_VALENCE, Rule, SEVERAL, SHORTER_FIRST, Seams, TETHER, common};
+use super::state::{HIGH_VALENCE, Rule, SEVERAL, Seams, common};
 use super::texture::{from_segment, seam_after, seam_before};
 use super::wedges::{NONE, Wedge};
-use crate::base::geometry::{Vec3, distance2, midpoint};
+use crate::base::geometry::{Vec3, distance2};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
+use crate::quadrics::placement::{best_place, shorter_first};
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
     /// The factor that the penalties come to.
@@ -36,8 +37,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         if plan.is_plain && stays == [false, false] {
             // No place is better; its ends are for where that one is not legal.
             self.group_plain(ends, plan);
-            let middle = midpoint(mesh.point(ends[0]), mesh.point(ends[1]));
-            let best = plan.classes[0].quadric.minimum(&middle, TETHER).0;
+            let best = best_place(&plan.classes[0].quadric, ends.map(|v| mesh.point(v))).0;
             plan.candidates.clear();
             plan.candidates.push(self.priced(mesh, edge, plan, best, None));
             return Ok(());
@@ -60,8 +60,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let has_image = plan.sides.iter().flatten().any(|&[wedge, _]| self.is_textured(wedge));
         let mut wanted = [None; 4];
         if goes_to_first && goes_to_second {
-            let middle = midpoint(&places[0], &places[1]);
-            let best = shape.minimum(&middle, TETHER).0;
+            let best = best_place(&shape, places.each_ref()).0;
             if on_seam && has_image {
                 wanted[..2].copy_from_slice(&[Some((best, Some(0))), Some((best, Some(1)))]);
             } else {
@@ -90,7 +89,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         let places = ends.map(|v| mesh.point(v));
         let exact = keep.filter(|&end| place == *places[end]);
         let [a, b] = ends.map(|v| &self.shape[v.index()]);
-        let mut cost = SHORTER_FIRST * (a.area + b.area) * distance2(places[0], places[1]);
+        let mut cost = shorter_first(a.area + b.area, places);
         for class in plan.classes.iter().filter(|class| !class.is_only_at(exact)) {
             cost += class.quadric.error_with(&place, &self.value(plan, class, &place, keep));
         }

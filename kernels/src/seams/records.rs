@@ -11,7 +11,7 @@ use super::state::{Knobs, SEVERAL, Seams, Spot, common};
 use super::surface::Surface;
 use super::texture::{Charts, Drifts};
 use super::wedges::{NONE, Wedge, Wedges};
-use super::weld::UNTIED;
+use super::weld::TOUCHES_NONE;
 use crate::base::geometry::position;
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::records::Records;
@@ -30,7 +30,7 @@ const ON_RIM: u32 = 1 << 31;
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     /// The set it must stay with; see [`super::weld`].
-    pub tie: u32,
+    pub touching: u32,
     /// Of all triangles it stands for, or [`SEVERAL`].
     pub material: i32,
     pub part: i32,
@@ -62,7 +62,7 @@ pub struct SeamRecords<'a, const D: usize, const K: usize> {
     /// Of each part of the triangles, by its own numbers.
     drifts: Vec<Vec<Drift>>,
     pub largest_drift: f64,
-    has_ties: bool,
+    has_touching: bool,
     /// Of each region of each round, if they are recorded.
     pub changes: Option<Vec<Changes<K>>>,
 }
@@ -92,7 +92,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
         is_recorded: bool,
     ) -> Self {
         const { assert!(D == K + 3) };
-        let has_ties = places.iter().any(|place| place.tie != UNTIED);
+        let has_touching = places.iter().any(|place| place.touching != TOUCHES_NONE);
         let mut records = Self {
             knobs,
             given,
@@ -103,7 +103,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
             corners: Joined::default(),
             drifts: vec![vec![]],
             largest_drift: 0.0,
-            has_ties,
+            has_touching,
             changes: is_recorded.then(Vec::new),
         };
         records.places.push(places);
@@ -236,13 +236,13 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
 
     /// What touches where it is not joined is worked on together or not at all.
     fn keep_together(&self, owner: &mut [u32]) {
-        if !self.has_ties {
+        if !self.has_touching {
             return;
         }
-        let mut tied: Vec<(u32, u32)> = self.places.iter().map(|place| place.tie).zip(0..).collect();
-        tied.retain(|(tie, _)| *tie != UNTIED);
-        tied.sort_unstable();
-        for set in tied.chunk_by(|a, b| a.0 == b.0) {
+        let mut touching: Vec<(u32, u32)> = self.places.iter().map(|place| place.touching).zip(0..).collect();
+        touching.retain(|(touching, _)| *touching != TOUCHES_NONE);
+        touching.sort_unstable();
+        for set in touching.chunk_by(|a, b| a.0 == b.0) {
             let first = owner[set[0].1 as usize];
             if set.iter().any(|&(_, v)| owner[v as usize] != first) {
                 set.iter().for_each(|&(_, v)| owner[v as usize] = SHARED);
@@ -264,14 +264,18 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
                 numbers.iter().map(|&wedge| *self.quadrics.at(wedge)).collect(),
             )
         };
-        let tie: Vec<u32> = if self.has_ties {
-            region.vertex_source.iter().map(|&v| self.places.at(v).tie).collect()
+        let touching: Vec<u32> = if self.has_touching {
+            region.vertex_source.iter().map(|&v| self.places.at(v).touching).collect()
         } else {
             vec![]
         };
-        let vertices = (0..tie.len()).map(VertexId::from_index);
-        let mut sheets: Vec<(u32, VertexId)> =
-            tie.iter().copied().zip(vertices).filter(|(tie, _)| *tie != UNTIED).collect();
+        let vertices = (0..touching.len()).map(VertexId::from_index);
+        let mut sheets: Vec<(u32, VertexId)> = touching
+            .iter()
+            .copied()
+            .zip(vertices)
+            .filter(|(touching, _)| *touching != TOUCHES_NONE)
+            .collect();
         sheets.sort_unstable();
         Seams {
             knobs: self.knobs,
@@ -284,7 +288,7 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
             shape,
             quadrics,
             is_seam,
-            tie,
+            touching,
             sheets,
             numbers,
             owners,
@@ -310,7 +314,11 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
         let mut number: Vec<u32> = measure.numbers.iter().map(|wedge| wedge | ON_RIM).collect();
         for v in connectivity.vertices().filter(|&v| !is_rim(v)) {
             let spot = &measure.spots[v.index()];
-            remains.places.push(Place { tie: measure.tie(v), material: spot.material, part: spot.part });
+            remains.places.push(Place {
+                touching: measure.touching(v),
+                material: spot.material,
+                part: spot.part,
+            });
             remains.shape.push(measure.shape[v.index()]);
             for wedge in connectivity.fan(v).map(|h| measure.wedges.of(h)) {
                 if number[wedge as usize] & ON_RIM != 0 {
@@ -401,10 +409,10 @@ impl<'a, const D: usize, const K: usize> Records<3> for SeamRecords<'a, D, K> {
     }
 }
 
-/// What is kept of each vertex at the start. `tie` is the set of each, or [`UNTIED`].
-pub fn places<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, tie: &[u32]) -> Vec<Place> {
-    let place = |&tie: &u32| Place { tie, material: SEVERAL, part: SEVERAL };
-    let mut places: Vec<Place> = tie.iter().map(place).collect();
+/// What is kept of each vertex at the start. `touching` is the set of each, or [`TOUCHES_NONE`].
+pub fn places<const K: usize>(mesh: &Mesh<3>, surface: &Surface<K>, touching: &[u32]) -> Vec<Place> {
+    let place = |&touching: &u32| Place { touching, material: SEVERAL, part: SEVERAL };
+    let mut places: Vec<Place> = touching.iter().map(place).collect();
     for (v, place) in places.iter_mut().enumerate() {
         let triangles = mesh.connectivity.fan(VertexId::from_index(v));
         let source = |h: HalfedgeId| mesh.triangle_source[h.index() / 3] as usize;

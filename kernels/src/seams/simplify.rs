@@ -6,7 +6,7 @@ use super::state::{Knobs, Rule};
 use super::surface::Surface;
 use super::texture::Charts;
 use super::wedges::{NONE, input_corner, seams, wedges};
-use super::weld::{UNTIED, Welded, weld};
+use super::weld::{TOUCHES_NONE, Welded, weld};
 use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
 use crate::base::ids::{HalfedgeId, VertexId};
@@ -95,13 +95,13 @@ pub fn simplify<const D: usize, const K: usize>(
     check_points(&surface.corners)?;
     let welded = weld(&surface.sets, &surface.triangles)?;
     progress.check()?;
-    let tie = welded.tie.clone();
+    let touching = welded.touching.clone();
     let mesh = connected(surface, welded);
     let is_seam = seams(&mesh, surface);
     let (wedges, of_corner) = wedges(&mesh, surface, &is_seam);
     progress.check()?;
     let charts = Charts::new(&mesh, surface, &is_seam, goal.rounds.threads);
-    let places = places(&mesh, surface, &tie);
+    let places = places(&mesh, surface, &touching);
     let seams = seam_corners(&mesh, &is_seam);
     let corners = of_corner.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
     let numbered = goal.rounds.record.then(|| numbered(&mesh, surface, &of_corner));
@@ -141,7 +141,7 @@ pub fn simplify<const D: usize, const K: usize>(
     })
 }
 
-/// A welded surface as a mesh, with tied vertices locked.
+/// A welded surface as a mesh, with touching vertices locked.
 fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
     let slots = welded.connectivity.vertex_slots();
     let mut points = vec![[0.0; 3]; slots];
@@ -151,7 +151,7 @@ fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
         let input = surface.triangles[welded.triangle_source[h / 3] as usize][h % 3];
         points[v.index()] = surface.points[input as usize];
         vertex_source[v.index()] = input;
-        if welded.tie[v.index()] != UNTIED || surface.locked[input as usize] {
+        if welded.touching[v.index()] != TOUCHES_NONE || surface.locked[input as usize] {
             locks[v.index()] = Lock::Locked;
         }
     }

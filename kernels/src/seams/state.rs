@@ -6,15 +6,9 @@ use super::classes::Plan;
 use super::record::Changes;
 use super::texture::{Charts, Drifts};
 use super::wedges::{NONE, Wedges};
-use super::weld::UNTIED;
+use super::weld::TOUCHES_NONE;
 use crate::base::ids::VertexId;
 use crate::quadrics::quadric::Quadric;
-
-/// Strength of the spring that holds a vertex at the middle of its edge where the error does not: on a plane.
-pub(super) const TETHER: f64 = 1e-9;
-
-/// The same for the choice among edges that cost nothing: shorter ones go first.
-pub(super) const SHORTER_FIRST: f64 = 1e-10;
 
 /// A penalty for valence counts from here.
 pub(super) const HIGH_VALENCE: u32 = 8;
@@ -83,7 +77,7 @@ pub struct Seams<'a, const D: usize, const K: usize> {
     pub(super) spots: Vec<Spot>,
     pub(super) is_seam: Vec<bool>,
     /// The set of each vertex that must stay with others; see [`super::weld`]. Empty if no vertex must.
-    pub(super) tie: Vec<u32>,
+    pub(super) touching: Vec<u32>,
     /// Tied vertices by their sets, in order.
     pub(super) sheets: Vec<(u32, VertexId)>,
     pub(super) drifts: Drifts,
@@ -109,7 +103,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
 
     /// The set of a vertex that must stay with others.
     #[inline]
-    pub(super) fn tie(&self, v: VertexId) -> u32 {
-        self.tie.get(v.index()).copied().unwrap_or(UNTIED)
+    pub(super) fn touching(&self, v: VertexId) -> u32 {
+        self.touching.get(v.index()).copied().unwrap_or(TOUCHES_NONE)
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Triangles are joined where exactly two of them, of like orientation, meet at an edge between two sets. Where more
 //! meet, those that share the edge's own vertices in the file are joined, if they are two; the others stay
-//! open there. What still touches without being joined, at an edge or only at a vertex, is *tied*: it must stay
+//! open there. What still touches without being joined, at an edge or only at a vertex, must stay
 //! where it is, or the surface would come apart.
 
 use crate::base::errors::KernelError;
@@ -11,7 +11,7 @@ use crate::mesh::connect::check_indices;
 use crate::mesh::connectivity::Connectivity;
 
 /// No set: the vertex may move.
-pub const UNTIED: u32 = u32::MAX;
+pub const TOUCHES_NONE: u32 = u32::MAX;
 
 pub struct Welded {
     pub connectivity: Connectivity,
@@ -19,8 +19,8 @@ pub struct Welded {
     pub corner_vertex: Vec<VertexId>,
     /// Triangle of the input that each triangle was; those with two corners in one set are left out.
     pub triangle_source: Vec<u32>,
-    /// The set of each vertex that is tied; none of others.
-    pub tie: Vec<u32>,
+    /// The set of each vertex that touches others of it without being joined.
+    pub touching: Vec<u32>,
 }
 
 /// A halfedge at an edge between two sets: the higher set and the file's own vertices, then which halfedge it is, and
@@ -56,23 +56,23 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
         (corner_vertex, vertex_count) = fans(&twins);
     }
     let mut fan_of_set = vec![VertexId::NONE; set_count];
-    let mut set_is_tied = vec![false; set_count];
+    let mut set_touches = vec![false; set_count];
     for (h, &v) in corner_vertex.iter().enumerate() {
         let set = set(h);
         if fan_of_set[set].is_none() {
             fan_of_set[set] = v;
         }
         let before = Connectivity::prev(HalfedgeId::from_index(h)).index();
-        set_is_tied[set] |= fan_of_set[set] != v || torn[h] || torn[before];
+        set_touches[set] |= fan_of_set[set] != v || torn[h] || torn[before];
     }
-    let mut tie = vec![UNTIED; vertex_count];
+    let mut touching = vec![TOUCHES_NONE; vertex_count];
     for (h, &v) in corner_vertex.iter().enumerate() {
-        if set_is_tied[set(h)] {
-            tie[v.index()] = set(h) as u32;
+        if set_touches[set(h)] {
+            touching[v.index()] = set(h) as u32;
         }
     }
     let connectivity = Connectivity::from_twins(vertex_count, &corner_vertex, &twins);
-    Ok(Welded { connectivity, corner_vertex, triangle_source, tie })
+    Ok(Welded { connectivity, corner_vertex, triangle_source, touching })
 }
 
 /// The halfedge across from each, and which lie where more than two meet. `origin` gives set and vertex.

@@ -6,7 +6,7 @@ use scanloom_kernels::collapse::engine::Stop;
 use scanloom_kernels::collapse::rounds::{self, REGION_TRIANGLES};
 use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::seams::texture::signed_area;
-use scanloom_kernels::seams::weld::{UNTIED, weld};
+use scanloom_kernels::seams::weld::{TOUCHES_NONE, weld};
 use scanloom_kernels::seams::{Goal, Knobs, Outcome, Surface, simplify};
 
 const KNOBS: Knobs = Knobs {
@@ -151,8 +151,9 @@ fn copies_are_one_vertex_and_what_only_touches_is_tied() {
     let sets = [0, 1, 2, 1, 0, 3, 2, 4, 5];
     let welded = weld(&sets, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]]).expect("indices in range");
     assert_eq!(welded.connectivity.vertices().count(), 7);
-    let tied: Vec<bool> = welded.corner_vertex.iter().map(|v| welded.tie[v.index()] != UNTIED).collect();
-    assert_eq!(tied, [false, false, true, false, false, false, true, false, false]);
+    let touching: Vec<bool> =
+        welded.corner_vertex.iter().map(|v| welded.touching[v.index()] != TOUCHES_NONE).collect();
+    assert_eq!(touching, [false, false, true, false, false, false, true, false, false]);
 }
 
 #[test]
@@ -161,13 +162,13 @@ fn three_triangles_at_an_edge_and_two_back_to_back_stay_open_there() {
     assert!(fan.connectivity.edges().all(|e| fan.connectivity.is_boundary_edge(e)));
     let ends =
         |v: u32| fan.corner_vertex.iter().zip([0, 1, 2, 1, 0, 3, 0, 1, 4]).filter(move |(_, w)| *w == v);
-    assert!(ends(0).chain(ends(1)).all(|(v, _)| fan.tie[v.index()] != UNTIED));
+    assert!(ends(0).chain(ends(1)).all(|(v, _)| fan.touching[v.index()] != TOUCHES_NONE));
     let pillow = weld(&[0, 1, 2], &[[0, 1, 2], [0, 2, 1]]).expect("indices in range");
     assert_eq!(pillow.connectivity.edges().filter(|&e| pillow.connectivity.is_boundary_edge(e)).count(), 6);
-    assert!(pillow.tie.iter().all(|&tie| tie != UNTIED));
+    assert!(pillow.touching.iter().all(|&touching| touching != TOUCHES_NONE));
 }
 
-/// Three shallow pyramids over one triangle: their rims are tied, and each of them alone could become that triangle.
+/// Three shallow pyramids over one triangle: their rims are touching, and each of them alone could become that triangle.
 #[test]
 fn sheets_with_one_rim_do_not_become_the_same_triangle() {
     let rim = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];

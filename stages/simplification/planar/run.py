@@ -123,7 +123,7 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
         sheets = _sheets(mesh)
         of_sheets = sheets.vertex_source
         # Where sheets touch, all triangles stay, and with them what touches.
-        result = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.is_tied)
+        result = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.touches)
         source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
         triangles = one.reshape(-1).astype(np.int32)[result.triangles]
         triangle_source = sheets.triangle_source[result.triangle_source]

@@ -70,9 +70,9 @@ def joinable_sets(
     while True:
         is_uneven = np.bincount(sets[first], minlength=len(first))[sets] > 1
         sheets = taken_apart(triangles, sets)
-        is_tied = np.zeros(len(sets), bool)
-        is_tied[sets[sheets.vertex_source[sheets.is_tied]]] = True
-        taken = is_uneven & is_tied[sets]
+        touches = np.zeros(len(sets), bool)
+        touches[sets[sheets.vertex_source[sheets.touches]]] = True
+        taken = is_uneven & touches[sets]
         if not taken.any():
             return sets, _means(vertices, sets), apart
         apart |= taken
