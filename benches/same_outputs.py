@@ -41,7 +41,17 @@ from outputs.leaves import Leaves
 
 # Differences that are meant: in which jobs, which (as they are printed: "changed 1 simplify:triangles",
 # "moved 1 simplify:proven -> 1 simplify:details.proven", ...; * is any text), and why.
-EXPECTED: tuple[Expected, ...] = ()
+EXPECTED: tuple[Expected, ...] = (
+    Expected("*", "moved * -> *details.*", "what one method alone has to tell stands under details"),
+    Expected("*", "gone *attribute_scale_m_per_level*", "planar has no use for a weight of colour"),
+    Expected("*", "moved *.pinned -> *.locked", "a vertex that stays is locked"),
+    Expected("*", "moved *texture* -> *color*", "a bound on colour is max_color"),
+    Expected("*", "new *schema*", "JSON says by which names it goes"),
+    Expected("*", "changed *schema*", "JSON says by which names it goes"),
+    Expected("*", "moved *view -> *viewpoint", "where a picture is drawn from is a viewpoint"),
+    Expected("*", "moved *views -> *viewpoints", "where a picture is drawn from is a viewpoint"),
+    Expected("words/*", "*", "helps, configs and refusals name what is named anew"),
+)
 
 SNIPPETS = Path(__file__).parent / "outputs" / "snippets"
 _LIMIT_S = 900
