@@ -208,6 +208,17 @@ def test_a_circle_of_rust_is_seen_and_drawn(tmp_path: Path, file: str, line: str
     assert any(told in circle for circle in found), found
 
 
+@pytest.mark.parametrize("folder", ["tests", "benches"])
+def test_no_rust_file_is_left_out(folder: str):
+    # Rust says nothing of a file that no `mod` names: its tests would never run.
+    root = ROOT / "kernels" / folder
+    files = {path.parent.name if path.name == "mod.rs" else path.stem for path in root.rglob("*.rs")}
+
+    named = re.findall(r"\bmod (\w+);", (root / "main.rs").read_text(encoding="utf-8"))
+
+    assert files - {"main"} == set(named)
+
+
 def test_kernels_know_no_python_outside_the_binding():
     source = ROOT / "kernels" / "src"
     for path in source.rglob("*.rs"):

@@ -8,7 +8,8 @@ use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
 use crate::common::{alone, field, measure};
 
 pub fn bench(criterion: &mut Criterion) {
-    let mut options = Options { weight: 0.01, ..Options::new(Deviation { shape: 0.3, color: 16.0 }) };
+    let mut options =
+        Options { weight: 0.01, close: false, ..Options::new(Deviation { shape: 0.3, color: 16.0 }) };
     options.proof.threads = 1;
     let goal = Goal { triangles: 0, threads: 1, region: REGION_TRIANGLES, record: false };
     measure(criterion, "certified", field, |(points, triangles)| {

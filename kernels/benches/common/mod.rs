@@ -52,15 +52,19 @@ fn squares(size: usize) -> [u32; 2] {
     [across, half / across]
 }
 
-/// Hills with a tenth of the spacing as noise, coloured in bands with two levels of noise; spacing 1.
+/// Coloured hills as benches/simplify_speed.py has them, with a spacing of 1: noise as of a depth camera, and gentle waves
+/// of colour.
 pub fn field(size: usize) -> (Vec<[f64; 6]>, Triangles) {
     let [w, h] = squares(size);
     let point = |x: u32, y: u32| {
         let (u, v) = (f64::from(x), f64::from(y));
-        let height = 6.0 * (u / 25.0).sin() * (v / 31.0).cos() + 0.1 * noise(x, y);
-        let band = 127.0 + 100.0 * (u / 17.0 + v / 23.0).sin();
-        let color = |k: u32| (band * (1.0 - 0.2 * f64::from(k)) + 2.0 * noise(x + k, y)).round();
-        [u, v, height, color(0), color(1), color(2)]
+        let about = |k: u32, width: f64| width * (noise(x + k * (w + 1), y) - 0.5);
+        let height = 3.0 * (u / 17.0).sin() * (v / 23.0).cos() + about(0, 0.17);
+        let color = |k: u32, wave: f64| (128.0 + wave + about(k, 3.5)).floor();
+        let red = color(1, 60.0 * (u / 31.0).sin());
+        let green = color(2, 60.0 * (v / 19.0).cos());
+        let blue = color(3, 40.0 * ((u + v) / 41.0).sin());
+        [u, v, height, red, green, blue]
     };
     let points = (0..=h).flat_map(|y| (0..=w).map(move |x| point(x, y))).collect();
     let triangles = (0..h).flat_map(|y| (0..w).map(move |x| y * (w + 1) + x)).flat_map(|a| {
