@@ -66,10 +66,10 @@ impl<'a, const D: usize> Ground<'a, D> {
         self.options.labels.is_empty() || label(a) == label(b)
     }
 
-    /// The paper's two criteria, and what else keeps triangles apart. A triangle without area has no normal, and goes with any.
+    /// The paper's two criteria, and what else keeps triangles apart; `to` is given with its
+    /// normal and area. A triangle without area has no normal, and goes with any.
     #[inline]
-    pub fn is_alike(&self, from: u32, to: u32, mean: &Vec3) -> bool {
-        let (normal, area) = &self.facets[to as usize];
+    pub fn is_alike(&self, from: u32, to: u32, (normal, area): &Facet, mean: &Vec3) -> bool {
         let fidelity = self.options.fidelity.max(LEAST_COSINE);
         let is_flat = *area == 0.0
             || (dot(normal, mean) > fidelity
@@ -78,10 +78,9 @@ impl<'a, const D: usize> Ground<'a, D> {
         is_flat && self.have_one_label(from, to)
     }
 
-    /// Whether two triangles were in the same patch, and the second is not turned over.
+    /// Whether two triangles were in the same patch, and the second, given with its normal and area, is not turned over.
     #[inline]
-    pub fn was_alike(&self, from: u32, to: u32, mean: &Vec3) -> bool {
-        let (normal, area) = &self.facets[to as usize];
+    pub fn was_alike(&self, from: u32, to: u32, (normal, area): &Facet, mean: &Vec3) -> bool {
         self.were[from as usize] == self.were[to as usize]
             && (*area == 0.0 || dot(normal, mean) > LEAST_COSINE)
     }

@@ -3,11 +3,13 @@
 //! It grows with its mean normal, as in the paper. If in the end it does not suit its final plane and colours, its
 //! triangles are set free, and it grows again from its seed against these, which no longer change.
 
+use std::ops::Range;
+
 use super::claims::{Claims, Whose};
 use super::fit::{Fit, Moments, frame};
 use super::ground::Ground;
 use super::overlap::{Flat, Sheet};
-use super::patches::Patch;
+use super::patches::{Facet, Patch};
 use crate::base::geometry::{Vec3, dot, norm2, position, sub};
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::mesh::connectivity::Connectivity;
@@ -15,8 +17,9 @@ use crate::mesh::connectivity::Connectivity;
 /// Until it has so many vertices, noise may tilt the colours of a patch, and their mean will do as well.
 const YOUNG: f64 = 16.0;
 
-/// After so many triangles a patch looks whether it is spoiled.
-const STRIDE: usize = 256;
+/// So many triangles are looked around at once. Growth waits for memory more than it computes; what lies beside
+/// several triangles comes at the same time.
+const AT_ONCE: usize = 8;
 
 /// A patch as it grew, with the fit it is held to.
 pub struct Grown<const K: usize> {
@@ -26,6 +29,17 @@ pub struct Grown<const K: usize> {
     pub residual2: f64,
     /// Whether others may join: not one that has to stay a single triangle.
     pub is_open: bool,
+}
+
+/// A triangle that may join, with what decides whether it does.
+#[derive(Clone, Copy)]
+struct Candidate<const D: usize> {
+    from: u32,
+    triangle: u32,
+    facet: Facet,
+    /// The vertex that it would bring with it.
+    across: VertexId,
+    point: [f64; D],
 }
 
 /// Grows patches, one after the other. What is public tells of the last.
@@ -42,6 +56,7 @@ pub struct Grower<'a, const D: usize, const K: usize> {
     pub released: Vec<u32>,
     /// Triangles that did not join, as patches with an earlier turn had claimed them.
     pub barred: Vec<u32>,
+    candidates: Vec<Candidate<D>>,
     /// Of the members.
     area: f64,
     /// How many triangles joined the patch while its normal moved, and how far from the seed.
@@ -61,6 +76,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
             vertices: vec![],
             released: vec![],
             barred: vec![],
+            candidates: vec![],
             area: 0.0,
             extent: (0, 0.0),
             looks: 0,
@@ -121,8 +137,7 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         self.vertices.clear();
         self.area = 0.0;
         self.vertices.extend(self.ground.mesh.connectivity.corners(TriangleId(seed)));
-        if !self.join(seed) {
-            self.claims.spoil(self.turn);
+        if !self.join(seed, self.ground.facets[seed as usize].1) {
             self.members.push(seed);
         }
         let corners = self.ground.corners(seed);
@@ -132,22 +147,53 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
         moments
     }
 
+    /// Where an earlier patch has just taken the triangle, this one is spoiled.
     #[inline]
-    fn join(&mut self, t: u32) -> bool {
+    fn join(&mut self, t: u32, area: f64) -> bool {
         let is_own = self.claims.claim(t, self.claim);
         if is_own {
             self.members.push(t);
-            self.area += self.ground.facets[t as usize].1;
+            self.area += area;
         } else {
-            self.barred.push(t);
+            self.claims.spoil(self.turn);
         }
         is_own
     }
 
+    #[inline]
+    fn join_with_vertex(&mut self, candidate: &Candidate<D>) -> bool {
+        let is_own = self.join(candidate.triangle, candidate.facet.1);
+        if is_own {
+            self.vertices.push(candidate.across);
+        }
+        is_own
+    }
+
+    /// Look around some members for triangles that may join.
+    fn look_around(&mut self, members: Range<usize>) {
+        let Ground { mesh, facets, .. } = self.ground;
+        self.candidates.clear();
+        for i in members {
+            let from = self.members[i];
+            for h in 3 * from..3 * from + 3 {
+                let twin = mesh.connectivity.twin(HalfedgeId(h));
+                if twin.is_none() {
+                    continue;
+                }
+                self.looks += 1;
+                let triangle = Connectivity::triangle(twin).0;
+                if self.is_free(triangle) {
+                    let across = mesh.connectivity.origin(Connectivity::prev(twin));
+                    let (facet, point) = (facets[triangle as usize], *mesh.point(across));
+                    self.candidates.push(Candidate { from, triangle, facet, across, point });
+                }
+            }
+        }
+    }
+
     /// Whether a triangle may join for all that others have.
     #[inline]
-    fn is_to_be_had(&mut self, t: u32) -> bool {
-        self.looks += 1;
+    fn is_free(&mut self, t: u32) -> bool {
         let whose = self.claims.whose(t, self.claim);
         if whose == Whose::Earlier {
             self.barred.push(t);
@@ -158,39 +204,32 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
     /// The paper's growth: the mean normal, and here the plane and the colours, follow after each layer.
     fn spread_moving(&mut self, moments: &mut Moments<D, K>) -> Fit<K> {
         let ground = self.ground;
-        let connectivity = &ground.mesh.connectivity;
         let mut fit = moments.fit();
         let (mut layer, half) = (0, 0.5 * ground.thickness);
-        while layer < self.members.len() {
+        while layer < self.members.len() && !self.claims.is_spoiled(self.turn) {
             let end = self.members.len();
             let is_young = moments.count() < YOUNG;
-            for at in layer..end {
-                if at % STRIDE == 0 && self.claims.is_spoiled(self.turn) {
-                    return fit;
-                }
-                let from = self.members[at];
-                for h in 3 * from..3 * from + 3 {
-                    let twin = connectivity.twin(HalfedgeId(h));
-                    if twin.is_none() {
+            for at in (layer..end).step_by(AT_ONCE) {
+                self.look_around(at..end.min(at + AT_ONCE));
+                let candidates = std::mem::take(&mut self.candidates);
+                for candidate in &candidates {
+                    let Candidate { from, triangle, facet, point, .. } = candidate;
+                    let may_join = self.is_free(*triangle)
+                        && !self.claims.is_restless(*triangle)
+                        && ground.is_alike(*from, *triangle, facet, &fit.normal);
+                    if !may_join {
                         continue;
                     }
-                    let to = Connectivity::triangle(twin).0;
-                    let is_to_be_had = self.is_to_be_had(to) && !self.claims.is_restless(to);
-                    if !is_to_be_had || !ground.is_alike(from, to, &fit.normal) {
-                        continue;
-                    }
-                    let across = connectivity.origin(Connectivity::prev(twin));
-                    let p = ground.mesh.point(across);
                     let suits = K == 0
-                        || fit.residual2(p) <= ground.residual2
-                        || (is_young && fit.residual2_of_mean(p) <= ground.residual2);
-                    let fits = fit.height(p).abs() <= half && suits;
-                    if fits && !ground.is_locked(to) && self.join(to) {
-                        self.vertices.push(across);
-                        moments.add_vertex(p);
-                        moments.add_normal(&ground.facets[to as usize]);
+                        || fit.residual2(point) <= ground.residual2
+                        || (is_young && fit.residual2_of_mean(point) <= ground.residual2);
+                    let fits = fit.height(point).abs() <= half && suits;
+                    if fits && !ground.is_locked(*triangle) && self.join_with_vertex(candidate) {
+                        moments.add_vertex(point);
+                        moments.add_normal(facet);
                     }
                 }
+                self.candidates = candidates;
             }
             layer = end;
             if self.members.len() > end {
@@ -203,47 +242,39 @@ impl<'a, const D: usize, const K: usize> Grower<'a, D, K> {
     /// Growth against a fit that stays, so that whatever joins suits it in the end.
     fn spread_fixed(&mut self, fit: &Fit<K>) {
         let ground = self.ground;
-        let connectivity = &ground.mesh.connectivity;
         let mut heights = around(ground.corners(self.members[0]).map(|p| fit.height(p)));
         let plane = frame(&fit.normal);
         let mut sheet = self.sheet(&plane);
         let mut at = 0;
-        while at < self.members.len() {
-            if at % STRIDE == 0 && self.claims.is_spoiled(self.turn) {
-                return;
-            }
-            let from = self.members[at];
-            at += 1;
-            for h in 3 * from..3 * from + 3 {
-                let twin = connectivity.twin(HalfedgeId(h));
-                if twin.is_none() {
-                    continue;
-                }
-                let to = Connectivity::triangle(twin).0;
-                if !self.is_to_be_had(to) {
-                    continue;
-                }
+        while at < self.members.len() && !self.claims.is_spoiled(self.turn) {
+            let end = self.members.len().min(at + AT_ONCE);
+            self.look_around(at..end);
+            at = end;
+            let candidates = std::mem::take(&mut self.candidates);
+            for candidate in &candidates {
+                let Candidate { from, triangle, facet, point, .. } = candidate;
                 let is_alike = if sheet.is_some() {
-                    ground.was_alike(from, to, &fit.normal)
+                    ground.was_alike(*from, *triangle, facet, &fit.normal)
                 } else {
-                    ground.is_alike(from, to, &fit.normal)
+                    ground.is_alike(*from, *triangle, facet, &fit.normal)
                 };
-                if !is_alike {
+                if !is_alike || !self.is_free(*triangle) {
                     continue;
                 }
-                let across = connectivity.origin(Connectivity::prev(twin));
-                let p = ground.mesh.point(across);
-                let height = fit.height(p);
+                let height = fit.height(point);
                 let wider = [heights[0].min(height), heights[1].max(height)];
                 let is_flat = wider[1] - wider[0] <= ground.thickness;
-                let fits =
-                    is_flat && (K == 0 || fit.residual2(p) <= ground.residual2) && !ground.is_locked(to);
-                let is_over = |sheet: &mut Sheet| !sheet.add(self.flat(to, &plane));
-                if fits && !sheet.as_mut().is_some_and(is_over) && self.join(to) {
+                let fits = is_flat && (K == 0 || fit.residual2(point) <= ground.residual2);
+                let is_over = |sheet: &mut Sheet| !sheet.add(self.flat(*triangle, &plane));
+                if fits
+                    && !ground.is_locked(*triangle)
+                    && !sheet.as_mut().is_some_and(is_over)
+                    && self.join_with_vertex(candidate)
+                {
                     heights = wider;
-                    self.vertices.push(across);
                 }
             }
+            self.candidates = candidates;
         }
     }
 
