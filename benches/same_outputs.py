@@ -50,7 +50,28 @@ EXPECTED: tuple[Expected, ...] = (
     Expected("*", "changed *schema*", "JSON says by which names it goes"),
     Expected("*", "moved *view -> *viewpoint", "where a picture is drawn from is a viewpoint"),
     Expected("*", "moved *views -> *viewpoints", "where a picture is drawn from is a viewpoint"),
+    Expected("*", "new *largest_color_change_levels*", "a bound on colour is max_color"),
+    Expected("*", "new *max_color*", "a bound on colour is max_color"),
+    Expected("*", "gone *texture*_levels*", "a bound on colour is max_color"),
+    Expected("*", "new *is called*", "a former name says the new one"),
+    Expected("*", "new *details.largest_patches*", "of two alike it is not told which one moved"),
+    Expected("*", "gone *largest_patches*", "of two alike it is not told which one moved"),
+    Expected("*", "*no meaning for method*", "the table of methods says what each takes"),
+    Expected("*", "*collapses no edges*", "the table of methods says what each takes"),
+    Expected("*", "changed *:error", "the table of methods says what each takes"),
+    Expected(
+        "run/*",
+        "*simplify.params.simplify.*",
+        "what is not given is null: each method has a default of its own",
+    ),
+    Expected("run/*", "changed *reason", "what is not given is null: each method has a default of its own"),
+    Expected("run/*", "* cache: *", "keys follow from the versions of results"),
     Expected("words/*", "*", "helps, configs and refusals name what is named anew"),
+    Expected("records/*", "*cut.npz*", "records have one format"),
+    Expected("records/*", "*record.npz*", "records have one format"),
+    Expected("*/seams", "*", "seams runs on the one driver, region by region"),
+    Expected("methods/*/auto", "*", "auto takes seams for textured models"),
+    Expected("textures/*", "*", "textured models are simplified by seams"),
 )
 
 SNIPPETS = Path(__file__).parent / "outputs" / "snippets"
