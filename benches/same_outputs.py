@@ -62,9 +62,9 @@ EXPECTED: tuple[Expected, ...] = (
     Expected(
         "run/*",
         "*simplify.params.simplify.*",
-        "what is not given is null: each method has a default of its own",
+        "each method has a default of its own",
     ),
-    Expected("run/*", "changed *reason", "what is not given is null: each method has a default of its own"),
+    Expected("run/*", "changed *reason", "each method has a default of its own"),
     Expected("run/*", "* cache: *", "keys follow from the versions of results"),
     Expected("words/*", "*", "helps, configs and refusals name what is named anew"),
     Expected("records/*", "*cut.npz*", "records have one format"),
