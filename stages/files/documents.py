@@ -8,11 +8,12 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
+from stages.files.opening import text_in
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -20,7 +21,15 @@ if TYPE_CHECKING:
 # Half a gigabyte of text is more than any trajectory; a calibration is a page or two.
 _MAX_TEXT_BYTES = 1 << 29
 _MAX_DOCUMENT_BYTES = 1 << 22
+# YAML is read at some 100 kB a second.
+_MAX_YAML_BYTES = 1 << 19
 _LONGEST_NAME = 255
+# Tables in tables: scans go ten deep.
+_DEEPEST = 64
+_TOO_DEEP = f"it is nested more than {_DEEPEST} deep"
+_TOO_LONG = "it holds a whole number of more than 64 bits"
+# No whole number in a document needs more: TOML has 64 bits, times in nanoseconds fit them.
+_LONGEST_NUMBER = 400
 
 
 def read_text(path: Path) -> str:
@@ -28,7 +37,7 @@ def read_text(path: Path) -> str:
     try:
         if path.stat().st_size > _MAX_TEXT_BYTES:
             raise InputError("the file is too large for what it should hold.", path)
-        return path.read_text(encoding="utf-8-sig")
+        return text_in(path, "utf-8-sig")
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
     except UnicodeDecodeError as error:
@@ -72,10 +81,25 @@ def parse_json(text: str, path: Path) -> object:
     """Return the content of JSON text that comes from `path`, as `read_json` does."""
     try:
         document: object = json.loads(text)
+        require_shallow(document)
     except (ValueError, RecursionError) as error:
         line = f"; look at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         raise InputError(f"the file is not valid JSON{line}.", path) from error
     return document
+
+
+def require_shallow(document: object) -> None:
+    """Raise ValueError for tables or lists nested so deep that a walk over them would not end well."""
+    level: list[Any] = [document]
+    for _ in range(_DEEPEST):
+        level = [item for held in level for item in _held(held) if isinstance(item, (dict, list))]
+        if not level:
+            return
+    raise ValueError(_TOO_DEEP)
+
+
+def _held(value: object) -> Iterable[object]:
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -86,14 +110,15 @@ def read_document(path: Path) -> dict[str, Any]:
     InputError
         If the file cannot be read or parsed, or holds no table of names and values.
     """
-    if path.exists() and path.stat().st_size > _MAX_DOCUMENT_BYTES:
+    most = _MAX_DOCUMENT_BYTES if path.suffix in (".json", ".toml", ".xml") else _MAX_YAML_BYTES
+    if path.exists() and path.stat().st_size > most:
         raise InputError("the file is too large for what it should hold.", path)
     text = read_text(path)
     try:
         if path.suffix == ".json":
-            document = read_json(path)
+            document = parse_json(text, path)
         elif path.suffix == ".toml":
-            document = _parse_toml(text)
+            document = parse_toml(text)
         elif path.suffix == ".xml":
             document = _parse_xml(text)
         else:
@@ -106,13 +131,44 @@ def read_document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _parse_toml(text: str) -> object:
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML document.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or holds a whole number of more than 64 bits or tables nested far too deep; the message
+        says which.
+    """
     if sys.version_info >= (3, 11):
         import tomllib
     else:
         import tomli as tomllib
 
-    return tomllib.loads(text)
+    # What stands between separators is a key or a value. The time that keys take grows with the square of
+    # their dots.
+    if any(piece.partition("#")[0].count(".") > _DEEPEST for piece in re.split(r"[,={}\[\]\n]", text)):
+        raise ValueError(_TOO_DEEP)
+    try:
+        document: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except ValueError as error:
+        raise ValueError(_TOO_LONG) from error  # Python's limit on the digits it reads.
+    except RecursionError as error:
+        raise ValueError(_TOO_DEEP) from error
+    require_shallow(document)
+    _require_short_numbers(document)
+    return document
+
+
+def _require_short_numbers(value: object) -> None:
+    # TOML has no others, and Python cannot even print some, in a message that refuses them.
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        raise ValueError(_TOO_LONG)
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            _require_short_numbers(item)
 
 
 def _parse_xml(text: str) -> object:
@@ -131,12 +187,14 @@ def _parse_xml(text: str) -> object:
     return {node.tag: _xml_value(node) for node in root}
 
 
-def _xml_value(node: Element) -> object:
+def _xml_value(node: Element, depth: int = 0) -> object:
+    if depth > _DEEPEST:
+        raise ValueError(_TOO_DEEP)
     if node.get("type_id") == "opencv-matrix":
         fields = {field.tag: (field.text or "").strip() for field in node}
         return {**fields, "data": fields.get("data", "").split()}
     if len(node):
-        return {field.tag: _xml_value(field) for field in node}
+        return {field.tag: _xml_value(field, depth + 1) for field in node}
     words = (node.text or "").split()
     values = [_number_or_word(word) for word in words]
     return values[0] if len(values) == 1 else values
@@ -162,12 +220,36 @@ def _parse_yaml(text: str) -> object:
                 raise yaml.YAMLError("aliases (*name) are not supported")
             return super().compose_node(parent, index)
 
+        # Each level is looked at again for each word within it.
+        def fetch_flow_collection_start(self, kind: type[yaml.Token]) -> None:
+            require_shallow_at(self.flow_level)
+            super().fetch_flow_collection_start(kind)
+
+        def add_indent(self, column: int) -> bool:
+            require_shallow_at(len(self.indents))
+            return bool(super().add_indent(column))
+
+    def require_shallow_at(depth: int) -> None:
+        if depth > _DEEPEST:
+            raise yaml.YAMLError(_TOO_DEEP)
+
+    def number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float | str:
+        # YAML 1.1 takes 1:30 for ninety, and multiplies numbers of a million such places.
+        if ":" in node.value:
+            return str(node.value)
+        if len(node.value) > _LONGEST_NUMBER:
+            raise yaml.YAMLError(f"a number has {len(node.value):,} digits")
+        is_whole = node.tag.endswith(":int")
+        return loader.construct_yaml_int(node) if is_whole else loader.construct_yaml_float(node)
+
     def matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
         if not isinstance(node, yaml.MappingNode):
             raise yaml.YAMLError("an opencv-matrix is not a mapping")
         return loader.construct_mapping(node, deep=True)
 
     Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
+    for kind in ("int", "float"):
+        Loader.add_constructor(f"tag:yaml.org,2002:{kind}", number)
     try:
         # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
         text = re.sub(r"\A%YAML:?\s*[\d.]+", "", text)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
+from stages.files.opening import content_of, opened, said_of
 
 _HEADER_BYTES = 1 << 19
 _START = b"v/1\x01"
@@ -51,10 +52,10 @@ def exr_size(path: Path) -> tuple[int, int]:
         If the file is missing, or its header is damaged.
     """
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             header = _header(file.read(_HEADER_BYTES), path)
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({error}).", path) from error
+        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
     return header.width, header.height
 
 
@@ -69,9 +70,9 @@ def read_exr(path: Path) -> NDArray[Any]:
     import OpenEXR
 
     try:
-        data = path.read_bytes()
+        data = content_of(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({error}).", path) from error
+        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
     header = _header(data, path)
     if _is_cut_short(data, header):
         raise InputError("the image is cut short; copy it again or leave the frame out.", path)

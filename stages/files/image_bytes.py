@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,10 +13,15 @@ from numpy.typing import NDArray
 
 # No camera in use makes larger images; a header that promises more is damaged or hostile.
 MAX_PIXELS = 1 << 27
+# Textures are put together from many images: 16384 texels a side.
+_MOST_TEXELS = 1 << 28
+PNG_START = b"\x89PNG\r\n\x1a\n"
+# JPEG markers that start a frame (and so hold its size): SOF0-15 without DHT, JPG and DAC.
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 # Each kind by how its files begin. TGA files have no such mark: their name tells.
 _BEGINNINGS = (
-    (b"\x89PNG\r\n\x1a\n", ".png", "image/png"),
+    (PNG_START, ".png", "image/png"),
     (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
     (b"BM", ".bmp", "image/bmp"),
     (b"GIF8", ".gif", "image/gif"),
@@ -40,6 +47,11 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     """Return the image as (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; None if it is damaged."""
     import cv2
 
+    size = promised_size(data)
+    if size is not None and not is_possible(size, _MOST_TEXELS):
+        return None
+    if data.startswith(PNG_START) and is_cut_short(data):
+        return None
     try:
         image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
@@ -78,3 +90,64 @@ def encoded_png(image: NDArray[np.uint8]) -> bytes:
     code = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
     _, encoded = cv2.imencode(".png", cv2.cvtColor(image, code))
     return encoded.tobytes()
+
+
+def is_possible(size: tuple[int, int], most: int = MAX_PIXELS) -> bool:
+    """Return whether an image of (width, height) pixels is one, and no larger than cameras make them."""
+    return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= most
+
+
+def is_cut_short(data: bytes) -> bool:
+    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey.
+
+    The parts of a PNG are walked: OpenCV reserves whatever one claims to hold, up to 4 GB, before it is read.
+    """
+    if data.startswith(PNG_START):
+        at = len(PNG_START)
+        while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
+            at += 12 + int.from_bytes(data[at : at + 4], "big")
+        return at + 12 > len(data)
+    return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
+
+
+def promised_size(data: bytes) -> tuple[int, int] | None:
+    """Return (width, height) as a header states them, whatever they are; None where it cannot be told."""
+    if data.startswith(PNG_START) and len(data) >= 24:
+        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    if data.startswith(b"\xff\xd8"):
+        return _jpeg_size(data)
+    pnm = re.match(rb"P[2356fF]\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s", data[:4096])
+    return (int(pnm[1]), int(pnm[2])) if pnm else _size_by_pillow(data)
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    at = 2
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker in _JPEG_FRAMES:
+            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
+        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None
+
+
+def _size_by_pillow(data: bytes) -> tuple[int, int] | None:
+    """Return the size that other formats state, such as TIFF; nothing is decoded."""
+    kind = kind_of(data)[0]
+    if kind not in (".tif", ".bmp", ".gif", ".webp"):
+        return None
+    from PIL import BmpImagePlugin, GifImagePlugin, TiffImagePlugin, WebPImagePlugin
+
+    # By their classes: Image.open has a limit of its own, and raises beyond it.
+    readers: dict[str, Callable[[io.BytesIO], Any]] = {
+        ".tif": TiffImagePlugin.TiffImageFile,
+        ".bmp": BmpImagePlugin.BmpImageFile,
+        ".gif": GifImagePlugin.GifImageFile,
+        ".webp": WebPImagePlugin.WebPImageFile,
+    }
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            width, height = readers[kind](io.BytesIO(data)).size
+    except Exception:  # Pillow's readers raise whatever the first bad value leads to.
+        return None
+    return width, height

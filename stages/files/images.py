@@ -5,7 +5,6 @@ Files come from anywhere, so what an image promises is checked before a decoder 
 
 from __future__ import annotations
 
-import re
 import tokenize
 from pathlib import Path
 from typing import Any, cast
@@ -15,7 +14,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.exr import exr_size, read_exr
-from stages.files.image_bytes import MAX_PIXELS
+from stages.files.image_bytes import MAX_PIXELS, PNG_START, is_cut_short, is_possible, promised_size
+from stages.files.opening import content_of, opened, require_regular, said_of
 
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
 _HEADER_BYTES = 1 << 19
@@ -31,12 +31,9 @@ _NPY_FAULTS = (
     SyntaxError,
     tokenize.TokenError,
 )
-_PNG_START = b"\x89PNG\r\n\x1a\n"
 # Where a PNG says how its colours are kept, and what it says where they are with transparency.
 _PNG_COLOR_TYPE = 25
 _PNG_WITH_ALPHA = (b"\x04", b"\x06")
-# JPEG markers that start a frame (and so hold its size): SOF0-15 without DHT, JPG and DAC.
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -53,11 +50,12 @@ def image_size(path: Path) -> tuple[int, int]:
     if path.suffix.lower() == ".exr":
         return exr_size(path)
     try:
-        with path.open("rb") as file:
-            size = _promised_size(file.read(_HEADER_BYTES))
+        with opened(path) as file:
+            size = promised_size(file.read(_HEADER_BYTES))
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({error}).", path) from error
+        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
     if size is not None:
+        _require_possible(size, path)
         return size
     height, width = read_stored(path).shape[:2]
     return width, height
@@ -74,7 +72,7 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
     if path.suffix == ".npy":
         try:
             # Mapped, not read: a header that promises more than the file holds then fails at once.
-            raw: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+            raw: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
         except _NPY_FAULTS as error:
             raise InputError(f"the depth map cannot be read ({error}).", path) from error
     elif path.suffix.lower() == ".exr":
@@ -132,11 +130,11 @@ def decode_depth(data: bytes, source: Path | str) -> NDArray[Any]:
 def has_alpha(path: Path) -> bool:
     """Say whether a file is a PNG with transparency beside its colours."""
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             start = file.read(_PNG_COLOR_TYPE + 1)
     except OSError:
         return False  # Reported when the image is read.
-    return start.startswith(_PNG_START) and start[_PNG_COLOR_TYPE:] in _PNG_WITH_ALPHA
+    return start.startswith(PNG_START) and start[_PNG_COLOR_TYPE:] in _PNG_WITH_ALPHA
 
 
 def read_alpha(path: Path) -> NDArray[np.uint8]:
@@ -167,19 +165,24 @@ def read_stored(path: Path) -> NDArray[Any]:
 def file_bytes(path: Path) -> bytes:
     """Return what is in a file, or raise InputError where it cannot be opened."""
     try:
-        return path.read_bytes()
+        return content_of(path)
     except (OSError, ValueError) as error:
-        raise InputError(f"the image cannot be opened ({error}).", path) from error
+        raise InputError(f"the image cannot be opened ({said_of(error)}).", path) from error
+
+
+def _require_possible(size: tuple[int, int], source: Path | str) -> None:
+    if not is_possible(size):
+        raise InputError(f"the image claims to be {size[0]}×{size[1]} pixels; its header is damaged.", source)
 
 
 def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
     import cv2
 
-    if _is_cut_short(data):
+    if is_cut_short(data):
         raise InputError("the image is cut short; copy it again or leave the frame out.", source)
-    size = _promised_size(data)
-    if size is not None and not 0 < size[0] * size[1] <= MAX_PIXELS:
-        raise InputError(f"the image claims to be {size[0]}×{size[1]} pixels; its header is damaged.", source)
+    size = promised_size(data)
+    if size is not None:
+        _require_possible(size, source)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
@@ -187,36 +190,3 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
     if image is None:
         raise InputError("the image does not decode; it is damaged or of an unknown format.", source)
     return np.asarray(image)
-
-
-def _is_cut_short(data: bytes) -> bool:
-    """Say whether a PNG or JPEG lacks its end; some decoders would fill the rest with grey.
-
-    The parts of a PNG are walked: OpenCV reserves whatever one claims to hold, up to 4 GB, before it is read.
-    """
-    if data.startswith(_PNG_START):
-        at = len(_PNG_START)
-        while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
-            at += 12 + int.from_bytes(data[at : at + 4], "big")
-        return at + 12 > len(data)
-    return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
-
-
-def _promised_size(data: bytes) -> tuple[int, int] | None:
-    """Return (width, height) as a PNG, JPEG or PNM header states them; None for other formats."""
-    if data.startswith(_PNG_START) and len(data) >= 24:
-        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if data.startswith(b"\xff\xd8"):
-        return _jpeg_size(data)
-    pnm = re.match(rb"P[2356fF]\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s", data[:4096])
-    return (int(pnm[1]), int(pnm[2])) if pnm else None
-
-
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
-    at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker in _JPEG_FRAMES:
-            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
-        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return None

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 import numpy as np
 from numpy.typing import NDArray
+
+_OF_WHOLE_NUMBERS = b"0123456789- \n"
+# Whole numbers beyond it are not all told apart by 64 bits of floating point.
+_LARGEST = 2**53
 
 
 def parse_numbers(text: bytes) -> NDArray[np.float64]:
@@ -16,16 +21,41 @@ def parse_numbers(text: bytes) -> NDArray[np.float64]:
     ValueError
         For the first word that is no number; the message is a sentence that quotes it.
     """
+    found = _parsed(text, np.float64)
+    if found is not None:
+        return np.asarray(found, np.float64)
+    bad = next((word for word in text.split() if not _is_number(word)), b"")
+    raise ValueError(f"{bad[:40].decode('latin-1')!r} stands where a number is expected.")
+
+
+def parse_whole_numbers(text: bytes) -> NDArray[np.int64] | None:
+    """Parse whole numbers separated by white space; None where one is not whole or beyond 2⁵³.
+
+    Raises
+    ------
+    ValueError
+        For the first word that is no number; the message is a sentence that quotes it.
+    """
+    # Three times as fast, but NumPy takes `- 1` for a number here.
+    if not text.translate(None, _OF_WHOLE_NUMBERS) and not re.search(rb"-(?![0-9])", text):
+        found = _parsed(text, np.int64)
+        if found is not None and (np.abs(found) < _LARGEST).all():
+            return np.asarray(found, np.int64)
+    numbers = parse_numbers(text)
+    if not (np.abs(numbers) < _LARGEST).all() or not (numbers == np.floor(numbers)).all():
+        return None
+    return numbers.astype(np.int64)
+
+
+def _parsed(text: bytes, kind: type[np.generic]) -> NDArray[np.generic] | None:
     if not text.strip():
-        return np.empty(0)  # fromstring would return one number here
+        return np.empty(0, kind)  # fromstring would return one number here
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)  # NumPy 1.26 stops at a bad word with a warning
         try:
-            return np.fromstring(text.decode("latin-1"), np.float64, sep=" ")
+            return np.fromstring(text.decode("latin-1"), kind, sep=" ")
         except (ValueError, DeprecationWarning):
-            pass
-    bad = next((word for word in text.split() if not _is_number(word)), b"")
-    raise ValueError(f"{bad[:40].decode('latin-1')!r} stands where a number is expected.")
+            return None
 
 
 def _is_number(word: bytes) -> bool:

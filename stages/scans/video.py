@@ -11,6 +11,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
+from stages.files.opening import opened
 from stages.scans.scan import ColorImage
 
 # The last frames stay in memory: threads ask for neighbours in an order of their own.
@@ -93,7 +94,7 @@ class Video:
         import cv2
 
         try:
-            with self.path.open("rb") as file:
+            with opened(self.path) as file:
                 start = file.read(8)
         except OSError as error:
             raise InputError(f"the video cannot be opened ({error.strerror}).", self.path) from error

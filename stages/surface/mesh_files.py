@@ -6,6 +6,7 @@ sentence, and files that promise more than they hold are refused before memory i
 
 from __future__ import annotations
 
+import io
 import logging
 import warnings
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from stages.errors import InputError, UsageError
+from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.surface.convert import as_mesh, to_trimesh
 from stages.surface.formats.gltf import read_gltf
@@ -79,6 +81,9 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
         raise UsageError(f"{path}: meshes are written as {', '.join(EXTENSIONS)}, not as {path.suffix!r}.")
+    if path.is_symlink():
+        # What belongs beside the file, images and materials, belongs beside that which the link leads to.
+        path = path.resolve()
     if extension == ".ply":
         write_ply(path, mesh)
     elif extension == ".obj":
@@ -108,13 +113,17 @@ def _quiet() -> Iterator[None]:
 
 
 def _read_with_trimesh(path: Path, extension: str) -> Mesh:
+    try:
+        data = content_of(path)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}.", path) from error
     if extension == ".stl":
-        _require_whole_stl(path)
+        _require_whole_stl(data, path)
     import trimesh
 
     try:
         with _quiet():
-            scene = trimesh.load_scene(path, process=False)
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=extension[1:], process=False)
             parts = [_placed(scene, node) for node in scene.graph.nodes_geometry]
     except MemoryError:
         raise InputError("promises more data than fits in memory; it is damaged.", path) from None
@@ -152,12 +161,11 @@ def _joined(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def _require_whole_stl(path: Path) -> None:
+def _require_whole_stl(data: bytes, path: Path) -> None:
     """Refuse a binary STL file that is cut short; trimesh would take it for text and find nothing in it."""
-    with path.open("rb") as file:
-        start = file.read(84)
+    start = data[:84]
     count = int.from_bytes(start[80:84], "little")
-    held = (path.stat().st_size - 84) // 50
+    held = (len(data) - 84) // 50
     if len(start) == 84 and not start.lstrip().startswith(b"solid") and count > held:
         raise InputError(
             f"promises {count:,} triangles but holds {held:,}; it is damaged or cut short.", path

@@ -25,12 +25,14 @@ class Sheets:
         left out.
     vertex_source : (p,) int32, a vertex of the input that each one is.
     touches : (p,) bool, vertices where sheets touch: if one moved, they would come apart.
+    sets : (n,) the set that each vertex of the input is in; vertices of one set are one.
     """
 
     triangles: Triangles
     triangle_source: NDArray[np.int32]
     vertex_source: NDArray[np.int32]
     touches: NDArray[np.bool_]
+    sets: Ids
 
 
 def taken_apart(triangles: Triangles, sets: Ids) -> Sheets:
@@ -44,4 +46,4 @@ def taken_apart(triangles: Triangles, sets: Ids) -> Sheets:
     welded = _kernels.weld_sheets(sets.astype(np.int32), triangles)
     vertex_source = np.empty(len(welded.touches), np.int32)
     vertex_source[welded.triangles] = triangles[welded.triangle_source]
-    return Sheets(welded.triangles, welded.triangle_source, vertex_source, welded.touches)
+    return Sheets(welded.triangles, welded.triangle_source, vertex_source, welded.touches, sets)

@@ -19,6 +19,12 @@ from stages.surface.mesh import Mesh, Triangles, Vertices
 FLAT = 1e-10
 
 
+# As the kernels: products of four lengths are still numbers.
+_FARTHEST = 1e60
+# Times that an image is repeated.
+_FARTHEST_UV = 1e30
+
+
 @dataclass(frozen=True)
 class Topology:
     """Counts that describe a mesh.
@@ -142,6 +148,32 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
     return mesh
 
 
+def require_measurable(mesh: Mesh, where: str) -> None:
+    """Refuse a mesh whose areas and volumes may be beyond floating point.
+
+    Raises
+    ------
+    MeshError
+        If a vertex or a texture coordinate is farther out than kernels take it; `where` starts the message.
+    """
+    if mesh.texture is not None:
+        (beyond,) = np.nonzero((np.abs(mesh.texture.uvs) > _FARTHEST_UV).any(axis=(1, 2)))
+        if len(beyond):
+            raise MeshError(
+                f"texture coordinates of triangle {beyond[0]} are beyond ±{_FARTHEST_UV:g} ({len(beyond):,} "
+                "such); make a new texture, or leave it out.",
+                where,
+            )
+    (beyond,) = np.nonzero((np.abs(mesh.vertices) > _FARTHEST).any(axis=1))
+    if len(beyond):
+        place = ", ".join(f"{value:g}" for value in mesh.vertices[beyond[0]])
+        raise MeshError(
+            f"vertex {beyond[0]} is at ({place}), beyond ±{_FARTHEST:g} m ({len(beyond):,} such): its "
+            "coordinates are too large; take it out, or scale the mesh.",
+            where,
+        )
+
+
 def require_area(mesh: Mesh, where: str) -> None:
     """Refuse a mesh that has no surface to work on.
 
@@ -152,6 +184,7 @@ def require_area(mesh: Mesh, where: str) -> None:
     """
     if len(mesh.triangles) == 0:
         raise MeshError("it has no triangles; there is no surface.", where)
+    require_measurable(mesh, where)
     with np.errstate(over="ignore", invalid="ignore"):
         total = areas(mesh.vertices, mesh.triangles).sum()
     if total == 0:

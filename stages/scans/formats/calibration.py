@@ -25,6 +25,8 @@ _DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", 
 # What files call OpenCV's fisheye model, and the models of its ordinary one.
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4")
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
+# Matrices that begin with the camera's.
+_CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
@@ -187,7 +189,8 @@ def _without_model(
     if "intrinsic_matrix" in values:
         # Open3D stores it column by column.
         matrix = _array(values, "intrinsic_matrix", path)
-        matrix = matrix.T if matrix[2, 0] or matrix[2, 1] else matrix
+        if matrix.shape in _CAMERA_SHAPES and matrix[2, :2].any():
+            matrix = matrix.T
         return matrix_camera(matrix, distortion, width, height, path)
     for key in ("matrix", "camera_matrix", "K", "k"):
         if key in values:
@@ -364,7 +367,7 @@ def matrix_camera(
     matrix: NDArray[np.float64], distortion: tuple[float, ...], width: int, height: int, path: Path
 ) -> Camera:
     """Return the checked camera of a 3x3 matrix (or one that begins with it)."""
-    if matrix.shape not in ((3, 3), (4, 4), (3, 4)):
+    if matrix.shape not in _CAMERA_SHAPES:
         raise InputError(f"a camera matrix must be 3x3, not {matrix.shape}.", path)
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.files.image_bytes import MAX_PIXELS
+from stages.files.opening import content_of, opened
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import checked
 from stages.scans.formats.fov_lens import fisheye_of_fov
@@ -163,7 +164,7 @@ def depth_map_size(path: Path) -> tuple[int, int]:
         If the file cannot be read, or is not as long as its header says.
     """
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             start = file.read(_DEPTH_HEADER_BYTES)
         size = path.stat().st_size
     except OSError as error:
@@ -184,7 +185,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     """
     width, height = depth_map_size(path)
     try:
-        data = path.read_bytes()
+        data = content_of(path)
     except OSError as error:
         raise InputError(f"the depth map cannot be read ({error.strerror}).", path) from error
     values = data[-4 * width * height :]
@@ -345,7 +346,7 @@ def _binary_points(path: Path) -> Iterator[tuple[tuple[float, ...], NDArray[np.i
 def _mapped(path: Path) -> mmap.mmap | bytes:
     """Return a file's bytes; the points of large models are gigabytes that nobody reads."""
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if path.stat().st_size else b""
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error

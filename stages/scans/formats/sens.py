@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.images import decode_color
+from stages.files.opening import opened
 from stages.scans.scan import ColorImage
 
 _FORMAT_VERSION = 4
@@ -96,7 +97,7 @@ def read_sens(path: Path) -> Sens:
         known, or not one frame is whole.
     """
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             return _read(file, path.stat().st_size, path)
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
@@ -222,7 +223,7 @@ def _exactly(file: BinaryIO, size: int, path: Path) -> bytes:
 
 def _bytes(path: Path, blob: Blob, name: str) -> bytes:
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             file.seek(blob.start)
             data = file.read(blob.size)
     except OSError as error:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import math
 import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents, lzfse_blocks
 from stages.files.images import decode_color, read_raw_depth
+from stages.files.zip_archives import entry_content, opened_archive
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
 from stages.scans.reading.layout import Layout
@@ -36,7 +36,6 @@ _LEVELS = (0, 1, 2)
 _DEPTH_SIZES = ((256, 192), (192, 256), (640, 480), (480, 640))
 # More than an image or the metadata of hours takes.
 _MAX_ENTRY_BYTES = 1 << 28
-_BROKEN_ZIP = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, KeyError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +121,7 @@ def _trust(options: ReadingParams, folder: Path, has_confidence: bool) -> tuple[
 
 
 def _read_archive(folder: Path, path: Path, options: ReadingParams) -> Scan:
-    try:
-        archive = zipfile.ZipFile(path)
-    except _BROKEN_ZIP as error:
-        raise InputError(
-            "the archive does not open; it is damaged or was cut short. Copy it again.", path
-        ) from error
+    archive = opened_archive(path)
     entries = {entry.filename for entry in archive.infolist()}
     table = documents.parse_json(_text(_entry(archive, "metadata", path), path), path)
     found = sorted((n[0], name[5:-4]) for name in entries if (n := _number_of(name, ".jpg")))
@@ -189,13 +183,7 @@ def _values(
 
 
 def _entry(archive: zipfile.ZipFile, name: str, path: Path) -> bytes:
-    try:
-        entry = archive.getinfo(name)
-        if entry.file_size > _MAX_ENTRY_BYTES:
-            raise InputError(f"{name} is too large for what it should hold.", path)
-        return archive.read(entry)
-    except _BROKEN_ZIP as error:
-        raise InputError(f"{name} cannot be read from the archive; it is damaged.", path) from error
+    return entry_content(archive, name, path, _MAX_ENTRY_BYTES)
 
 
 def _text(data: bytes, path: Path) -> str:

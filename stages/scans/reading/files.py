@@ -16,13 +16,15 @@ DEPTHS = (*IMAGES, ".npy", ".pfm", ".exr")
 # The folders of a stream, under the names that data sets and exports use.
 COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
+_LONGEST_NAME = 255
 # Fewer pairs among the frames of the smaller side are a coincidence of numbers.
 _LEAST_PAIRED = 0.1
 
 
 def numbers(name: str) -> tuple[int, ...]:
     """Return the whole numbers in a file name, so that 10.png sorts after 2.png."""
-    return tuple(int(digits) for digits in re.findall(r"\d+", name))
+    # No file system takes longer names, and Python no numbers of thousands of digits.
+    return tuple(int(digits) for digits in re.findall(r"\d+", name[:_LONGEST_NAME]))
 
 
 # What two names of one moment share: all numbers (0001-0002), the last (cam0_0001 and cam1_0001), or

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stages.errors import InputError
-from stages.files import zstd_blocks
+from stages.files import opening, zstd_blocks
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording
 
 # What a damaged record raises where it is taken apart.
@@ -114,7 +114,7 @@ Find = Callable[[Span, int, frozenset[int]], tuple[int, int]]
 def opened(path: Path) -> Iterator[Span]:
     """Open a file for reading; InputError if that fails, also later on."""
     try:
-        with path.open("rb") as file:
+        with opening.opened(path) as file:
             yield Span(file, 0, path.stat().st_size)
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error

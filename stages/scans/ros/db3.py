@@ -19,9 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.opening import opened, require_regular
 from stages.scans.ros.recording import LARGEST_MESSAGE, Messages, Recording, as_ros_1, unpacked
 
 _SQLITE = b"SQLite format 3\0"
+_BESIDE = ("-wal", "-journal", "-shm")
 _HEADER_BYTES = 100
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"id", "topic_id", "timestamp", "data"}}
 
@@ -35,8 +37,12 @@ def read_db3(path: Path) -> Recording:
         If it cannot be read, is no SQLite database, or one without the tables of a recording.
     """
     try:
-        with path.open("rb") as file:
+        with opened(path) as file:
             header = file.read(_HEADER_BYTES)
+        # What SQLite opens beside it, and waits for.
+        for beside in (path.with_name(path.name + ending) for ending in _BESIDE):
+            if beside.exists():
+                require_regular(beside)
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
     if not header.startswith(_SQLITE) or len(header) < _HEADER_BYTES:

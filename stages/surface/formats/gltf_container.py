@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.opening import content_of
 from stages.surface.formats.textures import beside
 
 Tree = dict[str, Any]
@@ -134,7 +135,7 @@ def read_container(path: Path) -> Gltf:
         If the file is no glTF 2.0 file or compressed, or a buffer is missing or shorter than promised.
     """
     try:
-        data = path.read_bytes()
+        data = content_of(path)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}.", path) from error
     text, binary = _chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
@@ -194,7 +195,7 @@ def _buffer(path: Path, buffer: Tree, binary: bytes) -> bytes:
         return embedded
     name = unquote(uri)
     try:
-        return beside(path.parent, name).read_bytes()
+        return content_of(beside(path.parent, name))
     except (OSError, ValueError) as error:
         raise InputError(f"refers to the file {name[:200]}, which is missing.", path) from error
 

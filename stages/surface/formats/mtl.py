@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.surface.formats.textures import beside, read_texture, write_images
 from stages.surface.texture import Image, Material
@@ -93,7 +94,7 @@ def _readable(file: Path) -> bool:
 
 def _statements(folder: Path, library: str) -> dict[str, list[str]] | None:
     try:
-        lines = text_of(beside(folder, library).read_bytes()).splitlines()
+        lines = text_of(content_of(beside(folder, library))).splitlines()
     except (OSError, ValueError):
         return None
     found: dict[str, list[str]] = {}

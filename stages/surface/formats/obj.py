@@ -7,7 +7,6 @@ smoothing are left out; all objects and groups of a file become parts of one mes
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,32 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.opening import content_of
 from stages.files.replacing import replacing
-from stages.files.text_numbers import parse_numbers
+from stages.files.text_numbers import parse_numbers, parse_whole_numbers
 from stages.surface.formats.colors import to_uint8
-from stages.surface.formats.mtl import read_libraries, text_of, write_library
+from stages.surface.formats.mtl import read_libraries, write_library
+from stages.surface.formats.obj_statements import NO_PART, Statements, sorted_statements, words_of_lines
 from stages.surface.formats.polygons import split_polygons
 from stages.surface.mesh import Mesh, validated
 from stages.surface.texture import Texture
 from stages.surface.welding import same_rows
 
-# What programs write for a material, or a group, that is none.
+# What programs write for a material that is none.
 _NO_MATERIAL = ("None", "(null)")
-_NO_PART = "default"
-
-
-@dataclass
-class _Statements:
-    """The file's lines, sorted by what they say; `seen` counts v, vt and vn before each face."""
-
-    positions: list[bytes] = field(default_factory=list)
-    uvs: list[bytes] = field(default_factory=list)
-    normals: list[bytes] = field(default_factory=list)
-    faces: list[bytes] = field(default_factory=list)
-    seen: list[tuple[int, int, int]] = field(default_factory=list)
-    materials: list[tuple[int, str]] = field(default_factory=list)  # first face, name
-    parts: list[tuple[int, str]] = field(default_factory=list)  # likewise
-    libraries: list[str] = field(default_factory=list)
+# Lines that are put into words together.
+_AT_ONCE = 1 << 15
+# A corner's indices, by whether it has a texture coordinate (2) and a normal (1).
+_CORNERS = ("%d", "%d//%d", "%d/%d", "%d/%d/%d")
 
 
 def read_obj(path: Path | str) -> Mesh:
@@ -59,16 +49,16 @@ def read_obj(path: Path | str) -> Mesh:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        data = content_of(path)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}.", path) from error
     notes: list[str] = []
-    statements = _sorted_statements(data)
+    statements = sorted_statements(data)
     try:
         vertices, colors = _positions(statements.positions, notes)
         lengths, references = _references(statements.faces, statements.seen)
-        uvs = _rows(statements.uvs, 2)
-        normals = _rows(statements.normals, 3)
+        uvs, _ = _rows(statements.uvs, 2)
+        normals, _ = _rows(statements.normals, 3)
     except ValueError as error:
         raise InputError(f"cannot be parsed: {error}", path) from None
     corners, source = split_polygons(lengths, references[:, 0], vertices, notes)
@@ -77,7 +67,7 @@ def read_obj(path: Path | str) -> Mesh:
     mesh = validated(Mesh(vertices, triangles, colors), str(path))
     texture = _texture(corner_references[..., 1], uvs, source, statements, path.parent, notes)
     of_vertices, of_corners = _normals(mesh, corner_references[..., 2], normals, notes)
-    part_names = tuple(name for name in _used(statements.parts, len(lengths)) if name != _NO_PART)
+    part_names = tuple(name for name in _used(statements.parts, len(lengths)) if name != NO_PART)
     return mesh.with_(
         normals=of_vertices,
         corner_normals=of_corners,
@@ -88,100 +78,74 @@ def read_obj(path: Path | str) -> Mesh:
     )
 
 
-def _sorted_statements(data: bytes) -> _Statements:
-    statements = _Statements()
-    by_key = {b"v": statements.positions, b"vt": statements.uvs, b"vn": statements.normals}
-    names = {b"o": "", b"g": ""}
-    for raw in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
-        line = raw.partition(b"#")[0] if b"#" in raw else raw
-        words = line.split(None, 1)
-        if len(words) < 2:
-            if words and words[0] in names:
-                words.append(b"")
-            else:
-                continue
-        key, rest = words
-        if key in by_key:
-            by_key[key].append(rest)
-        elif key == b"f":
-            statements.faces.append(rest)
-            statements.seen.append((len(statements.positions), len(statements.uvs), len(statements.normals)))
-        elif key == b"usemtl":
-            statements.materials.append((len(statements.faces), _name(rest)))
-        elif key == b"mtllib":
-            statements.libraries.append(_name(rest))
-        elif key in names:
-            if key == b"o":
-                names[b"g"] = ""
-            names[key] = _name(rest)
-            part = "/".join(dict.fromkeys(name for name in names.values() if name))
-            statements.parts.append((len(statements.faces), part or _NO_PART))
-    return statements
-
-
-def _name(rest: bytes) -> str:
-    return text_of(rest).strip()
-
-
-def _positions(lines: list[bytes], notes: list[str]) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-    table = _rows(lines, 3)
+def _positions(text: bytes, notes: list[str]) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+    table, counts = _rows(text, 3)
     if table.shape[1] in (6, 7):
         colors = table[:, -3:]
         if not np.isfinite(colors).all():
             notes.append("colours that are not finite are taken as 0")
         return table[:, :3], to_uint8(colors)
-    if len(lines) and any(len(line.split()) >= 6 for line in lines):
+    if (counts >= 6).any():
         notes.append("colours are left out: some vertices have none")
     return table[:, :3], None
 
 
-def _rows(lines: list[bytes], width: int) -> NDArray[np.float64]:
-    """Parse lines of numbers; if they differ in length, the first `width` of each."""
-    if not lines:
-        return np.zeros((0, width))
-    counts = np.array([len(line.split()) for line in lines])
+def _rows(text: bytes, width: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Parse lines of numbers; if they differ in length, the first `width` of each.
+
+    Beside them, how many numbers stand in each line.
+    """
+    counts = words_of_lines(text)[1]
+    if not len(counts):
+        return np.zeros((0, width)), counts
     if counts.min() < width:
-        raise ValueError(
-            f"{lines[int(counts.argmin())][:60].decode('latin-1')!r} has fewer than {width} numbers."
-        )
+        line = text.split(b"\n")[int(counts.argmin())].strip()
+        raise ValueError(f"{line[:60].decode('latin-1')!r} has fewer than {width} numbers.")
+    numbers = text
     if counts.min() != counts.max():
-        lines = [b" ".join(line.split()[:width]) for line in lines]
-    return parse_numbers(b"\n".join(lines)).reshape(len(lines), -1)
+        numbers = b"\n".join(b" ".join(line.split()[:width]) for line in text.split(b"\n"))
+    return parse_numbers(numbers).reshape(len(counts), -1), counts
 
 
-def _references(
-    lines: list[bytes], seen: list[tuple[int, int, int]]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _references(text: bytes, seen: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Parse face lines of corners `v`, `v/vt`, `v//vn` or `v/vt/vn`.
+
+    Parameters
+    ----------
+    seen : (faces, 3) how many v, vt and vn were written before each.
 
     Returns
     -------
     lengths : (faces,) corners of each.
     references : (corners, 3) zero-based v, vt, vn; -1 where a corner has none.
     """
-    if not lines:
+    if not text:
         return np.zeros(0, np.int64), np.zeros((0, 3), np.int64)
-    text = b" " + b"\n".join(lines).replace(b"\t", b" ").replace(b"\r", b" ") + b" "
-    text = text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/\n", b"/0\n")
-    characters = np.frombuffer(text, np.uint8)
-    blank = (characters == ord(" ")) | (characters == ord("\n"))
-    begins = np.flatnonzero(blank[:-1] & ~blank[1:]) + 1
-    numbers = parse_numbers(text.replace(b"/", b" "))
-    slashes = np.add.reduceat(characters == ord("/"), begins, dtype=np.int64)
-    whole = (np.abs(numbers) < 2**53).all() and not (numbers % 1).any()
-    if not whole or len(numbers) != (slashes + 1).sum() or slashes.max() > 2:
+    if b"/" in text:
+        text = text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/\n", b"/0\n")
+        text = text + b"0" if text.endswith(b"/") else text
+    begins, lengths = words_of_lines(text)
+    slashes = np.zeros(len(begins), np.int64)
+    if b"/" in text:
+        at = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("/"))
+        slashes = np.bincount(np.searchsorted(begins, at, side="right") - 1, minlength=len(begins))
+        text = text.replace(b"/", b" ")
+    numbers = parse_whole_numbers(text)
+    if numbers is None or len(numbers) != (slashes + 1).sum() or slashes.max() > 2:
         raise ValueError("a face has a corner that is not of the form v, v/vt, v//vn or v/vt/vn.")
 
     written = np.zeros((len(begins), 3), np.int64)
-    first = np.cumsum(slashes + 1) - (slashes + 1)
-    for part in range(3):
-        has = slashes >= part
-        written[has, part] = numbers[first[has] + part]
-    line_of_corner = np.cumsum(characters == ord("\n"))[begins]
-    lengths = np.bincount(line_of_corner, minlength=len(lines))
-    before = np.array(seen, np.int64)[line_of_corner]
-    # Negative numbers count back from the last one written before the face; 0 stands for none.
-    references = np.where(written < 0, before + written, written - 1)
+    if slashes.min() == slashes.max():
+        written[:, : slashes[0] + 1] = numbers.reshape(len(begins), -1)
+    else:
+        first = np.cumsum(slashes + 1) - (slashes + 1)
+        for part in range(3):
+            has = slashes >= part
+            written[has, part] = numbers[first[has] + part]
+    references = written - 1
+    if (written < 0).any():
+        # Negative numbers count back from the last one written before the face; 0 stands for none.
+        references = np.where(written < 0, np.repeat(seen, lengths, axis=0) + written, references)
     # A position must be named: 0 is an error there, and so is counting back beyond the first.
     references[references[:, 0] < 0, 0] = -1
     return lengths, references
@@ -227,11 +191,11 @@ def _texture(
     references: NDArray[np.int64],
     uvs: NDArray[np.float64],
     source: NDArray[np.int64],
-    statements: _Statements,
+    statements: Statements,
     folder: Path,
     notes: list[str],
 ) -> Texture | None:
-    names = _used(statements.materials, len(statements.faces))
+    names = _used(statements.materials, len(statements.seen))
     materials = read_libraries(folder, statements.libraries, names, notes)
     # A name of no library that stands for no material.
     materials = tuple(m for m in materials if m.kept is not None or m.name not in _NO_MATERIAL)
@@ -268,30 +232,30 @@ def write_obj(path: Path | str, mesh: Mesh) -> None:
     texture = mesh.texture
     columns: list[NDArray[Any]] = [mesh.vertices]
     if mesh.colors is not None:
-        columns.append(mesh.colors / 255)
-    lines = _number_lines("v", np.hstack(columns))
+        # Of 256 shares, each is put into words once.
+        columns.append(np.array([repr(level / 255) for level in range(256)], object)[mesh.colors])
+    texts = _number_texts("v", columns)
     corners = mesh.triangles.astype(np.int64) + 1
     vt = vn = None
     if texture is not None and (has_uvs := texture.has_uvs()).any():
         coordinates, vt = _numbered(texture.uvs.reshape(-1, 2))
         vt[~has_uvs] = 0
-        lines += _number_lines("vt", coordinates)
+        texts += _number_texts("vt", [coordinates])
     if mesh.corner_normals is not None:
         directions, vn = _numbered(mesh.corner_normals.reshape(-1, 3))
         vn[(mesh.corner_normals == 0).all(axis=2)] = 0
-        lines += _number_lines("vn", directions)
+        texts += _number_texts("vn", [directions])
     elif mesh.normals is not None:
-        lines += _number_lines("vn", mesh.normals)
+        texts += _number_texts("vn", [mesh.normals])
         vn = corners
     names: list[str] = []
     if texture is not None and texture.materials:
         names = _distinct([material.name for material in texture.materials])
-        lines.insert(0, f"mtllib {path.stem}.mtl")
+        texts.insert(0, f"mtllib {path.stem}.mtl\n")
         write_library(path, texture.materials, names)
-    faces = _face_lines(corners, vt, vn)
-    lines += _with_statements(faces, mesh, names)
-    with replacing(path) as part:
-        part.write_text("\n".join([*lines, ""]), "utf-8")
+    texts += _face_texts(corners, vt, vn, _statements(mesh, names))
+    with replacing(path) as part, part.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(texts)
 
 
 def _numbered(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -314,45 +278,57 @@ def _distinct(names: list[str]) -> list[str]:
     return list(found)
 
 
-def _with_statements(faces: list[str], mesh: Mesh, materials: list[str]) -> list[str]:
-    """Put the names of parts and materials before the faces that they hold for."""
+def _statements(mesh: Mesh, materials: list[str]) -> dict[int, str]:
+    """Return lines with the names of parts and materials by the triangle before which they stand."""
     words: list[tuple[NDArray[np.int32], list[str]]] = []
     # The last statement of each list is for an index of -1.
     if materials and mesh.texture is not None:
         none = next(name for name in (*_NO_MATERIAL, "") if name not in materials)
-        words.append((mesh.texture.material_ids, [f"usemtl {name}" for name in (*materials, none)]))
+        words.append((mesh.texture.material_ids, [f"usemtl {name}\n" for name in (*materials, none)]))
     if mesh.part_ids is not None:
         # As object and as group, since programs look for one or the other.
-        parts = [f"o {name}\ng {name}" for name in _distinct(list(mesh.part_names))]
-        words.append((mesh.part_ids, [*parts, f"g {_NO_PART}"]))
+        parts = [f"o {name}\ng {name}\n" for name in _distinct(list(mesh.part_names))]
+        words.append((mesh.part_ids, [*parts, f"g {NO_PART}\n"]))
+    found: dict[int, str] = {}
     for ids, statements in words:
-        starts = np.flatnonzero(np.diff(ids, prepend=-1))
-        for start in starts.tolist():
-            faces[start] = f"{statements[ids[start]]}\n{faces[start]}"
-    return faces
+        for start in np.flatnonzero(np.diff(ids, prepend=-1)).tolist():
+            found[start] = statements[ids[start]] + found.get(start, "")
+    return found
 
 
-def _number_lines(key: str, rows: NDArray[np.float64]) -> list[str]:
-    return [f"{key} {' '.join(map(repr, row))}" for row in rows.tolist()]
+def _number_texts(key: str, columns: list[NDArray[Any]]) -> list[str]:
+    width = sum(column.shape[1] for column in columns)
+    line = f"{key}{' %s' * width}\n"
+    texts = []
+    for start in range(0, len(columns[0]), _AT_ONCE):
+        rows = [column[start : start + _AT_ONCE] for column in columns]
+        # One list of all words: a list for each line would take as long as the words.
+        flat = rows[0] if len(rows) == 1 else np.hstack([row.astype(object) for row in rows])
+        texts.append(line * len(flat) % tuple(flat.ravel().tolist()))
+    return texts
 
 
-def _face_lines(v: NDArray[Any], vt: NDArray[np.int64] | None, vn: NDArray[np.int64] | None) -> list[str]:
-    """Return lines of corners; an index of 0 stands for none."""
-    if vt is None and vn is None:
-        return [f"f {a} {b} {c}" for a, b, c in v.tolist()]
-    if vt is not None and vn is None and vt.all():
-        pairs = zip(v.tolist(), vt.tolist(), strict=True)
-        return [f"f {a}/{s} {b}/{t} {c}/{u}" for (a, b, c), (s, t, u) in pairs]
+def _face_texts(
+    v: NDArray[np.int64],
+    vt: NDArray[np.int64] | None,
+    vn: NDArray[np.int64] | None,
+    statements: dict[int, str],
+) -> list[str]:
+    """Return lines of corners, with the statements before them; an index of 0 stands for none."""
     none = np.zeros_like(v)
-    rows = np.hstack((v, none if vt is None else vt, none if vn is None else vn)).tolist()
-    if vt is not None and vn is not None and vt.all() and vn.all():
-        return [f"f {a}/{s}/{i} {b}/{t}/{j} {c}/{u}/{k}" for a, b, c, s, t, u, i, j, k in rows]
-    return [
-        f"f {_corner(a, s, i)} {_corner(b, t, j)} {_corner(c, u, k)}" for a, b, c, s, t, u, i, j, k in rows
-    ]
-
-
-def _corner(v: int, vt: int, vn: int) -> str:
-    if not vn:
-        return f"{v}/{vt}" if vt else f"{v}"
-    return f"{v}/{vt or ''}/{vn}"
+    indices = np.stack([v, none if vt is None else vt, none if vn is None else vn], axis=2)
+    # How the corners of each triangle are written; triangles that are written alike stand side by side.
+    kinds = (2 * (indices[..., 1] > 0) + (indices[..., 2] > 0)) @ np.array([16, 4, 1])
+    if not len(v):
+        return []
+    breaks = {*statements, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), *range(0, len(v), _AT_ONCE)}
+    starts = sorted(breaks)
+    texts = []
+    for start, end in zip(starts, [*starts[1:], len(v)], strict=True):
+        kind = int(kinds[start])
+        corners = [kind >> shift & 3 for shift in (4, 2, 0)]
+        line = f"f {' '.join(_CORNERS[corner] for corner in corners)}\n"
+        used = [has for corner in corners for has in (True, corner >= 2, corner % 2 == 1)]
+        flat = indices[start:end].reshape(-1, 9)[:, used].ravel().tolist()
+        texts.append(statements.get(start, "") + line * (end - start) % tuple(flat))
+    return texts

@@ -65,6 +65,7 @@ def read_ply(path: Path | str) -> Mesh:
     )
     if any(name in face for name in ("red", "diffuse_red", "r")):
         notes.append("colours of faces are left out; only colours of vertices are used")
+    _note_transparency(vertex, notes)
     mesh = validated(mesh, str(path))
     texture = read_texture_of_ply(header, vertex, face, mesh.triangles, corners, source, path.parent, notes)
     part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
@@ -92,6 +93,15 @@ def _vertex_colors(vertex: Table, notes: list[str]) -> NDArray[np.uint8] | None:
                 notes.append("colours that are not finite are taken as 0")
             return to_uint8(values)
     return None
+
+
+def _note_transparency(vertex: Table, notes: list[str]) -> None:
+    for name in ("alpha", "a"):
+        alpha = _columns(vertex, (name,))
+        if alpha is None or not alpha.size:
+            continue
+        if alpha.min() < (255 if alpha.dtype.kind in "iu" else 1):
+            notes.append("the transparency of vertices is left out")
 
 
 def _normals(vertex: Table, notes: list[str]) -> NDArray[np.float64] | None:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.opening import content_of
 from stages.files.text_numbers import parse_numbers
 
 # Real headers take a few hundred bytes; without a bound a gigabyte of noise would be searched for its end.
@@ -81,7 +82,7 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
         If the file cannot be opened, is no PLY file, or holds less than its header promises.
     """
     try:
-        data = path.read_bytes()
+        data = content_of(path)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}.", path) from error
     try:

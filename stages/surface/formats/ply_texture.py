@@ -114,7 +114,7 @@ def _own_materials(header: Header, images: list[tuple[str, Image | None]]) -> tu
 def _material(text: str, images: list[tuple[str, Image | None]]) -> Material:
     try:
         return _described_material(json.loads(text), images)
-    except (ValueError, TypeError, AttributeError, RecursionError):
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
         return Material()
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from stages.files.image_bytes import kind_of
+from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.surface.texture import Image
 
-# File systems take 255 bytes; some are for what is put before or after.
-_LONGEST_NAME = 80
+# Bytes that file systems take; some are for what is put before or after.
+_LONGEST_NAME = 255
+_LONGEST_PART = 80
 
 
 def beside(folder: Path, name: str) -> Path:
@@ -41,7 +44,7 @@ def read_texture(folder: Path, name: str, notes: list[str]) -> Image | None:
     """
     file = beside(folder, name)
     try:
-        data = file.read_bytes()
+        data = content_of(file)
     except (OSError, ValueError):
         notes.append(f"the texture image {name} is missing or cannot be read")
         return None
@@ -63,9 +66,9 @@ def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
         data, extension = image.file_bytes, image.extension
         name = _safe_name(image.name, extension)
         if not name or written.get(name, data) != data or _holds_other(path.with_name(name), data):
-            name = f"{path.stem}_{name}" if name else f"{path.stem}_{number}{extension}"
+            name = _name_after(path.stem, name or f"{number}{extension}")
         if written.get(name, data) != data:
-            name = f"{path.stem}_{number}{extension}"
+            name = _name_after(path.stem, f"{number}{extension}")
         names[id(image)] = name
         written[name] = data
         with replacing(path.with_name(name)) as part:
@@ -73,10 +76,26 @@ def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
     return names
 
 
+def _name_after(stem: str, rest: str) -> str:
+    """Return the name of an image that starts as the mesh's does, as far as file systems let it."""
+    whole = f"{stem}_{rest}"
+    if len(whole.encode("utf-8", "replace")) <= _LONGEST_NAME:
+        return whole
+    # What is left out still tells one mesh from another.
+    mark = hashlib.sha256(stem.encode("utf-8", "replace")).hexdigest()[:8]
+    return f"{_cut(stem, _LONGEST_PART)}-{mark}_{rest}"
+
+
+def _cut(name: str, most: int) -> str:
+    """Return the start of a name that takes at most `most` bytes."""
+    return name.encode("utf-8", "replace")[:most].decode("utf-8", "ignore")
+
+
 def _safe_name(name: str, extension: str) -> str:
     """Return a name that stays in its folder on every system, and fits the kind of image."""
     last = PureWindowsPath(PurePosixPath(name).name).name
-    last = re.sub(r'[\x00-\x1f<>:"|?*]', "_", last).strip(" .")[:_LONGEST_NAME]
+    last = re.sub(r'[\x00-\x1f<>:"|?*]', "_", last).strip(" .")
+    last = _cut(last, _LONGEST_PART)
     known = {".jpeg": ".jpg", ".tiff": ".tif"}
     suffix = PurePosixPath(last).suffix.lower()
     fits = known.get(suffix, suffix) == extension or not extension
@@ -85,7 +104,7 @@ def _safe_name(name: str, extension: str) -> str:
 
 def _holds_other(file: Path, data: bytes) -> bool:
     try:
-        return file.read_bytes() != data
+        return content_of(file) != data
     except FileNotFoundError:
         return False
     except OSError:

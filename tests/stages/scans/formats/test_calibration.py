@@ -176,6 +176,14 @@ def test_numbers_that_cannot_be_right_are_told(tmp_path, change, message):
         read_rig(path, 32, 24)
 
 
+@pytest.mark.parametrize("matrix", [[], [100], 3, [[[100]]], {"rows": 1, "cols": 2, "data": [100, 16]}])
+def test_a_matrix_of_another_shape_is_told(tmp_path, matrix):
+    path = tmp_path / "intrinsic.json"
+    path.write_text(json.dumps({"width": 32, "height": 24, "intrinsic_matrix": matrix}))
+    with pytest.raises(InputError, match=r"intrinsic\.json: a camera matrix must be 3x3"):
+        read_camera(path, 32, 24)
+
+
 def test_what_is_missing_is_named(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"fx": 100, "fy": 110, "baseline": 0.5}))

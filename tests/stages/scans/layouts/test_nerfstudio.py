@@ -332,3 +332,20 @@ def test_a_frame_whose_pose_is_lost_is_left_out(scan_folder, tiny):
     content["frames"][0]["transform_matrix"] = np.full((4, 4), np.nan).tolist()
     write(scan_folder, content)
     assert [one.name for one in read_scan(scan_folder).skipped] == ["2"]
+
+
+@pytest.mark.parametrize("size", [(128, 0), (0, 96)])
+@pytest.mark.parametrize("is_stated", [True, False])
+def test_an_image_without_rows_is_one_sentence(scan_folder, tiny, size, is_stated):
+    """Its depth camera was scaled by a height of 0."""
+    content = document(tiny)
+    if not is_stated:
+        content = {key: value for key, value in content.items() if key not in "wh"}
+    write(scan_folder, content)
+    for folder in ("depth", "images"):
+        for path in (scan_folder / folder).iterdir():
+            data = bytearray(path.read_bytes())
+            data[16:24] = size[0].to_bytes(4, "big") + size[1].to_bytes(4, "big")
+            path.write_bytes(data)
+    with pytest.raises(InputError, match=r"\.png: the image claims to be .* pixels; its header is damaged"):
+        points(scan_folder, tiny)

@@ -251,3 +251,22 @@ def test_two_recordings_in_a_folder_are_not_mixed(tmp_path, tiny):
     with pytest.raises(InputError, match=r"2 \.r3d files.*give the one to read"):
         read_scan(tmp_path)
     assert read_scan(tmp_path / "b.r3d").frames[0].depth.file.name == "b.r3d"
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_archive_of_another_compression_is_one_sentence(tmp_path, tiny, method):
+    write_archive(tmp_path / "take.r3d", tiny)
+    with zipfile.ZipFile(tmp_path / "take.r3d") as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(tmp_path / "take.r3d", "w", method) as archive:
+        for name, data in entries.items():
+            archive.writestr(name, data)
+    with pytest.raises(InputError, match=r"take\.r3d: metadata is compressed in a way that is not read"):
+        read_scan(tmp_path)
+
+
+def test_an_entry_may_not_be_larger_than_what_it_holds_ever_is(tmp_path, tiny, monkeypatch):
+    write_archive(tmp_path / "take.r3d", tiny)
+    monkeypatch.setattr("stages.scans.layouts.record3d._MAX_ENTRY_BYTES", 100)
+    with pytest.raises(InputError, match=r"take\.r3d: metadata is too large for what it should hold"):
+        read_scan(tmp_path)

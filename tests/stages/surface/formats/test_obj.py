@@ -1,10 +1,14 @@
 """OBJ files with materials, groups and polygons; what is written back is what was read."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 
+from stages.errors import InputError
 from stages.files.image_bytes import encoded_png
 from stages.surface.convert import with_vertex_colors
+from stages.surface.formats import obj_statements
 from stages.surface.formats.obj import read_obj, write_obj
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
@@ -234,3 +238,82 @@ def test_names_from_before_unicode(tmp_path):
     mesh = read_obj(tmp_path / "m.obj")
     assert mesh.part_names == ("süß",)
     assert mesh.texture.images[0].name == "größe.png"
+
+
+UNUSUAL = {
+    "comment": ("v 0 0 0\n", "v 0 0 0 # the first\n"),
+    "indent": ("v 0 0 0\n", "  v 0 0 0\n"),
+    "empty row": ("vt 0 0\n", "v \nvt\nf \t\nvt 0 0\n"),
+}
+USUAL = {
+    "as it is": ("", ""),
+    "tabs": ("v 0 0 0\n", "v\t0 \t0  0 \n"),
+    "carriage returns": ("\n", "\r\n"),
+    "carriage returns alone": ("\n", "\r"),
+    "continued": ("v 0 0 0\n", "v 0 \\\n0 0\n"),
+    "comments": ("vt 0 0\n", "# v 1 2 3\n\n#\ng body # of it\nvt 0 0\n"),
+    "other words": ("vt 0 0\n", "vp 1\nfo 1 2 3\nl 1 2\ns off\nvt 0 0\n"),
+    "no end": (MODEL, MODEL.rstrip()),
+}
+
+
+@pytest.mark.parametrize("name", [*UNUSUAL, *USUAL])
+def test_lines_are_sorted_alike_in_bulk_and_one_by_one(monkeypatch, name):
+    before, after = (UNUSUAL | USUAL)[name]
+    data = (MODEL.replace(before, after) if before else MODEL).encode()
+    in_bulk = obj_statements._in_bulk(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + b"\n")
+    if "\\" not in after:
+        assert (in_bulk is None) == (name in UNUSUAL)
+    found = obj_statements.sorted_statements(data)
+    monkeypatch.setattr(obj_statements, "_in_bulk", lambda data: None)  # noqa: ARG005
+    expected = obj_statements.sorted_statements(data)
+    for ours, theirs in zip(astuple(found), astuple(expected), strict=True):
+        if isinstance(ours, bytes):
+            assert [line.split() for line in ours.splitlines()] == [
+                line.split() for line in theirs.splitlines()
+            ]
+        else:
+            np.testing.assert_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("forms", ["{0}", "{0}/{0}", "{0}//{0}", "{0}/{0}/{0}", "mixed"])
+def test_corners_of_each_form_are_read(tmp_path, forms):
+    choices = ["{0}", "{0}/{0}", "{0}//{0}", "{0}/{0}/{0}", "{0}/", "{0}/{0}/"]
+    written = [choices[i % 6] if forms == "mixed" else forms for i in range(3 * 40)]
+    corners = [form.format(1 + i % 3 - 4 * (i % 2)) for i, form in enumerate(written)]
+    faces = "".join(f"f {' '.join(corners[i : i + 3])}\n" for i in range(0, len(corners), 3))
+    rows = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nvn 0 1 0\nvn 1 0 0\n"
+    (tmp_path / "a.obj").write_text(rows + faces)
+    mesh = read_obj(tmp_path / "a.obj")
+    assert mesh.triangles.ravel().tolist() == [i % 3 for i in range(120)]
+
+
+@pytest.mark.parametrize("face", ["f 1 2 - 3", "f 1 2 3-", "f 1 -- 2 3", "f 1-2 3 1", "f - 1 2 3"])
+def test_a_minus_sign_alone_is_no_number(tmp_path, face):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
+    with pytest.raises(InputError, match=r"a\.obj: cannot be parsed: '[^']*-[^']*' stands where a number"):
+        read_obj(tmp_path / "a.obj")
+
+
+def test_triangles_written_in_all_forms_keep_their_places(tmp_path):
+    rng = np.random.default_rng(3)
+    vertices, triangles = rng.normal(size=(9, 3)), rng.integers(0, 9, (60, 3)).astype(np.int32)
+    uvs, normals = rng.random((60, 3, 2)) + 1, rng.normal(size=(60, 3, 3))
+    uvs[rng.random(60) < 0.4] = 0
+    normals[rng.random((60, 3)) < 0.4] = 0
+    texture = Texture(uvs, rng.integers(-1, 2, 60).astype(np.int32), (Material("a"), Material("b")))
+    parts = rng.integers(0, 2, 60).astype(np.int32)
+    mesh = Mesh(
+        vertices, triangles, texture=texture, corner_normals=normals, part_ids=parts, part_names=("x", "y")
+    )
+    write_obj(tmp_path / "a.obj", mesh)
+    back = read_obj(tmp_path / "a.obj")
+    np.testing.assert_array_equal(back.vertices, vertices)
+    np.testing.assert_array_equal(back.triangles, triangles)
+    np.testing.assert_array_equal(back.corner_normals, normals)
+    np.testing.assert_array_equal(back.texture.uvs, uvs)
+    assert [back.part_names[i] for i in back.part_ids] == [("x", "y")[i] for i in parts]
+    named = [material.name for material in back.texture.materials]
+    assert [named[i] if i >= 0 else None for i in back.texture.material_ids] == [
+        "ab"[i] if i >= 0 else None for i in texture.material_ids
+    ]

@@ -1,0 +1,88 @@
+"""Reading and writing OBJ files beside trimesh: `python benches/obj_files.py [VERTICES …] [--repeats N]`.
+
+A sheet with noise, bare and with colours, texture coordinates and normals. Each cell is the least of some
+repeats in seconds, and trimesh's time for the same file divided by ours. What is read must be what was
+written, to the bit; trimesh writes eight digits of each number, as it does by itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from markdown_tables import print_head, print_row
+
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.surface.texture import Texture
+
+SIZES = (250_000, 1_000_000)
+
+
+def sheet(count: int) -> Mesh:
+    """Return a square sheet of nearly `count` vertices and twice as many triangles."""
+    side = round(count**0.5)
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, side)] * 2))
+    z = 0.1 * np.sin(9 * x) + np.random.default_rng(0).normal(0, 1e-3, side * side)
+    rows = np.arange(side * side).reshape(side, side)
+    a, b, c, d = (part.ravel() for part in (rows[:-1, :-1], rows[:-1, 1:], rows[1:, 1:], rows[1:, :-1]))
+    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return Mesh(np.column_stack([x, y, z]), triangles.astype(np.int32))
+
+
+def dressed(mesh: Mesh) -> Mesh:
+    """Return a mesh with colours, normals and texture coordinates."""
+    colors = np.random.default_rng(1).integers(0, 256, (len(mesh.vertices), 3))
+    normals = mesh.vertices / np.linalg.norm(mesh.vertices + 1, axis=1, keepdims=True)
+    uvs = mesh.vertices[mesh.triangles][:, :, :2].copy()
+    texture = Texture(uvs, np.full(len(mesh.triangles), -1, np.int32), ())
+    return mesh.with_(colors=colors.astype(np.uint8), normals=normals, texture=texture)
+
+
+def compared(mesh: Mesh, folder: Path, repeats: int) -> tuple[list[str], bool]:
+    """Return cells for writing and reading, and whether the mesh came back as it was."""
+    path, other = folder / "ours.obj", folder / "theirs.obj"
+    write, _ = least(lambda: write_mesh(path, mesh), repeats)
+    read, back = least(lambda: read_mesh(path), repeats)
+    their_read, loaded = least(lambda: trimesh.load(path, process=False), repeats)
+    their_write, _ = least(lambda: loaded.export(other), repeats)
+    equal = np.array_equal(back.vertices, mesh.vertices) and np.array_equal(back.triangles, mesh.triangles)
+    pairs = ((write, their_write), (read, their_read))
+    cells = [f"{path.stat().st_size / 1e6:.0f}", *(c for a, b in pairs for c in (f"{a:.2f}", f"{b / a:.2f}"))]
+    return cells, equal
+
+
+def least(call: Callable[[], Any], repeats: int) -> tuple[float, Any]:
+    """Return the least of the seconds that a call took, and what it returned."""
+    found = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        result = call()
+        found.append(time.perf_counter() - start)
+    return min(found), result
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("vertices", nargs="*", type=int, default=SIZES)
+    parser.add_argument("--repeats", type=int, default=3)
+    arguments = parser.parse_args()
+    columns = ("vertices", "with", "MB", "write s", "× trimesh", "read s", "× trimesh", "read back equal")
+    print_head(columns, words=2)
+    with tempfile.TemporaryDirectory() as folder:
+        for count in arguments.vertices:
+            bare = sheet(count)
+            for name, mesh in (("positions", bare), ("colours, normals, UVs", dressed(bare))):
+                cells, equal = compared(mesh, Path(folder), arguments.repeats)
+                print_row([f"{len(mesh.vertices):,}", name, *cells, "yes" if equal else "no"])
+
+
+if __name__ == "__main__":
+    main()

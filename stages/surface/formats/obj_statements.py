@@ -1,0 +1,167 @@
+"""The statements of an OBJ file, sorted by what they say.
+
+Nearly all lines of a file are numbers of four kinds. These are told apart and cut out in bulk; line by line
+are read only the others, and files that are written in an unusual way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.formats.mtl import text_of
+
+# What programs write for a group that is none.
+NO_PART = "default"
+
+_KEYS = (b"v", b"vt", b"vn", b"f")
+_FACE = _KEYS.index(b"f")
+# White space within a line, which becomes blanks.
+_BLANKS = bytes.maketrans(b"\t\v\f", b"   ")
+_IS_BLANK = np.isin(np.arange(256), list(b" \t\v\f"))
+
+
+@dataclass
+class Statements:
+    """The file's lines, sorted by what they say.
+
+    Attributes
+    ----------
+    positions, uvs, normals, faces : lines of v, vt, vn and f without these words, line feeds between them;
+        blanks are the only other white space.
+    seen : (faces, 3) how many v, vt and vn stand before each face.
+    materials, parts : the first face for which each holds, and its name.
+    libraries : file names of materials.
+    """
+
+    positions: bytes = b""
+    uvs: bytes = b""
+    normals: bytes = b""
+    faces: bytes = b""
+    seen: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    materials: list[tuple[int, str]] = field(default_factory=list)
+    parts: list[tuple[int, str]] = field(default_factory=list)
+    libraries: list[str] = field(default_factory=list)
+    _names: dict[bytes, str] = field(default_factory=lambda: {b"o": "", b"g": ""})
+
+    def add(self, line: bytes, faces: int) -> None:
+        """Add a line that is no row of numbers, before which so many faces stand."""
+        words = line.split(None, 1)
+        if len(words) < 2:
+            if not words or words[0] not in self._names:
+                return
+            words.append(b"")
+        key, rest = words
+        if key == b"usemtl":
+            self.materials.append((faces, _name(rest)))
+        elif key == b"mtllib":
+            self.libraries.append(_name(rest))
+        elif key in self._names:
+            if key == b"o":
+                self._names[b"g"] = ""
+            self._names[key] = _name(rest)
+            part = "/".join(dict.fromkeys(name for name in self._names.values() if name))
+            self.parts.append((faces, part or NO_PART))
+
+
+def _name(rest: bytes) -> str:
+    return text_of(rest).strip()
+
+
+def sorted_statements(data: bytes) -> Statements:
+    """Sort the lines of a file."""
+    if b"\\" in data:
+        data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if not data.endswith(b"\n"):
+        data += b"\n"
+    return _in_bulk(data) or _line_by_line(data)
+
+
+def words_of_lines(text: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where each word of a text begins, and how many words each of its lines has."""
+    if not text:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    characters = np.frombuffer(text, np.uint8)
+    # All that separates words is below or equal to a blank.
+    is_word = characters > ord(" ")
+    begins = np.flatnonzero(is_word[1:] & ~is_word[:-1]) + 1
+    if is_word[0]:
+        begins = np.concatenate([[0], begins])
+    ends = np.append(np.flatnonzero(characters == ord("\n")), len(text))
+    return begins, np.diff(np.searchsorted(begins, ends), prepend=0)
+
+
+def _in_bulk(data: bytes) -> Statements | None:
+    """Sort the lines of a file whose numbers stand in lines of the usual form; None for any other."""
+    characters = np.frombuffer(data, np.uint8)
+    ends = np.flatnonzero(characters == ord("\n")) + 1
+    starts = np.concatenate([[0], ends[:-1]])
+    # Two more at the end, for what would be the key of a last line.
+    padded = np.concatenate([characters, np.full(3, ord("\n"), np.uint8)])
+    first, second, third = (padded[starts + at] for at in range(3))
+    is_v, then_blank = first == ord("v"), _IS_BLANK[third]
+    kinds = np.full(len(starts), -1, np.int8)
+    kinds[is_v & _IS_BLANK[second]] = 0
+    kinds[is_v & (second == ord("t")) & then_blank] = 1
+    kinds[is_v & (second == ord("n")) & then_blank] = 2
+    kinds[(first == ord("f")) & _IS_BLANK[second]] = _FACE
+    if _IS_BLANK[first].any() or (b"#" in data and (kinds[_lines_of(characters, ends, "#")] >= 0).any()):
+        return None
+    found = Statements()
+    texts = []
+    for kind, key in enumerate(_KEYS):
+        chosen = kinds == kind
+        text = _without_key(_cut_out(data, starts, ends, chosen), key)
+        words = words_of_lines(text)[1]
+        # Lines of the word alone say nothing, and are not counted.
+        if len(words) != np.count_nonzero(chosen) or not words.all():
+            return None
+        texts.append(text)
+    found.positions, found.uvs, found.normals, found.faces = texts
+    is_face = kinds == _FACE
+    found.seen = np.stack([np.cumsum(kinds == kind)[is_face] for kind in range(_FACE)], axis=1)
+    faces = np.cumsum(is_face)
+    for line in np.flatnonzero((kinds < 0) & (ends - starts > 1) & (first != ord("#"))).tolist():
+        found.add(data[starts[line] : ends[line]].partition(b"#")[0], int(faces[line]))
+    return found
+
+
+def _lines_of(characters: NDArray[np.uint8], ends: NDArray[np.int64], character: str) -> NDArray[np.int64]:
+    """Return the lines in which a character stands."""
+    return np.searchsorted(ends, np.flatnonzero(characters == ord(character)), side="right")
+
+
+def _cut_out(
+    data: bytes, starts: NDArray[np.int64], ends: NDArray[np.int64], chosen: NDArray[np.bool_]
+) -> bytes:
+    """Return the chosen lines, each run of them in one piece."""
+    edges = np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)
+    runs = zip(starts[edges[:, 0]].tolist(), ends[edges[:, 1] - 1].tolist(), strict=True)
+    return b"".join([data[start:end] for start, end in runs])
+
+
+def _without_key(lines: bytes, key: bytes) -> bytes:
+    text = b"\n" + lines.translate(_BLANKS)
+    return text.replace(b"\n" + key + b" ", b"\n")[1:-1]
+
+
+def _line_by_line(data: bytes) -> Statements:
+    found = Statements()
+    rows: dict[bytes, list[bytes]] = {key: [] for key in _KEYS}
+    seen: list[tuple[int, ...]] = []
+    for raw in data.splitlines():
+        line = raw.partition(b"#")[0]
+        words = line.split(None, 1)
+        if len(words) == 2 and words[0] in rows:
+            if words[0] == b"f":
+                seen.append(tuple(len(rows[key]) for key in _KEYS[:_FACE]))
+            rows[words[0]].append(words[1].translate(_BLANKS))
+        else:
+            found.add(line, len(seen))
+    found.positions, found.uvs, found.normals, found.faces = (b"\n".join(rows[key]) for key in _KEYS)
+    found.seen = np.array(seen, np.int64).reshape(-1, 3)
+    return found

@@ -1,0 +1,101 @@
+"""Documents made to keep a parser busy, or to break what reads them, are one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.config import Config
+from stages.errors import InputError, UsageError
+from stages.files.documents import read_document, read_json
+from stages.scans.reading.files import numbers
+
+MANY = 100_000
+DEEP = {
+    "flow.yaml": "[" * MANY,
+    "pairs.yaml": "{a: " * MANY,
+    "dashes.yaml": "- " * MANY,
+    "questions.yaml": "? " * MANY,
+    "indents.yaml": "\n".join(" " * i + "a:" for i in range(300)),
+    "arrays.toml": "a=" + "[" * MANY,
+    "tables.toml": "a=" + "{a=" * MANY,
+    "dots.toml": "a." * MANY + "a=1",
+    "heads.toml": "[" + "a." * MANY + "a]",
+    "quoted.toml": '"a".' * MANY + "a=1",
+    "a.json": '{"a":' * 900 + "1" + "}" * 900,
+    "b.json": '{"a":' + "[" * 900 + "]" * 900 + "}",
+    "c.json": '{"a":' * MANY,
+    "a.xml": "<opencv_storage>" + "<a>" * 900 + "</a>" * 900 + "</opencv_storage>",
+    "b.xml": "<opencv_storage>" + "<a>" * MANY + "</a>" * MANY + "</opencv_storage>",
+}
+
+
+@pytest.mark.parametrize("name", DEEP)
+def test_what_is_nested_far_too_deep_is_one_sentence(tmp_path: Path, name: str) -> None:
+    """YAML of this kind took minutes, and what Python parsed of JSON broke the walks over it."""
+    (tmp_path / name).write_text(DEEP[name])
+    said = "is not valid JSON" if name.endswith(".json") else "does not parse: it is nested"
+    with pytest.raises(InputError, match=rf"{name}: the file {said}"):
+        read_document(tmp_path / name)
+    if name.endswith(".json"):
+        with pytest.raises(InputError, match=rf"{name}: the file is not valid JSON"):
+            read_json(tmp_path / name)
+    if name.endswith(".toml"):
+        with pytest.raises(UsageError, match=rf"{name}: this is not TOML \(it is nested"):
+            Config.load(tmp_path / name)
+
+
+def test_what_documents_have_is_not_too_deep(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("a: [[[[1, 2]]]]\nb:\n  - c:\n      - d: {e: {f: 1.5}}\n")
+    assert read_document(tmp_path / "a.yaml") == {"a": [[[[1, 2]]]], "b": [{"c": [{"d": {"e": {"f": 1.5}}}]}]}
+    (tmp_path / "a.toml").write_text("# " + "." * 100 + "\n" + f"a = [{'1.0, ' * 500}]\n[b.c.d]\ne = 'f.g'\n")
+    assert read_document(tmp_path / "a.toml")["b"] == {"c": {"d": {"e": "f.g"}}}
+
+
+LONG = {
+    "decimal.yaml": ("a: " + "9" * 5000, "a number has 5,000 digits"),
+    "hexadecimal.yaml": ("a: 0x" + "f" * 100_000, "a number has 100,002 digits"),
+    "binary.yaml": ("a: 0b" + "1" * 100_000, "a number has 100,002 digits"),
+    "decimal.toml": ("a = " + "9" * 5000, "it holds a whole number of more than 64 bits"),
+    "hexadecimal.toml": ("a = 0x" + "f" * 100_000, "it holds a whole number of more than 64 bits"),
+    "inside.toml": ("a = [[{b = 0x" + "f" * 17 + "}]]", "it holds a whole number of more than 64 bits"),
+}
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_numbers_of_thousands_of_digits_are_one_sentence(tmp_path: Path, name: str) -> None:
+    text, said = LONG[name]
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=rf"{name}: the file does not parse: {said}\.$"):
+        read_document(tmp_path / name)
+    if name.endswith(".toml"):
+        with pytest.raises(UsageError, match=rf"{name}: this is not TOML \({said}\)\.$"):
+            Config.load(tmp_path / name)
+
+
+def test_numbers_to_base_60_are_words(tmp_path: Path) -> None:
+    """A quarter of a megabyte of them was multiplied for minutes; nobody means ninety by 1:30."""
+    lines = ("a: 1" + ":10" * 60_000, "b: 1:30", "c: 1:30.5", "d: 0x1f", "e: -1_0", "f: 1.5e+3")
+    (tmp_path / "a.yaml").write_text("\n".join(lines))
+    found = read_document(tmp_path / "a.yaml")
+    assert isinstance(found["a"], str)
+    assert [found[key] for key in "bcdef"] == ["1:30", "1:30.5", 31, -10, 1500.0]
+
+
+@pytest.mark.parametrize("name", ["a.yaml", "a.toml", "a.json", "a.xml"])
+def test_a_document_of_megabytes_is_refused_unread(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(b" " * (5 << 20))
+    with pytest.raises(InputError, match="too large for what it should hold"):
+        read_document(tmp_path / name)
+
+
+def test_a_configuration_of_megabytes_is_refused_unread(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_bytes(b"\n" * (5 << 20))
+    with pytest.raises(UsageError, match=r"a\.toml: the file is too large for a configuration"):
+        Config.load(tmp_path / "a.toml")
+
+
+def test_names_of_thousands_of_digits_have_numbers() -> None:
+    assert numbers("9" * 10_000) == (int("9" * 255),)
+    assert numbers("cam0_0012") == (0, 12)

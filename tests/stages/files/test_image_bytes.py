@@ -1,0 +1,64 @@
+"""What an image states of its size is looked at before anything is decoded."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from stages.errors import InputError
+from stages.files.image_bytes import decoded_image, encoded_png, promised_size
+from stages.files.images import image_size, read_stored
+
+SMALL = np.full((3, 5, 3), 7, np.uint8)
+
+
+def png(width: int, height: int) -> bytes:
+    """A PNG that states this size and holds the pixels of another."""
+    data = bytearray(encoded_png(SMALL))
+    data[16:24] = struct.pack(">2I", width, height)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    return bytes(data)
+
+
+def tiff(width: int, height: int) -> bytes:
+    held = io.BytesIO()
+    Image.fromarray(SMALL).save(held, "TIFF")
+    data = bytearray(held.getvalue())
+    (start,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, start)
+    for at in range(start + 2, start + 2 + 12 * count, 12):
+        tag = struct.unpack_from("<H", data, at)[0]
+        if tag in (256, 257):
+            struct.pack_into("<HII", data, at + 2, 4, 1, width if tag == 256 else height)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("make", [png, tiff])
+def test_sizes_are_told_from_the_header(make) -> None:
+    assert promised_size(make(5, 3)) == (5, 3)
+    assert promised_size(make(50_000, 40_000)) == (50_000, 40_000)
+
+
+@pytest.mark.parametrize("make", [png, tiff])
+@pytest.mark.parametrize("size", [(5, 0), (0, 3), (0, 0), (60_000, 60_000)])
+def test_images_that_cannot_be_are_refused(tmp_path: Path, make, size: tuple[int, int]) -> None:
+    """A height of 0 was divided by."""
+    path = tmp_path / "a.png"
+    path.write_bytes(make(*size))
+    for read in (image_size, read_stored):
+        with pytest.raises(InputError, match=r"a\.png: the image (claims to be|does not decode)"):
+            read(path)
+    assert decoded_image(make(*size)) is None
+
+
+def test_a_part_of_a_png_that_claims_gigabytes_is_not_reserved() -> None:
+    data = bytearray(encoded_png(SMALL))
+    at = data.index(b"IDAT") - 4
+    data[at : at + 4] = (0x7FFFFFF0).to_bytes(4, "big")
+    assert decoded_image(bytes(data)) is None

@@ -1,0 +1,70 @@
+"""Names of files are as long as the file system takes them, whoever writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from coloured_meshes import ball
+from seamed_meshes import wrapped_ball
+
+from pipeline.files import copy_whole, remove_abandoned, write_whole
+from stages.files.replacing import draft_of, replacing
+from stages.normal_meshes.remesh import remesh
+from stages.picturing.render import write_png
+from stages.simplification.records.archive import write_arrays
+from stages.surface.formats.ply import write_ply_cloud
+from stages.surface.mesh_files import read_mesh, write_mesh
+
+LENGTHS = (240, 241, 251, 255)
+
+
+def longest(extension: str, length: int = 255) -> str:
+    return "é" * ((length - len(extension)) // 2) + "x" * ((length - len(extension)) % 2) + extension
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_a_file_of_any_name_is_written_whole(tmp_path: Path, length: int) -> None:
+    path = tmp_path / longest(".bin", length)
+    assert len(path.name.encode()) == length
+    with replacing(path) as part:
+        assert part.parent == tmp_path
+        part.write_bytes(b"content")
+    write_whole(path, b"other content")
+    copy_whole(path, tmp_path / longest(".too", length))
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {
+        path.name: b"other content",
+        longest(".too", length): b"other content",
+    }
+
+
+def test_drafts_of_long_names_are_found_again(tmp_path: Path) -> None:
+    path, other = (tmp_path / longest(extension) for extension in (".bin", ".too"))
+    for each in (path, path, other):
+        draft_of(each).write_bytes(b"half")
+    remove_abandoned(path)
+    assert len(list(tmp_path.iterdir())) == 1
+    remove_abandoned(other)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("extension", [".ply", ".obj", ".off", ".stl", ".glb", ".gltf"])
+@pytest.mark.parametrize("length", [251, 255])
+def test_meshes_have_names_as_long(tmp_path: Path, extension: str, length: int) -> None:
+    path = tmp_path / longest(extension, length)
+    mesh = wrapped_ball(6, 8)
+    write_mesh(path, mesh)
+    assert len(read_mesh(path).triangles) == len(mesh.triangles)
+    if extension in (".ply", ".obj", ".gltf"):
+        assert read_mesh(path).texture is not None
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.slow
+def test_other_writers_too(tmp_path: Path) -> None:
+    write_png(tmp_path / longest(".png"), np.zeros((2, 2, 3), np.uint8))
+    write_arrays(tmp_path / longest(".npz"), {"a": np.zeros(3)})
+    write_ply_cloud(tmp_path / longest(".ply"), np.zeros((1, 3), np.float32), np.zeros((1, 3), np.uint8))
+    remesh(ball(), levels=1).save(tmp_path / longest(".snm"))
+    assert len(list(tmp_path.iterdir())) == 4

@@ -1,0 +1,230 @@
+"""Inputs are regular files: nothing else is opened, wherever an input is named."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import socket
+import sqlite3
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from coloured_meshes import ball
+from seamed_meshes import wrapped_ball
+
+from pipeline.config import Config
+from pipeline.digest import file_digest
+from stages.errors import InputError, UsageError
+from stages.files import documents, images
+from stages.files.exr import exr_size, read_exr
+from stages.files.opening import content_of, opened, require_regular, text_in
+from stages.files.zip_archives import opened_archive
+from stages.normal_meshes.normal_mesh import decode
+from stages.scans.formats import calibration, colmap, sens, trajectories
+from stages.scans.read import read_scan
+from stages.scans.ros.chunked import opened as opened_recording
+from stages.scans.ros.db3 import read_db3
+from stages.scans.video import Video
+from stages.simplification.records.archive import read_arrays
+from stages.surface.mesh_files import read_mesh, write_mesh
+
+ROOT = Path(__file__).parents[3]
+
+
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def a_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        here = Path.cwd()
+        os.chdir(path.parent)  # The address of a socket may be 107 bytes long.
+        try:
+            made.bind(path.name)
+        finally:
+            os.chdir(here)
+
+
+def endless_device(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def folder(path: Path) -> None:
+    path.mkdir()
+
+
+KINDS = [pipe, a_socket, endless_device, folder]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_no_regular_file_is_refused_unopened(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+    path = tmp_path / "input"
+    kind(path)
+    for read in (opened, content_of, require_regular, file_digest, lambda path: text_in(path, "utf-8")):
+        with pytest.raises(
+            OSError, match=r"it is a (pipe|socket|device), not a file|Is a directory"
+        ) as caught:
+            read(path)
+        assert caught.value.filename == str(path)
+
+
+def test_regular_files_and_links_to_them_are_read(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"\xef\xbb\xbfa\r\nb\rc")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    assert content_of(tmp_path / "link") == b"\xef\xbb\xbfa\r\nb\rc"
+    assert text_in(tmp_path / "link", "utf-8-sig") == "a\nb\nc"
+    with pytest.raises(FileNotFoundError):
+        opened(tmp_path / "none")
+
+
+READERS = {
+    "x.ply": read_mesh,
+    "x.obj": read_mesh,
+    "x.off": read_mesh,
+    "x.stl": read_mesh,
+    "x.glb": read_mesh,
+    "x.gltf": read_mesh,
+    "x.snm": decode,
+    "x.npz": read_arrays,
+    "x.json": documents.read_document,
+    "x.yaml": documents.read_document,
+    "x.toml": documents.read_document,
+    "x.xml": documents.read_document,
+    "lines.txt": lambda path: list(documents.lines(path)),
+    "K.txt": lambda path: calibration.read_camera(path, 640, 480),
+    "poses.txt": trajectories.read_trajectory,
+    "x.png": images.image_size,
+    "y.png": images.read_stored,
+    "z.png": images.read_raw_depth,
+    "x.npy": images.read_raw_depth,
+    "x.exr": read_exr,
+    "y.exr": exr_size,
+    "x.r3d": opened_archive,
+    "x.mp4": Video,
+    "x.sens": sens.read_sens,
+    "x.db3": read_db3,
+    "x.bag": lambda path: opened_recording(path).__enter__(),
+    "depth.bin": colmap.read_depth_map,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS[:3])
+@pytest.mark.parametrize("name", READERS)
+def test_every_reader_says_so_in_one_sentence(
+    tmp_path: Path, name: str, kind: Callable[[Path], None]
+) -> None:
+    kind(tmp_path / name)
+    with pytest.raises(InputError, match=rf"{name}: [^\n]+\.$"):
+        READERS[name](tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_configuration_is_a_file(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+    kind(tmp_path / "c.toml")
+    with pytest.raises(UsageError, match=r"c\.toml: the config file cannot be read"):
+        Config.load(tmp_path / "c.toml")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_that_a_mesh_names_are_files(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+    write_mesh(tmp_path / "a.gltf", ball())
+    (tmp_path / "a.bin").unlink()
+    kind(tmp_path / "a.bin")
+    with pytest.raises(InputError, match=r"a\.gltf: refers to the file a\.bin, which "):
+        read_mesh(tmp_path / "a.gltf")
+    write_mesh(tmp_path / "b.obj", wrapped_ball(6, 8))
+    [image] = tmp_path.glob("*.png")
+    image.unlink()
+    kind(image)
+    assert any(image.name in note for note in read_mesh(tmp_path / "b.obj").notes)
+    (tmp_path / "b.mtl").unlink()
+    kind(tmp_path / "b.mtl")
+    assert any("b.mtl" in note for note in read_mesh(tmp_path / "b.obj").notes)
+
+
+@pytest.mark.parametrize("kind", KINDS[:3])
+def test_images_of_a_scan_are_files(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+    frames = [{"depth": "0.png", "world_from_camera": np.eye(4).tolist()}]
+    (tmp_path / "scan.json").write_text(json.dumps({"frames": frames}))
+    kind(tmp_path / "0.png")
+    with pytest.raises(InputError):
+        read_scan(tmp_path)
+
+
+# What opens files by itself, and who may: what is opened there is the program's own, or was looked at before.
+ALLOWED = {
+    "stages/files/opening.py": {"fdopen", "open"},
+    "stages/files/exr.py": {"File"},  # after content_of
+    "stages/files/images.py": {"np.load"},  # require_regular
+    "stages/files/zip_archives.py": {"ZipFile", "open"},  # require_regular, entries
+    "stages/files/replacing.py": {"open"},  # a draft of its own
+    "stages/simplification/records/archive.py": {"open", "ZipFile"},  # what is opened already, and a draft
+    "stages/surface/formats/gltf_writer.py": {"open"},  # drafts
+    "stages/surface/formats/ply.py": {"open"},  # drafts
+    "stages/surface/formats/obj.py": {"open"},  # drafts
+    "stages/files/image_bytes.py": {"Image.open"},  # bytes in memory
+    "stages/surface/mesh_files.py": {"load_scene"},  # bytes in memory
+    "stages/scans/ros/db3.py": {"connect"},  # after opened
+    "stages/scans/video.py": {"VideoCapture"},  # after opened
+    "stages/stereo/kept_maps.py": {"np.load"},  # in a folder of its own
+    "stages/texturing/atlas.py": {"np.load"},  # bytes of its own process
+    "stages/texturing/atlas_worker.py": {"np.load", "open", "fdopen"},  # pipes
+    "pipeline/cache.py": {"open"},  # locks and marks of the cache
+    "pipeline/files.py": {"open"},  # locks
+    "pipeline/registering.py": {"read_text"},  # files of an entry, verified
+    "pipeline/memory.py": {"read_text"},  # of the system
+    "cli/app.py": {"open"},  # the null device
+}
+OPENERS = {
+    *("open", "fdopen", "read_bytes", "read_text", "fromfile", "loadtxt", "genfromtxt", "memmap", "imread"),
+    *("VideoCapture", "ZipFile", "load_scene", "load_mesh", "connect", "File", "FileStorage", "mmap_array"),
+    *("read_triangle_mesh", "read_point_cloud", "read_image", "AnyReader"),
+}
+# Names that other things have, too: only these count.
+WHOLE = {"np.load", "numpy.load", "Image.open", "trimesh.load"}
+
+
+def opening_calls(nodes: list[ast.AST]) -> Iterator[str]:
+    for node in nodes:
+        if isinstance(node, ast.Call):
+            whole = ast.unparse(node.func)
+            name = whole.rpartition(".")[2]
+            if whole in WHOLE:
+                yield whole
+            elif name in OPENERS and "documents." not in whole:
+                yield name
+
+
+def imported_from_ours(nodes: list[ast.AST]) -> set[str]:
+    imports = (node for node in nodes if isinstance(node, ast.ImportFrom))
+    ours = (node for node in imports if (node.module or "").startswith(("stages.", "pipeline.", "cli.")))
+    return {alias.name for node in ours for alias in node.names}
+
+
+@pytest.mark.slow
+def test_nothing_else_opens_files() -> None:
+    beyond: dict[str, set[str]] = {}
+    for path in (
+        path for room in ("stages", "pipeline", "cli") for path in sorted((ROOT / room).rglob("*.py"))
+    ):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        # Methods of a class of one's own, and functions that go through `opening`, have such names too.
+        own = {node.name for node in nodes if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
+        name = path.relative_to(ROOT).as_posix()
+        calls = set(opening_calls(nodes)) - own - imported_from_ours(nodes) - ALLOWED.get(name, set())
+        if calls:
+            beyond[name] = calls
+    assert beyond == {}
+
+
+@pytest.mark.parametrize("ending", ["-wal", "-journal", "-shm"])
+def test_what_a_database_reads_beside_it_is_a_file(tmp_path: Path, ending: str) -> None:
+    with sqlite3.connect(tmp_path / "a.db3") as connection:
+        connection.execute("CREATE TABLE topics (id INTEGER)")
+    connection.close()
+    pipe(tmp_path / f"a.db3{ending}")
+    with pytest.raises(InputError, match=r"a\.db3: the file cannot be read \(it is a pipe, not a file\)"):
+        read_db3(tmp_path / "a.db3")

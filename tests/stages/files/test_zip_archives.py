@@ -1,0 +1,77 @@
+"""What an entry of an archive says of itself is looked at before it is unpacked."""
+
+from __future__ import annotations
+
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from stages.errors import InputError
+from stages.files.zip_archives import entry_content, opened_archive
+
+BIG = 50_000_000
+
+
+def packed(folder: Path, data: bytes, method: int) -> Path:
+    path = folder / "a.zip"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("x", data)
+    return path
+
+
+def understated(path: Path, size: int) -> None:
+    """Have an archive of one entry say in both of its places that this holds `size` bytes."""
+    data = bytearray(path.read_bytes())
+    listed = data.rindex(b"PK\1\2")
+    data[22:26] = data[listed + 24 : listed + 28] = size.to_bytes(4, "little")
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_what_is_stored_or_deflated_is_read(tmp_path: Path, method: int) -> None:
+    path = packed(tmp_path, b"abc" * 100, method)
+    assert entry_content(opened_archive(path), "x", path, 300) == b"abc" * 100
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_an_entry_of_more_than_it_may_hold_is_refused(tmp_path: Path, method: int) -> None:
+    path = packed(tmp_path, b"abc" * 100, method)
+    with pytest.raises(InputError, match=r"a\.zip: x is too large for what it should hold\."):
+        entry_content(opened_archive(path), "x", path, 299)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+@pytest.mark.parametrize("says_so", [True, False])
+def test_methods_without_bounds_are_refused_unread(tmp_path: Path, method: int, says_so: bool) -> None:
+    """A few kilobytes of bzip2 were unpacked to gigabytes before their size was looked at."""
+    path = packed(tmp_path, bytes(BIG), method)
+    if not says_so:
+        understated(path, 100)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"a\.zip: x is compressed in a way that is not read; .* deflate"):
+        entry_content(opened_archive(path), "x", path, 2 * BIG)
+    assert tracemalloc.get_traced_memory()[1] < BIG / 10
+    tracemalloc.stop()
+
+
+def test_a_deflated_entry_that_holds_more_than_it_says(tmp_path: Path) -> None:
+    path = packed(tmp_path, bytes(BIG), zipfile.ZIP_DEFLATED)
+    understated(path, 100)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"a\.zip: x cannot be read from the archive; it is damaged"):
+        entry_content(opened_archive(path), "x", path, BIG)
+    assert tracemalloc.get_traced_memory()[1] < BIG / 10
+    tracemalloc.stop()
+
+
+def test_no_archive_and_no_such_entry(tmp_path: Path) -> None:
+    path = packed(tmp_path, b"abc", zipfile.ZIP_STORED)
+    with pytest.raises(InputError, match=r"a\.zip: y cannot be read from the archive"):
+        entry_content(opened_archive(path), "y", path, 3)
+    path.write_bytes(path.read_bytes()[:-30])
+    with pytest.raises(InputError, match=r"a\.zip: the archive does not open"):
+        opened_archive(path)
+    with pytest.raises(InputError, match=r"the archive does not open"):
+        opened_archive(tmp_path)
