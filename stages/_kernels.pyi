@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from typing_extensions import disjoint_base
 
 __all__ = [
+    "NEEDLE",
     "ByPatches",
     "ByQuadrics",
     "BySeams",
@@ -39,6 +40,9 @@ __all__ = [
     "spatial_order",
     "weld_sheets",
 ]
+
+# Height over longest side below which only the longest side of a triangle counts in a proof.
+NEEDLE: float
 
 class InvalidMeshError(ValueError):
     """The mesh breaks a rule the kernels need; the message names the elements."""
@@ -146,6 +150,8 @@ class BySeams:
     @property
     def fitted(self) -> bool: ...
     @property
+    def provable(self) -> float | None: ...
+    @property
     def log(self) -> SeamLog | None: ...
 
 def simplify_seams(
@@ -161,6 +167,7 @@ def simplify_seams(
     *,
     knobs: SeamKnobs,
     fit: bool,
+    within: tuple[float, float, NDArray[np.float64]] | None = None,
     running: Running,
     progress: Callable[[int, int], object],
 ) -> BySeams: ...

@@ -13,7 +13,7 @@ import sys
 import warnings
 from typing import Any
 
-from stages.errors import StageError
+from stages.errors import StageError, is_lack_of_memory
 
 # The system libraries Open3D links to, and the Debian package that brings each.
 _DEBIAN_PACKAGES = {
@@ -35,6 +35,8 @@ def open3d() -> Any:
     ------
     StageError
         If a system library it needs is absent; the message names the library and its Debian package.
+    MemoryError
+        If there is no room for it.
     """
     if sys.platform == "linux":
         _provide_libusb()
@@ -47,6 +49,8 @@ def open3d() -> Any:
         # Ctrl-C inside a compiled module's own imports comes out as a failed import.
         if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
+        if is_lack_of_memory(error):
+            raise MemoryError from error
         raise StageError(_explain(str(error))) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d

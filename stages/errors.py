@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import re
 from pathlib import Path
+
+# What the system's loader says of a library it has no room for, and Python of a thread. The loader says
+# "cannot allocate memory in static TLS block" where it lacks something else.
+_NO_ROOM = re.compile("failed to map segment|cannot allocate memory$|can't start new thread", re.IGNORECASE)
+# OpenCV's own number for it, StsNoMem.
+_OPENCV_NO_MEMORY = -4
 
 
 class ScanloomError(Exception):
@@ -35,3 +43,16 @@ class UsageError(ScanloomError):
 
 class StageError(ScanloomError):
     """A stage failed on input that looked sound, or the machine ran out of something (exit code 1)."""
+
+
+def is_lack_of_memory(error: BaseException) -> bool:
+    """Whether an exception, of whatever library, says that there is not enough memory."""
+    if isinstance(error, MemoryError):
+        return True
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    if type(error).__module__ == "cv2":
+        return getattr(error, "code", 0) == _OPENCV_NO_MEMORY
+    if isinstance(error, (ImportError, RuntimeError)):
+        return _NO_ROOM.search(str(error)) is not None
+    return False

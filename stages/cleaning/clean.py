@@ -24,7 +24,7 @@ from stages.progress import Progress, silent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.edges import Ids, components, edges_of
 from stages.surface.mesh import Mesh
-from stages.surface.topology import areas, is_duplicate, require_manifold
+from stages.surface.topology import areas, is_duplicate, require_manifold, require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -165,6 +165,7 @@ def clean(
     """
     params = resolve(CleanParams, params, changes)
     mesh = as_mesh(mesh)
+    require_measurable(mesh, "mesh")
     counts = {field.name: 0 for field in fields(Removed)}
     progress(0, _STEPS)
     traced = Traced.start(mesh)

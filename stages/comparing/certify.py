@@ -6,8 +6,9 @@ pieces that are bounded as a whole, in both directions.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 RESULT_VERSION = 1
+
+# Vertices, their attributes, triangles.
+_Soup: TypeAlias = tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.int32]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +50,17 @@ class CertifyParams:
     )
     max_shape: float | None = param(
         None,
-        "Only find out which triangles stay within this distance; with or without max_color. Far faster than "
-        "bounds that are close everywhere.",
+        "Also find out whether all stays within this distance; without max_color, colours are not asked for.",
         unit="m",
         low=0,
     )
     max_color: float | None = param(
-        None, "Only find out which triangles stay within this difference of colour.", unit="levels", low=0
+        None, "Also find out whether all stays within this difference of colour.", unit="levels", low=0
+    )
+    only_decide: bool = param(
+        False,
+        "With max_shape or max_color: end as soon as it is clear whether they are kept, which is far faster. "
+        "What stays within them then has these as its bounds, however close it is.",
     )
     effort: float = param(
         16.0,
@@ -74,6 +82,8 @@ class CertifyParams:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.only_decide and self.max_shape is None and self.max_color is None:
+            raise UsageError("only_decide is for limits; give max_shape, max_color or both.")
 
 
 class CertifyKeywords(TypedDict, total=False):
@@ -84,6 +94,7 @@ class CertifyKeywords(TypedDict, total=False):
     color_floor: float
     max_shape: float | None
     max_color: float | None
+    only_decide: bool
     effort: float
     slack: float | None
     threads: int
@@ -172,8 +183,9 @@ def certify(
         Where one mesh has no triangles, bounds for the other are infinite.
 
         Bounds of single triangles are within a fifth of what is attained there, or below 2 % of the greatest
-        deviation, unless `effort` runs out. With `max_shape` or `max_color` a triangle that stays within them
-        has these as its bounds, and any other more; what has no limit then has no bound.
+        deviation, unless `effort` runs out; so they are with `max_shape` or `max_color`, too. With
+        `only_decide` a triangle that stays within these has them as its bounds, and any other more; what has
+        no limit then has no bound.
 
     Raises
     ------
@@ -198,17 +210,43 @@ def certify(
     a, b = as_mesh(result, "result"), as_mesh(original, "original")
     limit = None
     if params.max_shape is not None or params.max_color is not None:
-        limit = tuple(np.inf if x is None else float(x) for x in (params.max_shape, params.max_color))
+        shape, color = (np.inf if x is None else float(x) for x in (params.max_shape, params.max_color))
+        limit = (shape, color)
     colored = a.colors is not None and b.colors is not None
     if params.max_color is not None and not colored:
         raise UsageError("max_color is given, but not both meshes have vertex colours.")
+    with_color = colored and (limit is None or params.max_color is not None)
+    prove = functools.partial(_proven, _soup(a, colored), _soup(b, colored), params)
+    if limit is None:
+        return _certificate(prove(None, progress), with_color, None)
+    if params.only_decide:
+        found = prove(limit, progress)
+        return _certificate(found, with_color, _is_within(found.bound, limit, with_color))
+    # A decision says no more of what is kept than that; whoever states a limit wants to know how close it is
+    # all the same. Where close bounds pass it though nothing was found to, pieces are spent on the question.
+    close = prove(None, progress)
+    within = _is_within(close.bound, limit, with_color)
+    if within or not _is_within(close.attained, limit, with_color):
+        return _certificate(close, with_color, within)
+    decided = prove(limit, _finishing(progress))
+    within = _is_within(decided.bound, limit, with_color)
+    return _closer(*(_certificate(found, with_color, within) for found in (close, decided)))
+
+
+def _proven(
+    result: _Soup,
+    original: _Soup,
+    params: CertifyParams,
+    limit: tuple[float, float] | None,
+    progress: Progress,
+) -> _kernels.Certified:
     try:
-        found = _kernels.certify(
-            _soup(a, colored),
-            _soup(b, colored),
+        return _kernels.certify(
+            result,
+            original,
             tolerance=(params.shape_tolerance, params.color_tolerance),
             absolute_tolerance=(0.0, params.color_floor),
-            limit=limit if limit is None else (limit[0], limit[1]),
+            limit=limit,
             effort=params.effort,
             slack=params.slack,
             threads=params.threads,
@@ -216,10 +254,13 @@ def certify(
         )
     except _kernels.InvalidMeshError as error:
         raise MeshError(f"{error}.", "mesh") from error
-    with_color = colored and (limit is None or params.max_color is not None)
-    within = None
-    if limit is not None:
-        within = found.bound[0] <= limit[0] and (not with_color or found.bound[1] <= limit[1])
+
+
+def _is_within(found: tuple[float, float], limit: tuple[float, float], with_color: bool) -> bool:
+    return found[0] <= limit[0] and (not with_color or found[1] <= limit[1])
+
+
+def _certificate(found: _kernels.Certified, with_color: bool, within: bool | None) -> Certificate:
     return Certificate(
         shape_bound=found.shape_bound,
         color_bound=found.color_bound if with_color else None,
@@ -236,5 +277,37 @@ def certify(
     )
 
 
-def _soup(mesh: Mesh, colored: bool) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.int32]]:
+def _closer(a: Certificate, b: Certificate) -> Certificate:
+    """Return two proofs of the same meshes as one: each bound is the lesser one."""
+
+    def least(name: str) -> Any:
+        one, other = getattr(a, name), getattr(b, name)
+        return None if one is None else np.minimum(one, other)
+
+    def greatest(name: str) -> Any:
+        one, other = getattr(a, name), getattr(b, name)
+        return None if one is None else max(one, other)
+
+    return Certificate(
+        shape_bound=least("shape_bound"),
+        color_bound=least("color_bound"),
+        original_shape_bound=least("original_shape_bound"),
+        original_color_bound=least("original_color_bound"),
+        shape_bound_m=min(a.shape_bound_m, b.shape_bound_m),
+        color_bound_levels=least("color_bound_levels"),
+        shape_attained_m=greatest("shape_attained_m"),
+        color_attained_levels=greatest("color_attained_levels"),
+        slack_m=a.slack_m,
+        color_slack_levels=a.color_slack_levels,
+        within_limits=b.within_limits,
+        pieces=a.pieces + b.pieces,
+    )
+
+
+def _finishing(progress: Progress) -> Progress:
+    """Keep telling that all is looked at, while some of it is looked at once more."""
+    return lambda done, total: progress(total, total)  # noqa: ARG005
+
+
+def _soup(mesh: Mesh, colored: bool) -> _Soup:
     return mesh.vertices, attributes_of(mesh if colored else mesh.with_(colors=None)), mesh.triangles

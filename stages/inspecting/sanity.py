@@ -16,6 +16,8 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, Scan, StereoRig
 
+RESULT_VERSION = 1
+
 _DECLARED = "as given"
 _COUPLES = 8
 # Of the points of one frame, the share that must fall on depth of the other for the two to be compared.

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.errors import InputError, UsageError
+from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.printing import by_fields, by_figures, table
 from stages.surface.formats.ply import write_ply
@@ -219,7 +220,7 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     if isinstance(source, (str, Path)):
         where = str(source)
         try:
-            data = Path(source).read_bytes()
+            data = content_of(Path(source))
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror or error}.", where) from error
     else:

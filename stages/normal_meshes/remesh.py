@@ -13,18 +13,20 @@ from stages import _kernels
 from stages.cleaning.traced import Traced
 from stages.errors import MeshError
 from stages.normal_meshes.normal_mesh import NormalMesh, normal_mesh_of
+from stages.normal_meshes.unmet import too_far
 from stages.params import check, param, resolve
 from stages.progress import Progress, silent
-from stages.simplification.kernel_input import attributes_of
+from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT, attributes_of
 from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.edges import edges_of, fans, neighbours
 from stages.surface.mesh import Mesh
-from stages.surface.topology import repeats_vertex, require_area
+from stages.surface.sheets import Sheets
+from stages.surface.topology import require_area
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5
@@ -160,10 +162,10 @@ def remesh(
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold,
-        but for pinched vertices: where fans of triangles touch at a vertex without sharing an edge, each fan
-        gets a vertex of its own, and a warning says so. Vertices without triangles and triangles that name a
-        vertex twice are left out.
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices in
+        one place are one; where that is no oriented manifold, it is split into sheets with vertices of their
+        own, and a warning says so. Vertices without triangles and triangles that name a vertex twice are left
+        out.
     params : RemeshParams; single fields can be given by name instead.
     confidence : (n,) finite numbers, carried along as colours are, with 8 bits between the least and the
         greatest.
@@ -196,26 +198,23 @@ def remesh(
     values = _confidence(confidence, len(mesh.vertices))
     require_area(mesh, "mesh")
     wanted = params.wanted_base(len(mesh.triangles))
-    traced = Traced.start(mesh.with_(texture=None, normals=None))
+    sheets = joined(mesh)
+    traced, notes = _traced(mesh, sheets)
     try:
         found = _remeshed(traced, values, params, wanted, progress)
-    except _kernels.InvalidMeshError as error:
-        # Few meshes have pinched vertices: to look for them only where a mesh is refused saves the others
-        # the time.
-        traced = _taken_apart(mesh)
-        try:
-            found = _remeshed(traced, values, params, wanted, progress)
-        except _kernels.InvalidMeshError:
-            # The first message, since it names vertices as the caller knows them.
-            raise MeshError(f"{error}; run clean first.", "mesh") from error
-    split = len(np.unique(traced.vertex_source[len(mesh.vertices) :]))
+    except _kernels.InvalidMeshError:
+        # Few meshes are no manifold: to look only where a mesh is refused saves the others the time.
+        sheets = sheets_of(mesh)
+        traced, notes = _traced(mesh, sheets)
+        found = _remeshed(traced, values, params, wanted, progress)
+    split = 0 if sheets is None else len(np.unique(sheets.vertex_source[is_split(mesh, sheets)]))
     triangle_source = tuple(
         traced.triangle_source[found.hit_triangle(level)].astype(np.int32)
         for level in range(found.levels + 1)
     )
     return normal_mesh_of(
         found,
-        level_notes=mesh.notes + _left_out(mesh),
+        level_notes=(*mesh.notes, *_left_out(mesh), *notes),
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=triangle_source,
         max_distances_m=tuple(found.reached),
@@ -250,12 +249,14 @@ def _remeshed(
     )
 
 
-def _taken_apart(mesh: Mesh) -> Traced:
-    """Return the mesh with a vertex of its own for each fan of triangles around a vertex."""
-    traced = Traced.start(mesh.with_(texture=None, normals=None)).keep(~repeats_vertex(mesh.triangles))
-    triangles = traced.mesh.triangles
-    edges = edges_of(triangles, len(mesh.vertices))
-    return traced.split(fans(triangles, *neighbours(edges, edges.count > 1)))
+def _traced(mesh: Mesh, sheets: Sheets | None) -> tuple[Traced, tuple[str, ...]]:
+    """Return the mesh, or its sheets, with what can be carried; and what copies lose that become one."""
+    bare = mesh.with_(texture=None, normals=None, corner_normals=None, part_ids=None)
+    if sheets is None:
+        return Traced.start(bare), ()
+    apart, notes = in_sheets(bare, sheets)
+    sources = sheets.vertex_source.astype(np.int64), sheets.triangle_source.astype(np.int64)
+    return Traced(apart, *sources), notes
 
 
 def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
@@ -273,9 +274,10 @@ def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
 
 def _left_out(mesh: Mesh) -> tuple[str, ...]:
     has_normals = mesh.normals is not None or mesh.corner_normals is not None
-    lost = {"texture": mesh.texture, "normals": has_normals or None, "parts": mesh.part_ids}
+    lost = {"normals": has_normals or None, "parts": mesh.part_ids}
     names = " and ".join(name for name, value in lost.items() if value is not None)
-    return (f"remesh left out: {names}; it carries vertex colours and confidence.",) * bool(names)
+    notes = (f"remesh left out: {names}; it carries vertex colours and confidence.",) * bool(names)
+    return notes if mesh.texture is None else (*notes, f"remesh {TEXTURE_LEFT_OUT}")
 
 
 def _warnings(
@@ -297,7 +299,4 @@ def _warnings(
     if found.folded:
         yield f"{found.folded:,} triangles of the finest level are turned over or have no area."
     if params.max_error is not None and found.reached and found.reached[-1] > params.max_error:
-        yield (
-            f"the finest level is up to {found.reached[-1]:.4g} m from the input, more than max_error "
-            f"({params.max_error:g} m); give more levels or a finer base."
-        )
+        yield too_far(found.reached[-1], params.max_error)

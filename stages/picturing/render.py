@@ -19,6 +19,7 @@ from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Hits, Surface, chunks
+from stages.surface.topology import require_measurable
 
 __all__ = ["Model", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 
@@ -65,6 +66,7 @@ def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") 
         If the mesh has no triangles.
     """
     mesh = as_mesh(mesh)
+    require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
         raise InputError("the mesh has no triangles; there is nothing to draw.")
     return Model(Surface(mesh)).draw(viewpoint, shading)

@@ -13,6 +13,7 @@ from stages.printing import by_fields
 from stages.scans.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.raycasting import Floats, is_used
+from stages.surface.topology import require_measurable
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001
@@ -65,6 +66,7 @@ def viewpoints(
         If the mesh has no triangles.
     """
     mesh = as_mesh(mesh)
+    require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
         raise InputError("the mesh has no triangles; there is nothing to look at.")
     points = mesh.vertices[is_used(mesh)]

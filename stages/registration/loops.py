@@ -31,7 +31,7 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
     Parameters
     ----------
     given : world_from_camera by the frame's place; where all key frames have one, it tells who is near whom.
-    progress : called with the frames and couples that are done, and their number.
+    progress : told of the second half of the work, which couples share; frames are the first.
     """
     features = [chain.views.features[key] for key in chain.keys]
     depths = np.array([chain.seen[key].depth_m for key in chain.keys])
@@ -63,7 +63,7 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
     found = read_ahead(close, couples, threads=threads, ahead=2 * threads)
     frames, edges = len(chain.seen) + len(chain.skipped), []
     for done, edge in enumerate(found, 1):
-        progress(frames + done, frames + len(couples))
+        progress(frames + frames * done // len(couples), 2 * frames)
         if edge is not None:
             edges.append(edge)
     return edges

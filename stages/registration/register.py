@@ -154,8 +154,8 @@ def register(
     ----------
     scan : frames in the order they were taken, with depth; colour helps.
     params : RegisterParams; single fields can be given by name instead.
-    progress : called with the frames that are done and their number, and then with the couples of key frames
-        among them that were looked at for loops.
+    progress : called with the frames that are done, and their number; where loops are looked for, with twice
+        their number, and then with as many more as stand for the couples of key frames that were looked at.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def register(
         raise InputError("no frame has a pose that could be refined.", where)
     max_depth = params.max_depth or _max_depth(frames)
     with one_thread_each():
-        chain = make_chain(frames, max_depth, progress, given)
+        chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, given)
         if len(chain.seen) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
@@ -272,6 +272,10 @@ def _result(
         ),
         seconds=time.perf_counter() - began,
     )
+
+
+def _first_half(progress: Progress) -> Progress:
+    return lambda done, total: progress(done, 2 * total)
 
 
 def _in_their_world(

@@ -96,6 +96,14 @@ class CornerAttributes:
         return (light if normals is None else _with_normals(light, normals)), vertex_source
 
 
+def is_in_pieces(mesh: Mesh) -> bool:
+    """Return whether corners and triangles carry anything: image, materials, parts, normals of corners."""
+    texture = mesh.texture
+    has_texture = texture is not None and ((texture.material_ids >= 0).any() or texture.has_uvs().any())
+    has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
+    return bool(has_texture or has_parts or mesh.corner_normals is not None)
+
+
 def _shared(left: LightCorners) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return which vertices there are, and the triangles between them.
 
@@ -121,7 +129,8 @@ def _one_color_each(
 
 def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
     """Give corners their normals, and vertices where all corners of one agree."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    with np.errstate(over="ignore"):  # One that somebody made endless is none.
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
     unit = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     corners = mesh.triangles.reshape(-1)
     of_vertex = np.zeros((len(mesh.vertices), 3))

@@ -18,6 +18,10 @@ Ids = NDArray[np.int32]
 Levels = NDArray[np.uint8]
 
 
+# What is said, after who it is, where an image stays behind.
+TEXTURE_LEFT_OUT = "left out: texture; method seams carries it, and bake makes a new image from the old one."
+
+
 @dataclass(frozen=True, eq=False)
 class KernelInput:
     """A mesh about the middle of its bounding box: far from the origin, products of coordinates lose digits.
@@ -121,8 +125,10 @@ def as_result(
         colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
     normals = None if mesh.normals is None else mesh.normals[vertex_source]
     notes = mesh.notes
-    lost = {"texture": mesh.texture, "parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
+    lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals}
     names = [name for name, value in lost.items() if value is not None]
+    if mesh.texture is not None:
+        notes += (f"{who} {TEXTURE_LEFT_OUT}",)
     if names:
         notes += (f"{who} left out: {', '.join(names)}; method seams carries them.",)
     return Mesh(vertices, triangles, colors=colors, normals=normals, notes=notes)

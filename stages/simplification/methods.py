@@ -55,7 +55,6 @@ class Takes:
     Attributes
     ----------
     count : a number of triangles to stop at.
-    any_mesh : also what is no oriented manifold.
     texture : carries texture, materials, parts and normals of corners, rather than leave them out.
     lock, importance : vertices that stay, and a factor of the error of each.
     record : keeps its collapses.
@@ -63,7 +62,6 @@ class Takes:
     """
 
     count: bool = True
-    any_mesh: bool = False
     texture: bool = False
     lock: bool = True
     importance: bool = True
@@ -131,6 +129,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=CertifiedDetails,
         run=certified.run,
         needs=BOUND,
+        takes=Takes(texture=True),
         proves=True,
     ),
     Method(
@@ -141,7 +140,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         details=SeamsDetails,
         run=seams.run,
         needs=COUNT,
-        takes=Takes(any_mesh=True, texture=True),
+        takes=Takes(texture=True),
     ),
     Method(
         name="jia01",
@@ -158,7 +157,7 @@ METHODS: tuple[Method[Any, Any], ...] = (
         params=PlanarParams,
         details=PlanarDetails,
         run=planar.run,
-        takes=Takes(count=False, any_mesh=True, importance=False, record=False),
+        takes=Takes(count=False, importance=False, record=False),
         auto=False,
     ),
 )

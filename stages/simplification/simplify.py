@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, overload
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from stages import _kernels
@@ -13,13 +13,14 @@ from stages.errors import MeshError
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.simplification.auto import chosen, require_taken
-from stages.simplification.methods import METHODS
+from stages.simplification.corner_attributes import is_in_pieces
+from stages.simplification.lines import lines_left_out
 from stages.simplification.params import SimplifyParams
 from stages.simplification.regions import Region, resolve_control
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
 from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.mesh import Mesh
+from stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -111,8 +112,9 @@ def simplify(
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres; an oriented manifold,
-        but that `seams` and `planar` take any. Vertices without triangles and triangles that name a vertex
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. Vertices in one place
+        are one; where that is no oriented manifold, the surface is split into sheets, which stay as they are
+        where they touch, and a note says so. Vertices without triangles and triangles that name a vertex
         twice are left out.
     params : SimplifyParams; single fields can be given by name instead. `triangles` or `ratio`, and bounds,
         `max_shape` (metres) and `max_color` (8-bit levels), say how far: whichever comes first.
@@ -134,14 +136,14 @@ def simplify(
     Raises
     ------
     MeshError
-        For an edge with more than two triangles or inconsistent orientation, or a vertex where two fans
-        touch, if the method cannot have that; the message names them. `clean` repairs all three.
+        For an index out of range or a value that is not finite.
     UsageError
         For a parameter out of range or of another method, or what the method cannot do with this mesh.
     """
     params = resolve(SimplifyParams, params, dict(changes))
     mesh = as_mesh(mesh)
-    method = chosen(params, in_pieces=_is_in_pieces(mesh))
+    require_measurable(mesh, "mesh")
+    method = chosen(params, in_pieces=is_in_pieces(mesh))
     locked, factors = resolve_control(mesh, lock, importance, regions)
     has_lock, has_importance = bool(locked.any()), len(factors) > 0
     require_taken(method, lock=has_lock, importance=has_importance, record=record, partial=partial)
@@ -157,18 +159,19 @@ def simplify(
         progress=_contented(progress) if partial else progress,
     )
     try:
-        return method.run(task)
+        return _with_notes(method.run(task), lines_left_out(mesh))
     except _kernels.InvalidMeshError as error:
-        others = " or ".join(other.name for other in METHODS if other.takes.any_mesh)
-        raise MeshError(f"{error}; run clean first, or take method {others}.", "mesh") from error
+        if method.takes.texture:
+            raise MeshError(
+                f"{error}: its texture coordinates or normals are too large or too small to be weighed "
+                "against its shape; make a new texture, or leave them out.",
+                "mesh",
+            ) from error
+        raise MeshError(f"{error}.", "mesh") from error
 
 
-def _is_in_pieces(mesh: Mesh) -> bool:
-    """Return whether the mesh has what most methods leave out: image, materials, parts, corner normals."""
-    texture = mesh.texture
-    has_texture = texture is not None and ((texture.material_ids >= 0).any() or texture.has_uvs().any())
-    has_parts = mesh.part_ids is not None and len(np.unique(mesh.part_ids)) > 1
-    return bool(has_texture or has_parts or mesh.corner_normals is not None)
+def _with_notes(found: Simplified[Any], notes: tuple[str, ...]) -> Simplified[Any]:
+    return replace(found, mesh=found.mesh.with_(notes=(*found.mesh.notes, *notes))) if notes else found
 
 
 def _contented(progress: Progress) -> Progress:

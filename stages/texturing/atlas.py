@@ -7,16 +7,18 @@ triangles without area, lengths far from 1, and, where it fails, charts that cou
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 import os
 import subprocess
 import sys
-import tempfile
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,50 +182,73 @@ def _asked(task: str, given: Mapping[str, Any], progress: Progress) -> dict[str,
         If it takes too long, or fails otherwise.
     """
     count = len(given["charts" if task == "pack" else "triangles"])
-    with tempfile.TemporaryDirectory(prefix="scanloom-atlas-") as folder:
-        source, target = Path(folder, "given.npz"), Path(folder, "found.npz")
-        np.savez(source, **given)
-        patience = _PATIENCE + _PATIENCE_PER_TRIANGLE * count
-        said = _in_own_process([task, str(source), str(target)], folder, patience, progress)
-        if "No module named 'xatlas'" in said:
-            raise StageError("the Python package xatlas is not installed: pip install xatlas")
-        if "Error" in said:
-            raise StageError(f"no atlas was found: {said.strip().splitlines()[-1]}")
-        if not target.exists():
-            return None
-        with np.load(target) as arrays:
-            return dict(arrays)
+    packed = io.BytesIO()
+    np.savez(packed, **given)
+    found, said = _in_own_process(
+        task, packed.getvalue(), _PATIENCE + _PATIENCE_PER_TRIANGLE * count, progress
+    )
+    if "No module named 'xatlas'" in said:
+        raise StageError("the Python package xatlas is not installed: pip install xatlas")
+    if "Error" in said:
+        raise StageError(f"no atlas was found: {said.strip().splitlines()[-1]}")
+    if found is None:
+        return None
+    with np.load(io.BytesIO(found)) as arrays:
+        return dict(arrays)
 
 
-def _in_own_process(arguments: list[str], folder: str, patience: float, progress: Progress) -> str:
-    """Run the worker and return what it says on stderr, which is something only if it fails."""
+def _in_own_process(task: str, given: bytes, patience: float, progress: Progress) -> tuple[bytes | None, str]:
+    """Run the worker; return what it finds, or None if it crashes, and what it says on stderr if it fails.
+
+    All goes through pipes: whatever happens to either process, no file stays behind.
+    """
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
-    errors = Path(folder, "errors.txt")
-    command = [sys.executable, str(Path(__file__).with_name("atlas_worker.py")), *arguments]
-    with errors.open("wb") as stderr:
+    # Nothing is written to this pipe. Its other end closes when this process ends, however it does, and the
+    # worker ends then too.
+    ends, kept = os.pipe()
+    try:
         worker = subprocess.Popen(
-            command,
-            cwd=folder,
+            [sys.executable, str(Path(__file__).with_name("atlas_worker.py")), task, str(ends)],
             env=os.environ | {"PYTHONPATH": path},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            pass_fds=(ends,),
         )
-        start = time.monotonic()
+        with worker:
+            try:
+                found, said = _waited_for(worker, given, patience, progress)
+            finally:
+                worker.kill()  # Without effect on one that has ended.
+    finally:
+        os.close(ends)
+        os.close(kept)
+    return found if worker.returncode == 0 else None, said.decode(errors="replace")
+
+
+def _waited_for(
+    worker: subprocess.Popen[bytes], given: bytes, patience: float, progress: Progress
+) -> tuple[bytes, bytes]:
+    start = time.monotonic()
+    # By a thread: `communicate` sends what fits into the pipe until its first timeout, and never the rest.
+    threading.Thread(target=_send, args=(worker.stdin, given), daemon=True).start()
+    worker.stdin = None
+    while True:
+        progress(0, 1)
         try:
-            while worker.poll() is None:
-                progress(0, 1)
-                if time.monotonic() - start > patience:
-                    raise StageError(
-                        f"xatlas has not found an atlas in {patience:.0f} s; simplify the mesh further, or "
-                        "take out loose pieces with `scanloom clean`."
-                    )
-                time.sleep(_LOOK_EVERY)
-        finally:
-            if worker.poll() is None:
-                worker.kill()
-            worker.wait()
-    return errors.read_text(errors="replace")
+            return worker.communicate(timeout=_LOOK_EVERY)
+        except subprocess.TimeoutExpired:
+            if time.monotonic() - start > patience:
+                raise StageError(
+                    f"xatlas has not found an atlas in {patience:.0f} s; simplify the mesh further, or "
+                    "take out loose pieces with `scanloom clean`."
+                ) from None
+
+
+def _send(pipe: IO[bytes], given: bytes) -> None:
+    # A worker that has ended takes nothing more.
+    with contextlib.suppress(BrokenPipeError), pipe:
+        pipe.write(given)
 
 
 def _sides(corners: Floats) -> NDArray[np.int64]:

@@ -3,12 +3,20 @@
 xatlas is native code that ends its process on some meshes; a finely triangulated sphere is one. This file
 imports nothing of scanloom, so that it starts fast.
 
-    python atlas_worker.py chart|pack GIVEN.npz FOUND.npz
+    python atlas_worker.py chart|pack PIPE <GIVEN.npz >FOUND.npz
+
+PIPE is the number of a descriptor that is open, the other end of which is held by who started this.
 """
 
 from __future__ import annotations
 
+import ctypes
+import io
+import os
+import resource
+import signal
 import sys
+import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,6 +29,8 @@ from numpy.typing import NDArray
 _MAX_COST = 4.0
 # Of the whole surface: without a limit the search for charts takes half as long again, for no fewer charts.
 _MOST_OF_AREA = 1 / 4
+# PR_SET_PDEATHSIG of Linux's prctl.
+_SET_DEATH_SIGNAL = 1
 # Packing again, each time a little denser or sparser, to fill the image.
 _PACKINGS = 8
 # Aim a little below the full size: charts do not shrink quite in proportion, for padding and rounding.
@@ -111,7 +121,31 @@ def _packed(
     return uvs[found].astype(np.float64) * extent, max(extent)
 
 
+def _end_with(parent: int) -> None:
+    """End this process as soon as the one that started it does, even if that was killed."""
+    if sys.platform == "linux":
+        # At once, whatever native code is at; elsewhere as soon as it lets Python run.
+        ctypes.CDLL(None).prctl(_SET_DEATH_SIGNAL, signal.SIGKILL)
+
+    def watch() -> None:
+        os.read(parent, 1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _main(task: str, parent: str) -> None:
+    _end_with(int(parent))
+    # What crashes here is expected to, and leaves no image of the memory in somebody's folder.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # What native code prints is not mixed with the answer.
+    answer = os.dup(sys.stdout.fileno())
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    with np.load(io.BytesIO(sys.stdin.buffer.read())) as arrays, os.fdopen(answer, "wb") as pipe:
+        found = io.BytesIO()
+        np.savez(found, **{"chart": chart, "pack": pack}[task](arrays))
+        pipe.write(found.getvalue())
+
+
 if __name__ == "__main__":
-    _, task, source, target = sys.argv
-    with np.load(source) as arrays:
-        np.savez(target, **{"chart": chart, "pack": pack}[task](arrays))
+    _main(*sys.argv[1:])

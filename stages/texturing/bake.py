@@ -36,7 +36,7 @@ from stages.texturing.filling import filled_up
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 _MIN_SIZE = 64
 # Of the image, that charts fill; used to choose its size.
@@ -47,6 +47,12 @@ _SIDE_PER_PADDING = 256
 _MOST_SAMPLES = 4
 # Of the mean edge: what is interpolated between vertices has kinks along edges, many of them shorter.
 _DETAIL_OF_EDGE = 0.4
+# An original has no more details than this in a triangle, by its vertex colours: where a few triangles are
+# large among tiny ones, an image that shows these everywhere would take minutes for a handful of colours.
+_DETAILS_OF_TRIANGLE = 2000
+# A light mesh of more than this many times the original's area shows something else: it gets no more texels
+# for being large.
+_MOST_AREA = 4
 # Samples in a length of one detail of the original, at least. On a scanned banana and a fused room more of
 # them change the error by less than 0.1 dB.
 _SAMPLES_PER_DETAIL = 1.5
@@ -189,7 +195,7 @@ def bake(
     require_area(reference, "original")
     if not has_color(reference):
         raise MeshError("has neither vertex colours nor a texture; there is nothing to bake.", "original")
-    detail = _detail(reference)
+    detail = _detail(reference) * _stretch(given, reference)
     size = _image_size(given, params.texel_size or detail, params.max_size)
     padding = params.padding or max(_LEAST_PADDING, size // _SIDE_PER_PADDING)
     atlas = unwrap(given, size, padding, progress)
@@ -200,6 +206,8 @@ def bake(
     colors_of = FacingColors(surface, given, texel_size)
     image, coverage, turned = _image(atlas, samples, colors_of, progress)
     mesh = _textured(given, atlas, image)
+    if _is_transparent(reference):
+        mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
     assert error is not None
     return Baked(
@@ -223,6 +231,11 @@ def _textured(mesh: Mesh, atlas: Atlas, image: NDArray[np.uint8]) -> Mesh:
     return mesh.with_(colors=None, texture=Texture(atlas.uvs, material_ids, materials))
 
 
+def _is_transparent(mesh: Mesh) -> bool:
+    images = [] if mesh.texture is None else [pixels_of(material) for material in mesh.texture.materials]
+    return any(image is not None and image.shape[2] == 4 and image[..., 3].min() < 255 for image in images)
+
+
 def _detail(original: Mesh) -> float:
     """Return the size, in metres, of the smallest thing the original's colours can show."""
     corners = original.vertices[original.triangles]
@@ -238,7 +251,14 @@ def _detail(original: Mesh) -> float:
         if area[on_image].sum() > area.sum() / 2:
             return math.sqrt(area[on_image].sum() / texels.sum())
     lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    return _DETAIL_OF_EDGE * float(lengths.mean())
+    least = math.sqrt(area.sum() / (_DETAILS_OF_TRIANGLE * len(area)))
+    return max(_DETAIL_OF_EDGE * float(lengths.mean()), least)
+
+
+def _stretch(light: Mesh, original: Mesh) -> float:
+    """Return how much larger the original's details are on the light mesh: 1 where both show one surface."""
+    light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
+    return math.sqrt(light_area / area) if light_area > _MOST_AREA * area else 1.0
 
 
 def _image_size(mesh: Mesh, texel_size: float, max_size: int) -> int:

@@ -25,8 +25,17 @@ pub enum KernelError {
     Extent { diagonal: f64 },
     /// A normal mesh cannot be written.
     Unwritable(&'static str),
+    /// The system has no more memory.
+    OutOfMemory,
     /// The caller asked to stop.
     Interrupted,
+}
+
+impl KernelError {
+    /// Whether the work was given up, rather than something being wrong with the mesh.
+    pub fn is_given_up(&self) -> bool {
+        matches!(self, Self::Interrupted | Self::OutOfMemory)
+    }
 }
 
 impl fmt::Display for KernelError {
@@ -70,6 +79,7 @@ impl fmt::Display for KernelError {
                 "the mesh has a diagonal of {diagonal:e}, and the numbers of a file have no room for it at this tolerance"
             ),
             Self::Unwritable(why) => write!(f, "the normal mesh cannot be written: {why}"),
+            Self::OutOfMemory => write!(f, "there is not enough memory"),
             Self::Interrupted => write!(f, "interrupted"),
         }
     }

@@ -8,6 +8,7 @@
 //! | [`parallel`] | work on several threads, with the same result for any number of them |
 //! | [`progress`] | how far a run is, and whether to stop |
 //! | [`memory`] | giving back what is free |
+//! | [`reserve`] | what happens when there is no more memory |
 
 pub mod errors;
 pub mod geometry;
@@ -15,3 +16,4 @@ pub mod ids;
 pub mod memory;
 pub mod parallel;
 pub mod progress;
+pub mod reserve;

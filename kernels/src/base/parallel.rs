@@ -1,9 +1,28 @@
-//! The same work on many parts, on several threads, with results that do not depend on how many.
+//! The same work on many parts, on several threads, with results that do not depend on how many. Where the system has no
+//! room for a thread, there are fewer.
 
 use std::mem::MaybeUninit;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
-use std::thread;
+use std::thread::{self, Scope, ScopedJoinHandle};
+
+use super::reserve;
+
+/// What must be there before a thread is made: its stack, and what the C library takes at a thread's first steps, where it
+/// ends the process if it cannot have it. glibc keeps blocks of other sizes than before once it has freed one of up to
+/// 32 MiB, so that this must be more.
+const THREAD: usize = 64 << 20;
+
+/// `work` on a thread of its own, none if the system refuses one.
+pub fn spawn<'scope, T: Send + 'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    work: impl FnOnce() -> T + Send + 'scope,
+) -> Option<ScopedJoinHandle<'scope, T>> {
+    if !reserve::is_there(THREAD) {
+        return None;
+    }
+    thread::Builder::new().spawn_scoped(scope, work).ok()
+}
 
 /// `work` on every number below `count`; the results in this order. Each thread makes its `scratch` once.
 ///
@@ -32,7 +51,7 @@ pub fn map<T: Send, S>(
         }
     };
     let mut results: Vec<(usize, T)> = thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(run)).collect();
+        let others: Vec<_> = (1..threads).map_while(|_| spawn(scope, run)).collect();
         let mut all = run();
         for other in others {
             match other.join() {
@@ -54,19 +73,10 @@ pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> 
 /// Change each place of a slice, each thread a part of them.
 pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, &mut T) + Sync) {
     let part = values.len().div_ceil(threads.max(1)).max(1);
-    thread::scope(|scope| {
-        let mut parts = values.chunks_mut(part).enumerate();
-        let own = parts.next();
-        let change = &change;
-        let run = move |(number, values): (usize, &mut [T])| {
-            for (i, slot) in values.iter_mut().enumerate() {
-                change(number * part + i, slot);
-            }
-        };
-        for other in parts {
-            scope.spawn(move || run(other));
+    each(values.chunks_mut(part).enumerate().collect(), threads, |(number, values): (usize, &mut [T])| {
+        for (i, slot) in values.iter_mut().enumerate() {
+            change(number * part + i, slot);
         }
-        own.into_iter().for_each(run);
     });
 }
 
@@ -94,7 +104,7 @@ pub fn each<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + Sync) {
         }
     };
     thread::scope(|scope| {
-        (1..threads).for_each(|_| drop(scope.spawn(run)));
+        let _others: Vec<_> = (1..threads).map_while(|_| spawn(scope, run)).collect();
         run();
     });
 }
@@ -106,10 +116,18 @@ pub fn both(threads: usize, one: impl FnOnce() + Send, other: impl FnOnce()) {
         other();
         return;
     }
+    let one = Mutex::new(Some(one));
+    let run = || {
+        if let Some(one) = one.lock().ok().and_then(|mut one| one.take()) {
+            one();
+        }
+    };
     thread::scope(|scope| {
-        scope.spawn(one);
+        let _other = spawn(scope, run);
         other();
     });
+    // If there was no thread for it.
+    run();
 }
 
 /// The number of threads to use when `wanted` is 0: one for each core.

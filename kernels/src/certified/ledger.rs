@@ -1,7 +1,7 @@
 //! What is proven of the current mesh and of the input, and what has to be looked at again after a change.
 
 use super::original::Original;
-use super::tracked::Bound;
+use super::tracker::Bound;
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, norm2, position, sub, triangle_distance2};
 use crate::base::memory;
@@ -120,10 +120,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
         }
         before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
         let target = Surface::new(&mesh.points, &mesh.triangles, self.decision.threads)?;
-        let mut done = asked.len() as u64;
-        let total = done + near.iter().filter(|near| **near).count() as u64;
-        let part = &mut progress.part(0, total);
-        let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], part)?;
+        let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], progress)?;
         asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
         self.result = result;
         self.attained.resize(self.surface.len(), [0.0; 2]);
@@ -136,9 +133,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
             if asked.is_empty() {
                 break;
             }
-            let part = &mut progress.part(done, total);
-            let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], &asked], part)?;
-            done += asked.len() as u64;
+            let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], &asked], progress)?;
             for (&t, verdict) in asked.iter().zip(verdicts) {
                 // Never more than what is attained.
                 let single = |x: f64| (x as f32).next_down().max(0.0);

@@ -16,10 +16,12 @@
 //! | file | what |
 //! | --- | --- |
 //! | [`simplify`] | the loop |
-//! | [`tracked`], [`fan`], [`original`] | samples of the input that say whether a collapse may take place; where they fall; the input |
+//! | [`tracker`], [`fan`], [`original`] | samples of the input that say whether a collapse may take place; where they fall; the input |
+//! | [`tracked`], [`along_seams`] | attribute quadrics, or the method `seams`, asked only for what samples allow |
 //! | `ledger` | what is proven so far |
 //! | [`history`], `watched`, `retreat` | collapses that can be taken back, and which to take back |
 
+pub mod along_seams;
 pub mod fan;
 pub mod history;
 mod ledger;
@@ -27,4 +29,5 @@ pub mod original;
 mod retreat;
 pub mod simplify;
 pub mod tracked;
+pub mod tracker;
 mod watched;

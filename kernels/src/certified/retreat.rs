@@ -4,7 +4,7 @@
 use super::history::History;
 use super::ledger::Open;
 use super::original::Original;
-use super::tracked::{Bound, Lists};
+use super::tracker::{Bound, Lists};
 use super::watched::Watched;
 use crate::collapse::whole::{CornerRefusals, Whole};
 

@@ -1,7 +1,8 @@
 //! Simplify, prove, take back, until all is proven.
 
 use super::original::Original;
-use super::tracked::{Bound, Limits, Lists, TrackedRecords};
+use super::tracked::TrackedRecords;
+use super::tracker::{Bound, Limits, Lists};
 use crate::base::errors::KernelError;
 use crate::base::geometry::position;
 use crate::base::progress::Progress;
@@ -99,7 +100,7 @@ pub struct Certified<const D: usize> {
 }
 
 /// The least bounds that can be proven for surfaces of this size: a proof spends the slack of single precision.
-fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
+pub fn least_bounds<const D: usize>(original: &Original<D>, options: &certify::Options) -> Deviation {
     let corners = original.triangles.iter().flatten().map(|&v| position(&original.points[v as usize]));
     Deviation { shape: 2.0 * certify::slack(corners, options.slack), color: LEAST_COLOR }
 }
@@ -130,6 +131,7 @@ pub fn simplify<const D: usize, const K: usize>(
         certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
     let recorded = goal.record;
     let goal = Goal { record: true, ..*goal };
+    let to_go = original.triangles.len().saturating_sub(goal.triangles) as u64;
     let mut ledger = None;
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
@@ -144,7 +146,10 @@ pub fn simplify<const D: usize, const K: usize>(
         let State { mesh, lists, mut history } = state;
         let importance = importance_of(&mesh, &history, &options.importance);
         let records = TrackedRecords::<D, K>::new(&original, &limits, options.weight, importance, lists);
-        let outcome = collapse(mesh, records, &goal, progress)?;
+        // What was taken back is to go once more, and proofs are counted in other units.
+        let gone = original.triangles.len() - mesh.triangles.len();
+        let outcome = collapse(mesh, records, &goal, &mut progress.part(gone as u64, to_go))?;
+        let proving = &mut progress.silent();
         let (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
         history.append(outcome.logs);
@@ -152,16 +157,16 @@ pub fn simplify<const D: usize, const K: usize>(
             Some(ledger) => ledger,
             none => none.insert(Ledger::new(&original, decision)?),
         };
-        let unproven = ledger.look(&mesh, progress)?;
+        let unproven = ledger.look(&mesh, proving)?;
         passes.push(Pass { triangles: mesh.triangles.len(), unproven, collapses: history.kept(), attempts });
         let proven = unproven == [0, 0];
-        let news = if passes.len() >= HOPE { ledger.look_for_hopeless(progress)? } else { 0 };
+        let news = if passes.len() >= HOPE { ledger.look_for_hopeless(proving)? } else { 0 };
         let open = ledger.open();
         let settled = open.is_empty() && (proven || passes.len() >= HOPE && news == 0);
         if settled || outcome.stop == Stop::Enough || history.kept() == 0 {
             let refused = mesh.refused_edges();
             let mut mesh = mesh.into_compact();
-            let certificate = certificate_of(&mesh, ledger, proven, options, goal.threads, progress)?;
+            let certificate = certificate_of(&mesh, ledger, proven, options, goal.threads, proving)?;
             // With more effort the rest may be within the bounds after all.
             let proven = proven || certificate.bound.within(bounds);
             if let Some(last) = passes.last_mut().filter(|_| proven) {

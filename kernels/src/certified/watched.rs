@@ -3,7 +3,7 @@
 
 use super::history::History;
 use super::original::Original;
-use super::tracked::Lists;
+use super::tracker::Lists;
 use crate::base::geometry::{position, triangle_distance2};
 
 /// No sample, or no triangle.

@@ -356,7 +356,7 @@ fn check_seam<const D: usize, B: Copy>(
 
 /// What a region found wrong, in the numbers of the whole mesh.
 fn explained<const D: usize, B>(mesh: &Whole<D, B>, error: KernelError) -> KernelError {
-    if error == KernelError::Interrupted {
+    if error.is_given_up() {
         return error;
     }
     Connectivity::from_triangles(mesh.points.len(), &mesh.triangles).err().unwrap_or(error)

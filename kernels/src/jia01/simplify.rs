@@ -4,6 +4,7 @@ use super::split::split_long_edges;
 use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
 use crate::base::progress::Progress;
+use crate::base::reserve::Reserve;
 use crate::collapse::engine::{Refusal, Stop};
 use crate::collapse::logs::Way;
 use crate::collapse::rounds::{Goal, collapse};
@@ -59,6 +60,8 @@ pub fn simplify<const D: usize>(
 ) -> Result<Simplified<D>, KernelError> {
     let (mesh, splits, origin) = split_whole(mesh, options, progress)?;
     let split_triangles = mesh.triangles.len();
+    // The mesh may be much larger than the input.
+    let _reserve = Reserve::for_rows(if splits > 0 { mesh.points.len() + split_triangles } else { 0 })?;
     let split = origin.clone().filter(|_| goal.record).map(|origin| Compact {
         points: mesh.points.clone(),
         triangles: mesh.triangles.clone(),

@@ -4,6 +4,7 @@ use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
 use crate::base::ids::EdgeId;
 use crate::base::progress::Progress;
+use crate::base::reserve::Reserve;
 use crate::collapse::queue::Queue;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::Mesh;
@@ -34,6 +35,7 @@ pub fn split_long_edges<const D: usize>(
     });
     let mut queue = Queue::new(mesh.connectivity.edge_slots(), long);
     let mut splits = 0;
+    let mut reserve = Reserve::for_rows(0)?;
     while let Some(edge) = queue.pop() {
         if mesh.connectivity.triangle_count() + 2 > triangle_limit {
             let wanted = mesh.connectivity.triangle_count() as f64 + 2.0;
@@ -41,13 +43,14 @@ pub fn split_long_edges<const D: usize>(
         }
         let new = mesh.split(edge);
         splits += 1;
+        reserve.cover(2 * mesh.connectivity.triangle_count())?;
         for edge in [edge].into_iter().chain(new).filter(|e| e.is_some()) {
             let length = length(mesh, edge);
             if length > longest {
                 queue.set(edge, -length);
             }
         }
-        progress.tick(|| (0, mesh.connectivity.edge_slots() as u64))?;
+        progress.check_now_and_then()?;
     }
     Ok(splits)
 }

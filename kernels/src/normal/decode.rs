@@ -3,20 +3,23 @@
 use super::grid::Steps;
 use super::level::Level;
 use super::remesh::{NormalMesh, Step};
+use crate::base::reserve::Reserve;
 use crate::snm::{Reader, SnmError};
 
 /// The levels of a file up to a wanted one, and why there are fewer than it was made with, if something is wrong.
 ///
 /// # Errors
-/// If not even the base mesh can be read.
+/// If not even the base mesh can be read, or the memory is used up.
 pub fn decode(file: &[u8], wanted: usize) -> Result<(NormalMesh, Option<SnmError>), SnmError> {
     let (mut reader, header, base) = Reader::new(file)?;
     let damaged = |_| SnmError::Damaged { part: 0 };
+    let _reserve = Reserve::for_rows(base.positions.len() + base.triangles.len()).map_err(SnmError::Mesh)?;
     let mut levels = vec![Level::base(&header, &base).map_err(damaged)?];
     let mut ends = vec![file.len() - reader.left()];
     let (mut steps, mut damage) = (vec![], None);
     while levels.len() <= wanted {
         let Some(level) = levels.last() else { break };
+        let reserve = Reserve::for_rows(level.next_rows()).map_err(SnmError::Mesh)?;
         let step = Steps::of(&header, levels.len() - 1);
         let predicted = level.predicted(&header);
         let expected = level.expected(&header, &step, &predicted);
@@ -25,6 +28,7 @@ pub fn decode(file: &[u8], wanted: usize) -> Result<(NormalMesh, Option<SnmError
                 levels.push(level.refined(&header, &step, &predicted, &refinement));
                 ends.push(file.len() - reader.left());
                 steps.push(Step { predicted, refinement });
+                reserve.check().map_err(SnmError::Mesh)?;
             }
             Ok(None) => break,
             Err(error) => {

@@ -34,6 +34,16 @@ impl Level {
         })
     }
 
+    /// Vertices and triangles.
+    pub fn rows(&self) -> usize {
+        self.points.len() + self.topology.triangles.len()
+    }
+
+    /// Vertices and triangles of the next level.
+    pub fn next_rows(&self) -> usize {
+        self.points.len() + self.topology.edges.len() + 4 * self.topology.triangles.len()
+    }
+
     pub fn predicted(&self, header: &Header) -> Predicted {
         predict(&self.topology, &self.points, header.scheme, header.relaxations)
     }

@@ -17,6 +17,7 @@ use super::unfold::unfold;
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, around, diagonal, sub};
 use crate::base::progress::Progress;
+use crate::base::reserve::Reserve;
 use crate::mesh::triangle_mesh::Mesh;
 use crate::snm::{Writer, canonical};
 use crate::subdivision::contents::{self, Header, Refinement, Scheme};
@@ -158,7 +159,7 @@ pub fn remesh(
     if let Some(origin) = &mut made.origin {
         origin.triangles.iter_mut().for_each(|t| *t = source[*t as usize]);
     }
-    (made.file, made.ends) = written(&made.header, &contents, &made.levels, &made.steps)?;
+    (made.file, made.ends) = written(&made.header, &contents, &made.levels, &made.steps, progress)?;
     Ok(made)
 }
 
@@ -255,6 +256,8 @@ fn levels_of(
     while let Some(level) = levels.last() {
         let number = levels.len() - 1;
         let is_finest = number == usize::from(header.levels);
+        // Levels grow beyond the input.
+        let _reserve = Reserve::for_rows(if is_finest { level.rows() } else { level.next_rows() })?;
         if is_finest || settings.max_error > 0.0 {
             let slots: Vec<u32> = placed.places.iter().map(|place| place.slot).collect();
             let fine = Fine { level, slots: &slots };
@@ -279,7 +282,9 @@ fn levels_of(
             steps: &step,
         };
         let (mut found, rim) = search.refine();
+        progress.check()?;
         unsound = unfold(&search, &mut found);
+        progress.check()?;
         faulty.extend(unsound.iter().map(|t| t >> (2 * number)));
         let parameters: Vec<_> =
             found.iter().enumerate().map(|(edge, f)| search.parameter(edge, &f.place)).collect();
@@ -290,10 +295,12 @@ fn levels_of(
             offsets: found.iter().map(|f| f.offset).collect(),
             channels: channels_of(&found, level, carried, surface, &header),
         };
+        progress.check()?;
         let next = level.refined(&header, &step, &predicted, &refinement);
         steps.push(Step { predicted, refinement });
         levels.push(next);
     }
+    progress.check()?;
     let last = last.ok_or(KernelError::Interrupted)?;
     if steps.len() < usize::from(header.levels) {
         // Steps depend on how many levels there are.
@@ -331,13 +338,16 @@ fn written(
     base: &contents::Base,
     levels: &[Level],
     steps: &[Step],
+    progress: &Progress,
 ) -> Result<(Vec<u8>, Vec<usize>), KernelError> {
     let mut writer = Writer::new(header, base)?;
     let mut ends = vec![writer.bytes().len()];
     for (number, (level, step)) in levels.iter().zip(steps).enumerate() {
+        let _reserve = Reserve::for_rows(level.next_rows())?;
         let expected = level.expected(header, &Steps::of(header, number), &step.predicted);
         writer.level(&level.topology, &expected, &step.refinement)?;
         ends.push(writer.bytes().len());
+        progress.check()?;
     }
     Ok((writer.finish(), ends))
 }

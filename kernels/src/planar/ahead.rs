@@ -15,6 +15,7 @@ use super::claims::Claims;
 use super::ground::Ground;
 use super::growth::{Grower, Grown};
 use crate::base::errors::KernelError;
+use crate::base::parallel::spawn;
 use crate::base::progress::Progress;
 
 /// As long as a patch takes this part of the triangles that are left, there is nothing to grow beside it.
@@ -67,7 +68,9 @@ pub fn grow_all<const D: usize, const K: usize>(
     thread::scope(|scope| {
         for _ in 1..ground.options.threads {
             let progress = progress.clone();
-            scope.spawn(|| turns.run(progress));
+            if spawn(scope, || turns.run(progress)).is_none() {
+                break;
+            }
         }
         turns.run(progress.clone());
     });

@@ -41,6 +41,11 @@ impl Inputs<'_> {
         self.attributes.shape()[1]
     }
 
+    /// Vertices and triangles.
+    pub fn rows(&self) -> usize {
+        self.vertices.as_array().nrows() + self.triangles.as_array().nrows()
+    }
+
     pub fn copied<const D: usize>(&self) -> PyResult<PointsAndTriangles<D>> {
         let points = points_from::<D>(&self.vertices, &self.attributes)?;
         let triangles = triangles_from(&self.triangles, points.len())?;

@@ -6,9 +6,10 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
+use super::guarded::guarded;
 use super::simplified::{Running, Simplified};
 use crate::certified::simplify::{Options, simplify};
-use crate::certified::tracked::Bound;
+use crate::certified::tracker::Bound;
 use crate::certify::{self, Deviation};
 use crate::collapse::engine::Refusal;
 use crate::mesh::legality::Illegal;
@@ -56,22 +57,24 @@ pub fn simplify_certified(
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
-    let locked = inputs.by_vertex("locked", &locked)?;
-    let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
-    let options = Options {
-        weight,
-        importance: inputs.by_vertex("importance", &importance)?,
-        share,
-        close,
-        proof: certify::Options { tolerance, effort, ..certify::Options::default() },
-        ..Options::new(Deviation { shape: bounds.0, color: bounds.1 })
-    };
-    match inputs.attribute_count() {
-        0 => simplify_points::<3, 0>(py, &inputs, locked, &options, &running, &progress),
-        1 => simplify_points::<4, 1>(py, &inputs, locked, &options, &running, &progress),
-        3 => simplify_points::<6, 3>(py, &inputs, locked, &options, &running, &progress),
-        k => Err(unknown_attributes(k)),
-    }
+    guarded(inputs.rows(), || {
+        let locked = inputs.by_vertex("locked", &locked)?;
+        let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
+        let options = Options {
+            weight,
+            importance: inputs.by_vertex("importance", &importance)?,
+            share,
+            close,
+            proof: certify::Options { tolerance, effort, ..certify::Options::default() },
+            ..Options::new(Deviation { shape: bounds.0, color: bounds.1 })
+        };
+        match inputs.attribute_count() {
+            0 => simplify_points::<3, 0>(py, &inputs, locked, &options, &running, &progress),
+            1 => simplify_points::<4, 1>(py, &inputs, locked, &options, &running, &progress),
+            3 => simplify_points::<6, 3>(py, &inputs, locked, &options, &running, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
 }
 
 fn simplify_points<const D: usize, const K: usize>(

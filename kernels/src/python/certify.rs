@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, points_from, triangles_from};
 use super::detached::detached;
+use super::guarded::guarded;
 use crate::certify::{Certificate, Deviation, Options, Surface};
 
 /// What `certify` returns.
@@ -53,14 +54,15 @@ pub fn certify(
         slack,
         threads,
     };
-    match (result.1.shape()[1], original.1.shape()[1]) {
+    let rows = |soup: &Soup<'_>| soup.0.as_array().nrows() + soup.2.as_array().nrows();
+    guarded(rows(&result) + rows(&original), || match (result.1.shape()[1], original.1.shape()[1]) {
         (0, 0) => certify_points::<3>(py, &result, &original, &options, &progress),
         (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
         (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
         (a, b) => Err(PyValueError::new_err(format!(
             "{a} and {b} attributes a vertex; 0, 1 (intensity) or 3 (RGB) on both sides are known"
         ))),
-    }
+    })
 }
 
 fn certify_points<const D: usize>(

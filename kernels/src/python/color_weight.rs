@@ -5,6 +5,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
+use super::guarded::guarded;
 use crate::base::parallel::threads;
 use crate::mesh::connect::check_indices;
 use crate::mesh::triangle_mesh::check_points;
@@ -25,12 +26,12 @@ pub fn color_weight(
     wanted_threads: usize,
 ) -> PyResult<f64> {
     let inputs = Inputs { vertices, attributes, triangles };
-    match inputs.attribute_count() {
+    guarded(inputs.rows(), || match inputs.attribute_count() {
         0 => Ok(0.0),
         1 => weight_of_points::<4, 1>(py, &inputs, target, tried, wanted_threads),
         3 => weight_of_points::<6, 3>(py, &inputs, target, tried, wanted_threads),
         k => Err(unknown_attributes(k)),
-    }
+    })
 }
 
 fn weight_of_points<const D: usize, const K: usize>(

@@ -9,6 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBool;
 
 use crate::base::errors::KernelError;
+use crate::base::parallel::spawn;
 use crate::base::progress::{Control, Progress};
 
 /// How often the waiting thread looks for Ctrl-C, and every how many looks it reports progress.
@@ -30,12 +31,12 @@ pub fn detached<R: Send>(
         std::thread::scope(|scope| {
             let (ended, end) = std::sync::mpsc::channel();
             let control = &control;
-            let worker = scope.spawn(move || {
+            let worker = spawn(scope, move || {
                 let outcome = catch_unwind(AssertUnwindSafe(|| work(&mut Progress::new(control))));
                 // Nobody waits any more once an exception was raised.
                 let _ = ended.send(());
                 outcome
-            });
+            })?;
             let mut looks = 0;
             while end.recv_timeout(LOOK) == Err(RecvTimeoutError::Timeout) {
                 looks += 1;
@@ -60,14 +61,15 @@ pub fn detached<R: Send>(
                     break;
                 }
             }
-            worker.join()
+            Some(worker.join())
         })
     });
     if let Some(error) = raised {
         return Err(error);
     }
     match outcome {
-        Ok(Ok(result)) => result.map_err(PyErr::from),
+        None => Err(KernelError::OutOfMemory.into()),
+        Some(Ok(Ok(result))) => result.map_err(PyErr::from),
         _ => Err(PyRuntimeError::new_err("the mesh kernels failed; please report the mesh that shows it")),
     }
 }

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, columns, unknown_attributes};
 use super::detached::detached;
+use super::guarded::guarded;
 use crate::base::ids::VertexId;
 use crate::base::parallel::threads;
 use crate::collapse::whole::Whole;
@@ -41,13 +42,15 @@ pub fn fit(
         attributes: original_attributes,
         triangles: original_triangles,
     };
-    let locked = result.by_vertex("locked", &locked)?;
-    match result.attribute_count() {
-        0 => fit_points::<3>(py, &result, locked, &original, &became, threads, &progress),
-        1 => fit_points::<4>(py, &result, locked, &original, &became, threads, &progress),
-        3 => fit_points::<6>(py, &result, locked, &original, &became, threads, &progress),
-        k => Err(unknown_attributes(k)),
-    }
+    guarded(result.rows() + original.rows(), || {
+        let locked = result.by_vertex("locked", &locked)?;
+        match result.attribute_count() {
+            0 => fit_points::<3>(py, &result, locked, &original, &became, threads, &progress),
+            1 => fit_points::<4>(py, &result, locked, &original, &became, threads, &progress),
+            3 => fit_points::<6>(py, &result, locked, &original, &became, threads, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
 }
 
 fn fit_points<const D: usize>(

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
 use super::detached::detached;
+use super::guarded::guarded;
 use super::simplified::{Running, Simplified};
 use crate::base::errors::KernelError;
 use crate::base::geometry::distance2;
@@ -64,13 +65,15 @@ pub fn simplify(
         ));
     }
     let inputs = Inputs { vertices, attributes, triangles };
-    let locked = inputs.by_vertex("locked", &locked)?;
-    match inputs.attribute_count() {
-        0 => simplify_points::<3>(py, &inputs, locked, &options, &running, &progress),
-        1 => simplify_points::<4>(py, &inputs, locked, &options, &running, &progress),
-        3 => simplify_points::<6>(py, &inputs, locked, &options, &running, &progress),
-        k => Err(unknown_attributes(k)),
-    }
+    guarded(inputs.rows(), || {
+        let locked = inputs.by_vertex("locked", &locked)?;
+        match inputs.attribute_count() {
+            0 => simplify_points::<3>(py, &inputs, locked, &options, &running, &progress),
+            1 => simplify_points::<4>(py, &inputs, locked, &options, &running, &progress),
+            3 => simplify_points::<6>(py, &inputs, locked, &options, &running, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
 }
 
 fn simplify_points<const D: usize>(
@@ -136,21 +139,23 @@ pub fn side_lengths(
     if vertices.ncols() != 3 || triangles.ncols() != 3 {
         return Err(PyValueError::new_err("vertices are n × 3 and triangles m × 3"));
     }
-    let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());
-    let (points, corners) = (vertices.as_slice().unwrap_or_default(), triangles.as_standard_layout());
-    let corners = corners.as_slice().unwrap_or_default();
-    if let Some(place) = corners.iter().position(|&v| v as u32 as usize >= count) {
-        let (triangle, vertex) = (place / 3, corners[place].into());
-        return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices: count }.into());
-    }
-    let point = |corner: usize| -> [f64; 3] {
-        let first = 3 * corners[corner] as usize;
-        [points[first], points[first + 1], points[first + 2]]
-    };
-    let mut lengths = vec![[0.0; 3]; triangles.nrows()];
-    fill(&mut lengths, threads(wanted_threads), |t| {
-        let [a, b, c] = [0, 1, 2].map(|k| point(3 * t + k));
-        [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
-    });
-    Ok(PyArray1::from_vec(py, lengths.into_flattened()).reshape([triangles.nrows(), 3])?.unbind())
+    guarded(vertices.nrows() + triangles.nrows(), || {
+        let (count, vertices) = (vertices.nrows(), vertices.as_standard_layout());
+        let (points, corners) = (vertices.as_slice().unwrap_or_default(), triangles.as_standard_layout());
+        let corners = corners.as_slice().unwrap_or_default();
+        if let Some(place) = corners.iter().position(|&v| v as u32 as usize >= count) {
+            let (triangle, vertex) = (place / 3, corners[place].into());
+            return Err(KernelError::IndexOutOfRange { triangle, vertex, vertices: count }.into());
+        }
+        let point = |corner: usize| -> [f64; 3] {
+            let first = 3 * corners[corner] as usize;
+            [points[first], points[first + 1], points[first + 2]]
+        };
+        let mut lengths = vec![[0.0; 3]; triangles.nrows()];
+        fill(&mut lengths, threads(wanted_threads), |t| {
+            let [a, b, c] = [0, 1, 2].map(|k| point(3 * t + k));
+            [distance2(&a, &c), distance2(&b, &a), distance2(&c, &b)].map(f64::sqrt)
+        });
+        Ok(PyArray1::from_vec(py, lengths.into_flattened()).reshape([triangles.nrows(), 3])?.unbind())
+    })
 }

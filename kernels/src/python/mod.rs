@@ -8,6 +8,7 @@ mod certify;
 mod color_weight;
 mod detached;
 mod fit;
+mod guarded;
 mod jia01;
 mod normal_mesh;
 mod order;
@@ -17,10 +18,17 @@ mod seams;
 mod simplified;
 
 use pyo3::create_exception;
-use pyo3::exceptions::{PyOverflowError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::base::errors::KernelError;
+use crate::base::reserve::{Allocator, Reserve};
+
+#[global_allocator]
+static ALLOCATOR: Allocator = Allocator;
+
+/// What is reserved for as long as the module is there, for exceptions and the like.
+const ALWAYS: usize = 1 << 20;
 
 create_exception!(
     stages._kernels,
@@ -38,6 +46,7 @@ create_exception!(
 impl From<KernelError> for PyErr {
     fn from(error: KernelError) -> Self {
         match error {
+            KernelError::OutOfMemory => PyMemoryError::new_err(error.to_string()),
             KernelError::TooManyTriangles { .. } => LimitError::new_err(error.to_string()),
             _ => InvalidMeshError::new_err(error.to_string()),
         }
@@ -46,8 +55,10 @@ impl From<KernelError> for PyErr {
 
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    std::mem::forget(Reserve::new(ALWAYS)?);
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
+    module.add("NEEDLE", crate::certify::NEEDLE)?;
     module.add_class::<simplified::Running>()?;
     module.add_class::<simplified::Simplified>()?;
     module.add_class::<quadric::ByQuadrics>()?;

@@ -8,6 +8,8 @@ use pyo3::types::PyBytes;
 
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
+use super::guarded::guarded;
+use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
 use crate::base::parallel::threads;
 use crate::normal::carried::{Carried, to_levels};
@@ -16,6 +18,7 @@ use crate::normal::decode::decode;
 use crate::normal::grid::Steps;
 use crate::normal::level::Level;
 use crate::normal::remesh::{NormalMesh as Made, Settings, Step, remesh as make};
+use crate::snm::SnmError as DecodeError;
 use crate::subdivision::contents::{Offset, Scheme};
 
 create_exception!(
@@ -61,9 +64,9 @@ impl NormalMesh {
     }
 
     #[getter]
-    fn base_source(&self, py: Python<'_>) -> Option<Py<PyArray1<i32>>> {
-        let origin = self.made.origin.as_ref()?;
-        Some(id_array(py, origin.base_source.iter().copied()))
+    fn base_source(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray1<i32>>>> {
+        let Some(origin) = &self.made.origin else { return Ok(None) };
+        guarded(origin.base_source.len(), || Ok(Some(id_array(py, origin.base_source.iter().copied()))))
     }
 
     #[getter]
@@ -72,78 +75,98 @@ impl NormalMesh {
     }
 
     fn vertices(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
-        columns(py, &self.placed(&self.level(level)?.points), 0..3)
+        self.guarded(level, || columns(py, &self.placed(&self.level(level)?.points), 0..3))
     }
 
     fn triangles(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<i32>>> {
-        triangle_array(py, &self.level(level)?.topology.triangles)
+        self.guarded(level, || triangle_array(py, &self.level(level)?.topology.triangles))
     }
 
     fn colors(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray2<u8>>>> {
-        let channels = &self.level(level)?.channels;
-        if self.made.header.channels < 3 {
-            return Ok(None);
-        }
-        let values: Vec<u8> = channels.iter().flat_map(|&[y, o, g, _]| to_levels([y, o, g])).collect();
-        Ok(Some(PyArray1::from_vec(py, values).reshape([channels.len(), 3])?.unbind()))
+        self.guarded(level, || {
+            let channels = &self.level(level)?.channels;
+            if self.made.header.channels < 3 {
+                return Ok(None);
+            }
+            let values: Vec<u8> = channels.iter().flat_map(|&[y, o, g, _]| to_levels([y, o, g])).collect();
+            Ok(Some(PyArray1::from_vec(py, values).reshape([channels.len(), 3])?.unbind()))
+        })
     }
 
     fn confidence(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray1<f64>>>> {
-        let channels = &self.level(level)?.channels;
-        let place = match self.made.header.channels {
-            1 => 0,
-            4 => 3,
-            _ => return Ok(None),
-        };
-        Ok(Some(PyArray1::from_vec(py, channels.iter().map(|c| c[place]).collect()).unbind()))
+        self.guarded(level, || {
+            let channels = &self.level(level)?.channels;
+            let place = match self.made.header.channels {
+                1 => 0,
+                4 => 3,
+                _ => return Ok(None),
+            };
+            Ok(Some(PyArray1::from_vec(py, channels.iter().map(|c| c[place]).collect()).unbind()))
+        })
     }
 
     fn hit_triangle(&self, py: Python<'_>, level: usize) -> PyResult<Option<Py<PyArray1<i32>>>> {
-        let count = self.level(level)?.points.len();
-        let Some(origin) = &self.made.origin else { return Ok(None) };
-        Ok(Some(id_array(py, origin.triangles[..count].iter().copied())))
+        self.guarded(level, || {
+            let count = self.level(level)?.points.len();
+            let Some(origin) = &self.made.origin else { return Ok(None) };
+            Ok(Some(id_array(py, origin.triangles[..count].iter().copied())))
+        })
     }
 
     fn kinds(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray1<u8>>> {
-        let (coarse, step) = self.step(level)?;
-        let kind = |(edge, offset): (usize, &Offset)| match offset {
-            Offset::Scalar(_) | Offset::Unrelaxed(_) => 0,
-            Offset::Vector(_) if coarse.topology.is_boundary_edge(edge) => 2,
-            Offset::Vector(_) => 1,
-        };
-        let kinds = step.refinement.offsets.iter().enumerate().map(kind).collect();
-        Ok(PyArray1::from_vec(py, kinds).unbind())
+        self.guarded(level, || {
+            let (coarse, step) = self.step(level)?;
+            let kind = |(edge, offset): (usize, &Offset)| match offset {
+                Offset::Scalar(_) | Offset::Unrelaxed(_) => 0,
+                Offset::Vector(_) if coarse.topology.is_boundary_edge(edge) => 2,
+                Offset::Vector(_) => 1,
+            };
+            let kinds = step.refinement.offsets.iter().enumerate().map(kind).collect();
+            Ok(PyArray1::from_vec(py, kinds).unbind())
+        })
     }
 
     fn offsets(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
-        let (_, step) = self.step(level)?;
-        let steps = Steps::of(&self.made.header, level - 1);
-        let metres = |offset: &Offset| match offset {
-            Offset::Scalar(d) | Offset::Unrelaxed(d) => [f64::from(*d) * steps.scalar, 0.0, 0.0],
-            Offset::Vector(d) => d.map(|d| f64::from(d) * steps.vector),
-        };
-        let rows: Vec<Vec3> = step.refinement.offsets.iter().map(metres).collect();
-        columns(py, &rows, 0..3)
+        self.guarded(level, || {
+            let (_, step) = self.step(level)?;
+            let steps = Steps::of(&self.made.header, level - 1);
+            let metres = |offset: &Offset| match offset {
+                Offset::Scalar(d) | Offset::Unrelaxed(d) => [f64::from(*d) * steps.scalar, 0.0, 0.0],
+                Offset::Vector(d) => d.map(|d| f64::from(d) * steps.vector),
+            };
+            let rows: Vec<Vec3> = step.refinement.offsets.iter().map(metres).collect();
+            columns(py, &rows, 0..3)
+        })
     }
 
     fn predicted(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
-        let (_, step) = self.step(level)?;
-        let offsets = step.refinement.offsets.iter().enumerate();
-        let from = offsets.map(|(edge, offset)| match offset {
-            Offset::Unrelaxed(_) => step.predicted.unrelaxed[edge],
-            _ => step.predicted.points[edge],
-        });
-        columns(py, &self.placed(&from.collect::<Vec<_>>()), 0..3)
+        self.guarded(level, || {
+            let (_, step) = self.step(level)?;
+            let offsets = step.refinement.offsets.iter().enumerate();
+            let from = offsets.map(|(edge, offset)| match offset {
+                Offset::Unrelaxed(_) => step.predicted.unrelaxed[edge],
+                _ => step.predicted.points[edge],
+            });
+            columns(py, &self.placed(&from.collect::<Vec<_>>()), 0..3)
+        })
     }
 
     fn frames(&self, py: Python<'_>, level: usize) -> PyResult<Py<PyArray2<f64>>> {
-        let (_, step) = self.step(level)?;
-        let normals: Vec<Vec3> = step.predicted.frames.iter().map(|frame| frame[0]).collect();
-        columns(py, &normals, 0..3)
+        self.guarded(level, || {
+            let (_, step) = self.step(level)?;
+            let normals: Vec<Vec3> = step.predicted.frames.iter().map(|frame| frame[0]).collect();
+            columns(py, &normals, 0..3)
+        })
     }
 }
 
 impl NormalMesh {
+    /// What a level gives out.
+    fn guarded<R>(&self, level: usize, work: impl FnOnce() -> PyResult<R>) -> PyResult<R> {
+        let level = self.level(level)?;
+        guarded(level.points.len() + level.topology.triangles.len(), work)
+    }
+
     fn level(&self, level: usize) -> PyResult<&Level> {
         self.made.levels.get(level).ok_or_else(|| PyIndexError::new_err(format!("there is no level {level}")))
     }
@@ -189,41 +212,43 @@ pub fn remesh(
 ) -> PyResult<NormalMesh> {
     let (vertices, colors) = (vertices.as_array(), colors.as_array());
     let colored = colors.ncols() > 0;
-    let confidence = confidence.as_array().to_vec();
     let count = vertices.nrows();
-    if vertices.ncols() != 3
-        || (colored && colors.dim() != (count, 3))
-        || !(confidence.is_empty() || confidence.len() == count)
-    {
-        return Err(PyValueError::new_err(format!(
-            "vertices are {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
-            vertices.shape(),
-            colors.shape(),
-            confidence.len()
-        )));
-    }
-    if confidence.iter().any(|c| !c.is_finite()) {
-        return Err(PyValueError::new_err("confidence holds a value that is not finite"));
-    }
-    let points: Vec<Vec3> = vertices.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect();
-    let colors =
-        if colored { colors.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect() } else { vec![] };
-    let triangles = triangles_from(&triangles, points.len())?;
-    let carried = Carried { colors, confidence };
-    let settings = Settings {
-        levels,
-        target: Target { triangles: base_triangles, error: base_error, at_any_price },
-        max_error,
-        scheme: if butterfly { Scheme::Butterfly } else { Scheme::Linear },
-        relaxations,
-        tolerance,
-        color_tolerance,
-        threads,
-    };
-    let made = detached(py, Some(&progress), false, |progress| {
-        make(&points, &triangles, &carried, &settings, progress)
-    })?;
-    Ok(NormalMesh { made, damage: None })
+    guarded(count + triangles.as_array().nrows(), || {
+        let confidence = confidence.as_array().to_vec();
+        if vertices.ncols() != 3
+            || (colored && colors.dim() != (count, 3))
+            || !(confidence.is_empty() || confidence.len() == count)
+        {
+            return Err(PyValueError::new_err(format!(
+                "vertices are {:?}, colors {:?}, confidence {}; n × 3, n × 3 or n × 0, n or 0 are expected",
+                vertices.shape(),
+                colors.shape(),
+                confidence.len()
+            )));
+        }
+        if confidence.iter().any(|c| !c.is_finite()) {
+            return Err(PyValueError::new_err("confidence holds a value that is not finite"));
+        }
+        let points: Vec<Vec3> = vertices.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect();
+        let colors =
+            if colored { colors.rows().into_iter().map(|r| [r[0], r[1], r[2]]).collect() } else { vec![] };
+        let triangles = triangles_from(&triangles, points.len())?;
+        let carried = Carried { colors, confidence };
+        let settings = Settings {
+            levels,
+            target: Target { triangles: base_triangles, error: base_error, at_any_price },
+            max_error,
+            scheme: if butterfly { Scheme::Butterfly } else { Scheme::Linear },
+            relaxations,
+            tolerance,
+            color_tolerance,
+            threads,
+        };
+        let made = detached(py, Some(&progress), false, |progress| {
+            make(&points, &triangles, &carried, &settings, progress)
+        })?;
+        Ok(NormalMesh { made, damage: None })
+    })
 }
 
 fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
@@ -234,6 +259,11 @@ fn threads_from(wanted: &Bound<'_, PyAny>) -> PyResult<usize> {
 #[pyfunction]
 pub fn decode_normal_mesh(py: Python<'_>, data: &[u8], level: i64) -> PyResult<NormalMesh> {
     let wanted = usize::try_from(level).unwrap_or(usize::MAX);
-    let (made, damage) = py.detach(|| decode(data, wanted)).map_err(|e| SnmError::new_err(e.to_string()))?;
-    Ok(NormalMesh { made, damage: damage.map(|why| why.to_string()) })
+    guarded(data.len(), || {
+        let (made, damage) = py.detach(|| decode(data, wanted)).map_err(|error| match error {
+            DecodeError::Mesh(KernelError::OutOfMemory) => KernelError::OutOfMemory.into(),
+            _ => SnmError::new_err(error.to_string()),
+        })?;
+        Ok(NormalMesh { made, damage: damage.map(|why| why.to_string()) })
+    })
 }

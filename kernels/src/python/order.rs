@@ -4,6 +4,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs};
+use super::guarded::guarded;
 use crate::mesh::connect::check_indices;
 use crate::mesh::spatial;
 use crate::mesh::triangle_mesh::check_points;
@@ -19,9 +20,12 @@ pub fn spatial_order(
 ) -> PyResult<(Rows, Rows)> {
     let attributes =
         Attributes::Levels(PyArray2::zeros(py, [vertices.as_array().nrows(), 0], false).readonly());
-    let (points, triangles) = Inputs { vertices, attributes, triangles }.copied::<3>()?;
-    check_points(&points)?;
-    check_indices(points.len(), &triangles)?;
-    let (vertices, triangles) = py.detach(|| spatial::spatial_order(&points, &triangles));
-    Ok((PyArray1::from_vec(py, vertices).unbind(), PyArray1::from_vec(py, triangles).unbind()))
+    let inputs = Inputs { vertices, attributes, triangles };
+    guarded(inputs.rows(), || {
+        let (points, triangles) = inputs.copied::<3>()?;
+        check_points(&points)?;
+        check_indices(points.len(), &triangles)?;
+        let (vertices, triangles) = py.detach(|| spatial::spatial_order(&points, &triangles));
+        Ok((PyArray1::from_vec(py, vertices).unbind(), PyArray1::from_vec(py, triangles).unbind()))
+    })
 }

@@ -8,6 +8,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
 use super::detached::detached;
+use super::guarded::guarded;
 use crate::base::parallel::threads;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::planar::{Options, Patches, Planar, facets, propagate, reasons, simplify};
@@ -123,14 +124,16 @@ pub fn simplify_planar(
     progress: Py<PyAny>,
 ) -> PyResult<Py<ByPatches>> {
     let inputs = Inputs { vertices, attributes, triangles };
-    let locked = inputs.by_vertex("locked", &locked)?;
-    let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
-    match inputs.attribute_count() {
-        0 => simplify_points::<3, 0>(py, &inputs, &locked, &options, partial, &progress),
-        1 => simplify_points::<4, 1>(py, &inputs, &locked, &options, partial, &progress),
-        3 => simplify_points::<6, 3>(py, &inputs, &locked, &options, partial, &progress),
-        k => Err(unknown_attributes(k)),
-    }
+    guarded(inputs.rows(), || {
+        let locked = inputs.by_vertex("locked", &locked)?;
+        let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
+        match inputs.attribute_count() {
+            0 => simplify_points::<3, 0>(py, &inputs, &locked, &options, partial, &progress),
+            1 => simplify_points::<4, 1>(py, &inputs, &locked, &options, partial, &progress),
+            3 => simplify_points::<6, 3>(py, &inputs, &locked, &options, partial, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
 }
 
 fn simplify_points<const D: usize, const K: usize>(
@@ -180,13 +183,15 @@ pub fn planar_patches(
     progress: Py<PyAny>,
 ) -> PyResult<PlanarPatches> {
     let inputs = Inputs { vertices, attributes, triangles };
-    let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
-    match inputs.attribute_count() {
-        0 => patches_of_points::<3, 0>(py, &inputs, &options, &progress),
-        1 => patches_of_points::<4, 1>(py, &inputs, &options, &progress),
-        3 => patches_of_points::<6, 3>(py, &inputs, &options, &progress),
-        k => Err(unknown_attributes(k)),
-    }
+    guarded(inputs.rows(), || {
+        let options = options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
+        match inputs.attribute_count() {
+            0 => patches_of_points::<3, 0>(py, &inputs, &options, &progress),
+            1 => patches_of_points::<4, 1>(py, &inputs, &options, &progress),
+            3 => patches_of_points::<6, 3>(py, &inputs, &options, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
 }
 
 fn patches_of_points<const D: usize, const K: usize>(

@@ -6,6 +6,7 @@ use pyo3::prelude::*;
 
 use super::arrays::{Attributes, Inputs, unknown_attributes};
 use super::detached::detached;
+use super::guarded::guarded;
 use super::simplified::{Running, Simplified};
 use crate::collapse::engine::Refusal;
 use crate::collapse::logs::{Log, Way};
@@ -41,14 +42,16 @@ pub fn simplify_by_quadrics(
         return Err(PyValueError::new_err("the weight must not be negative"));
     }
     let inputs = Inputs { vertices, attributes, triangles };
-    let locked = inputs.by_vertex("locked", &locked)?;
-    let importance = inputs.by_vertex("importance", &importance)?;
-    match inputs.attribute_count() {
-        0 => simplify_points::<3, 0>(py, &inputs, locked, importance, weight, &running, &progress),
-        1 => simplify_points::<4, 1>(py, &inputs, locked, importance, weight, &running, &progress),
-        3 => simplify_points::<6, 3>(py, &inputs, locked, importance, weight, &running, &progress),
-        k => Err(unknown_attributes(k)),
-    }
+    guarded(inputs.rows(), || {
+        let locked = inputs.by_vertex("locked", &locked)?;
+        let importance = inputs.by_vertex("importance", &importance)?;
+        match inputs.attribute_count() {
+            0 => simplify_points::<3, 0>(py, &inputs, locked, importance, weight, &running, &progress),
+            1 => simplify_points::<4, 1>(py, &inputs, locked, importance, weight, &running, &progress),
+            3 => simplify_points::<6, 3>(py, &inputs, locked, importance, weight, &running, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
 }
 
 fn simplify_points<const D: usize, const K: usize>(

@@ -8,7 +8,9 @@ use pyo3::prelude::*;
 
 use super::arrays::{columns, id_array, triangle_array, triangles_from};
 use super::detached::detached;
+use super::guarded::guarded;
 use super::simplified::{Running, stopped_by};
+use crate::certified::along_seams::{self, Within};
 use crate::seams::weld::{TOUCHES_NONE, weld};
 use crate::seams::{Goal, Knobs, Outcome, Refused, Surface, simplify};
 
@@ -53,6 +55,8 @@ pub struct BySeams {
     attempts: u64,
     seam_drift: f64,
     fitted: bool,
+    /// The distance that can be proven, if one was asked for: that one, or the least there is.
+    provable: Option<f64>,
     log: Option<Py<SeamLog>>,
 }
 
@@ -75,9 +79,10 @@ pub struct SeamLog {
 
 /// Simplify a mesh whose vertices are doubled along seams. `sets` (n,) says which vertices are one; `corners` (3 m, k)
 /// are the attributes of the corners as lengths: the texture coordinate, 0 where triangles are not `textured` (m,),
-/// then three or six more. `importance` (m,) multiplies the error around triangles, (0,) for 1.
+/// then three or six more. `importance` (m,) multiplies the error around triangles, (0,) for 1. `within` is a distance in
+/// metres, the share of it that vertices may use, and a factor of that for each vertex (n,).
 #[pyfunction]
-#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, locked, *, knobs, fit, running, progress))]
+#[pyo3(signature = (vertices, sets, triangles, corners, textured, materials, parts, importance, locked, *, knobs, fit, within=None, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify_seams(
     py: Python<'_>,
@@ -92,48 +97,61 @@ pub fn simplify_seams(
     locked: PyReadonlyArray1<'_, bool>,
     knobs: PyRef<'_, SeamKnobs>,
     fit: bool,
+    within: Option<(f64, f64, PyReadonlyArray1<'_, f64>)>,
     running: PyRef<'_, Running>,
     progress: Py<PyAny>,
 ) -> PyResult<BySeams> {
-    let points = rows::<3>(&vertices)?;
-    let triangles = triangles_from(&triangles, points.len())?;
-    let sets = sets.as_array();
-    let lengths = [
-        (sets.len(), points.len()),
-        (locked.as_array().len(), points.len()),
-        (textured.as_array().len(), triangles.len()),
-        (materials.as_array().len(), triangles.len()),
-        (parts.as_array().len(), triangles.len()),
-        (corners.as_array().nrows(), 3 * triangles.len()),
-    ];
-    if lengths.iter().any(|(found, wanted)| found != wanted)
-        || sets.iter().any(|&s| s < 0 || s as usize >= points.len())
-    {
-        return Err(PyValueError::new_err(
-            "sets, locked, corners, textured, materials and parts must fit the mesh",
-        ));
-    }
-    let importance = importance.as_array().to_vec();
-    if !importance.is_empty() && importance.len() != triangles.len() {
-        return Err(PyValueError::new_err("importance needs one value a triangle, or none at all"));
-    }
-    let light = Light {
-        points,
-        sets: sets.iter().map(|&s| s as u32).collect(),
-        triangles,
-        textured: textured.as_array().to_vec(),
-        materials: materials.as_array().to_vec(),
-        parts: parts.as_array().to_vec(),
-        importance,
-        locked: locked.as_array().to_vec(),
-    };
-    let (knobs, running) = (knobs.0, &*running);
-    match corners.as_array().ncols() {
-        2 => light.simplify::<5, 2>(py, &corners, knobs, fit, running, &progress),
-        5 => light.simplify::<8, 5>(py, &corners, knobs, fit, running, &progress),
-        8 => light.simplify::<11, 8>(py, &corners, knobs, fit, running, &progress),
-        k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
-    }
+    // Corners are rows of their own.
+    let count = vertices.as_array().nrows() + 4 * triangles.as_array().nrows();
+    guarded(count, || {
+        let points = rows::<3>(&vertices)?;
+        let triangles = triangles_from(&triangles, points.len())?;
+        let sets = sets.as_array();
+        let lengths = [
+            (sets.len(), points.len()),
+            (locked.as_array().len(), points.len()),
+            (textured.as_array().len(), triangles.len()),
+            (materials.as_array().len(), triangles.len()),
+            (parts.as_array().len(), triangles.len()),
+            (corners.as_array().nrows(), 3 * triangles.len()),
+        ];
+        if lengths.iter().any(|(found, wanted)| found != wanted)
+            || sets.iter().any(|&s| s < 0 || s as usize >= points.len())
+        {
+            return Err(PyValueError::new_err(
+                "sets, locked, corners, textured, materials and parts must fit the mesh",
+            ));
+        }
+        let importance = importance.as_array().to_vec();
+        if !importance.is_empty() && importance.len() != triangles.len() {
+            return Err(PyValueError::new_err("importance needs one value a triangle, or none at all"));
+        }
+        let within = within.map(|(shape, share, factors)| Within {
+            shape,
+            share,
+            factors: factors.as_array().iter().map(|&factor| factor as f32).collect(),
+        });
+        if within.as_ref().is_some_and(|within| within.factors.len() != points.len()) {
+            return Err(PyValueError::new_err("within needs one factor a vertex"));
+        }
+        let light = Light {
+            points,
+            sets: sets.iter().map(|&s| s as u32).collect(),
+            triangles,
+            textured: textured.as_array().to_vec(),
+            materials: materials.as_array().to_vec(),
+            parts: parts.as_array().to_vec(),
+            importance,
+            locked: locked.as_array().to_vec(),
+        };
+        let how = How { knobs: knobs.0, within, fit, running: &running };
+        match corners.as_array().ncols() {
+            2 => light.simplify::<5, 2>(py, &corners, &how, &progress),
+            5 => light.simplify::<8, 5>(py, &corners, &how, &progress),
+            8 => light.simplify::<11, 8>(py, &corners, &how, &progress),
+            k => Err(PyValueError::new_err(format!("{k} attributes a corner; 2, 5 or 8 are known"))),
+        }
+    })
 }
 
 /// Sheets between which a surface was taken apart; see `scanloom_kernels::seams::weld`.
@@ -151,21 +169,31 @@ pub fn weld_sheets(
     sets: PyReadonlyArray1<'_, i32>,
     triangles: PyReadonlyArray2<'_, i32>,
 ) -> PyResult<WeldedSheets> {
-    let sets = sets.as_array();
-    let triangles = triangles_from(&triangles, sets.len())?;
-    if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
-        return Err(PyValueError::new_err("sets must be numbered from 0"));
-    }
-    let sets: Vec<u32> = sets.iter().map(|&s| s as u32).collect();
-    let welded = py.detach(|| weld(&sets, &triangles))?;
-    let corners: Vec<[u32; 3]> =
-        welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
-    let touches = welded.touching.iter().map(|&set| set != TOUCHES_NONE).collect();
-    Ok(WeldedSheets {
-        triangles: triangle_array(py, &corners)?,
-        triangle_source: id_array(py, welded.triangle_source.into_iter()),
-        touches: PyArray1::from_vec(py, touches).unbind(),
+    guarded(sets.as_array().len() + triangles.as_array().nrows(), || {
+        let sets = sets.as_array();
+        let triangles = triangles_from(&triangles, sets.len())?;
+        if sets.iter().any(|&s| s < 0 || s as usize >= sets.len()) {
+            return Err(PyValueError::new_err("sets must be numbered from 0"));
+        }
+        let sets: Vec<u32> = sets.iter().map(|&s| s as u32).collect();
+        let welded = py.detach(|| weld(&sets, &triangles))?;
+        let corners: Vec<[u32; 3]> =
+            welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
+        let touches = welded.touching.iter().map(|&set| set != TOUCHES_NONE).collect();
+        Ok(WeldedSheets {
+            triangles: triangle_array(py, &corners)?,
+            triangle_source: id_array(py, welded.triangle_source.into_iter()),
+            touches: PyArray1::from_vec(py, touches).unbind(),
+        })
     })
+}
+
+/// How to simplify, and how far.
+struct How<'a> {
+    knobs: Knobs,
+    within: Option<Within>,
+    fit: bool,
+    running: &'a Running,
 }
 
 /// A surface without its attributes.
@@ -185,9 +213,7 @@ impl Light {
         self,
         py: Python<'_>,
         corners: &PyReadonlyArray2<'_, f64>,
-        knobs: Knobs,
-        is_fitted: bool,
-        running: &Running,
+        how: &How<'_>,
         progress: &Py<PyAny>,
     ) -> PyResult<BySeams> {
         let surface = Surface {
@@ -201,15 +227,20 @@ impl Light {
             importance: self.importance,
             locked: self.locked,
         };
-        let goal = Goal { rounds: running.goal(), fit: is_fitted };
-        let outcome = detached(py, Some(progress), running.partial, |progress| {
-            simplify::<D, K>(&surface, knobs, goal, progress)
+        let goal = Goal { rounds: how.running.goal(), fit: how.fit };
+        let (outcome, provable) = detached(py, Some(progress), how.running.partial, |progress| {
+            let Some(within) = &how.within else {
+                return Ok((simplify::<D, K>(&surface, how.knobs, goal, progress)?, None));
+            };
+            let (outcome, provable) =
+                along_seams::simplify::<D, K>(&surface, how.knobs, within, goal, progress)?;
+            Ok((outcome, Some(provable)))
         })?;
-        returned(py, outcome)
+        returned(py, outcome, provable)
     }
 }
 
-fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<BySeams> {
+fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>, provable: Option<f64>) -> PyResult<BySeams> {
     let log = outcome.log.map(|log| {
         let ids = |ids: Vec<u32>| id_array(py, ids.into_iter());
         Py::new(
@@ -230,7 +261,7 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
             },
         )
     });
-    let Refused { topology, bridge, locked, fold, seam, chart, drift } = outcome.refused;
+    let Refused { topology, bridge, locked, fold, seam, chart, drift, shape, needle } = outcome.refused;
     let refused = [
         ("topology", topology),
         ("bridge", bridge),
@@ -239,6 +270,8 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
         ("seam", seam),
         ("chart", chart),
         ("drift", drift),
+        ("shape", shape),
+        ("needle", needle),
     ];
     Ok(BySeams {
         vertices: columns(py, &outcome.points, 0..3)?,
@@ -253,6 +286,7 @@ fn returned<const K: usize>(py: Python<'_>, outcome: Outcome<K>) -> PyResult<ByS
         attempts: outcome.attempts,
         seam_drift: outcome.seam_drift,
         fitted: outcome.is_fitted,
+        provable,
         log: log.transpose()?,
     })
 }

@@ -186,7 +186,7 @@ impl<const D: usize> Sample<D> {
         let goal = Goal { triangles: left, threads, region: REGION_TRIANGLES, record: false };
         let mesh = match collapse(whole, records, &goal, progress) {
             Ok(outcome) => outcome.mesh,
-            Err(KernelError::Interrupted) => return Err(KernelError::Interrupted),
+            Err(error) if error.is_given_up() => return Err(error),
             Err(_) => return Ok(None),
         };
         if mesh.triangles.is_empty() {

@@ -37,10 +37,12 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             return Err(Rule::Chart);
         }
         plan.runs = [None; 2];
-        if let Some(end) = candidate.keep.filter(|_| self.is_seam[star.edge.index()]) {
-            if candidate.drift > self.knobs.seam_drift {
-                return Err(Rule::Drift);
-            }
+        if candidate.drift > self.knobs.seam_drift {
+            return Err(Rule::Drift);
+        }
+        if !self.is_seam[star.edge.index()] {
+            plan.runs = self.follow_tips(mesh, star.edge, plan, &candidate.place, candidate.keep);
+        } else if let Some(end) = candidate.keep {
             let mut runs = self.follow_seam(mesh, star.edge, plan.sides, end);
             let runs = [runs.next(), runs.next()];
             plan.runs = runs;

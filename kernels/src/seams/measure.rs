@@ -7,12 +7,13 @@
 //!
 //! A seam is a curve of edges. What lies beside it collapses into it, and an edge of it shrinks along it, to the
 //! texture coordinates that one of its ends has on each side: so they remain on the chart's border. Where that end
-//! goes from lies in further charts, as where three meet, it keeps its place in those.
+//! goes from lies in further charts, as where three meet, it keeps its place in those. Where a seam ends inside a chart, its tip
+//! may go on there, or become one with that of the next seam: a pole of a globe sends out one for each triangle of its fan.
 
 use super::classes::Plan;
 use super::state::{Rule, Seams, common};
 use super::wedges::{NONE, Wedge};
-use crate::base::geometry::distance2;
+use crate::base::geometry::{Vec3, distance2};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::mesh::connectivity::Connectivity;
@@ -21,10 +22,29 @@ use crate::mesh::triangle_mesh::{Lock, Mesh};
 use crate::quadrics::placement::{best_place, shorter_first};
 
 impl<const D: usize, const K: usize> Seams<'_, D, K> {
+    /// The cheapest place for a star that is legal, and that someone else `allows`, too.
+    pub fn propose_among(
+        &mut self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        mut allows: impl FnMut(&Vec3) -> Result<(), Rule>,
+    ) -> Result<Proposal<3, ()>, Rule> {
+        let mut plan = self.plan.take();
+        let proposal = self.proposal(mesh, star, &mut plan, &mut allows);
+        self.plan.replace(plan);
+        proposal
+    }
+
     /// Where the star goes: the cheapest place that is legal, which is then first in the plan.
-    fn proposal(&self, mesh: &Mesh<3>, star: &Star<3>, plan: &mut Plan<K>) -> Result<Proposal<3, ()>, Rule> {
+    fn proposal(
+        &self,
+        mesh: &Mesh<3>,
+        star: &Star<3>,
+        plan: &mut Plan<K>,
+        allows: &mut impl FnMut(&Vec3) -> Result<(), Rule>,
+    ) -> Result<Proposal<3, ()>, Rule> {
         self.plan(mesh, star.edge, plan)?;
-        let refusal = match self.first_legal(mesh, star, plan) {
+        let refusal = match self.first_legal(mesh, star, plan, allows) {
             Ok(proposal) => return Ok(proposal),
             Err(refusal) => refusal,
         };
@@ -37,7 +57,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             plan.candidates.push(candidate);
         }
         plan.candidates.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        self.first_legal(mesh, star, plan)
+        self.first_legal(mesh, star, plan, allows)
     }
 
     /// The cheapest candidate that is legal, first in the plan; or why the last one is not.
@@ -46,6 +66,7 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         mesh: &Mesh<3>,
         star: &Star<3>,
         plan: &mut Plan<K>,
+        allows: &mut impl FnMut(&Vec3) -> Result<(), Rule>,
     ) -> Result<Proposal<3, ()>, Rule> {
         let mut refusal = Rule::Fold;
         for i in 0..plan.candidates.len() {
@@ -58,7 +79,8 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
                 refusal = Rule::Locked;
                 continue;
             }
-            match self.try_candidate(mesh, star, plan, candidate) {
+            let found = self.try_candidate(mesh, star, plan, candidate);
+            match found.and_then(|()| allows(&candidate.place)) {
                 Ok(()) => {
                     plan.candidates.swap(0, i);
                     return Ok(Proposal { survivor, point: candidate.place, change: () });
@@ -171,10 +193,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
     }
 
     fn propose(&mut self, mesh: &Mesh<3>, star: &Star<3>) -> Result<Proposal<3, ()>, Rule> {
-        let mut plan = self.plan.take();
-        let proposal = self.proposal(mesh, star, &mut plan);
-        self.plan.replace(plan);
-        proposal
+        self.propose_among(mesh, star, |_| Ok(()))
     }
 
     fn judge(&mut self, _: &Mesh<3>, _: &Star<3>, _: &mut Proposal<3, ()>) -> Result<(), Rule> {
@@ -185,6 +204,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
         let connectivity = &mesh.connectivity;
         let survivor = collapsed.survivor;
         let plan = self.plan.take();
+        let moves_seam = self.is_seam[star.edge.index()] || star.ends.into_iter().any(|v| self.is_tip(v));
         self.merge_wedges(connectivity, star, survivor, &plan);
         for run in plan.runs.into_iter().flatten() {
             self.drifts.raise(run.next, run.drift);
@@ -193,7 +213,7 @@ impl<const D: usize, const K: usize> Measure<3> for Seams<'_, D, K> {
             self.is_seam[kept.index()] |= self.is_seam[gone.index()];
             self.drifts.raise(kept, self.drifts.of(gone));
         }
-        if self.is_seam[star.edge.index()] {
+        if moves_seam {
             self.look_again(connectivity, survivor);
         }
         let [a, b] = star.ends.map(|v| v.index());

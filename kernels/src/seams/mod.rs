@@ -17,14 +17,14 @@ mod legal;
 mod measure;
 mod plan;
 pub mod record;
-mod records;
+pub mod records;
 mod simplify;
-mod state;
+pub mod state;
 mod surface;
 pub mod texture;
 pub mod wedges;
 pub mod weld;
 
-pub use simplify::{Goal, Outcome, Refused, simplify};
+pub use simplify::{Goal, Outcome, Refused, simplify, simplify_by};
 pub use state::Knobs;
 pub use surface::Surface;

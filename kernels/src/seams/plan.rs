@@ -3,7 +3,7 @@
 use super::classes::{Candidate, Class, Member, Plan, Run};
 use super::state::{HIGH_VALENCE, Rule, SEVERAL, Seams, common};
 use super::texture::{from_segment, seam_after, seam_before};
-use super::wedges::{NONE, Wedge};
+use super::wedges::{NONE, Wedge, uv_of};
 use crate::base::geometry::{Vec3, distance2};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
@@ -44,7 +44,10 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
         }
         let on_seam = self.is_seam[edge.index()];
         // Beside a seam, what lies on it stays there.
-        let may_go = |end: usize| !stays[end] && (on_seam || self.spots[ends[end].index()].seam_degree == 0);
+        let may_go = |end: usize| {
+            let is_beside = || self.spots[ends[end].index()].seam_degree == 0;
+            !stays[end] && (on_seam || is_beside() || self.may_tip_go(mesh, edge, end))
+        };
         if !may_go(0) && !may_go(1) {
             return Err(Rule::Seam);
         }
@@ -97,11 +100,14 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             cost += self.knobs.shape * (a.error(&place) + b.error(&place));
         }
         let mut drift: f64 = 0.0;
-        if let Some(end) = keep.filter(|_| self.is_seam[edge.index()]) {
-            for run in self.follow_seam(mesh, edge, plan.sides, end) {
-                drift = drift.max(run.drift);
-                cost += run.drift * run.drift * run.length2;
-            }
+        let mut add = |run: Run| {
+            drift = drift.max(run.drift);
+            cost += run.drift * run.drift * run.length2;
+        };
+        if !self.is_seam[edge.index()] {
+            self.follow_tips(mesh, edge, plan, &place, keep).into_iter().flatten().for_each(&mut add);
+        } else if let Some(end) = keep {
+            self.follow_seam(mesh, edge, plan.sides, end).for_each(&mut add);
         }
         Candidate { place, keep, cost: self.penalty(ends, plan.members.len()) * cost, drift }
     }
@@ -227,6 +233,60 @@ impl<const D: usize, const K: usize> Seams<'_, D, K> {
             value = self.wedges.at(class.at_end[end]).attributes;
         }
         value
+    }
+
+    /// Whether a vertex is where a seam ends inside a chart: it has one wedge, for both sides of its seam.
+    #[inline]
+    pub(super) fn is_tip(&self, v: VertexId) -> bool {
+        let spot = &self.spots[v.index()];
+        spot.seam_degree == 1 && spot.only != NONE
+    }
+
+    /// Whether the tip of a seam may leave its place along an edge that is none: where it goes on inside the chart, or where
+    /// its seam becomes one with that of the other end, as those do that a pole sends out, one for each triangle of its fan.
+    fn may_tip_go(&self, mesh: &Mesh<3>, edge: EdgeId, end: usize) -> bool {
+        let connectivity = &mesh.connectivity;
+        let ends = connectivity.ends(edge);
+        if !self.is_tip(ends[end]) {
+            return false;
+        }
+        let other = &self.spots[ends[1 - end].index()];
+        if other.seam_degree == 0 && other.only != NONE {
+            return true;
+        }
+        let first = connectivity.halfedge(edge);
+        let is_seam = |h: HalfedgeId| self.is_seam[connectivity.edge(h).index()];
+        let closes = |h: HalfedgeId| is_seam(Connectivity::next(h)) && is_seam(Connectivity::prev(h));
+        [first, connectivity.twin(first)].into_iter().any(|h| h.is_some() && closes(h))
+    }
+
+    /// The seams that end at an edge which is none, when it becomes one vertex: how far their tips are then from where
+    /// they were in the image.
+    pub(super) fn follow_tips(
+        &self,
+        mesh: &Mesh<3>,
+        edge: EdgeId,
+        plan: &Plan<K>,
+        place: &Vec3,
+        keep: Option<usize>,
+    ) -> [Option<Run>; 2] {
+        let connectivity = &mesh.connectivity;
+        let ends = connectivity.ends(edge);
+        [0, 1].map(|end| {
+            let v = ends[end];
+            if plan.is_plain || !self.is_tip(v) {
+                return None;
+            }
+            let wedge = self.spots[v.index()].only;
+            let class = plan.class_of(end, wedge)?;
+            let (next, far) = connectivity.spokes(v).find(|(edge, _)| self.is_seam[edge.index()])?;
+            let mut drift = self.drifts.of(next);
+            if self.is_textured(wedge) {
+                let [to, from] = [uv_of(&self.value(plan, class, place, keep)), self.wedges.uv(wedge)];
+                drift += (to[0] - from[0]).hypot(to[1] - from[1]);
+            }
+            Some(Run { next, drift, length2: distance2(mesh.point(v), mesh.point(far)) })
+        })
     }
 
     /// The runs of seam that change when a seam edge shrinks to its end `keep`: on each side of it the next seam

@@ -45,8 +45,8 @@ pub struct Given<'a, const K: usize> {
     /// Triangle of the input that each triangle is.
     pub triangle_source: &'a [u32],
     pub charts: &'a Charts,
-    /// Which corners of a triangle start a seam edge, a bit each.
-    pub seams: &'a [u8],
+    /// Which corners of a triangle start an edge that a wall stands on, a bit each.
+    pub walls: &'a [u8],
 }
 
 pub struct SeamRecords<'a, const D: usize, const K: usize> {
@@ -147,7 +147,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
     /// Quadrics of vertices and wedges, from the triangles of the input.
     fn fresh_quadrics(&self, region: &Mesh<3>, wedges: &Wedges<K>) -> (Vec<Quadric<0>>, Vec<Quadric<K>>) {
         let connectivity = &region.connectivity;
-        let Given { surface, triangle_source, seams, .. } = self.given;
+        let Given { surface, triangle_source, walls, .. } = self.given;
         let mut shape = vec![Quadric::default(); connectivity.vertex_slots()];
         let mut quadrics = vec![Quadric::default(); wedges.all.len()];
         for (local, &t) in region.triangle_source.iter().enumerate() {
@@ -168,7 +168,7 @@ impl<'a, const D: usize, const K: usize> SeamRecords<'a, D, K> {
                 quadrics[wedges.of(h) as usize].add(&quadric);
                 shape[connectivity.origin(h).index()].add(&plane);
             }
-            for corner in (0..3).filter(|corner| seams[t as usize] >> corner & 1 == 1) {
+            for corner in (0..3).filter(|corner| walls[t as usize] >> corner & 1 == 1) {
                 let [a, b, across] = [0, 1, 2].map(|i| places[(corner + i) % 3]);
                 for h in [corner, (corner + 1) % 3] {
                     let v = connectivity.origin(halfedges[h]);

@@ -16,6 +16,7 @@ use crate::collapse::logs;
 use crate::collapse::rounds::{self, collapse};
 use crate::collapse::whole::Whole;
 use crate::fitting::fit::{Input, fit};
+use crate::mesh::connectivity::Connectivity;
 use crate::mesh::legality::Illegal;
 use crate::mesh::triangle_mesh::{Compact, Lock, Mesh, check_points};
 
@@ -50,6 +51,8 @@ pub struct Refused {
     pub seam: usize,
     pub chart: usize,
     pub drift: usize,
+    pub shape: usize,
+    pub needle: usize,
 }
 
 impl Refused {
@@ -65,6 +68,8 @@ impl Refused {
                 Rule::Seam => &mut self.seam,
                 Rule::Chart => &mut self.chart,
                 Rule::Drift => &mut self.drift,
+                Rule::Shape => &mut self.shape,
+                Rule::Needle => &mut self.needle,
             },
             Refusal::Later | Refusal::Rim => return,
         };
@@ -91,6 +96,31 @@ pub fn simplify<const D: usize, const K: usize>(
     goal: Goal,
     progress: &mut Progress,
 ) -> Result<Outcome<K>, KernelError> {
+    simplify_by::<D, K>(surface, knobs, goal, progress, |whole, records, _, progress| {
+        collapse(whole, records, &goal.rounds, progress)
+    })
+}
+
+/// What the rounds leave of a surface with seams.
+pub type Collapsed<'a, const D: usize, const K: usize> = rounds::Outcome<3, SeamRecords<'a, D, K>>;
+
+/// The same, with a collapse that may ask for more: it is given the welded surface, the records, the vertex of the input that
+/// each vertex is, and the progress.
+///
+/// # Errors
+/// As [`simplify`].
+pub fn simplify_by<const D: usize, const K: usize>(
+    surface: &Surface<K>,
+    knobs: Knobs,
+    goal: Goal,
+    progress: &mut Progress,
+    collapse: impl for<'a> FnOnce(
+        Whole<3, Rule>,
+        SeamRecords<'a, D, K>,
+        &[u32],
+        &mut Progress,
+    ) -> Result<Collapsed<'a, D, K>, KernelError>,
+) -> Result<Outcome<K>, KernelError> {
     check_points(&surface.points)?;
     check_points(&surface.corners)?;
     let welded = weld(&surface.sets, &surface.triangles)?;
@@ -102,15 +132,15 @@ pub fn simplify<const D: usize, const K: usize>(
     progress.check()?;
     let charts = Charts::new(&mesh, surface, &is_seam, goal.rounds.threads);
     let places = places(&mesh, surface, &touching);
-    let seams = seam_corners(&mesh, &is_seam);
+    let walls = wall_corners(&mesh, &is_seam, &of_corner);
     let corners = of_corner.chunks_exact(3).map(|w| [w[0], w[1], w[2]]).collect();
     let numbered = goal.rounds.record.then(|| numbered(&mesh, surface, &of_corner));
     let input = mesh.triangle_source.clone();
     let (whole, sources) = Whole::from_mesh(mesh);
-    let given = Given { surface, triangle_source: &input, charts: &charts, seams: &seams };
+    let given = Given { surface, triangle_source: &input, charts: &charts, walls: &walls };
     let records = SeamRecords::<D, K>::new(knobs, given, places, wedges, corners, goal.rounds.record);
     let before = goal.fit.then(|| Before::new(&whole));
-    let done = collapse(whole, records, &goal.rounds, progress)?;
+    let done = collapse(whole, records, &sources.vertices, progress)?;
 
     let mut refused = Refused::default();
     done.mesh.refused_edges().into_iter().for_each(|refusal| refused.count(refusal));
@@ -159,12 +189,19 @@ fn connected<const K: usize>(surface: &Surface<K>, welded: Welded) -> Mesh<3> {
     Mesh { connectivity, points, vertex_source, triangle_source, locks }
 }
 
-/// Which corners of each triangle start a seam edge, a bit each.
-fn seam_corners(mesh: &Mesh<3>, is_seam: &[bool]) -> Vec<u8> {
-    let bit = |h: usize| u8::from(is_seam[mesh.connectivity.edge(HalfedgeId::from_index(h)).index()]);
-    (0..mesh.connectivity.triangle_slots())
-        .map(|t| bit(3 * t) | bit(3 * t + 1) << 1 | bit(3 * t + 2) << 2)
-        .collect()
+/// Which corners of each triangle start an edge that a wall stands on, a bit each: a seam whose sides differ at both ends.
+/// Where a seam ends, there is nothing to hold it.
+fn wall_corners(mesh: &Mesh<3>, is_seam: &[bool], of_corner: &[u32]) -> Vec<u8> {
+    let connectivity = &mesh.connectivity;
+    let wedge = |h: HalfedgeId| of_corner[h.index()];
+    let is_wall = |h: HalfedgeId| {
+        let twin = connectivity.twin(h);
+        is_seam[connectivity.edge(h).index()]
+            && (twin.is_none()
+                || wedge(h) != wedge(Connectivity::next(twin)) && wedge(Connectivity::next(h)) != wedge(twin))
+    };
+    let bits = |t: usize| (0..3).map(|i| u8::from(is_wall(HalfedgeId::from_index(3 * t + i))) << i).sum();
+    (0..connectivity.triangle_slots()).map(bits).collect()
 }
 
 /// Wedge and vertex of each corner of the input; none in triangles that were left out.

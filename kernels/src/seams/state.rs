@@ -43,6 +43,10 @@ pub enum Rule {
     Chart,
     /// The image of a seam would be too far from what it was.
     Drift,
+    /// The surface would be too far from what it was.
+    Shape,
+    /// A triangle would become too thin for a proof.
+    Needle,
 }
 
 /// Materials, or parts, that differ.

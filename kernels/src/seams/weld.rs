@@ -114,8 +114,9 @@ fn twins(count: usize, sets: usize, origin: impl Fn(u32) -> (u32, u32)) -> (Vec<
     (twins, torn)
 }
 
-/// Take fans apart, triangle by triangle, where two edges would have the same vertices: afterwards an edge is known by
-/// its vertices. More than two triangles meet there, so that nothing around moves. Whether any was.
+/// Join two sides between the same vertices, as each of two boxes has them that share an edge; and take fans apart, triangle by
+/// triangle, where two edges would still have the same vertices: afterwards an edge is known by its vertices. More than
+/// two triangles meet there, so that nothing around moves. Whether any was.
 fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [bool]) -> bool {
     let ends = |h: usize| {
         let [a, b] = [h, Connectivity::next(HalfedgeId::from_index(h)).index()].map(|h| corner_vertex[h]);
@@ -126,12 +127,22 @@ fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [
     let mut sides: Vec<([VertexId; 2], usize)> =
         (0..twins.len()).filter(open).map(|h| (ends(h), h)).collect();
     sides.sort_unstable();
-    let mut apart: Vec<VertexId> = vec![];
+    let (mut apart, mut joined): (Vec<VertexId>, Vec<[usize; 2]>) = (vec![], vec![]);
     for same in sides.chunk_by(|g, h| g.0 == h.0) {
+        let apex = |h: usize| corner_vertex[Connectivity::prev(HalfedgeId::from_index(h)).index()];
         let is_one_edge = same.len() == 1 || (same.len() == 2 && twins[same[0].1].index() == same[1].1);
-        if !is_one_edge {
+        if let [(_, g), (_, h)] = *same
+            && [g, h].iter().all(|&h| twins[h].is_none())
+            && corner_vertex[g] != corner_vertex[h]
+            && apex(g) != apex(h)
+        {
+            joined.push([g, h]);
+        } else if !is_one_edge {
             apart.push(same[0].0[0]);
         }
+    }
+    for [g, h] in &joined {
+        (twins[*g], twins[*h]) = (HalfedgeId::from_index(*h), HalfedgeId::from_index(*g));
     }
     apart.sort_unstable();
     for h in 0..twins.len() {
@@ -140,7 +151,7 @@ fn take_apart(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn: &mut [
             (twins[h], torn[h]) = (HalfedgeId::NONE, true);
         }
     }
-    !apart.is_empty()
+    !apart.is_empty() || !joined.is_empty()
 }
 
 fn join(sides: &[Side], twins: &mut [HalfedgeId]) -> bool {

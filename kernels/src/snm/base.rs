@@ -11,6 +11,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::base::ids::{HalfedgeId, VertexId};
+use crate::base::reserve::Reserve;
 use crate::mesh::connectivity::Connectivity;
 
 use super::border::Left;
@@ -78,7 +79,9 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         }
     }
 
+    /// Without memory this ends as if the numbers were at an end.
     pub(super) fn run(&mut self) -> Result<(), Exhausted> {
+        let mut reserve = Reserve::for_rows(0).map_err(|_| Exhausted)?;
         self.is_open = self.coder.even(self.given.as_ref().is_some_and(Given::is_open))?;
         loop {
             let seed = self.given.as_mut().and_then(Given::seed);
@@ -88,6 +91,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
             self.first_triangle(seed.unwrap_or(HalfedgeId::NONE))?;
             while let Some((_, gate)) = self.gates.pop() {
                 if self.region.border.is_open(gate) {
+                    reserve.cover(2 * self.region.base.triangles.len()).map_err(|_| Exhausted)?;
                     self.grow(gate)?;
                 }
             }

@@ -13,6 +13,10 @@ a smaller `max_shape`; half a level takes that of a smaller `max_color`. Bounds 
 where sheets of different colours touch, since a point there has nearest points of both colours; triangles
 there stay as they are.
 
+Where corners have texture coordinates, materials, parts or normals of their own, collapses are those of
+method `seams`, and the distance alone is proven; `max_color` is held at samples as dense as the texels, and
+called measured (`along_seams.py`).
+
 Importance divides the bounds around a vertex, and so is at least 1. Ctrl-C with `partial` still proves how
 far the mesh is from the input by then.
 

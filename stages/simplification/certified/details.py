@@ -34,6 +34,10 @@ class CertifiedDetails(Details):
     unproven_triangles : triangles of the result and of the input that are not proven to stay within them.
     iterations : how often it went on simplifying and then looked at the bounds.
     max_shape_m, max_color_levels : what was used; None for no bound.
+    color_measured_levels : the greatest difference of colour found at samples as dense as the texels of
+        images, where colours come from images; `max_color` is then held at these samples, and not proven.
+    seam_drift : proven, where there are texture seams: how far a point of one is in the image from where it
+        was, as a share of the image's side.
     """
 
     __repr__ = by_fields
@@ -59,6 +63,8 @@ class CertifiedDetails(Details):
     iterations: int
     max_shape_m: float
     max_color_levels: float | None
+    color_measured_levels: float | None = None
+    seam_drift: float | None = None
 
     def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
         """Return whether the topology left too little to choose from on the way to a number of triangles."""
@@ -70,6 +76,10 @@ class CertifiedDetails(Details):
         if self.color_bound_levels is not None:
             most += f" and {_at_most(self.color_bound_levels)} levels"
         text = f"Proven: no point is more than {most} off."
+        if self.color_measured_levels is not None:
+            text += (
+                f" Measured, not proven: colours differ by {self.color_measured_levels:.3g} levels at most."
+            )
         if self.proven:
             return text
         own, original = self.unproven_triangles

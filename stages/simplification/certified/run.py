@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from stages import _kernels
 from stages.errors import UsageError
-from stages.rounding import rounded_up
+from stages.simplification.certified.along_seams import run_along_seams
 from stages.simplification.certified.details import CertifiedDetails
+from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
 from stages.simplification.certified.params import CertifiedParams
+from stages.simplification.certified.unproven import not_proven
 from stages.simplification.color_weight import balanced_weight
+from stages.simplification.corner_attributes import is_in_pieces
+from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.kernel_input import as_result, attributes_of, require_colors
 from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
+from stages.surface.color import has_color
 from stages.surface.mesh import Mesh
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Triangles worked on at a time.
 REGION_TRIANGLES = 8192
 
 # The bound on shape where only colours have one.
 _SHAPE_PER_DIAGONAL = 0.005
-
-# Part of the bounds that vertices may use; what is left is for the points between them.
-_SHARE_OF_VERTICES = 0.9
-
-# Common bounds leave about an eighth of a scan; the weight of colour is found for triangles of that size,
-# also where more are wanted: smaller ones tell the same.
-_REDUCTION = 8
 
 
 def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
@@ -41,20 +40,33 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     ------
     UsageError
         For importance below 1, or a bound on colour for a mesh without colours.
-    _kernels.InvalidMeshError
-        For a mesh that is not an oriented manifold; the message names the elements.
     """
     mesh, params = task.mesh, task.params
-    require_colors(mesh, params.max_color)
+    along_seams = is_in_pieces(mesh)
+    if not along_seams:
+        require_colors(mesh, params.max_color)
+    elif params.max_color is not None and not has_color(mesh):
+        raise UsageError(
+            "max_color is given, but the mesh has neither image nor vertex colours; leave it out."
+        )
     if not (np.isfinite(task.importance).all() and (task.importance >= 1).all()):
         raise UsageError(
             "importance has values below 1 or not finite; bounds are divided by it, and never grow."
         )
     shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) if params.max_shape is None else float(params.max_shape)
+    if along_seams:
+        return run_along_seams(task, shape)
+    # The default is of the mesh that was given: one in sheets has no vertices without triangles.
+    return run_in_sheets(replace(task, params=replace(params, max_shape=shape)), _as_it_is)
+
+
+def _as_it_is(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
+    mesh, params = task.mesh, task.params
+    shape = params.max_shape or 0.0
     color = math.inf if params.max_color is None else float(params.max_color)
     weight = params.attribute_scale
     if weight is None:
-        weight = balanced_weight(mesh, len(mesh.triangles) // _REDUCTION, task.threads)
+        weight = balanced_weight(mesh, len(mesh.triangles) // REDUCTION, task.threads)
     with_color = mesh.colors is not None
     result = _kernels.simplify_certified(
         mesh.vertices,
@@ -64,9 +76,9 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
         task.importance,
         bounds=(shape, color),
         weight=weight,
-        share=_SHARE_OF_VERTICES,
-        tolerance=(0.05, 0.05),
-        effort=16.0,
+        share=SHARE_OF_VERTICES,
+        tolerance=(TOLERANCE, TOLERANCE),
+        effort=PIECES,
         # Only so is the bound on colour found where none is wanted.
         close=params.close_bounds or (with_color and params.max_color is None),
         running=task.running(REGION_TRIANGLES),
@@ -78,7 +90,10 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
     # Where no number is wanted, even no triangles at all are what the bounds led to.
     stopped_by = result.stopped_by if task.triangles or result.stopped_by == "request" else "bounds"
     if not result.proven:
-        light = light.with_(notes=(*light.notes, _not_proven(result.bound, with_color)))
+        proven = result.bound[0], result.bound[1] if with_color else None
+        fails = (result.shape_bound > max(shape, 2 * result.slack)) | (result.color_bound > color)
+        note = not_proven(light, fails, result.shape_bound, proven)
+        light = light.with_(notes=(*light.notes, note))
         stopped_by = "request" if stopped_by == "request" else "unproven"
     record = None
     if task.record:
@@ -116,10 +131,3 @@ def run(task: Task[CertifiedParams]) -> Simplified[CertifiedDetails]:
 
 def _diagonal(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) if len(mesh.vertices) else 0.0
-
-
-def _not_proven(bound: tuple[float, float], with_color: bool) -> str:
-    """Say what is proven instead of what was asked for."""
-    shape, color = (f"{rounded_up(most):.4g}" for most in bound)
-    levels = f" and {color} levels" if with_color else ""
-    return f"simplify could not prove the bounds that were asked for; proven are {shape} m{levels}."

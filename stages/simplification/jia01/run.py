@@ -6,6 +6,7 @@ import math
 
 from stages import _kernels
 from stages.errors import UsageError
+from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.jia01.details import Jia01Details
 from stages.simplification.jia01.limits import limits_of
 from stages.simplification.jia01.params import Jia01Params
@@ -14,7 +15,7 @@ from stages.simplification.records.record import CollapseRecord
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Triangles worked on at a time. Sums that grow from collapse to collapse mind the rims more than quadrics do,
 # and want larger regions.
@@ -31,9 +32,11 @@ def run(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     ------
     UsageError
         For a resolution so fine that splitting passes 20 million triangles.
-    _kernels.InvalidMeshError
-        For a mesh that is not an oriented manifold.
     """
+    return run_in_sheets(task, _as_it_is)
+
+
+def _as_it_is(task: Task[Jia01Params]) -> Simplified[Jia01Details]:
     mesh = task.mesh
     limits = limits_of(mesh, task.params, only_given=task.triangles is not None, threads=task.threads)
     try:

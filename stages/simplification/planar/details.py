@@ -29,6 +29,8 @@ class PlanarDetails(Details):
         nearest point; 0 where nothing changed. `color_bound` is None for a mesh without colours.
     shape_bound_m, color_bound_levels : the greatest of all.
     max_shape_m, max_color_levels : what was used; None for no bound.
+    patch_shape_m : the bound that the patches grew within: `max_shape_m`, or a tighter one that leaves no
+        more triangles. With that as its `max_shape`, `stages.planar_patches` finds them.
     kept_patches : patches that have all their triangles still.
     iterations : how often patches were triangulated, as vertices were put back.
     patches : those of the input.
@@ -49,6 +51,7 @@ class PlanarDetails(Details):
     shape_bound_m: float
     color_bound_levels: float | None
     max_shape_m: float
+    patch_shape_m: float
     max_color_levels: float | None
     kept_patches: int
     iterations: int

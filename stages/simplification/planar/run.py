@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -11,21 +12,23 @@ from numpy.typing import NDArray
 from stages import _kernels
 from stages.params import resolve
 from stages.progress import Progress, silent
+from stages.simplification.in_sheets import joined, run_on, sheets_of
 from stages.simplification.kernel_input import as_result, kernel_input, require_colors
 from stages.simplification.planar.details import PlanarDetails
 from stages.simplification.planar.params import MAX_COLOR, PatchKeywords, PatchParams, PlanarParams
 from stages.simplification.planar.patches import Patches
+from stages.simplification.planar.tighter import Fewest, fewest_triangles
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
-from stages.surface.sheets import Sheets, taken_apart
+from stages.surface.sheets import Sheets
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Vertices, their attributes, triangles and their labels.
 _Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[Any], NDArray[np.int32], NDArray[np.int32]]
@@ -43,8 +46,8 @@ def planar_patches(
 ) -> Patches:
     """Find the near-planar patches of a mesh: each triangle is in one, and each is in one piece.
 
-    `simplify` triangulates these anew, but that it divides a patch that lies over itself, seen along its
-    normal.
+    `simplify` triangulates these anew, or those of a tighter `max_shape` where they leave fewer triangles,
+    but that it divides a patch that lies over itself, seen along its normal.
 
     A patch grows from a flat place, layer by layer. A neighbour joins when its normal is within
     `patch_angle` of the patch's, the mean over what has joined before this layer, and within `crease_angle`
@@ -82,12 +85,15 @@ def planar_patches(
         )
 
     whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
-    try:
-        return _patches(found(whole), given.origin)
-    except _kernels.InvalidMeshError:
-        sheets = _sheets(mesh)
-        in_sheets = found(_in_sheets(whole, sheets))
-        return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
+    sheets = joined(mesh)
+    if sheets is None:
+        try:
+            return _patches(found(whole), given.origin)
+        except _kernels.InvalidMeshError:
+            # Not a manifold: the sheets it is made of are.
+            sheets = sheets_of(mesh)
+    in_sheets = found(_in_sheets(whole, sheets))
+    return _patches(in_sheets, given.origin, _of_triangles(mesh, sheets, in_sheets.input_patch))
 
 
 def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
@@ -98,32 +104,52 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
     UsageError
         For a bound on colours for a mesh without.
     """
+    mesh = task.mesh
+    sheets = joined(mesh)
+    if sheets is None:
+        return _as_it_is(task)
+    found = run_on(sheets, task, _as_it_is)
+    patches = found.details.patches
+    of_input = _of_triangles(mesh, sheets, patches.triangle_patch)
+    return replace(found, details=replace(found.details, patches=replace(patches, triangle_patch=of_input)))
+
+
+def _as_it_is(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
     mesh, params = task.mesh, task.params
     given = kernel_input(mesh)
     shape, color = _bounds(mesh, params)
     cosines = _cosines(params)
 
-    def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> _kernels.ByPatches:
-        return _kernels.simplify_planar(
-            *surface,
-            lock,
-            cosines=cosines,
-            bounds=(shape, color),
-            threads=task.threads,
-            partial=task.partial,
+    def simplified(surface: _Surface, lock: NDArray[np.bool_]) -> Fewest[_kernels.ByPatches]:
+        return fewest_triangles(
+            lambda bound, progress: _kernels.simplify_planar(
+                *surface,
+                lock,
+                cosines=cosines,
+                bounds=(bound, color),
+                threads=task.threads,
+                partial=task.partial,
+                progress=progress,
+            ),
+            vertices=surface[0],
+            triangles=surface[2],
+            max_shape=shape,
+            diagonal=_diagonal(mesh),
             progress=task.progress,
         )
 
     whole = given.vertices, given.attributes, mesh.triangles, _labels(mesh)
     try:
-        result = simplified(whole, task.lock)
+        fewest = simplified(whole, task.lock)
+        result = fewest.result
         triangles, source, triangle_source = result.triangles, result.vertex_source, result.triangle_source
         input_patch = result.input_patch
     except _kernels.InvalidMeshError:
-        sheets = _sheets(mesh)
+        sheets = sheets_of(mesh)
         of_sheets = sheets.vertex_source
         # Where sheets touch, all triangles stay, and with them what touches.
-        result = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.touches)
+        fewest = simplified(_in_sheets(whole, sheets), task.lock[of_sheets] | sheets.touches)
+        result = fewest.result
         source, one = np.unique(of_sheets[result.vertex_source], return_inverse=True)
         triangles = one.reshape(-1).astype(np.int32)[result.triangles]
         triangle_source = sheets.triangle_source[result.triangle_source]
@@ -146,7 +172,7 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
         vertex_source=source,
         triangle_source=triangle_source,
         method="planar",
-        stopped_by="request" if result.is_partial else "bounds",
+        stopped_by="request" if fewest.is_partial else "bounds",
         refused=result.refused,
         collapses=0,
         attempts=0,
@@ -157,6 +183,7 @@ def run(task: Task[PlanarParams]) -> Simplified[PlanarDetails]:
             shape_bound_m=float(shape_bound.max(initial=0)),
             color_bound_levels=float(color_bound.max(initial=0)) if with_color else None,
             max_shape_m=shape,
+            patch_shape_m=fewest.max_shape,
             max_color_levels=color if with_color else None,
             kept_patches=int(result.kept.sum()),
             iterations=result.rounds,
@@ -183,10 +210,6 @@ def _carried(light: Mesh, mesh: Mesh, triangle_source: NDArray[np.int32]) -> Mes
     if mesh.texture is None or mesh.texture.has_uvs().any():
         return light
     return light.with_(texture=mesh.texture.rows(triangle_source))
-
-
-def _sheets(mesh: Mesh) -> Sheets:
-    return taken_apart(mesh.triangles, np.arange(len(mesh.vertices)))
 
 
 def _in_sheets(whole: _Surface, sheets: Sheets) -> _Surface:
@@ -217,12 +240,16 @@ def _bounds(mesh: Mesh, params: PlanarParams) -> tuple[float, float]:
     require_colors(mesh, params.max_color)
     shape = params.max_shape
     if shape is None:
-        low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
         # A mesh without extent has nothing to bound.
-        shape = _SHAPE_PER_DIAGONAL * float(np.linalg.norm(high - low)) or 1.0
+        shape = _SHAPE_PER_DIAGONAL * _diagonal(mesh) or 1.0
     if mesh.colors is None:
         return shape, math.inf
     return shape, MAX_COLOR if params.max_color is None else params.max_color
+
+
+def _diagonal(mesh: Mesh) -> float:
+    low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
+    return float(np.linalg.norm(high - low))
 
 
 def _patches(

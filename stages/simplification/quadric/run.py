@@ -5,6 +5,7 @@ from __future__ import annotations
 from stages import _kernels
 from stages.progress import Progress
 from stages.simplification.color_weight import color_weight
+from stages.simplification.in_sheets import run_in_sheets
 from stages.simplification.kernel_input import Light, as_result, fitted, kernel_input
 from stages.simplification.quadric.details import QuadricDetails
 from stages.simplification.quadric.params import QuadricParams
@@ -13,20 +14,18 @@ from stages.simplification.reordered import run_reordered
 from stages.simplification.result import Simplified
 from stages.simplification.task import Task
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Triangles worked on at a time: small enough for the caches.
 REGION_TRIANGLES = 8192
 
 
 def run(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
-    """Simplify with method `quadric`.
+    """Simplify with method `quadric`."""
+    return run_in_sheets(task, _in_order)
 
-    Raises
-    ------
-    _kernels.InvalidMeshError
-        For a mesh that is not an oriented manifold.
-    """
+
+def _in_order(task: Task[QuadricParams]) -> Simplified[QuadricDetails]:
     return run_reordered(task, _as_it_is)
 
 

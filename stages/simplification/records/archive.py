@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.opening import opened
 from stages.files.replacing import replacing
+from stages.files.zip_archives import is_bounded
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -27,7 +29,6 @@ _DAMAGE = (
         KeyError,
         EOFError,
         RuntimeError,
-        MemoryError,
         zipfile.BadZipFile,
         zlib.error,
         struct.error,
@@ -64,7 +65,7 @@ def read_arrays(path: Path) -> Arrays:
         If the file is missing, no archive of arrays, damaged, or promises more than it can hold.
     """
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+        with opened(path) as file, zipfile.ZipFile(file) as archive:
             entries = archive.infolist()
             if sum(entry.file_size for entry in entries) > _MOST_UNPACKED * path.stat().st_size:
                 raise InputError("is no record of collapses: it would unpack to far more than it is.", path)
@@ -90,8 +91,7 @@ def json_object(text: NDArray[Any]) -> dict[str, Any]:
 
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
-    # The other methods of compression unpack as much as they like at once.
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+    if not is_bounded(entry):
         raise ValueError
     with archive.open(entry) as content:
         _require_true_size(content, entry.file_size)
@@ -108,7 +108,11 @@ def _require_true_size(content: IO[bytes], size: int) -> None:
     read_header = np.lib.format.read_array_header_1_0
     if version != (1, 0):
         read_header = np.lib.format.read_array_header_2_0
-    shape, _, dtype = read_header(content)
+    try:
+        shape, _, dtype = read_header(content)
+    except MemoryError as error:
+        # What Python says of brackets in brackets in brackets; the lines themselves are short.
+        raise ValueError from error
     # An empty array, too, could be said to have more rows than anybody has room for.
     most = max(math.prod(shape) * dtype.itemsize, *shape, 0)
     if dtype.kind not in _KINDS or not dtype.itemsize or most > size:

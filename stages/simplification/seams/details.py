@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from stages.printing import by_fields, table
 from stages.simplification.crowding import crowded_by_locks, crowded_by_topology
 from stages.simplification.result import Details, Simplified
+from stages.simplification.seams.params import MAX_SEAM_DRIFT
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,5 +42,19 @@ class SeamsDetails(Details):
     seam_drift: float
 
     def warnings(self, result: Simplified[Any]) -> tuple[str, ...]:
-        """Return whether topology or sheets that touch leave too little to choose from."""
-        return (*crowded_by_topology(result), *crowded_by_locks(result))
+        """Return what left too little to choose from, and whether seams went far in the image."""
+        return (*crowded_by_topology(result), *crowded_by_locks(result), *_drifted(result, self.seam_drift))
+
+
+def _drifted(result: Simplified[Any], drift: float) -> tuple[str, ...]:
+    if drift > MAX_SEAM_DRIFT:
+        return (
+            f"texture seams went up to {drift:.2g} of the image's side from where they were, so that "
+            "the image is warped beside them; give a smaller max_seam_drift, or keep more triangles.",
+        )
+    if result.stopped_by == "bounds" and result.refused.get("drift", 0):
+        return (
+            "there are more triangles than were asked for, since texture seams would go too far in the "
+            "image; give a larger max_seam_drift to go on.",
+        )
+    return ()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.errors import MeshError
 from stages.simplification.color_weight import color_weight
 from stages.simplification.corner_attributes import CornerAttributes, LightCorners
 from stages.simplification.kernel_input import attributes_of
@@ -24,7 +25,7 @@ from stages.surface.raycasting import bounding_box
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Triangles worked on at a time: with all that is known of them they fit into the caches.
 REGION_TRIANGLES = 2048
@@ -38,6 +39,25 @@ def run(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
 
 
 def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
+    return simplified(task, expected=task.triangles or 0)[0]
+
+
+def simplified(
+    task: Task[SeamsParams], *, expected: int, within: tuple[float, float, Floats] | None = None
+) -> tuple[Simplified[SeamsDetails], float]:
+    """Simplify a mesh in the order it has.
+
+    Parameters
+    ----------
+    expected : triangles that may be left, which the weights of colours and normals are made for.
+    within : metres, the share of them that vertices of either surface may be off, and a factor of that for
+        each vertex (n,); None for no such bound.
+
+    Returns
+    -------
+    result : Simplified
+    provable : metres; the first of `within`, or the least distance that can be proven if that is larger.
+    """
     mesh, params, lock = task.mesh, task.params, task.lock
     low, high = bounding_box(mesh) if len(mesh.triangles) else (np.zeros(3), np.zeros(3))
     origin = 0.5 * low + 0.5 * high
@@ -48,7 +68,7 @@ def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
         lock = lock | apart
     else:
         sets, positions = similar_sets(mesh.vertices, mesh.triangles, distance)
-    attributes = _attributes(task, positions, origin)
+    attributes = _attributes(task, positions, origin, expected)
     texture = mesh.texture
     count = len(mesh.triangles)
     has_uvs = np.zeros(count, bool) if texture is None else texture.has_uvs()
@@ -63,7 +83,8 @@ def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
         task.importance[mesh.triangles].mean(axis=1) if len(task.importance) else task.importance,
         lock,
         knobs=_knobs(params, attributes.uv_scale),
-        fit=params.fit,
+        fit=params.fit and within is None,
+        within=within,
         running=task.running(REGION_TRIANGLES),
         progress=task.progress,
     )
@@ -77,7 +98,7 @@ def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
     )
     light, vertex_source = attributes.as_mesh(mesh, left)
     record = None if found.log is None else _record(mesh, attributes, lock, found.log)
-    return Simplified(
+    result = Simplified(
         mesh=light,
         vertex_source=vertex_source,
         triangle_source=found.triangle_source,
@@ -97,6 +118,7 @@ def _as_it_is(task: Task[SeamsParams]) -> Simplified[SeamsDetails]:
         ),
         record=record,
     )
+    return result, found.provable or 0.0
 
 
 def _record(
@@ -117,9 +139,9 @@ def _record(
     return CollapseRecord(mesh, log.removed, log.survivor, log.places, lock, wedges=wedges)
 
 
-def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats) -> CornerAttributes:
+def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats, target: int) -> CornerAttributes:
     """Return what the corners carry, each attribute in metres by its weight."""
-    mesh, params, target = task.mesh, task.params, task.triangles or 0
+    mesh, params = task.mesh, task.params
     corners = mesh.triangles.reshape(-1)
     columns: list[NDArray[np.floating[Any]]] = []
     uv_scale = color_scale = normal_scale = 0.0
@@ -127,6 +149,12 @@ def _attributes(task: Task[SeamsParams], positions: Floats, origin: Floats) -> C
     if texture is not None and texture.has_uvs().any():
         # A weight of 0 would leave no place for the coordinates.
         uv_scale = max(params.texture_weight, 1e-9) * _metres_per_image(mesh, positions)
+        if not np.isfinite(uv_scale):
+            raise MeshError(
+                "its texture coordinates are too small to be weighed against its shape; make a new texture, "
+                "or leave it out.",
+                "mesh",
+            )
         columns.append(texture.uvs.reshape(-1, 2) * uv_scale)
     else:
         columns.append(np.zeros((len(corners), 2)))
@@ -163,7 +191,9 @@ def _metres_per_image(mesh: Mesh, positions: Floats) -> float:
     if not seen.any():
         # Every triangle has one texel: a palette. Any other colour is far away.
         return float(np.linalg.norm(np.ptp(positions, axis=0))) or 1.0
-    return float(np.sqrt(areas(positions, mesh.triangles)[seen].sum() / in_image[seen].sum())) or 1.0
+    with np.errstate(over="ignore"):  # What comes out infinite is refused.
+        ratio = areas(positions, mesh.triangles)[seen].sum() / in_image[seen].sum()
+    return float(np.sqrt(ratio)) or 1.0
 
 
 def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
@@ -177,12 +207,11 @@ def _metres_per_normal(mesh: Mesh, positions: Floats, target: int) -> float:
 
 
 def _knobs(params: SeamsParams, uv_scale: float) -> _kernels.SeamKnobs:
-    drift = params.max_seam_drift
     return _kernels.SeamKnobs(
         across_materials=params.across_textures,
         across_parts=params.across_parts,
         valence=params.valence_penalty,
         wedges=params.set_penalty,
         shape=params.shape_weight,
-        seam_drift=np.inf if drift is None else drift * uv_scale,
+        seam_drift=params.max_seam_drift * uv_scale,
     )

@@ -81,18 +81,28 @@ def joinable_sets(
 
 def _equal(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[Any]]:
     """Return the set of equal vertices each one is in, and the first vertex of each set."""
-    # Adding 0 makes −0 equal to 0 to the bit.
-    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
-    with np.errstate(over="ignore"):
-        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-        key = (mixed ^ (mixed >> np.uint64(29))).sum(axis=1)
-    sets = _ranked(key)
+    sets = _ranked(_keys(vertices))
     first = _firsts(sets)
     if not np.array_equal(vertices[first][sets], vertices):
         # Two positions with the same key.
         sets = _ranked(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
         first = _firsts(sets)
     return sets, first
+
+
+def may_have_equal(vertices: Vertices) -> bool:
+    """Return False if all positions differ; in a tenth of the time that it takes to tell which are equal."""
+    keys = np.sort(_keys(vertices))
+    return bool((keys[1:] == keys[:-1]).any())
+
+
+def _keys(vertices: Vertices) -> NDArray[np.uint64]:
+    """Return a number for each position (n,), equal for those that are, and hardly ever for others."""
+    # Adding 0 makes −0 equal to 0 to the bit.
+    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+        return np.asarray((mixed ^ (mixed >> np.uint64(29))).sum(axis=1))
 
 
 def _ranked(labels: NDArray[Any]) -> NDArray[np.int32]:

@@ -409,3 +409,35 @@ def test_work_can_be_watched_and_stopped():
 
     with pytest.raises(EnoughError):
         certify(scattered(2000), scattered(3000), progress=stop)
+
+
+def test_a_limit_takes_nothing_from_the_bounds(bumps):
+    full = certify(*bumps)
+    for limits in ({"max_shape": 0.1}, {"max_shape": 0.1, "max_color": 900}, {"max_color": 900}):
+        limited = certify(*bumps, **limits)
+        assert limited.within_limits
+        assert limited.shape_bound_m <= full.shape_bound_m
+        assert (limited.shape_bound <= full.shape_bound).all()
+        if "max_color" in limits:
+            assert limited.color_bound_levels <= full.color_bound_levels
+
+
+def test_where_only_a_decision_is_asked_for_the_limits_are_the_bounds(bumps):
+    full = certify(*bumps)
+    limit = 4 * full.shape_bound_m
+    decided = certify(*bumps, max_shape=limit, only_decide=True)
+    assert decided.within_limits
+    assert (decided.shape_bound == limit).all()
+    assert decided.pieces < full.pieces
+    with pytest.raises(UsageError, match="only_decide"):
+        certify(*bumps, only_decide=True)
+
+
+def test_a_limit_below_a_loose_bound_is_decided_with_more_pieces(bumps):
+    loose = {"shape_tolerance": 0.5, "effort": 0.0}
+    close = certify(*bumps)
+    full = certify(*bumps, **loose)
+    limit = (close.shape_attained_m + full.shape_bound_m) / 2
+    found = certify(*bumps, max_shape=limit, **loose)
+    assert found.shape_bound_m <= full.shape_bound_m
+    assert found.within_limits == (found.shape_bound_m <= limit)

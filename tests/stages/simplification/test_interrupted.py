@@ -43,9 +43,9 @@ mesh = Mesh(np.stack([x, y, z], -1).reshape(-1, 3), triangles.astype(np.int32), 
 seen = []
 said = False
 def progress(done, total):
-    # A proof looks at the triangles of both meshes.
+    # While a proof is made, no more triangles go.
     global said
-    if not said and (not at_proof or total > len(triangles)):
+    if not said and (not at_proof or (done > 0 and seen[-1:] == [(done, total)])):
         # Ctrl-C comes as soon as this is printed.
         said = True
         print("working", flush=True)

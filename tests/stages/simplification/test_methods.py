@@ -170,7 +170,7 @@ _ROW = """    Method(
         details=CutDetails,
         run=cut.run,
         needs=Need("a height", ("max_height",), "give max_height"),
-        takes=Takes(any_mesh=True, importance=False, record=False),
+        takes=Takes(importance=False, record=False),
     ),
 """
 _CALLS = """

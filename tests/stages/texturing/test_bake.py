@@ -1,11 +1,18 @@
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 import trimesh
-from coloured_meshes import of_trimesh, sheet
+from coloured_meshes import ball, of_trimesh, sheet
 
 import stages.texturing.atlas as atlas_module
 from stages.errors import MeshError, StageError, UsageError
+from stages.progress import silent
 from stages.simplification.simplify import simplify
 from stages.surface.color import color_at
 from stages.surface.mesh import Image, Material, Mesh, Texture
@@ -183,9 +190,9 @@ def test_triangles_without_area_are_left_out_of_the_atlas():
 def test_a_crash_of_the_atlas_library_is_survived(monkeypatch):
     run, calls = atlas_module._in_own_process, []
 
-    def crash_once(arguments, *rest):
-        calls.append(arguments[0])
-        return run(arguments, *rest) if len(calls) > 1 else ""
+    def crash_once(task, *rest):
+        calls.append(task)
+        return run(task, *rest) if len(calls) > 1 else (None, "")
 
     monkeypatch.setattr(atlas_module, "_in_own_process", crash_once)
     mesh = of_trimesh(trimesh.creation.icosphere(subdivisions=2))
@@ -194,6 +201,74 @@ def test_a_crash_of_the_atlas_library_is_survived(monkeypatch):
     # No chart spans two of the six sides then.
     assert atlas.charts.max() >= 5
     assert overlaps(atlas.corners, 128).pixels == 0
+
+
+def test_a_worker_that_crashes_is_told_from_one_that_fails(monkeypatch, tmp_path):
+    for name, body, expected in (
+        ("crashes", "import os\nos.abort()\n", (None, "")),
+        ("fails", "raise SystemExit('SomeError: no')\n", (None, "SomeError: no\n")),
+        ("answers", "import sys\nsys.stdout.write('found')\n", (b"found", "")),
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "atlas_worker.py").write_text(body)
+        monkeypatch.setattr(atlas_module, "__file__", str(tmp_path / name / "atlas.py"))
+        assert atlas_module._in_own_process("chart", bytes(1 << 20), 60.0, silent) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="looks for the worker in /proc")
+def test_the_worker_ends_with_a_process_that_is_killed_and_no_file_stays(tmp_path):
+    script = (
+        "from coloured_meshes import sheet\n"
+        "from stages.texturing.atlas import unwrap\n"
+        "count = 0\n"
+        "def progress(done, total):\n"
+        "    global count; count += 1\n"
+        "    count == 50 and print('at it', flush=True)\n"
+        "unwrap(sheet(n=300), 1024, 2, progress)\n"
+    )
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, cwd=tmp_path
+    ) as process:
+        assert process.stdout.readline() == b"at it\n"
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        process.kill()
+    assert len(children) == 1
+    for _ in range(200):
+        if not is_running(children[0]):
+            break
+        time.sleep(0.05)
+    assert not is_running(children[0])
+    assert list(tmp_path.iterdir()) == []
+
+
+def is_running(number):
+    try:
+        state = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1e-2, 1e-4])
+def test_an_original_that_is_far_smaller_needs_no_large_image(scale):
+    """A triangle of a metre got 16 million texels, each of 16 samples, for the few colours of a tiny ball."""
+    original = ball()
+    small = original.with_(vertices=original.vertices * scale)
+    baked = bake((np.eye(3), np.array([[0, 1, 2]])), small)
+    assert baked.size <= 512
+    assert baked.samples <= 2
+
+
+@pytest.mark.slow
+def test_tiny_triangles_beside_large_ones_need_no_large_image():
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(60, 3)) * np.repeat(10.0 ** rng.uniform(-6, 0, 20), 3)[:, None]
+    triangles = np.arange(60, dtype=np.int32).reshape(-1, 3)
+    soup = Mesh(corners, triangles, np.full((60, 3), 128, np.uint8))
+    assert bake(soup, soup).size <= 512
 
 
 def test_a_caller_can_stop_it():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
-from stages.errors import MeshError, UsageError
+from stages.errors import UsageError
 from stages.simplification.certified.details import CertifiedDetails
 from stages.simplification.result import Simplified
 from stages.simplification.simplify import simplify
@@ -182,6 +182,3 @@ def test_what_cannot_be_asked_is_refused_in_one_sentence() -> None:
         certified(mesh, max_color=3.0)
     with pytest.raises(UsageError, match="importance has values below 1"):
         certified(mesh, max_shape=1.0, importance=np.full(16, 0.5))
-    broken = Mesh(mesh.vertices, np.concatenate([mesh.triangles, mesh.triangles[:1, ::-1]]))
-    with pytest.raises(MeshError):
-        certified(broken, max_shape=1.0)

@@ -17,7 +17,7 @@ from scipy.spatial import Delaunay
 from stages import _kernels
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare
-from stages.errors import MeshError, UsageError
+from stages.errors import UsageError
 from stages.progress import silent
 from stages.simplification.regions import Sphere
 from stages.simplification.simplify import simplify
@@ -370,13 +370,6 @@ def test_other_attributes_follow_their_vertices() -> None:
 def test_what_cannot_be_done_is_said(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         simplify(sheet(5), **arguments)
-
-
-def test_a_mesh_that_is_no_manifold_is_named() -> None:
-    mesh = sheet(10)
-    broken = mesh.with_(triangles=np.concatenate([mesh.triangles, [[12, 13, 0]]]).astype(np.int32))
-    with pytest.raises(MeshError, match=r"edge.*more than two triangles.*12–13.*run clean first"):
-        simplify(broken, ratio=0.5)
 
 
 def test_nothing_to_simplify() -> None:

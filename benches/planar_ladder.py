@@ -1,0 +1,62 @@
+"""Near-planar patches at ten bounds: a looser one never leaves more triangles.
+
+    python benches/planar_ladder.py DATA
+
+DATA is the folder that holds `meshes/`. Bounds are parts of the diagonal of the bounding box; each cell has
+triangles, and process time over all threads in seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import meshes
+import numpy as np
+import trimesh
+from markdown_tables import print_head, print_row
+from revolved import bottle, cone, cup
+
+from stages import simplify
+from stages.surface.mesh import Mesh
+
+BOUNDS = np.geomspace(1e-6, 1e-1, 10)
+
+
+def chamfered_box() -> Mesh:
+    """Make a cube of 2 m with all edges and corners cut off by 0.1 m: 26 flat faces in 11,264 triangles."""
+    signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).T.reshape(-1, 3)
+    corners = np.concatenate([signs * (1 - 0.1 * (np.arange(3) != axis)) for axis in range(3)])
+    made = trimesh.convex.convex_hull(corners)
+    for _ in range(4):
+        made = made.subdivide()
+    return Mesh(np.array(made.vertices), np.array(made.faces, np.int32))
+
+
+def ladder(name: str, mesh: Mesh) -> None:
+    """Print a row of the table."""
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    cells = []
+    for bound in BOUNDS:
+        begin = time.process_time()
+        result = simplify(mesh, method="planar", max_shape=bound * diagonal)
+        cells.append(f"{len(result.mesh.triangles):,} ({time.process_time() - begin:.2f})")
+    print_row([name, f"{len(mesh.triangles):,}", *cells])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("data", type=Path)
+    data = parser.parse_args().data
+    print_head(["mesh", "triangles", *(f"{bound:.1e}" for bound in BOUNDS)])
+    for make in (cone, cup, bottle, chamfered_box):
+        ladder(make.__name__.replace("_", " "), make())
+    room = meshes.kitchen(data)
+    ladder("room", room)
+    ladder("room without colours", room.with_(colors=None))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""What is said of a result whose bounds are not proven: what holds instead, where, and why."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.printing import counted
+from stages.rounding import rounded_up
+from stages.surface.mesh import Mesh
+
+# Places that are named.
+_NAMED = 3
+
+
+def not_proven(
+    light: Mesh,
+    fails: NDArray[np.bool_],
+    shape_bound: NDArray[np.float64],
+    bound: tuple[float, float | None],
+) -> str:
+    """Return one sentence.
+
+    Parameters
+    ----------
+    light : the result.
+    fails : (q,) its triangles without a proof.
+    shape_bound : (q,) float64, metres, what is proven of each.
+    bound : metres and levels, None for no colours, that are proven instead.
+    """
+    levels = "" if bound[1] is None else f" and {rounded_up(bound[1]):.4g} levels"
+    text = (
+        "simplify could not prove the bounds that were asked for; proven are "
+        f"{rounded_up(bound[0]):.4g} m{levels}"
+    )
+    (where,) = np.nonzero(fails)
+    if not len(where):
+        return f"{text}."
+    worst = where[np.argsort(-shape_bound[where], kind="stable")][:_NAMED]
+    places = ", ".join(_place(light.vertices[light.triangles[t]].mean(axis=0)) for t in worst)
+    needles = int(_is_needle(light, where).sum())
+    thin = f", {needles:,} of them too thin for a closer proof" if needles else ""
+    return f"{text}, at {counted(len(where), 'triangle')}{thin}, the worst about {places}."
+
+
+def _place(point: NDArray[np.float64]) -> str:
+    return f"({', '.join(f'{x:.4g}' for x in point)})"
+
+
+def _is_needle(mesh: Mesh, triangles: NDArray[np.int64]) -> NDArray[np.bool_]:
+    a, b, c = mesh.vertices[mesh.triangles[triangles]].transpose(1, 0, 2)
+    longest2 = np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= _kernels.NEEDLE * longest2)

@@ -1,0 +1,146 @@
+"""Simplifying the surface a file means, rather than the copies of vertices that the file has.
+
+Formats double a vertex where it has two texture coordinates, normals or colours, and scans pinch surfaces
+where there is no manifold. Methods that want one get it: vertices in one place are one, and the surface is
+taken apart where sheets touch, at vertices that then stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.simplification.result import Details, Simplified
+from stages.simplification.seams.similar import may_have_equal, similar_sets
+from stages.simplification.task import Task
+from stages.surface.mesh import Mesh
+from stages.surface.sheets import Sheets, taken_apart
+
+P = TypeVar("P")
+D = TypeVar("D", bound=Details)
+
+# Copies whose colours (levels) or normals (cosine) differ by more lose something when they become one.
+_SAME_COLOR = 1
+_SAME_NORMAL = 0.999
+
+
+def run_in_sheets(task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
+    """Return what `run` makes of a task whose mesh may have copies of vertices, or be no manifold."""
+    sheets = joined(task.mesh)
+    if sheets is None:
+        try:
+            return run(task)
+        except _kernels.InvalidMeshError:
+            # Not a manifold: the sheets it is made of are.
+            sheets = sheets_of(task.mesh)
+    return run_on(sheets, task, run)
+
+
+def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]]) -> Simplified[D]:
+    """Return what `run` makes of a task whose mesh is taken for these sheets."""
+    mesh, notes = in_sheets(task.mesh, sheets)
+    split = is_split(task.mesh, sheets)
+    if split.any():
+        notes += (
+            f"the surface is no manifold: it was split into sheets, which stay as they are at "
+            f"{split.sum():,} vertices where they touch; run clean first to let these move.",
+        )
+    sets, source = sheets.sets, sheets.vertex_source
+    locked = np.zeros(len(sets), bool)
+    locked[sets[task.lock]] = True
+    importance = task.importance
+    if len(importance):
+        most = np.zeros(len(sets))
+        np.maximum.at(most, sets, importance)
+        importance = most[sets[source]]
+    found = run(replace(task, mesh=mesh, lock=locked[sets[source]] | split, importance=importance))
+    return replace(
+        found,
+        mesh=found.mesh.with_(notes=(*found.mesh.notes, *notes)),
+        vertex_source=source[found.vertex_source],
+        triangle_source=sheets.triangle_source[found.triangle_source],
+        triangles_before=len(task.mesh.triangles),
+    )
+
+
+def joined(mesh: Mesh) -> Sheets | None:
+    """Return the sheets of a mesh if its file has copies of vertices that they join; else None."""
+    if not may_have_equal(mesh.vertices):
+        return None
+    sheets = sheets_of(mesh)
+    used = np.unique(mesh.triangles[sheets.triangle_source])
+    return sheets if len(sheets.vertex_source) < len(used) else None
+
+
+def sheets_of(mesh: Mesh) -> Sheets:
+    """Return the sheets of a mesh, vertices in one place being one."""
+    return taken_apart(mesh.triangles, similar_sets(mesh.vertices, mesh.triangles, 0.0)[0])
+
+
+def is_split(mesh: Mesh, sheets: Sheets) -> NDArray[np.bool_]:
+    """Return which vertices of sheets (p,) were one vertex of the mesh with others: apart, they would gape.
+
+    What has a vertex of its own in the mesh, and only lies where another does, may move away from that.
+    """
+    corners = mesh.triangles[sheets.triangle_source].reshape(-1).astype(np.int64)
+    key = np.unique(corners << 32 | sheets.triangles.reshape(-1))
+    of_mesh, of_sheets = key >> 32, key & 0xFFFFFFFF
+    split = np.zeros(len(sheets.vertex_source), bool)
+    split[of_sheets[np.bincount(of_mesh, minlength=len(mesh.vertices))[of_mesh] > 1]] = True
+    return split
+
+
+def in_sheets(mesh: Mesh, sheets: Sheets) -> tuple[Mesh, tuple[str, ...]]:
+    """Return a mesh with the vertices of its sheets, and what copies lose that become one."""
+    source = sheets.vertex_source
+    colors, color_note = _one_color(mesh, sheets.sets)
+    normals, normal_note = _one_normal(mesh, sheets.sets)
+    whole = mesh.with_triangles(sheets.triangles, sheets.triangle_source).with_(
+        vertices=mesh.vertices[source],
+        colors=None if colors is None else colors[source],
+        normals=None if normals is None else normals[source],
+    )
+    return whole, (*color_note, *normal_note)
+
+
+def _one_color(mesh: Mesh, sets: NDArray[Any]) -> tuple[NDArray[np.uint8] | None, tuple[str, ...]]:
+    """Return the mean colour of the copies of each vertex (n, 3)."""
+    if mesh.colors is None:
+        return None, ()
+    mean = _means(mesh.colors, sets)
+    apart = np.abs(mean - mesh.colors).max(initial=0.0)
+    if apart <= _SAME_COLOR:
+        return mesh.colors, ()
+    note = (
+        f"copies of vertices in one place differ in colour by up to {2 * apart:.0f} levels; their mean "
+        "was taken, while method seams of simplify keeps both."
+    )
+    return np.rint(mean).astype(np.uint8), (note,)
+
+
+def _one_normal(mesh: Mesh, sets: NDArray[Any]) -> tuple[NDArray[np.float64] | None, tuple[str, ...]]:
+    """Return the mean normal of the copies of each vertex (n, 3), of length 1 or 0."""
+    if mesh.normals is None:
+        return None, ()
+    mean = _means(mesh.normals, sets)
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    mean = np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
+    cosine = np.einsum("ij,ij->i", mean, mesh.normals)
+    if cosine.min(initial=1.0) >= _SAME_NORMAL:
+        return mesh.normals, ()
+    note = (
+        "copies of vertices in one place have normals of their own; their mean was taken, while method "
+        "seams of simplify keeps them."
+    )
+    return mean, (note,)
+
+
+def _means(values: NDArray[Any], sets: NDArray[Any]) -> NDArray[np.float64]:
+    size = np.maximum(np.bincount(sets), 1)
+    sums = np.stack([np.bincount(sets, column) for column in np.asarray(values, np.float64).T], axis=1)
+    return np.asarray((sums / size[:, None])[sets])

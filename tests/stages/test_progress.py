@@ -1,0 +1,76 @@
+"""What a progress function sees of long work in the kernels: it goes on only, never beyond all there is."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stages import Mesh, ScanParams, certify, planar_patches, read_scan, register, remesh, simplify
+from stages.progress import Progress
+from stages.simplification.methods import METHODS
+
+SAMPLE = Path(__file__).parents[2] / "samples" / "rgbd"
+
+pytestmark = pytest.mark.slow
+
+
+@functools.cache
+def hills(n: int) -> Mesh:
+    """A noisy, coloured height field of n × n vertices on a square metre."""
+    x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
+    noise = 0.002 * np.random.default_rng(1).normal(size=x.shape)
+    vertices = np.stack([x, y, 0.05 * np.sin(9 * x) * np.cos(7 * y) + noise], -1).reshape(-1, 3)
+    at = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).astype(np.int32)
+    return Mesh(vertices, triangles, np.clip(128 + 100 * np.sin(20 * vertices), 0, 255).astype(np.uint8))
+
+
+@functools.cache
+def light() -> Mesh:
+    return simplify(hills(150), ratio=0.1).mesh
+
+
+ASKED: dict[str, dict[str, Any]] = {
+    "quadric": {"ratio": 0.05},
+    "certified": {"max_shape": 0.004, "max_color": 30},
+    "jia01": {"resolution": 0.02},
+    "seams": {"ratio": 0.05},
+    "planar": {"max_shape": 0.01},
+}
+WORK: dict[str, Callable[[Progress], object]] = {
+    **{
+        method.name: functools.partial(
+            lambda progress, **asked: simplify(hills(300), progress=progress, **asked),
+            method=method.name,
+            **ASKED[method.name],
+        )
+        for method in METHODS
+    },
+    "certified, to a number": lambda progress: simplify(
+        hills(150), max_shape=0.004, triangles=8000, progress=progress
+    ),
+    "certify": lambda progress: certify(light(), hills(150), progress=progress),
+    "certify within a limit": lambda progress: certify(
+        light(), hills(150), max_shape=0.008, progress=progress
+    ),
+    "patches": lambda progress: planar_patches(hills(400), progress=progress),
+    "register": lambda progress: register(read_scan(SAMPLE, ScanParams(every=3)), progress=progress),
+    "remesh": lambda progress: remesh(light(), progress=progress),
+}
+
+
+@pytest.mark.parametrize("name", WORK)
+def test_progress_goes_on_and_stays_within_what_there_is(name: str) -> None:
+    seen: list[tuple[int, int]] = []
+    WORK[name](lambda done, total: seen.append((done, total)))
+    assert seen
+    assert all(0 <= done <= total for done, total in seen)
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    # Before anything is told, all is nothing; from then on it stays what it is.
+    assert len({total for _, total in seen} - {0}) <= 1
