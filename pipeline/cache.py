@@ -12,6 +12,10 @@ An entry is made in `drafts`, flushed to disk and moved to its place in one rena
 not there. Who reads an entry holds a shared lock on its `in-use.lock`; who removes one must first get it
 exclusively. The system releases the locks of a killed process, which is how its drafts are told from those
 of a living one.
+
+Nothing in the folder is believed to be what it should: a link or a file in the place of an entry or a lock
+is removed, one in the place of a folder of entries is refused, and none is followed. Where the folder may
+only be read, what it holds is used.
 """
 
 from __future__ import annotations
@@ -32,7 +36,9 @@ from typing import Any
 from pipeline.digest import digest
 from pipeline.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
 from pipeline.failures import explained
-from pipeline.files import flush, is_same_file, take_lock, try_lock, write_whole
+from pipeline.files import READ_ONLY, flush, is_folder, is_same_file, take_lock, try_lock, write_whole
+from stages.errors import StageError
+from stages.files.opening import text_in
 
 _DRAFTS = "drafts"
 _RUNS = "runs"
@@ -65,14 +71,15 @@ class Cache:
     def __init__(self, folder: Path, warn: Callable[[str], None] | None = None) -> None:
         self.folder = folder
         self._warn = warn or (lambda text: None)  # noqa: ARG005
+        self._is_read_only = False
 
     def get(self, recipe: Recipe) -> Entry | None:
         """Return the verified entry of a recipe, or None; a damaged entry is reported and dropped."""
         place = self._place(recipe)
         with explained(f"the cache folder {self.folder} cannot be used"):
-            while place.is_dir():
+            while os.path.lexists(place):
                 with self._names():
-                    if not place.is_dir():
+                    if not self._is_entry(place):
                         break
                     lock = take_lock(place / IN_USE, fcntl.LOCK_SH)
                 try:
@@ -86,7 +93,10 @@ class Cache:
                 except BaseException:
                     os.close(lock)
                     raise
-                os.utime(lock)
+                with contextlib.suppress(
+                    OSError
+                ):  # A cache that may only be read does not note who reads it.
+                    os.utime(lock)
                 return Entry(place, manifest, lock)
         return None
 
@@ -127,10 +137,10 @@ class Cache:
         """Remove what killed processes left half-made, and what was dropped while another was reading it."""
         with explained(f"the cache folder {self.folder} cannot be used"):
             drafts = self.folder / _DRAFTS
-            for draft in drafts.iterdir() if drafts.is_dir() else ():
+            for draft in drafts.iterdir() if is_folder(drafts) else ():
                 with self._names():
                     # A draft and its lock are made together under the names lock: without one it is debris.
-                    lock = try_lock(draft / IN_USE) if draft.is_dir() else None
+                    lock = try_lock(draft / IN_USE) if is_folder(draft) else None
                 if lock is not None:
                     _discard(draft, lock)
 
@@ -157,7 +167,8 @@ class Cache:
         ----------
         unused : remove what the latest run of no output folder used.
         older_than : seconds; remove what was last used longer ago.
-        max_size : bytes; then remove what was unused longest until the rest is no larger.
+        max_size : bytes; then remove what was unused longest until the rest is no larger, or only what
+            latest runs used is left.
         dry_run : only say what would be removed.
         """
         entries = sorted(self.ls(), key=lambda entry: entry.last_used)
@@ -169,15 +180,32 @@ class Cache:
             (chosen if old or (unused and not entry.in_latest_run) else kept).append(entry)
         if max_size is not None:
             total = sum(entry.size for entry in kept)
-            while kept and total > max_size:
-                chosen.append(kept.pop(0))
-                total -= chosen[-1].size
+            for entry in [entry for entry in kept if not entry.in_latest_run]:
+                if total <= max_size:
+                    break
+                chosen.append(entry)
+                total -= entry.size
         if dry_run:
             return chosen
         with explained(f"the cache folder {self.folder} cannot be pruned"):
             removed = [entry for entry in chosen if self._remove(entry)]
         self.remove_abandoned()
         return removed
+
+    def limit(self, max_size: int) -> None:
+        """Remove what was unused longest until the cache is no larger; never what latest runs used.
+
+        Parameters
+        ----------
+        max_size : bytes. If what is left is more, `warn` is told.
+        """
+        self.prune(unused=False, max_size=max_size)
+        total = sum(entry.size for entry in self.ls())
+        if total > max_size:
+            self._warn(
+                f"the cache {self.folder} holds {total / 1e9:.3g} GB, more than cache.max_size of "
+                f"{max_size / 1e9:.3g} GB: all of it is of the latest run of an output folder, or in use."
+            )
 
     def sole_run(self, out: Path, waiting: Callable[[], None]) -> int:
         """Wait until no other run works into an output folder; close the descriptor to let the next one in.
@@ -187,9 +215,14 @@ class Cache:
         waiting : called once if another run is at it.
         """
         with explained(f"the cache folder {self.folder} cannot be used"):
-            self._prepare()
             path = self._run_record(out).with_suffix(".lock")
-            lock = try_lock(path)
+            try:
+                self._prepare()
+                lock = try_lock(path)
+            except OSError as error:
+                if error.errno not in READ_ONLY:
+                    raise
+                return _sole_folder(out, waiting)
             if lock is None:
                 waiting()
                 lock = take_lock(path, fcntl.LOCK_EX)
@@ -198,20 +231,43 @@ class Cache:
     def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
         """Keep what the latest run of an output folder used; `record["keys"]` names its entries."""
         with explained(f"the cache folder {self.folder} cannot be used"):
-            self._prepare()
             text = json.dumps({"out": os.path.relpath(out, self.folder), **record}, indent=1)
-            write_whole(self._run_record(out), text.encode())
+            try:
+                self._prepare()
+                write_whole(self._run_record(out), text.encode())
+            except OSError as error:
+                if error.errno not in READ_ONLY:
+                    raise
+                self._say_read_only()
 
     def latest_run(self, out: Path) -> dict[str, Any]:
         """Return what `remember_run` was last told about an output folder; empty if nothing."""
         return _read_record(self._run_record(out))
 
+    def _say_read_only(self) -> None:
+        if not self._is_read_only:
+            self._is_read_only = True
+            self._warn(
+                f"the cache {self.folder} may only be read: what it holds is used, and what this run used is "
+                "not remembered."
+            )
+
     def _place(self, recipe: Recipe) -> Path:
+        _require_folder(self.folder / recipe.stage)
         return self.folder / recipe.stage / recipe.key
+
+    def _is_entry(self, place: Path) -> bool:
+        """Return whether an entry's folder is there; what else stands in its place is removed."""
+        if is_folder(place):
+            return True
+        if os.path.lexists(place):
+            place.unlink()
+            self._warn(f"{place} was no folder; it is removed and the result is made anew.")
+        return False
 
     def _places(self) -> Iterator[Path]:
         for stage in sorted(self.folder.iterdir()) if self.folder.is_dir() else ():
-            if stage.is_dir() and stage.name not in (_DRAFTS, _RUNS):
+            if is_folder(stage) and stage.name not in (_DRAFTS, _RUNS):
                 yield from sorted(path for path in stage.iterdir() if _KEY.fullmatch(path.name))
 
     def _listed(self, *, thorough: bool) -> list[Listed]:
@@ -225,14 +281,21 @@ class Cache:
 
     def _prepare(self) -> None:
         for name in (_DRAFTS, _RUNS):
+            _require_folder(self.folder / name)
             (self.folder / name).mkdir(parents=True, exist_ok=True)
-        tag = self.folder / "CACHEDIR.TAG"
-        if not tag.exists():
-            tag.write_text(_TAG, encoding="ascii")
+        with contextlib.suppress(FileExistsError), (self.folder / "CACHEDIR.TAG").open("x") as tag:
+            tag.write(_TAG)
 
     @contextlib.contextmanager
     def _names(self) -> Iterator[None]:
-        lock = take_lock(self.folder / "names.lock", fcntl.LOCK_EX)
+        try:
+            lock = take_lock(self.folder / "names.lock", fcntl.LOCK_EX)
+        except OSError as error:
+            # Where no lock can be made, nobody moves anything either.
+            if error.errno not in READ_ONLY:
+                raise
+            yield
+            return
         try:
             yield
         finally:
@@ -252,7 +315,7 @@ class Cache:
 
     def _publish(self, draft: Path, place: Path, lock: int, replace: bool) -> bool:
         with self._names():
-            if place.exists():
+            if self._is_entry(place):
                 if not replace:
                     return False
                 self._put_aside(place)
@@ -279,7 +342,9 @@ class Cache:
     def _remove(self, entry: Listed) -> bool:
         place = self.folder / entry.stage / entry.key
         with self._names():
-            lock = try_lock(place / IN_USE) if place.is_dir() else None
+            if not self._is_entry(place):
+                return True
+            lock = try_lock(place / IN_USE)
             if lock is None:
                 return False
             self._put_aside(place)
@@ -301,6 +366,30 @@ class Cache:
         return used
 
 
+def _require_folder(path: Path) -> None:
+    """Refuse what is no folder: behind a link stand files of somebody else."""
+    if os.path.lexists(path) and not is_folder(path):
+        raise StageError(
+            f"{path}: a folder of the cache is expected here, and this is a link or a file; remove it, or "
+            "keep the whole cache elsewhere (SCANLOOM_CACHE)."
+        )
+
+
+def _sole_folder(out: Path, waiting: Callable[[], None]) -> int:
+    """Wait until no other run with a cache that may only be read works into an output folder."""
+    lock = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        try:
+            waiting()
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        except BaseException:
+            os.close(lock)
+            raise
+    return lock
+
+
 def _discard(draft: Path, lock: int) -> None:
     shutil.rmtree(draft, ignore_errors=True)
     os.close(lock)
@@ -309,8 +398,8 @@ def _discard(draft: Path, lock: int) -> None:
 def _read_record(path: Path) -> dict[str, Any]:
     # A record only explains and protects from pruning; one that cannot be read counts as none.
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        record = {} if path.is_symlink() else json.loads(text_in(path, "utf-8"))
+    except (OSError, ValueError, RecursionError):
         return {}
     return record if isinstance(record, dict) else {}
 
@@ -321,8 +410,8 @@ def _listed(place: Path, in_latest_run: bool, *, thorough: bool) -> Listed:
     try:
         manifest = (verified if thorough else read_manifest)(place)
     except DamagedError as error:
-        problem = str(error)
-    sizes = [path.stat().st_size for path in place.rglob("*") if path.is_file()]
+        problem = str(error) if is_folder(place) else "it is no folder"
+    sizes = [path.lstat().st_size for path in place.rglob("*") if path.is_file()] if is_folder(place) else []
     stamp = place / IN_USE
-    last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).stat().st_mtime, timezone.utc)
+    last_used = datetime.fromtimestamp((stamp if stamp.exists() else place).lstat().st_mtime, timezone.utc)
     return Listed(place.parent.name, place.name, sum(sizes), last_used, in_latest_run, manifest, problem)

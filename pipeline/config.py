@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pipeline.baking import BakeSection
+from pipeline.cache_size import CacheParams
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
@@ -32,3 +33,4 @@ class Config(Sections):
     # Fewer samples than `compare` alone takes: a report waits for them in every run.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)
+    cache: CacheParams = field(default_factory=CacheParams)

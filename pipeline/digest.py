@@ -1,7 +1,7 @@
 """Digests that decide a cache hit: of parameters in canonical form, of file contents, of a whole scan.
 
-Only content counts. Paths, file names and time stamps stay out, so that a moved, renamed or touched scan
-keeps its cached results.
+Only content counts. Paths and times of change stay out, so that a moved or touched scan keeps its results.
+What frames are called and when they were taken are digests of their own, for the stages whose results say so.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.own_paths import home
 from stages.errors import StageError
+from stages.files.opening import opened
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Packed, Scan
 
-# No stage computes with these; in many layouts both come from file names.
+# No stage computes with these; in many layouts both come from file names. See `label_digests`.
 _SHOWN_TO_PEOPLE = frozenset({"name", "timestamp"})
 _BLOCK = 1 << 20
 
@@ -69,7 +71,7 @@ def digest(value: Any) -> str:
 def file_digest(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, in hex."""
     sha = hashlib.sha256()
-    with path.open("rb", buffering=0) as file:
+    with opened(path) as file:
         while block := file.read(_BLOCK):
             sha.update(block)
     return sha.hexdigest()
@@ -126,6 +128,28 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
         parts[f"frame {number} ({frame.name})"] = digest(_frame(frame, contents))
     files = {path: (contents[path], signature) for path, signature in zip(paths, signatures, strict=True)}
     return ScanDigest(digest(list(parts.values())), parts, files)
+
+
+def label_digests(scan: Scan) -> dict[str, str]:
+    """Digest what is said of the frames beside their content, each for the stages that hand it on.
+
+    Returns
+    -------
+    `names` : what messages call each frame and its files, as seen from the scan's folder.
+    `times` : when each was taken.
+    """
+    names = [
+        [frame.name, *(_place(value, scan.folder) for value in vars(frame).values())] for frame in scan.frames
+    ]
+    return {"names": digest(names), "times": digest([frame.timestamp for frame in scan.frames])}
+
+
+def _place(value: Any, folder: Path | None) -> str | None:
+    file = value.file if isinstance(value, Packed) else value
+    if not isinstance(file, Path):
+        return None
+    # From the folder on, so that a moved scan keeps its results.
+    return str(file) if folder is None else os.path.relpath(file, home(folder))
 
 
 def _content(path: Path) -> str:

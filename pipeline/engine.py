@@ -15,7 +15,8 @@ from typing import Any
 
 from pipeline.cache import Cache
 from pipeline.entry import Entry, Recipe
-from pipeline.events import Events, StageFinished, StageProgress, StageStarted, Warned
+from pipeline.events import Events, StageFinished, StageProgress, StageStarted, Waiting, Warned
+from pipeline.expectation import Cost
 from pipeline.failures import explained
 from pipeline.memory import peak_bytes, reset_peak
 from pipeline.reasons import reason
@@ -55,6 +56,8 @@ class Stage:
     versions : from what it reads and the configuration to the RESULT_VERSION of everything that `make` then
         runs, by name; asked whenever a key is made.
     results : which of its files stand in the output folder too; a name that ends in / is a folder of them.
+    unmet : from the configuration and its figures to sentences on what was asked for and is not reached.
+    cost : what it may take where none of its results is known.
     """
 
     name: str
@@ -65,6 +68,8 @@ class Stage:
     versions: Callable[[Mapping[str, Any], Any], Mapping[str, int]]
     libraries: Mapping[str, str] = field(default_factory=dict)
     results: tuple[str, ...] = ()
+    unmet: Callable[[Any, Mapping[str, Any]], Sequence[str]] = lambda config, figures: ()  # noqa: ARG005
+    cost: Cost = field(default_factory=Cost)
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class Outcome:
     seconds : spent in this run.
     made : when the result was made: `seconds`, and the peak memory of the process in `peak_memory_bytes`.
     folder : the cache entry.
+    unmet : what was asked for and is not reached, in plain sentences.
     """
 
     stage: str
@@ -105,6 +111,7 @@ class Outcome:
     made: Mapping[str, Any]
     folder: Path
     results: tuple[Path, ...]
+    unmet: tuple[str, ...] = ()
 
 
 class Engine:
@@ -122,6 +129,9 @@ class Engine:
         cache: Cache,
         out: Path,
         events: Events,
+        *,
+        overwrite: bool = False,
+        megapixels: float | None = None,
     ) -> None:
         self._plan = plan
         self._config = config
@@ -129,12 +139,14 @@ class Engine:
         self._cache = cache
         self._out = out
         self._events = events
+        self._overwrite = overwrite
+        self._megapixels = megapixels
         self._entries: list[Entry] = []
 
     def __enter__(self) -> Engine:
         text = f"another run is working into {self._out}; this one waits for it"
-        self._lock = self._cache.sole_run(self._out, lambda: self._events(Warned(text)))
-        self.results = Results(self._cache, self._out)
+        self._lock = self._cache.sole_run(self._out, lambda: self._events(Waiting(text)))
+        self.results = Results(self._cache, self._out, overwrite=self._overwrite)
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -193,30 +205,27 @@ class Engine:
             entry.manifest["made"],
             entry.folder,
             placed,
+            tuple(stage.unmet(self._config, entry.figures)),
         )
 
     def _recipe(self, stage: Stage) -> Recipe:
-        return Recipe(
-            stage.name,
-            dict(stage.versions(self._values(stage), self._config)),
-            params={section: self._config.canonical(section) for section in stage.sections},
-            inputs={name: self._sources[name].digest for name in stage.reads},
-            libraries=dict(stage.libraries),
-        )
-
-    def _values(self, stage: Stage) -> dict[str, Any]:
-        return {name: self._sources[name].value for name in stage.reads}
+        return recipe_of(stage, self._config, self._sources)
 
     def _make(self, stage: Stage, folder: Path) -> dict[str, Any]:
         def progress(done: int, total: int) -> None:
             self._events(StageProgress(stage.name, done, total))
 
-        inputs = self._values(stage)
+        inputs = _values(stage, self._sources)
         reset_peak()
         started = time.perf_counter()
         with explained(f"{stage.name} failed"):
             figures = stage.make(Job(inputs, self._config, folder, progress))
-        made = {"seconds": round(time.perf_counter() - started, 3), "peak_memory_bytes": peak_bytes()}
+        made = {
+            "seconds": round(time.perf_counter() - started, 3),
+            "peak_memory_bytes": peak_bytes(),
+            # It decides nothing; a later run on another scan takes as much longer as that is larger.
+            "megapixels": self._megapixels,
+        }
         for name in stage.reads:
             self._sources[name].require_unchanged()
         return {"figures": as_json(figures), "made": made}
@@ -225,6 +234,22 @@ class Engine:
         self._entries.append(entry)
         self.results.keep(entry)
         self._sources[stage.writes] = Source(entry.digest, entry.folder, entry.files)
+
+
+def recipe_of(stage: Stage, config: Sections, sources: Mapping[str, Source]) -> Recipe:
+    """Return all that decides a stage's result; sources that are not known are left out of it."""
+    known = [name for name in stage.reads if name in sources]
+    return Recipe(
+        stage.name,
+        dict(stage.versions(_values(stage, sources), config)),
+        params={section: config.canonical(section) for section in stage.sections},
+        inputs={name: sources[name].digest for name in known},
+        libraries=dict(stage.libraries),
+    )
+
+
+def _values(stage: Stage, sources: Mapping[str, Source]) -> dict[str, Any]:
+    return {name: sources[name].value for name in stage.reads if name in sources}
 
 
 def as_json(value: Any) -> Any:

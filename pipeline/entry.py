@@ -20,6 +20,7 @@ from typing import Any
 
 from pipeline.digest import digest, file_digests
 from pipeline.files import flush, flush_all
+from stages.files.opening import text_in
 
 # Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
 FORMAT_VERSION = 2
@@ -131,7 +132,11 @@ def verified(place: Path) -> dict[str, Any]:
     """Return an entry's manifest after reading every file it names; raise DamagedError."""
     manifest = read_manifest(place)
     names = list(manifest["files"])
+    inside = Path(os.path.realpath(place))
     for name in names:
+        # A link would have files of others read, and perhaps written, as the entry's own.
+        if Path(os.path.realpath(place / name)) != inside / name:
+            raise DamagedError(f"{name} leads elsewhere")
         if not (place / name).is_file():
             raise DamagedError(f"{name} is missing")
         if (place / name).stat().st_size != manifest["files"][name]["size"]:
@@ -149,7 +154,7 @@ def verified(place: Path) -> dict[str, Any]:
 def read_manifest(place: Path) -> dict[str, Any]:
     """Return an entry's manifest without looking at the files; raise DamagedError."""
     try:
-        manifest: dict[str, Any] = json.loads((place / MANIFEST).read_text(encoding="utf-8"))
+        manifest: dict[str, Any] = json.loads(_text_of(place / MANIFEST))
         sealed = manifest.pop("digest")
         if digest(manifest) != sealed:
             raise DamagedError(f"{MANIFEST} has another content")
@@ -157,6 +162,12 @@ def read_manifest(place: Path) -> dict[str, Any]:
             raise DamagedError(f"{MANIFEST} belongs to another entry")
     except OSError as error:
         raise DamagedError(f"{MANIFEST} cannot be read: {error.strerror}") from error
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedError(f"{MANIFEST} is not a manifest") from error
     return manifest
+
+
+def _text_of(path: Path) -> str:
+    if path.is_symlink():
+        raise DamagedError(f"{path.name} leads elsewhere")
+    return text_in(path, "utf-8")

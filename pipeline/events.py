@@ -63,7 +63,14 @@ class Warned:
     text: str
 
 
-Event = RunStarted | StageStarted | StageProgress | StageFinished | Warned
+@dataclass(frozen=True)
+class Waiting:
+    """Nothing goes on for a while, and `text` says why: another run works into the same folder."""
+
+    text: str
+
+
+Event = RunStarted | StageStarted | StageProgress | StageFinished | Warned | Waiting
 
 
 class Events(Protocol):

@@ -5,6 +5,8 @@ pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶
                                                                        └──bake──▶ baked
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
 register is there where poses are missing, bake and remesh if they are enabled; bake reads clean, too)
+
+Stages that read the scan itself also read its `names` and `times`, if their results tell of them.
 """
 
 from __future__ import annotations
@@ -20,6 +22,9 @@ from pipeline import baking, registering, remeshing, report
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
+from pipeline.expectation import Cost
+from pipeline.own_paths import from_folder
+from pipeline.skipped import said_of_skipped
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare_surfaces
@@ -27,11 +32,14 @@ from stages.errors import InputError, UsageError
 from stages.fusion.fuse import fuse
 from stages.inspecting.sanity import require_poses
 from stages.normal_meshes.remesh import remesh
+from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
+from stages.registration.unmet import unmet as not_joined
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
 from stages.simplification.auto import chosen
 from stages.simplification.simplify import simplify
+from stages.simplification.unmet import unmet as not_simplified
 from stages.stereo.depth import depth_scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply, write_ply
@@ -41,7 +49,8 @@ from stages.texturing.bake import bake
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
     measured = _measure(scan)(scan, job.config.depth, job.progress)
-    return _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
+    figures = _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
+    return from_folder(figures, scan.folder)
 
 
 def _measure(scan: Scan) -> Callable[..., Any]:
@@ -49,8 +58,10 @@ def _measure(scan: Scan) -> Callable[..., Any]:
 
 
 def _register(job: Job) -> Mapping[str, Any]:
-    found = register(_scan(job), job.config.register, progress=job.progress)
-    return _with_skipped(registering.write(job.folder, found))
+    scan = _scan(job)
+    found = register(scan, job.config.register, progress=job.progress)
+    figures = _with_skipped(registering.write(job.folder, found, scan.folder))
+    return from_folder(figures, scan.folder)
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
@@ -61,7 +72,8 @@ def _fuse(job: Job) -> Mapping[str, Any]:
     write_ply(job.folder / "fused.ply", fused.mesh)
     figures = fused.figures()
     doubts += _fuse_apart(unplaced, job)
-    return _with_skipped({**figures, "warnings": [*doubts, *figures.get("warnings", ())]})
+    figures = _with_skipped({**figures, "warnings": [*doubts, *figures.get("warnings", ())]})
+    return from_folder(figures, scan.folder)
 
 
 def _fuse_apart(scan: Scan, job: Job) -> list[str]:
@@ -129,8 +141,7 @@ def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
     warnings = list(figures.get("warnings", ()))
     skipped = figures["frames_skipped"]
     if skipped:
-        first = skipped[0]
-        warnings.append(f"{len(skipped)} frames were skipped; the first, {first['frame']}: {first['reason']}")
+        warnings.append(said_of_skipped(skipped))
     return {**figures, "warnings": warnings}
 
 
@@ -188,6 +199,11 @@ def _of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  
     return _stated(depth_scan, _measure(inputs["pairs"]))
 
 
+def _of_fuse(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    # Poses that are not looked at are not refused, and nothing is said of them.
+    return _stated(fuse, require_poses) if config.scan.check_poses else _stated(fuse)
+
+
 def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
     try:
         method = chosen(config.simplify)  # What clean leaves has neither texture nor parts.
@@ -197,36 +213,44 @@ def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]
     return {**_stated(simplify), method.name: method.result_version, **proof}
 
 
+# What stages read beside the scan: see `pipeline.digest.label_digests`.
+LABELS = ("names", "times")
+
+# Costs are what samples and the README's scans took on two cores, roundly.
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="depth",
-        reads=("pairs",),
+        reads=("pairs", "names"),
         writes="frames",
         sections=("depth",),
         make=_depth,
         versions=_of_depth,
         libraries=_OPENCV,
         results=("points.ply",),
+        cost=Cost(seconds_per_megapixel=0.5, bytes=500e6, bytes_per_megapixel=1e6),
     ),
     Stage(
         name="register",
-        reads=("frames",),
+        reads=("frames", "names", "times"),
         writes="posed",
         sections=("register",),
         make=_register,
         versions=_of(register),
         libraries=_OPENCV | _OPEN3D,
         results=("trajectory.tum", "path.ply", "pieces/"),
+        unmet=lambda config, figures: not_joined(figures),  # noqa: ARG005
+        cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6),
     ),
     Stage(
         name="fuse",
-        reads=("frames", "posed"),
+        reads=("frames", "posed", "names"),
         writes="fused",
         sections=("fuse",),
         make=_fuse,
-        versions=_of(fuse),
+        versions=_of_fuse,
         libraries=_OPENCV | _OPEN3D,
         results=("fused.ply", "pieces/"),
+        cost=Cost(seconds_per_megapixel=0.4),
     ),
     Stage(
         name="clean",
@@ -236,6 +260,7 @@ STAGES: tuple[Stage, ...] = (
         make=_clean,
         versions=_of(clean),
         results=("clean.ply",),
+        cost=Cost(seconds_per_megapixel=0.08),
     ),
     Stage(
         name="simplify",
@@ -246,6 +271,8 @@ STAGES: tuple[Stage, ...] = (
         versions=_of_simplify,
         libraries=_KERNELS,
         results=("simplified.ply",),
+        unmet=lambda config, figures: not_simplified(config.simplify, figures),
+        cost=Cost(seconds_per_megapixel=0.15),
     ),
     Stage(
         name="bake",
@@ -256,6 +283,7 @@ STAGES: tuple[Stage, ...] = (
         versions=_of(bake, compare_surfaces),
         libraries=_OPEN3D | {"xatlas": _version("xatlas")},
         results=("baked.glb",),
+        cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=300e6),
     ),
     Stage(
         name="remesh",
@@ -266,6 +294,8 @@ STAGES: tuple[Stage, ...] = (
         versions=_of(remesh),
         libraries=_KERNELS,
         results=("remeshed.ply", "remeshed.snm", "levels/"),
+        unmet=lambda config, figures: not_close(config.remesh.max_error, figures),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=300e6),
     ),
     Stage(
         name="report",
@@ -276,6 +306,7 @@ STAGES: tuple[Stage, ...] = (
         versions=_of(report.make, compare_surfaces),
         libraries=_OPEN3D,
         results=("pictures/",),
+        cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6),
     ),
 )
 
@@ -284,7 +315,14 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
     """Return the stages a scan goes through: not those of `left_out`, and what they write is not read."""
     stages = [stage for stage in STAGES if stage.name not in left_out(scan, config)]
     there = {source_of(scan), *(stage.writes for stage in stages)}
-    return [replace(stage, reads=tuple(name for name in stage.reads if name in there)) for stage in stages]
+    plan = []
+    for stage in stages:
+        # Frames that the depth stage left are numbered, and have no times.
+        labels = LABELS if source_of(scan) in stage.reads else ()
+        plan.append(
+            replace(stage, reads=tuple(name for name in stage.reads if name in there or name in labels))
+        )
+    return plan
 
 
 def left_out(scan: Scan, config: Config) -> Mapping[str, str]:

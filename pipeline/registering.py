@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.depth_maps import cloud_of
+from pipeline.own_paths import from_folder
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color, rigid_pose
 from stages.registration.register import Registration
@@ -35,8 +36,8 @@ _PATH_COLOR = (255, 0, 0)
 _FILE = "registration.json"
 
 
-def write(folder: Path, found: Registration) -> Mapping[str, Any]:
-    """Write the files into an empty folder, and return figures."""
+def write(folder: Path, found: Registration, scan_folder: Path | None = None) -> Mapping[str, Any]:
+    """Write the files into an empty folder, naming the scan's own from its folder; return figures."""
     used = dict(zip(found.places, found.frames, strict=True))
     _write_poses(folder / "trajectory.tum", used)
     others = {number: frames for number, frames in found.apart.items() if len(frames) > 1}
@@ -52,7 +53,8 @@ def write(folder: Path, found: Registration) -> Mapping[str, Any]:
         "breaks": [{"frame": one.name, "reason": one.reason} for one in found.breaks],
         "skipped": [{"frame": one.name, "reason": one.reason} for one in found.skipped],
     }
-    (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    text = json.dumps(from_folder(document, scan_folder), indent=1)
+    (folder / _FILE).write_text(text + "\n", encoding="utf-8")
     write_ply_cloud(folder / "path.ply", *_cloud(found.frames))
     return found.figures()
 

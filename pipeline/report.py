@@ -6,7 +6,6 @@ cached, belong to one run; `compose` puts both together.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -193,10 +192,6 @@ def _stage(outcome: Outcome, out: Path) -> dict[str, Any]:
         "peak_memory_mb": round(outcome.made["peak_memory_bytes"] / 1e6, 1),
         "params": outcome.params,
         "figures": {} if outcome.stage == "report" else outcome.figures,
+        "unmet": list(outcome.unmet),
         "results": [path.relative_to(out).as_posix() for path in outcome.results],
     }
-
-
-def to_json(report: Mapping[str, Any]) -> str:
-    """Return the text of report.json."""
-    return json.dumps(report, indent=2, allow_nan=False, ensure_ascii=False) + "\n"

@@ -11,12 +11,14 @@ from typing import Any
 
 from pipeline.cache import Cache
 from pipeline.config import Config
-from pipeline.digest import scan_digest
+from pipeline.digest import label_digests, scan_digest
 from pipeline.engine import Engine, Outcome, Source, Stage
 from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
+from pipeline.expectation import megapixels
 from pipeline.failures import explained
 from pipeline.graph import STAGES, is_registered, left_out, plan_for, source_of
-from pipeline.report import compose, to_json
+from pipeline.report import compose
+from pipeline.results import REPORT
 from stages.errors import UsageError
 from stages.scans.read import read_scan, require_complete
 from stages.scans.scan import Scan
@@ -41,6 +43,11 @@ class RunResult:
     stages: tuple[Outcome, ...]
     report: Mapping[str, Any]
 
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """What was asked for and is not reached, in plain sentences."""
+        return tuple(f"{outcome.stage}: {text}" for outcome in self.stages for text in outcome.unmet)
+
     def figures(self) -> dict[str, Any]:
         """Return the report, and where the results are."""
         return {"out": str(self.out), "cache": str(self.cache), **self.report}
@@ -54,6 +61,7 @@ def run(
     until: str | None = None,
     force: Collection[str] = (),
     cache_dir: Path | str | None = None,
+    overwrite: bool = False,
     events: Events = unwatched,
 ) -> RunResult:
     """Take a scan from its folder to a light mesh and a report; stages that need not run are not run.
@@ -67,20 +75,53 @@ def run(
     until : the last stage to run.
     force : stages to run even though their results are cached.
     cache_dir : see `cache_folder`.
+    overwrite : also replace files in `out` that no run has placed there, or that were changed since.
     events : told what happens, from this thread.
 
     Raises
     ------
     InputError
-        If the scan cannot be used.
+        If the scan cannot be used, or a file in `out` is in the way that is not from a run.
     UsageError
         For an unknown stage, a wrong parameter, or an output folder that is the scan itself.
     StageError
         If a stage fails, or the machine runs out of disk or memory.
     """
-    config = config or Config()
+    cache = Cache(cache_folder(Path(out).resolve(), cache_dir), lambda text: events(Warned(text)))
+    wanted = wanted_of(scan_folder, out, config or Config(), until, force, cache)
+    return _run(wanted, cache, overwrite, events)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A run that is asked for, and can be begun: its scan is read, and what is said of it goes together.
+
+    Attributes
+    ----------
+    plan : the stages of the scan.
+    planned : the names of those up to the last that is wanted.
+    warnings : what is odd about the scan.
+    """
+
+    scan: Scan
+    out: Path
+    config: Config
+    plan: Sequence[Stage]
+    planned: tuple[str, ...]
+    force: Collection[str]
+    warnings: tuple[str, ...]
+
+
+def wanted_of(
+    scan_folder: Path | str,
+    out: Path | str,
+    config: Config,
+    until: str | None,
+    force: Collection[str],
+    cache: Cache,
+) -> Wanted:
+    """Read a scan, check what is asked for, and return it; see `run`. Nothing is written."""
     scan_folder, out = Path(scan_folder).resolve(), Path(out).resolve()
-    cache = Cache(cache_folder(out, cache_dir), lambda text: events(Warned(text)))
     for folder, what in ((out, "output"), (cache.folder, "cache")):
         if folder == scan_folder:
             raise UsageError(
@@ -97,7 +138,13 @@ def run(
     for name in (*force, until):
         if name in absent:
             raise UsageError(f"{name} {absent[name]}.")
-    return _run(scan, plan, out, config, until, force, cache, events)
+    names = [stage.name for stage in plan]
+    warnings = list(scan.warnings)
+    if scan.skipped:
+        first = scan.skipped[0]
+        warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
+    planned = tuple(names[: names.index(until) + 1])
+    return Wanted(scan, out, config, plan, planned, force, tuple(warnings))
 
 
 def cache_folder(out: Path, given: Path | str | None = None) -> Path:
@@ -106,35 +153,42 @@ def cache_folder(out: Path, given: Path | str | None = None) -> Path:
     return Path(chosen).resolve() if chosen else out / "cache"
 
 
-def _run(
-    scan: Scan,
-    plan: Sequence[Stage],
-    out: Path,
-    config: Config,
-    until: str,
-    force: Collection[str],
-    cache: Cache,
-    events: Events,
-) -> RunResult:
-    names = [stage.name for stage in plan]
-    planned = tuple(names[: names.index(until) + 1])
-    warnings = list(scan.warnings)
-    if scan.skipped:
-        first = scan.skipped[0]
-        warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
-    events(RunStarted(scan.layout, len(scan.frames), tuple(warnings), planned))
+def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunResult:
+    scan, out, config, planned = wanted.scan, wanted.out, wanted.config, wanted.planned
+    events(RunStarted(scan.layout, len(scan.frames), wanted.warnings, planned))
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()
     content = scan_digest(scan, lambda done, total: events(StageProgress("scan", done, total)))
     source = Source(content.digest, scan, content.parts, content.require_unchanged)
-    with Engine(plan, config, {source_of(scan): source}, cache, out, events) as engine:
-        engine.results.withdraw_others(names)
-        outcomes = tuple(engine.run(until, force))
-        final = engine.withdraw_outdated(until)
+    labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
+    with Engine(
+        wanted.plan,
+        config,
+        {source_of(scan): source, **labels},
+        cache,
+        out,
+        events,
+        overwrite=overwrite,
+        megapixels=megapixels(scan),
+    ) as engine:
+        engine.results.require_replaceable(placed_by(wanted))
+        engine.results.withdraw_others([stage.name for stage in wanted.plan])
+        outcomes = tuple(engine.run(planned[-1], wanted.force))
+        final = engine.withdraw_outdated(planned[-1])
         report = compose(scan, outcomes, {} if final is None else final.figures, out)
-        engine.results.write_report(to_json(report))
-    return RunResult(out, cache.folder, outcomes, report)
+        written = engine.results.write_report(report)
+    if config.cache.max_bytes is not None:
+        cache.limit(config.cache.max_bytes)
+    return RunResult(out, cache.folder, outcomes, written)
+
+
+def placed_by(wanted: Wanted) -> list[str]:
+    """Return the names in the output folder that a run will place files under."""
+    return [
+        *(name for stage in wanted.plan if stage.name in wanted.planned for name in stage.results),
+        REPORT,
+    ]
 
 
 def _require_stage(name: str, known: Sequence[str]) -> None:

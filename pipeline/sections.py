@@ -9,20 +9,17 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
-import sys
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from stages.errors import UsageError
+from stages.files.documents import parse_toml
+from stages.files.opening import text_in
 from stages.params import Described, described, renamed
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
+_MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
 
 _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "off": False}
@@ -47,7 +44,9 @@ class Sections:
             If the file cannot be read, is not TOML, or names an unknown section, parameter or value.
         """
         try:
-            text = path.read_text(encoding="utf-8")
+            if path.stat().st_size > _MAX_BYTES:
+                raise UsageError(f"{path}: the file is too large for a configuration.")
+            text = text_in(path, "utf-8")
         except OSError as error:
             raise UsageError(f"{path}: the config file cannot be read ({error.strerror}).") from error
         except UnicodeDecodeError as error:
@@ -58,8 +57,8 @@ class Sections:
     def loads(cls: type[S], text: str, where: str = "config") -> S:
         """Read TOML text; `where` starts every message."""
         try:
-            data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+            data = parse_toml(text)
+        except ValueError as error:
             raise UsageError(f"{where}: this is not TOML ({error}).") from error
         config = cls()
         for section, values in data.items():
@@ -112,14 +111,14 @@ class Sections:
     def _require_section(self, section: str, where: str) -> None:
         if section not in self.types():
             advice = _did_you_mean(section, self.types())
-            raise UsageError(f"{where}: there is no stage {section!r}; {advice}.")
+            raise UsageError(f"{where}: there is no stage {section!r}; {advice}")
 
     def _kind(self, section: str, key: str, where: str) -> Any:
         self._require_section(section, where)
         cls = self.types()[section]
         known = described(cls)
         if key not in known:
-            raise UsageError(f"{where}: {section} has no parameter {key!r}; {_did_you_mean(key, known)}.")
+            raise UsageError(f"{where}: {section} has no parameter {key!r}; {_did_you_mean(key, known)}")
         return get_type_hints(cls)[key]
 
     def _with(self: S, section: str, values: Mapping[str, Any], where: str) -> S:
@@ -135,7 +134,7 @@ class Sections:
 def _did_you_mean(word: str, known: Iterable[str]) -> str:
     names = list(known)
     near = difflib.get_close_matches(word, names, n=1)
-    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}"
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}."
 
 
 def _kinds(hint: Any) -> tuple[Any, ...]:

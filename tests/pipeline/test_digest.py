@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.digest import canonical, digest, file_digest, scan_digest
+from pipeline.digest import canonical, digest, file_digest, label_digests, scan_digest
 from stages.errors import StageError
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 
@@ -91,6 +91,27 @@ def test_what_people_are_shown_does_not_decide(tmp_path):
     frame = replace(scan.frames[0], name="b", timestamp=12)
     other = replace(scan, frames=[frame], layout="other", folder=tmp_path, warnings=("odd",))
     assert scan_digest(other).digest == scan_digest(scan).digest
+
+
+def test_names_and_times_have_digests_of_their_own(tmp_path):
+    scan = one_frame_scan(tmp_path)
+    frame = scan.frames[0]
+    before = label_digests(scan)
+    later = label_digests(replace(scan, frames=[replace(frame, timestamp=12)]))
+    assert later["names"] == before["names"]
+    assert later["times"] != before["times"]
+    for other in (replace(frame, name="b"), replace(frame, color=frame.color.rename(tmp_path / "c.png"))):
+        renamed = label_digests(replace(scan, frames=[other]))
+        assert renamed["names"] != before["names"]
+        assert renamed["times"] == before["times"]
+
+
+def test_names_are_those_within_the_scan(tmp_path):
+    def of(folder):
+        folder.mkdir()
+        return label_digests(replace(one_frame_scan(folder), folder=folder))
+
+    assert of(tmp_path / "here") == of(tmp_path / "there")
 
 
 def test_the_rig_decides(tmp_path):

@@ -64,6 +64,7 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
     register = json.loads((out / "report.json").read_text())["stages"]["register"]
     assert register["figures"]["frames"] == len(truth)
     assert register["figures"]["pieces"] == [len(truth)]
+    assert first.unmet == ()
 
     again = run(unposed, out, config("fuse.voxel_size=0.03"), until="fuse")
     assert [outcome.cached for outcome in again.stages][:2] == [True, False]
@@ -80,6 +81,10 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
             cv2.imwrite(str(folder / image), pixels[:, ::-1])
     result = run(folder, tmp_path / "out", config("scan.every=2", "scan.last=17"), until="fuse")
     assert result.report["stages"]["register"]["figures"]["pieces"] == [6, 3]
+    (sentence,) = result.unmet
+    assert sentence.startswith(
+        "register: the frames fall into 2 pieces that could not be joined; piece 1 is used"
+    )
     assert len(read_tum(tmp_path / "out" / "pieces" / "trajectory-2.tum").poses) == 3
     apart = read_ply(tmp_path / "out" / "pieces" / "fused-2.ply")
     assert 1000 < len(apart.triangles) < len(read_ply(tmp_path / "out" / "fused.ply").triangles)
@@ -115,3 +120,22 @@ def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) ->
 def test_a_scan_without_poses_is_refused_where_it_is_switched_off(unposed: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no poses: .*scan\.poses=FILE"):
         run(unposed, tmp_path / "out", config("register.enabled=false"))
+
+
+def test_time_stamps_reach_the_trajectory(unposed: Path, tmp_path: Path) -> None:
+    """A second run once gave the first one's times: they were in no key, for no stage computes with them."""
+    folder = tmp_path / "scan"
+    shutil.copytree(unposed, folder)
+
+    def times(start: int) -> list[str]:
+        document = json.loads((folder / "scan.json").read_text())
+        for i, frame in enumerate(document["frames"]):
+            frame["timestamp"] = start + i * 1_000_000_000
+        (folder / "scan.json").write_text(json.dumps(document))
+        run(folder, tmp_path / "out", config("scan.last=9"), until="register")
+        lines = (tmp_path / "out" / "trajectory.tum").read_text().splitlines()
+        return [line.split()[0] for line in lines if not line.startswith("#")]
+
+    assert [float(word) for word in times(100_000_000_000)] == [100, 103, 106, 109]
+    assert [float(word) for word in times(200_000_000_000)] == [200, 203, 206, 209]
+    assert [float(word) for word in times(200_000_000_000)] == [200, 203, 206, 209]

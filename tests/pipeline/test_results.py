@@ -1,6 +1,7 @@
 """What stands in the output folder, and what a run says while it works."""
 
 import errno
+import json
 import os
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from dataclasses import replace
 
 import pytest
 
+from pipeline.digest import file_digest
 from pipeline.events import StageFinished, StageProgress, StageStarted
 from stages.errors import InputError, StageError
 
@@ -59,7 +61,7 @@ def test_changed_and_deleted_results_come_back(toy, scan, out):
     data = bytearray((out / "tables" / "counts.txt").read_bytes())
     data[0] ^= 1
     (out / "tables" / "counts.txt").write_bytes(data)
-    assert all(outcome.cached for outcome in toy.run(scan, out))
+    assert all(outcome.cached for outcome in toy.run(scan, out, overwrite=True))
     assert contents(out) == expected
 
 
@@ -67,8 +69,22 @@ def test_editing_a_result_does_not_reach_into_the_cache(toy, scan, out):
     with (out / "mixed.bin").open("r+b") as file:
         file.write(b"edited in place")
     warnings = []
-    assert all(outcome.cached for outcome in toy.run(scan, out, warnings=warnings))
+    assert all(outcome.cached for outcome in toy.run(scan, out, warnings=warnings, overwrite=True))
     assert warnings == []
+
+
+def test_what_somebody_edited_is_not_replaced_unless_that_is_asked_for(toy, scan, out):
+    edited = out / "tables" / "counts.txt"
+    edited.write_bytes(b"edited")
+    with pytest.raises(InputError, match=r"counts\.txt: no run has placed this, or it was changed since"):
+        toy.run(scan, out)
+    with pytest.raises(InputError, match=r"counts\.txt"):
+        toy.run(scan, out, "cut.far=3")
+    assert edited.read_bytes() == b"edited"
+    assert toy.run(scan, out, "cut.far=3", overwrite=True)
+    assert edited.read_bytes() != b"edited"
+    # What was replaced on demand is ours again.
+    assert toy.run(scan, out)
 
 
 def test_before_a_stage_runs_its_old_results_and_the_later_ones_leave(toy, scan, out):
@@ -217,3 +233,43 @@ def test_two_runs_with_other_parameters_take_turns(toy, scan, tmp_path):
         toy.run(scan, tmp_path / str(gain), f"mix.gain={gain}")
         alone.append(contents(tmp_path / str(gain)))
     assert contents(out) in alone
+
+
+NESTED = "[" * 500 + "]" * 500
+
+
+def decided_by(text):
+    return f'{{"mix": {{"placed": {{}}, "decided": {text}}}}}'
+
+
+@pytest.mark.parametrize(
+    "stages",
+    [
+        *("[]", "1", '{"mix": 1}', '{"mix": {}}', '{"mix": {"placed": [], "decided": {}}}', NESTED),
+        '{"mix": {"placed": {}, "decided": {"recipe": 1, "parts": 2}}}',
+        decided_by('{"recipe": {"params": {"mix": 1}, "libraries": {}}, "parts": {}}'),
+        decided_by('{"recipe": {"params": {}, "libraries": 1}, "parts": {"frames": 1}}'),
+        decided_by(NESTED),
+    ],
+)
+def test_a_record_that_no_run_wrote_explains_nothing(toy, scan, out, stages):
+    [record] = (out / "cache" / "runs").glob("*.json")
+    record.write_text(f'{{"schema": 1, "keys": [], "stages": {stages}}}')
+    (scan / "01.raw").write_bytes(bytes(64))
+    # Nothing tells any more whose the files are.
+    outcomes = toy.run(scan, out, overwrite=True)
+    assert outcomes[0].reason == "first run"
+    assert files(out) == NAMES
+
+
+def test_a_record_takes_away_no_files_elsewhere(toy, scan, out):
+    mine = out.parent / "mine.txt"
+    mine.write_bytes(b"mine")
+    [record] = (out / "cache" / "runs").glob("*.json")
+    content = file_digest(mine)
+    for name in ("../mine.txt", str(mine)):
+        document = json.loads(record.read_text())
+        document["stages"]["other"] = document["stages"]["mix"] | {"placed": {name: content}}
+        record.write_text(json.dumps(document))
+        toy.run(scan, out, "cut.far=3" if name.startswith(".") else "cut.far=4")
+        assert mine.exists()

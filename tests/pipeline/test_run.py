@@ -1,8 +1,10 @@
 """The real stages, on scans of a few small frames."""
 
+import contextlib
 import json
 import math
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +18,7 @@ import pytest
 from pipeline.cache import Cache
 from pipeline.config import Config
 from pipeline.depth_maps import depth_scale
+from pipeline.digest import digest, file_digest
 from pipeline.events import RunStarted, Warned
 from pipeline.graph import STAGES
 from pipeline.report import edge_figures
@@ -209,7 +212,7 @@ def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, tmp_path, assignm
 
 def test_every_section_decides_one_stage():
     used = [section for stage in STAGES for section in stage.sections]
-    assert sorted([*used, "scan"]) == sorted(Config.types())
+    assert sorted([*used, "scan", "cache"]) == sorted(Config.types())
 
 
 @pytest.mark.parametrize("section", sorted(set(Config.types()) - {"scan"}))
@@ -292,6 +295,52 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
         assert warned.startswith("fuse: 1 frames were skipped; the first, ")
 
 
+def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
+    (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
+    options = quick("fuse.max_bad_share=0.5")
+    first = run(rgbd, tmp_path / "out", options, until="fuse")
+    moved_to = tmp_path / "elsewhere"
+    rgbd.rename(moved_to)
+    again = run(moved_to, tmp_path / "out", options, until="fuse")
+    assert ran(again) == [], "a moved scan is the same scan"
+    for result in (first, again):
+        [skipped] = result.stages[0].figures["frames_skipped"]
+        assert skipped["reason"].startswith("depth/0003.png: "), "not where it stood once"
+    (moved_to / "depth" / "0003.png").rename(moved_to / "depth" / "third.png")
+    listed = moved_to / "scan.json"
+    listed.write_text(listed.read_text().replace("depth/0003.png", "depth/third.png"))
+    renamed = run(moved_to, tmp_path / "out", options, until="fuse")
+    [skipped] = renamed.stages[0].figures["frames_skipped"]
+    assert skipped["reason"].startswith("depth/third.png: ")
+
+
+def test_cache_is_kept_to_its_size_after_a_run(rgbd, tmp_path):
+    out = tmp_path / "out"
+    run(rgbd, out, quick("fuse.voxel_size=0.03"), until="fuse")
+    first = run(rgbd, out, quick(), until="fuse").stages[0].folder
+    assert len(list(first.parent.iterdir())) == 2
+    warnings = []
+    options = quick("cache.max_size=1 kB")
+    again = run(rgbd, out, options, until="fuse", events=lambda e: warnings.append(getattr(e, "text", "")))
+    assert ran(again) == []
+    assert [path.name for path in first.parent.iterdir()] == [first.name]
+    assert "more than cache.max_size" in warnings[-1]
+
+
+def test_poses_that_were_not_looked_at_are_looked_at_once_asked_for(rgbd, tmp_path):
+    listed = json.loads((rgbd / "scan.json").read_text())
+    for frame in listed["frames"]:
+        pose = np.array(frame["world_from_camera"])
+        pose[0, 3] *= -15
+        frame["world_from_camera"] = pose.tolist()
+    (rgbd / "scan.json").write_text(json.dumps(listed))
+    assert ran(run(rgbd, tmp_path / "out", quick("scan.check_poses=false"), until="fuse")) == ["fuse"]
+    with contextlib.suppress(
+        InputError
+    ):  # What it then says is a matter of test_poses_of_another_convention.
+        assert ran(run(rgbd, tmp_path / "out", quick(), until="fuse")) == ["fuse"]
+
+
 def test_pairs_that_are_all_bad(stereo, tmp_path):
     for path in stereo.glob("right/*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path)).astype(np.uint16))
@@ -370,3 +419,79 @@ def test_poses_of_another_convention_stop_the_run(shared_data, tmp_path):
     config = Config().set([f"scan.poses={inverse}"])
     with pytest.raises(InputError, match="tabletop_box_realsense: the poses are probably world-to-camera"):
         run(scan, tmp_path / "out", config, until="fuse")
+
+
+def test_a_file_that_no_run_has_placed_is_not_replaced(rgbd, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "simplified.ply").write_bytes(b"mine")
+    for name in ("fused.ply", "notes.txt"):
+        (out / name).write_bytes(b"mine")
+    with pytest.raises(InputError, match=r"fused\.ply: no run has placed this, .* --overwrite") as refused:
+        run(rgbd, out, quick(), until="fuse")
+    assert "\n" not in str(refused.value)
+    # Said before any work.
+    assert not list((out / "cache").glob("fuse/*"))
+    (out / "fused.ply").unlink()
+    assert ran(run(rgbd, out, quick(), until="fuse")) == ["fuse"]
+    with pytest.raises(InputError, match=r"simplified\.ply"):
+        run(rgbd, out, quick())
+    assert (out / "simplified.ply").read_bytes() == (out / "notes.txt").read_bytes() == b"mine"
+    run(rgbd, out, quick(), overwrite=True)
+    assert len(read_ply(out / "simplified.ply").triangles) > 0
+    assert (out / "notes.txt").read_bytes() == b"mine"
+
+
+def test_a_folder_without_its_cache_still_knows_its_own_files(rgbd, tmp_path):
+    out = tmp_path / "out"
+    run(rgbd, out, quick(), until="clean")
+    shutil.rmtree(out / "cache")
+    assert ran(run(rgbd, out, quick("fuse.voxel_size=0.08"), until="fuse")) == ["fuse"]
+    # What does not follow from it any more has gone, as ever.
+    assert names(out) == ["fused.ply", "report.json"]
+    shutil.rmtree(out / "cache")
+    report = out / "report.json"
+    report.write_text(report.read_text().replace('"frames": ', '"frames": 1'))
+    with pytest.raises(InputError, match=r"fused\.ply|report\.json"):
+        run(rgbd, out, quick(), until="clean")
+
+
+def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    run(rgbd, out, quick(), until="clean")
+    run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")
+
+    class KilledError(BaseException):
+        pass
+
+    def killed(*_):
+        raise KilledError
+
+    for at in ("copy_whole", "Results.write_report"):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"pipeline.results.{at}", killed)
+            with pytest.raises(KilledError):
+                run(rgbd, out, quick(), until="clean")
+        run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")
+
+
+def test_a_report_leads_to_nothing_outside_its_folder(rgbd, tmp_path):
+    out, other = tmp_path / "out", tmp_path / "other.ply"
+    other.write_bytes(b"mine")
+    run(rgbd, out, quick(), until="fuse")
+    report = json.loads((out / "report.json").read_text())
+    del report["digest"]
+    report["placed"]["remesh"] = {"../other.ply": file_digest(other)}
+    (out / "report.json").write_text(json.dumps({**report, "digest": digest(report)}))
+    shutil.rmtree(out / "cache")
+    with pytest.raises(InputError, match="no run has placed this"):
+        run(rgbd, out, quick(), until="fuse")
+    assert other.read_bytes() == b"mine"
+
+
+def test_results_of_another_cache_leave_when_they_do_not_follow_any_more(rgbd, tmp_path):
+    out = tmp_path / "out"
+    run(rgbd, out, quick(), until="clean", cache_dir=tmp_path / "a")
+    run(rgbd, out, quick("fuse.voxel_size=0.08"), until="clean", cache_dir=tmp_path / "b")
+    run(rgbd, out, quick("fuse.voxel_size=0.09"), until="fuse", cache_dir=tmp_path / "a")
+    assert names(out) == ["fused.ply", "report.json"]

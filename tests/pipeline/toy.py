@@ -129,6 +129,7 @@ def run(
     cache: Path | None = None,
     events: Events = unwatched,
     warnings: list[str] | None = None,
+    overwrite: bool = False,
 ) -> list[Outcome]:
     """Run the toy pipeline as pipeline.run does the real one."""
     out.mkdir(parents=True, exist_ok=True)
@@ -137,7 +138,8 @@ def run(
     frames = Source(content.digest, scan, content.parts, content.require_unchanged)
     store = Cache(cache or out / "cache", None if warnings is None else warnings.append)
     store.remove_abandoned()
-    with Engine(plan, ToyConfig().set(assignments), {"frames": frames}, store, out, events) as engine:
+    config, sources = ToyConfig().set(assignments), {"frames": frames}
+    with Engine(plan, config, sources, store, out, events, overwrite=overwrite) as engine:
         outcomes = list(engine.run(until, force))
         engine.withdraw_outdated(until)
         return outcomes

@@ -1,0 +1,123 @@
+"""What a run would do is said without writing anything, and is what the run then does."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from pipeline.config import Config
+from pipeline.dry_run import DryRun, foresee
+from pipeline.expectation import BASE_BYTES, Cost, expected
+from pipeline.run import run
+from stages.errors import UsageError
+
+SCAN = Path(__file__).parents[2] / "samples" / "rgbd"
+QUICK = (
+    "scan.every=3",
+    "fuse.voxel_size=0.04",
+    "simplify.ratio=0.3",
+    "compare.samples=1000",
+    "report.viewpoints=1",
+    "report.width=64",
+)
+
+
+def config(*more: str) -> Config:
+    return Config().set([*QUICK, *more])
+
+
+def traces(folder: Path) -> dict[str, tuple[int, int, int]]:
+    """Name, size, place and time of everything in a folder."""
+    return {
+        str(path): (found.st_size, found.st_ino, found.st_mtime_ns)
+        for path in sorted([folder, *folder.rglob("*")])
+        for found in [os.lstat(path)]
+    }
+
+
+def cached(found: DryRun) -> dict[str, bool]:
+    return {one.stage: one.cached for one in found.stages}
+
+
+def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
+    found = foresee(SCAN, tmp_path / "out", config())
+    assert list(tmp_path.iterdir()) == []
+    assert cached(found) == dict.fromkeys(("fuse", "clean", "simplify", "report"), False)
+    assert [one.reason for one in found.stages] == ["first run"] * 4
+    assert {one.expected.basis for one in found.stages if one.expected} == {"estimated"}
+    assert found.seconds > 0
+    assert found.memory_bytes > BASE_BYTES
+
+
+@pytest.mark.slow
+def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(SCAN, out, config())
+    for more, reasons in (
+        ((), {}),
+        (
+            ("simplify.ratio=0.4",),
+            {"simplify": "params changed: ratio 0.3 → 0.4", "report": "follows simplify, which runs"},
+        ),
+        (
+            ("fuse.voxel_size=0.05", "report.width=65"),
+            {
+                "fuse": "params changed: voxel_size 0.04 → 0.05",
+                "clean": "follows fuse, which runs",
+                "simplify": "params changed: ratio 0.4 → 0.3; follows clean, which runs",
+                "report": "params changed: report.width 64 → 65; follows fuse, clean, simplify, which run",
+            },
+        ),
+    ):
+        before = traces(tmp_path)
+        found = foresee(SCAN, out, config(*more))
+        assert traces(tmp_path) == before
+        assert {one.stage: one.reason for one in found.stages if not one.cached} == reasons
+        bases = [one.expected.basis for one in found.stages if one.expected is not None]
+        assert set(bases) <= {"measured", "scaled"}
+        did = run(SCAN, out, config(*more))
+        assert {outcome.stage: outcome.cached for outcome in did.stages} == cached(found)
+
+
+@pytest.mark.slow
+def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(SCAN, out, config(), until="clean")
+    forced = foresee(SCAN, out, config(), until="clean", force=("fuse",))
+    assert [one.reason for one in forced.stages] == ["forced", "follows fuse, which runs"]
+    assert [one.expected.basis for one in forced.stages if one.expected] == ["measured", "scaled"]
+    (entry,) = (out / "cache" / "clean").iterdir()
+    (entry / "clean.ply").write_bytes(b"ply")
+    (out / "simplified.ply").write_text("mine")
+    before = traces(tmp_path)
+    found = foresee(SCAN, out, config())
+    assert traces(tmp_path) == before
+    assert [one.cached for one in found.stages] == [True, False, False, False]
+    assert found.stages[1].reason.startswith("its cached result is damaged: clean.ply")
+    assert found.refused is not None
+    assert found.refused.startswith(f"{out / 'simplified.ply'}: no run has placed this")
+    assert foresee(SCAN, out, config(), overwrite=True).refused is None
+    assert foresee(SCAN, out, config(), until="clean").refused is None
+
+
+def test_what_is_wrong_is_said_as_by_the_run(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="did you mean clean"):
+        foresee(SCAN, tmp_path / "out", config(), until="cleen")
+
+
+def test_an_expectation_grows_with_the_scan() -> None:
+    made = {"seconds": 10.0, "peak_memory_bytes": BASE_BYTES + 1000, "megapixels": 2.0}
+    known = [{"recipe": {"stage": "fuse", "inputs": {"frames": "a"}}, "made": made}]
+    measured = expected("fuse", 2.0, {"frames": "a"}, known, Cost())
+    assert (measured.seconds, measured.memory_bytes, measured.basis) == (10.0, BASE_BYTES + 1000, "measured")
+    scaled = expected("fuse", 6.0, {"frames": "b"}, known, Cost())
+    assert (scaled.seconds, scaled.memory_bytes, scaled.basis) == (30.0, BASE_BYTES + 3000, "scaled")
+    cost = Cost(seconds=1, seconds_per_megapixel=2, bytes=5, bytes_per_megapixel=7)
+    guessed = expected("clean", 10.0, None, known, cost)
+    assert (guessed.seconds, guessed.memory_bytes) == (21.0, BASE_BYTES + 75)
+    assert guessed.basis == "estimated"
+    # Results of an earlier version do not say how large their scan was.
+    del made["megapixels"]
+    assert expected("fuse", 6.0, None, known, Cost()).seconds == 10.0
