@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from cli import interrupts
+
+if __name__ == "__main__":
+    # The imports below take a moment, in which Ctrl-C may come.
+    interrupts.leave_at_once()
+
 import io
 import os
 import sys
@@ -13,7 +19,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cli import errors
+from cli import errors, exit_codes
 from cli.commands import (
     bake,
     cache,
@@ -33,10 +39,11 @@ from cli.commands import (
     run,
     simplify,
 )
+from cli.one_line import one_line
 from cli.options import with_options
 from cli.output import to_json, with_schema
 from stages import __version__
-from stages.errors import ScanloomError
+from stages.errors import ScanloomError, is_lack_of_memory
 from stages.params import RenamedWarning
 
 # What the help lists under each heading, in this order; a command has the name of its function.
@@ -69,7 +76,7 @@ def _app() -> typer.Typer:
             made.command(command.__name__, rich_help_panel=panel)(with_options(command))
     kept = typer.Typer(rich_markup_mode="rich")
     for command in (cache.ls, cache.verify, cache.prune):
-        kept.command(command.__name__)(with_options(command))
+        kept.command(command.__name__)(with_options(command, can_warn=False))
     made.add_typer(
         kept,
         name="cache",
@@ -88,7 +95,15 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
+_HELP = f"""Turn a scan folder (stereo pairs or RGB-D frames with poses) into a light, coloured mesh.
+
+Start with: scanloom inspect FOLDER, then: scanloom run FOLDER -o OUT
+
+Exit codes: {exit_codes.in_short()}.
+"""
+
+
+@app.callback(invoke_without_command=True, help=_HELP)
 def scanloom(
     context: typer.Context,
     debug: Annotated[  # noqa: ARG001 - read from the command line where failures are caught
@@ -99,15 +114,10 @@ def scanloom(
         typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
     ] = False,
 ) -> None:
-    """Turn a scan folder (stereo pairs or RGB-D frames with poses) into a light, coloured mesh.
-
-    Start with: scanloom inspect FOLDER, then: scanloom run FOLDER -o OUT
-
-    Exit codes: 0 done, 1 a stage failed, 2 wrong usage, 3 bad input, 130 interrupted.
-    """
+    """Print the help where no command is named."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
-        raise typer.Exit(errors.WRONG_USAGE)
+        raise typer.Exit(exit_codes.WRONG_USAGE)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -115,27 +125,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A file name need not be text, and a terminal need not know every sign: neither may end a command.
         sys.stdout.reconfigure(errors="backslashreplace")
-    sys.exit(run_command(sys.argv[1:] if arguments is None else arguments))
+    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        interrupts.raise_interrupt()
+        code = run_command(words)
+        interrupts.leave_at_once()
+    except KeyboardInterrupt:
+        # In the moments between two handlers.
+        code = _tell(errors.failure_of(KeyboardInterrupt()), None, words)
+    sys.exit(code)
 
 
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command line; every exception becomes a sentence on stderr and an exit code."""
-    with _told_of_former_names():
+    with _warnings_in_a_line("--debug" in arguments):
         return _run(arguments)
 
 
 @contextmanager
-def _told_of_former_names() -> Iterator[None]:
-    """Tell a person on stderr which name an option or key has now; Python's own words name lines of code."""
+def _warnings_in_a_line(debug: bool) -> Iterator[None]:
+    """Tell a person on stderr what libraries warn of, and which name an option or key has now.
+
+    Python's own words are several lines, and name lines of code; they are there with `debug`.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("always", RenamedWarning)
         usual = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if issubclass(category, RenamedWarning):
-                sys.stderr.write(f"warning: {message}\n")
-            else:
+            if debug and not issubclass(category, RenamedWarning):
                 usual(message, category, *where, **more)
+            else:
+                sys.stderr.write(one_line(f"warning: {message}") + "\n")
 
         warnings.showwarning = show
         yield
@@ -159,8 +180,11 @@ def _run(arguments: Sequence[str]) -> int:
     ) as error:
         return _tell(errors.failure_of(error), error, arguments)
     except Exception as error:
-        return _tell(errors.bug_of(error), error, arguments)
-    if code == errors.INTERRUPTED:  # typer keeps the KeyboardInterrupt to itself
+        if is_lack_of_memory(error):
+            return _tell(errors.failure_of(error), error, arguments)
+        bug = errors.failure_of(KeyboardInterrupt()) if interrupts.happened() else errors.bug_of(error)
+        return _tell(bug, error, arguments)
+    if code == exit_codes.INTERRUPTED:  # typer keeps the KeyboardInterrupt to itself
         return _tell(errors.failure_of(KeyboardInterrupt()), None, arguments)
     return code or 0
 
@@ -170,7 +194,7 @@ def _tell(failure: errors.Failure, error: BaseException | None, arguments: Seque
     if "--debug" in arguments and error is not None:
         traceback.print_exception(error)
     try:
-        sys.stderr.write(f"scanloom: {failure.sentence}\n")
+        sys.stderr.write(one_line(f"scanloom: {failure.sentence}") + "\n")
         if "--json" in arguments:
             figures = {"error": failure.sentence, "exit_code": failure.exit_code}
             sys.stdout.write(to_json(with_schema(figures)) + "\n")
@@ -184,7 +208,7 @@ def _without_reader() -> int:
     """Leave quietly when the reader of our output (head, less) has gone."""
     # Python flushes stdout once more at exit; that must not fail again.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return errors.STAGE_FAILED
+    return exit_codes.FAILED
 
 
 if __name__ == "__main__":

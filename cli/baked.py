@@ -6,18 +6,44 @@ from pathlib import Path
 from typing import Any
 
 import stages
-from cli.mesh_arguments import write_file
+from cli.mesh_arguments import tell_notes, write_file
 from cli.output import Output, lines_of
 from stages import BakeParams, Mesh
+from stages.errors import ScanloomError
 
 # Formats that hold texture coordinates and an image.
 TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")
+
+
+def loses_image(light: Mesh, original: Mesh) -> bool:
+    """Return whether the original has an image that the light mesh has not."""
+    return _has_image(original) and not _has_image(light)
+
+
+def _has_image(mesh: Mesh) -> bool:
+    return mesh.texture is not None and bool(mesh.texture.images) and bool(mesh.texture.has_uvs().any())
+
+
+def baked_by_default(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
+    """Bake the image of an original anew where the light mesh has lost it, and the format has room for it.
+
+    Returns the figures. None where there is nothing to bake, or it cannot be done, which is told: the mesh is
+    still to be written then.
+    """
+    if target.suffix.lower() not in TEXTURED_SUFFIXES or not loses_image(light, original):
+        return None
+    try:
+        return baked_to(target, light, original, BakeParams(), out)
+    except ScanloomError as error:
+        out.warn(f"{target}: the image is left out; it could not be baked anew: {error}")
+        return None
 
 
 def baked_to(target: Path, light: Mesh, original: Mesh, params: BakeParams, out: Output) -> dict[str, Any]:
     """Bake, write the textured mesh, and return the figures."""
     with out.progress("bake", "rows") as progress:
         baked = stages.bake(light, original, params, progress=progress)
+    tell_notes(target, baked.mesh.notes[len(light.notes) :], out)
     write_file(target, baked.mesh, out)
     return baked.figures()
 

@@ -1,7 +1,4 @@
-"""From a failure to one plain sentence and an exit code.
-
-Exit codes: 0 done, 1 a stage failed, 2 wrong usage, 3 bad input, 130 interrupted.
-"""
+"""From a failure to one plain sentence and an exit code."""
 
 from __future__ import annotations
 
@@ -10,10 +7,10 @@ from dataclasses import dataclass
 
 import typer
 
+from cli.exit_codes import BAD_INPUT, FAILED, INTERRUPTED, WRONG_USAGE
+from cli.interrupts import SENTENCE
 from cli.options import as_typed
-from stages.errors import InputError, UsageError
-
-STAGE_FAILED, WRONG_USAGE, BAD_INPUT, INTERRUPTED = 1, 2, 3, 130
+from stages.errors import InputError, UsageError, is_lack_of_memory
 
 # What typer raises for a wrong command line; its base class has no public name of its own.
 TyperUsageError: type[Exception] = next(k for k in typer.BadParameter.__mro__ if k.__name__ == "UsageError")
@@ -49,19 +46,19 @@ class Failure:
 def failure_of(error: BaseException) -> Failure:
     """Return the sentence and exit code of an exception that ended a command."""
     if isinstance(error, (KeyboardInterrupt, typer.Abort)):
-        return Failure("Interrupted; what was finished is kept.", INTERRUPTED)
+        return Failure(SENTENCE, INTERRUPTED)
     if isinstance(error, TyperUsageError):
         return Failure(_usage_sentence(error), WRONG_USAGE)
     if isinstance(error, UsageError):
         return Failure(str(error), WRONG_USAGE)
     if isinstance(error, InputError):
         return Failure(as_typed(str(error)), BAD_INPUT)
+    if is_lack_of_memory(error):
+        advice = "choose a larger voxel size, or run on a machine with more memory"
+        return Failure(f"There is not enough memory; {advice}.", FAILED)
     if isinstance(error, OSError):
         return _system_failure(error)
-    if isinstance(error, MemoryError):
-        advice = "choose a larger voxel size, or run on a machine with more memory"
-        return Failure(f"There is not enough memory; {advice}.", STAGE_FAILED)
-    return Failure(str(error), STAGE_FAILED)
+    return Failure(str(error), FAILED)
 
 
 def bug_of(error: BaseException) -> Failure:
@@ -69,7 +66,7 @@ def bug_of(error: BaseException) -> Failure:
     what = f"{type(error).__name__}: {error}".rstrip(": ").replace("\n", " ")
     return Failure(
         f"This is a bug in scanloom ({what}). Please report it with what --debug adds to the same command.",
-        STAGE_FAILED,
+        FAILED,
     )
 
 
@@ -87,4 +84,4 @@ def _system_failure(error: OSError) -> Failure:
     if error.errno in _PATH_ERRORS:
         return Failure(f"{where}{_PATH_ERRORS[error.errno]}.", BAD_INPUT)
     reason = _MACHINE_ERRORS.get(error.errno or 0, error.strerror or str(error))
-    return Failure(f"{where}{reason}.", STAGE_FAILED)
+    return Failure(f"{where}{reason}.", FAILED)

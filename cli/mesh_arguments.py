@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,11 @@ import stages
 from cli.output import Output
 from cli.paths import require_file
 from stages import Mesh, MeshError
+
+# Formats without colours.
+SHAPE_ALONE = (".off", ".stl")
+# The one note of a reader that nothing is lost by: a surface of polygons is as good as one of triangles.
+_HARMLESS = re.compile(r"[\d,]+ polygons? (was|were) split into triangles")
 
 MeshFile = Annotated[
     Path, typer.Argument(metavar="IN", help="Mesh file: PLY, OBJ, OFF, STL, glTF or GLB.", show_default=False)
@@ -26,11 +32,17 @@ NewMesh = Annotated[
 
 
 def read_file(path: Path, out: Output) -> Mesh:
-    """Return the mesh of a file; what its reader met on the way is remarked."""
+    """Return the mesh of a file; what its reader changed or could not use is told."""
     mesh = stages.read_mesh(require_file(path))
-    for note in mesh.notes:
-        out.remark(f"{path}: {note}")
+    tell_notes(path, mesh.notes, out)
     return mesh
+
+
+def tell_notes(path: Path, notes: Iterable[str], out: Output) -> None:
+    """Warn of what a mesh lost on the way; that it consists of triangles now is only remarked."""
+    for note in notes:
+        tell = out.remark if _HARMLESS.fullmatch(note) else out.warn
+        tell(f"{path}: {note}")
 
 
 @contextmanager
@@ -46,6 +58,10 @@ def about_file(path: Path) -> Iterator[None]:
 
 def write_file(path: Path, mesh: Mesh, out: Output) -> None:
     """Write a mesh, into a folder that is made if need be, and remark how large it is."""
+    if path.suffix.lower() in SHAPE_ALONE and (mesh.colors is not None or mesh.texture is not None):
+        out.warn(
+            f"{path}: {path.suffix} holds the shape alone: the colours are left out; write .ply or .glb."
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     stages.write_mesh(path, mesh)
     tell_written(path, mesh, out)

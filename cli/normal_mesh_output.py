@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cli.baked import baked_text
 from cli.mesh_arguments import tell_written
 from cli.output import Output, lines_of, table_of
 from stages import NormalMesh
@@ -22,22 +23,27 @@ SaveLevels = Annotated[
 ]
 
 
-def write_normal_mesh(target: Path, found: NormalMesh, folder: Path | None, out: Output) -> None:
-    """Write the finest level to `target`, and all of them into `folder` if one is given."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    found.write(target)
-    tell_written(target, found.mesh, out)
+def write_normal_mesh(target: Path | None, found: NormalMesh, folder: Path | None, out: Output) -> None:
+    """Write the finest level to `target`, and all of them into `folder`, if these are given."""
+    if target is not None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        found.write(target)
+        tell_written(target, found.mesh, out)
     if folder is not None:
         for path, mesh in zip(found.write_levels(folder), found.levels, strict=True):
             tell_written(path, mesh, out)
 
 
-def tell_normal_mesh(target: Path, found: NormalMesh, out: Output) -> None:
-    """Tell the figures of each level, and what a person should know of them."""
-    for warning in found.warnings:
-        out.remark(f"warning: {warning}")
+def tell_normal_mesh(
+    target: Path, found: NormalMesh, out: Output, baked: dict[str, Any] | None = None
+) -> None:
+    """Tell the figures of each level and of what was baked, and warn of what a person should know of them."""
     figures = {"output": str(target), **found.figures()}
-    out.result(figures, None if out.as_json else _text(figures))
+    text = None if out.as_json else _text(figures)
+    if baked is not None:
+        figures["baked"] = baked
+        text = None if text is None else f"{text}\n\n{baked_text(baked)}"
+    out.result(figures, text)
 
 
 def _text(figures: Mapping[str, Any]) -> str:

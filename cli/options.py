@@ -10,7 +10,9 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, get_args, get_origin, get_type_hints
@@ -39,7 +41,21 @@ JsonOption = Annotated[
     ),
 ]
 QuietOption = Annotated[
-    bool, typer.Option("--quiet", "-q", help="No progress on stderr.", rich_help_panel=OUTPUT_PANEL)
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        help="No progress and no remarks on stderr; warnings are told all the same.",
+        rich_help_panel=OUTPUT_PANEL,
+    ),
+]
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="Exit code 1 if there is any warning; the result is written all the same.",
+        rich_help_panel=OUTPUT_PANEL,
+    ),
 ]
 DebugOption = Annotated[
     bool,
@@ -47,21 +63,23 @@ DebugOption = Annotated[
 ]
 
 
-def with_options(function: Callable[..., None]) -> Callable[..., None]:
+def with_options(function: Callable[..., None], *, can_warn: bool = True) -> Callable[..., None]:
     """Turn arguments that are parameter classes, or the Output, into command-line options.
 
-    The parameters of a class keep their declared defaults unless their option is given, so that a default
-    is stated in one place only.
+    A command ends with the exit code of its Output, which has --strict if it `can_warn`. The parameters of a
+    class keep their declared defaults unless their option is given, so that a default is stated in one place
+    only.
     """
     hints = get_type_hints(function, include_extras=True)
     kept: list[inspect.Parameter] = []
     generated: list[inspect.Parameter] = []
     builders: dict[str, Callable[[dict[str, Any]], Any]] = {}
+    takes_output: list[str] = []
     for parameter in inspect.signature(function).parameters.values():
         hint = hints[parameter.name]
         if hint is Output:
-            generated += _switches()
-            builders[parameter.name] = _output
+            generated += _switches(can_warn=can_warn)
+            takes_output.append(parameter.name)
         elif get_origin(hint) is Changes:
             generated += _options(get_args(hint)[0])
             builders[parameter.name] = functools.partial(given, get_args(hint)[0])
@@ -73,8 +91,13 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(function)
     def command(**values: Any) -> None:
-        built = {name: builder(values) for name, builder in builders.items()}
-        return function(**built, **{parameter.name: values[parameter.name] for parameter in kept})
+        out = _output(values)
+        with _warnings_counted(out):
+            built = {name: builder(values) for name, builder in builders.items()}
+            outputs = dict.fromkeys(takes_output, out)
+            function(**built, **outputs, **{parameter.name: values[parameter.name] for parameter in kept})
+        if out.exit_code:
+            raise typer.Exit(out.exit_code)
 
     command.__signature__ = inspect.Signature([*kept, *generated])  # type: ignore[attr-defined]
     command.__annotations__ = {}
@@ -197,15 +220,38 @@ def _plain_type(hint: Any) -> type:
     raise TypeError(f"no option can be made for {hint}")
 
 
-def _switches() -> list[inspect.Parameter]:
-    options = {"as_json": JsonOption, "quiet": QuietOption, "debug": DebugOption}
+def _switches(*, can_warn: bool) -> list[inspect.Parameter]:
+    options = {"as_json": JsonOption, "quiet": QuietOption, "strict": StrictOption, "debug": DebugOption}
+    if not can_warn:
+        del options["strict"]
     return [_keyword(name, option, default=False) for name, option in options.items()]
 
 
 def _output(values: dict[str, Any]) -> Output:
     # --debug needs nothing here: what catches the failure reads it from the command line itself, since
     # a failure may come before the options are understood.
-    return Output(as_json=values["as_json"], quiet=values["quiet"])
+    return Output(
+        as_json=values.get("as_json", False),
+        quiet=values.get("quiet", False),
+        strict=values.get("strict", False),
+        can_warn="strict" in values,
+    )
+
+
+@contextmanager
+def _warnings_counted(out: Output) -> Iterator[None]:
+    """Count what is warned of in Python's way, of former names too, which whoever runs the command shows."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        out.count_warning(str(message))
+        usual(message, category, *where, **more)
+
+    warnings.showwarning = show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
 
 
 def _keyword(name: str, annotation: Any, default: Any = None) -> inspect.Parameter:

@@ -1,4 +1,8 @@
-"""Where a command's words go: results on stdout, progress and remarks on stderr."""
+"""Where a command's words go: results on stdout; progress, remarks and warnings on stderr.
+
+What changes the result, or may spoil it, is a warning; it is never silenced. What only tells how work goes
+on (a file that was written, a stage that is done) is a remark.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from cli.exit_codes import DONE, FAILED
+from cli.one_line import one_line
 from pipeline.schema import SCHEMA
 from stages.printing import name_and_value
 from stages.progress import Progress, silent
@@ -19,29 +25,80 @@ class Output:
 
     Parameters
     ----------
-    as_json : stdout gets one JSON object and stderr stays silent but for a failure.
-    quiet : no progress and no remarks; the result is still printed.
+    as_json : stdout gets one JSON object; stderr only warnings, what was not reached, and failures.
+    quiet : no progress and no remarks; the result is still printed, and so are warnings.
+    strict : warnings make the exit code 1.
+    can_warn : JSON has `warnings` also where there are none.
     """
 
-    def __init__(self, *, as_json: bool = False, quiet: bool = False) -> None:
+    def __init__(
+        self, *, as_json: bool = False, quiet: bool = False, strict: bool = False, can_warn: bool = False
+    ) -> None:
         self.as_json = as_json
         self.quiet = quiet or as_json
+        self._strict = strict
+        self._can_warn = can_warn
+        # In order, each once.
+        self._warnings: dict[str, None] = {}
+        self._unmet: dict[str, None] = {}
+
+    @property
+    def exit_code(self) -> int:
+        """What the command that has given its result ends with."""
+        return FAILED if self._unmet or (self._strict and self._warnings) else DONE
 
     def remark(self, text: str) -> None:
         """Tell a person on stderr what is going on."""
         if not self.quiet:
-            sys.stderr.write(text + "\n")
-            sys.stderr.flush()
+            _say(text)
+
+    def warn(self, text: str) -> None:
+        """Tell what changes the result or may spoil it: on stderr, whatever is silenced, and in JSON."""
+        if text not in self._warnings:
+            self.count_warning(text)
+            _say(f"warning: {text}")
+
+    def warn_of(self, figures: Mapping[str, Any]) -> None:
+        """Tell the warnings among figures, if there are any."""
+        for warning in figures.get("warnings", ()):
+            self.warn(warning)
+
+    def count_warning(self, text: str) -> None:
+        """Take note of a warning that the person has before them already."""
+        self._warnings[text] = None
+
+    def unmet(self, text: str) -> None:
+        """Tell that what is written is not what was asked for; the exit code is then 1."""
+        # What was a warning before is known by now.
+        if text not in self._unmet and text not in self._warnings:
+            _say(f"scanloom: {text}")
+        self._unmet[text] = None
 
     def result(self, figures: Mapping[str, Any], text: str | None = None) -> None:
-        """Print what came out: JSON for a program, `text` (or the figures, one a line) for a person."""
+        """Print what came out: JSON for a program, `text` (or the figures, one a line) for a person.
+
+        Warnings among the figures are told first, if they were not before.
+        """
+        self.warn_of(figures)
         if self.as_json:
-            text = to_json(with_schema(figures))
+            text = to_json(with_schema({**figures, **self._said()}))
         elif text is None:
-            text = lines_of(figures)
+            text = lines_of({name: value for name, value in figures.items() if name != "warnings"})
         sys.stdout.write(text + "\n")
         # Here, not at exit, so that a full disk or a closed pipe is noticed while it can be reported.
         sys.stdout.flush()
+        if self._strict and self._warnings and not self._unmet:
+            count = f"{len(self._warnings)} warning{'s' * (len(self._warnings) != 1)}"
+            makes = "makes" if len(self._warnings) == 1 else "make"
+            _say(f"scanloom: with --strict, {count} {makes} the exit code 1; the result is written.")
+
+    def _said(self) -> dict[str, list[str]]:
+        said: dict[str, list[str]] = {}
+        if self._warnings or self._can_warn:
+            said["warnings"] = list(self._warnings)
+        if self._unmet:
+            said["unmet"] = list(self._unmet)
+        return said
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
@@ -53,6 +110,11 @@ class Output:
 
         with bar(label, unit) as update:
             yield update
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(one_line(text) + "\n")
+    sys.stderr.flush()
 
 
 def with_schema(figures: Mapping[str, Any]) -> dict[str, Any]:

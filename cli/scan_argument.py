@@ -1,4 +1,4 @@
-"""The scan folder that a command is given."""
+"""The scan folder that a command is given, read, and what is odd of it told."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+import stages
+from cli.options import as_typed
+from cli.output import Output
+from cli.paths import require_scan
+from cli.skipped import tell_skipped
+from stages import Scan, ScanParams
 
 ScanFolder = Annotated[
     Path,
@@ -15,3 +22,18 @@ ScanFolder = Annotated[
         show_default=False,
     ),
 ]
+
+
+def read_scan(folder: Path, params: ScanParams, out: Output, *, complete: bool = True) -> Scan:
+    """Return the scan of a folder; what is odd and what cannot be used is warned of.
+
+    Parameters
+    ----------
+    complete : refuse a scan without poses, depth or whatever else it needs.
+    """
+    scan = stages.read_scan(require_scan(folder), params, complete=complete)
+    for warning in scan.warnings:
+        out.warn(as_typed(warning))
+    skipped = [{"frame": one.name, "reason": one.reason} for one in scan.skipped]
+    tell_skipped(out, "the reader", {"frames_skipped": skipped})
+    return scan

@@ -9,7 +9,18 @@ from typing import Any
 
 from cli.options import as_typed
 from cli.output import Output
-from pipeline.events import Event, Events, RunStarted, StageFinished, StageProgress, StageStarted, Warned
+from cli.skipped import tell_skipped
+from pipeline.events import (
+    Event,
+    Events,
+    RunStarted,
+    StageFinished,
+    StageProgress,
+    StageStarted,
+    Waiting,
+    Warned,
+)
+from pipeline.skipped import said_of_skipped
 from stages.printing import at_most
 from stages.progress import Progress
 from stages.simplification.methods import METHODS
@@ -46,8 +57,15 @@ class _Watcher:
         self._bar = ExitStack()
         self._update: Progress | None = None
         self._bar_stage = ""
+        self._stages: tuple[str, ...] = ()
+        # Of stages, told at the next event: frames that were skipped are told when the stage has finished.
+        self._warned: list[str] = []
 
     def __call__(self, event: Event) -> None:
+        if isinstance(event, StageFinished) and event.figures.get("frames_skipped"):
+            said = f"{event.stage}: {said_of_skipped(event.figures['frames_skipped'])}"
+            self._warned = [text for text in self._warned if text != said]
+        self._tell_warned()
         match event:
             case RunStarted():
                 self._started(event)
@@ -62,19 +80,35 @@ class _Watcher:
                 self._out.remark(line_of(event))
                 tell_skipped(self._out, event.stage, event.figures)
             case Warned():
-                self.close()
-                self._out.remark(f"warning: {event.text}")
+                self._warned.append(event.text)
+                if event.text.partition(": ")[0] not in self._stages:
+                    self._tell_warned()
+            case Waiting():
+                self._close_bar()
+                self._out.remark(event.text)
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Take the bar away, and tell what is left to tell."""
+        self._tell_warned()
+        self._close_bar()
+
+    def _tell_warned(self) -> None:
+        if self._warned:
+            self._close_bar()
+        for text in self._warned:
+            self._out.warn(as_typed(text))
+        self._warned = []
+
+    def _close_bar(self) -> None:
         self._bar.close()
         self._update, self._bar_stage = None, ""
 
     def _started(self, event: RunStarted) -> None:
+        self._stages = event.stages
         self.close()
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:
-            self._out.remark(as_typed(f"warning: {warning}"))
+            self._out.warn(as_typed(warning))
 
     def _show_bar(self, stage: str) -> None:
         if stage != self._bar_stage:
@@ -98,15 +132,6 @@ def headline(stage: str, figures: Mapping[str, Any]) -> str:
 
 def _of_method(name: str | None) -> str:
     return next((method.details.headline for method in METHODS if method.name == name), "")
-
-
-def tell_skipped(out: Output, who: str, figures: Mapping[str, Any]) -> None:
-    """Say how many frames could not be used, and why the first of them."""
-    skipped = figures.get("frames_skipped")
-    if skipped:
-        first = skipped[0]
-        count = f"{len(skipped)} frame{'s' * (len(skipped) != 1)}"
-        out.remark(f"warning: {who} left out {count}; the first is {first['frame']}: {first['reason']}")
 
 
 class _Figures(string.Formatter):

@@ -10,6 +10,7 @@ import typer
 from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
 from cli.mesh_arguments import read_file
 from cli.output import Output
+from cli.overlap import require_overlap
 from cli.paths import require_new_file
 from stages import BakeParams
 
@@ -42,4 +43,5 @@ def bake(
     require_new_file(target, TEXTURED_SUFFIXES)
     mesh, reference = read_file(light, out), read_file(original, out)
     figures = {"output": str(target), **baked_to(target, mesh, reference, params, out)}
+    require_overlap(light, mesh, original, reference, out)
     out.result(figures, baked_text(figures))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.errors import STAGE_FAILED
+from cli.exit_codes import FAILED
 from cli.output import Output, size_of, table_of
 from stages import InputError, UsageError
 from stages.params import check, param
@@ -32,9 +32,6 @@ CacheFolder = Annotated[
 _DAY = 86_400.0
 
 
-_MEGABYTE = 1_000_000
-
-
 @dataclass(frozen=True, kw_only=True)
 class PruneParams:
     """What to remove from a cache."""
@@ -43,8 +40,10 @@ class PruneParams:
     older_than: float | None = param(
         None, "Remove what was last used longer ago; without it age does not count.", unit="days", low=0
     )
-    max_size: float | None = param(
-        None, "Then remove what was unused longest until the rest is no larger.", unit="MB", low=0
+    max_size: str | None = param(
+        None,
+        "Remove only what was unused longest, until the rest is no larger than this, such as `20 GB`; a "
+        "number alone is in MB. What the latest run of an output folder used stays.",
     )
     dry_run: bool = param(False, "Only say what would be removed.")
 
@@ -72,18 +71,21 @@ def verify(out: Output, folder: CacheFolder = None) -> None:
     entries = cache.verify()
     _print_entries(cache.folder, entries, out)
     if any(entry.problem for entry in entries):
-        raise typer.Exit(STAGE_FAILED)
+        raise typer.Exit(FAILED)
 
 
 def prune(params: PruneParams, out: Output, folder: CacheFolder = None) -> None:
     """Remove kept results that the latest run of no output folder used.
 
-    Example: scanloom cache prune --older-than 30
+    Example: scanloom cache prune --max-size "20 GB"
     """
+    from pipeline.cache_size import bytes_of
+
     cache = _open(folder)
     removed = cache.prune(
+        unused=params.max_size is None,
         older_than=0.0 if params.all else None if params.older_than is None else params.older_than * _DAY,
-        max_size=None if params.max_size is None else int(params.max_size * _MEGABYTE),
+        max_size=None if params.max_size is None else bytes_of(params.max_size, "max_size"),
         dry_run=params.dry_run,
     )
     _print_entries(cache.folder, removed, out, "would be removed" if params.dry_run else "removed")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stages
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
 from cli.output import Output
 from cli.paths import MESH_SUFFIXES, require_new_file
 from stages import CleanParams
@@ -20,5 +20,6 @@ def clean(source: MeshFile, target: NewMesh, params: CleanParams, out: Output) -
     mesh = read_file(source, out)
     with about_file(source):
         cleaned = stages.clean(mesh, params)
+    tell_notes(source, cleaned.mesh.notes[len(mesh.notes) :], out)
     write_file(target, cleaned.mesh, out)
     out.result({"output": str(target), **cleaned.figures()})

@@ -11,6 +11,7 @@ import typer
 import stages
 from cli.mesh_arguments import read_file
 from cli.output import Output, table_of
+from cli.overlap import require_overlap
 from stages import CompareParams
 
 
@@ -24,12 +25,14 @@ def compare(
 ) -> None:
     """Measure how far two meshes are apart, in shape (both ways) and in colour.
 
+    Meshes that lie apart by more than the smaller one's size are not of one thing: the exit code is then 1.
     Relative distances refer to the diagonal of the bounding box of A.
 
     Example: scanloom compare fused.ply simplified.ply --json
     """
     mesh_a, mesh_b = read_file(reference, out), read_file(other, out)
     figures = stages.compare(mesh_a, mesh_b, params).figures()
+    require_overlap(other, mesh_b, reference, mesh_a, out)
     out.result(figures, None if out.as_json else _comparison_text(figures))
 
 

@@ -42,6 +42,6 @@ def decode(
         require_writable(save_levels)
     found = stages.decode(require_file(source), level)
     if found.damage is not None:
-        out.remark(f"warning: {source}: only levels 0 to {len(found.offsets)} are whole: {found.damage}")
+        out.warn(f"{source}: only levels 0 to {len(found.offsets)} are whole: {found.damage}")
     write_normal_mesh(target, found, save_levels, out)
     tell_normal_mesh(target, found, out)

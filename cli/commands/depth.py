@@ -9,8 +9,9 @@ import typer
 
 import stages
 from cli.output import Output
-from cli.paths import new_folder, require_scan
-from cli.scan_argument import ScanFolder
+from cli.paths import new_folder
+from cli.scan_argument import ScanFolder, read_scan
+from cli.skipped import tell_skipped
 from stages import DepthParams, ScanParams
 
 
@@ -31,8 +32,9 @@ def depth(
     """
     from pipeline.depth_maps import write_depth_maps
 
-    source = stages.read_scan(require_scan(folder), scan)
+    source = read_scan(folder, scan, out)
     measure = stages.views_depth if source.is_views else stages.depth_scan
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, measure(source, params, progress), len(source.frames))
+    tell_skipped(out, "depth", figures)
     out.result({"output": str(target), **figures})

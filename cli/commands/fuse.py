@@ -8,9 +8,11 @@ from typing import Annotated
 import typer
 
 import stages
+from cli.mesh_arguments import write_file
 from cli.output import Output
-from cli.paths import MESH_SUFFIXES, require_new_file, require_scan
-from cli.scan_argument import ScanFolder
+from cli.paths import MESH_SUFFIXES, require_new_file
+from cli.scan_argument import ScanFolder, read_scan
+from cli.skipped import tell_skipped
 from stages import FuseParams, InputError, ScanParams
 from stages.inspecting.sanity import require_poses
 
@@ -34,7 +36,7 @@ def fuse(
     Example: scanloom fuse my_scan fused.ply --voxel-size 0.01
     """
     require_new_file(target, MESH_SUFFIXES)
-    source = stages.read_scan(require_scan(folder), scan)
+    source = read_scan(folder, scan, out)
     if source.is_stereo or source.is_views:
         what = "stereo pairs" if source.is_stereo else "single views"
         raise InputError(
@@ -44,9 +46,10 @@ def fuse(
         )
     if scan.check_poses:
         for doubt in require_poses(source):
-            out.remark(doubt)
+            out.warn(doubt)
     with out.progress("fuse", "frames") as progress:
         fused = stages.fuse(source, params, progress=progress)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    stages.write_mesh(target, fused.mesh)
-    out.result({"output": str(target), **fused.figures()})
+    write_file(target, fused.mesh, out)
+    figures = fused.figures()
+    tell_skipped(out, "fuse", figures)
+    out.result({"output": str(target), **figures})

@@ -42,4 +42,7 @@ def inspect(
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_png(picture, inspection_picture(scan))
+    # What is odd is the answer here, and stands in it.
+    for warning in inspection.warnings:
+        out.count_warning(warning)
     out.result(inspection.figures(), as_typed("\n".join(inspection.lines())))

@@ -19,9 +19,9 @@ from stages.surface.formats.ply import write_ply
 def patches(source: MeshFile, target: NewMesh, params: PatchParams, out: Output) -> None:
     """Find the near-planar patches of a mesh, its walls and floors, and write it coloured by them.
 
-    These are what `scanloom simplify --method planar` triangulates anew, but that it divides a patch that
-    lies over itself, seen along its normal. In a PLY, each face also has the number of its patch; patches are
-    numbered by area, largest first.
+    These are what `scanloom simplify --method planar` triangulates anew, or those of a tighter bound where
+    they leave fewer triangles, but that it divides a patch that lies over itself, seen along its normal. In
+    a PLY, each face also has the number of its patch; patches are numbered by area, largest first.
 
     Example: scanloom patches clean.ply patches.ply --max-shape 0.02
     """

@@ -9,9 +9,11 @@ import typer
 
 import stages
 from cli.output import Output
-from cli.paths import new_folder, require_scan
-from cli.scan_argument import ScanFolder
+from cli.paths import new_folder
+from cli.scan_argument import ScanFolder, read_scan
+from cli.skipped import tell_skipped
 from stages import InputError, RegisterParams, ScanParams
+from stages.registration.unmet import unmet
 from stages.scans.read import require_complete
 
 
@@ -34,7 +36,7 @@ def register(
     """
     from pipeline.registering import write
 
-    source = stages.read_scan(require_scan(folder), scan, complete=False)
+    source = read_scan(folder, scan, out, complete=False)
     if source.is_stereo:
         raise InputError(
             f"these are stereo pairs without depth; run `scanloom depth {folder} OUTDIR`, register OUTDIR, "
@@ -44,4 +46,8 @@ def register(
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
         figures = write(draft, stages.register(source, params, progress=progress))
+    tell_skipped(out, "register", figures)
+    out.warn_of(figures)
+    for sentence in unmet(figures):
+        out.unmet(sentence)
     out.result({"output": str(target), **figures})

@@ -10,11 +10,14 @@ import typer
 from numpy.typing import NDArray
 
 import stages
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file
+from cli.baked import baked_by_default
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes
 from cli.normal_mesh_output import SaveLevels, tell_normal_mesh, write_normal_mesh
 from cli.output import Output, size_of
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from stages import InputError, RemeshParams
+from stages.normal_meshes.unmet import unmet
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.surface.formats.ply import read_vertex_values
 
 _SNM = (".snm",)
@@ -35,14 +38,21 @@ def remesh(
         ),
     ] = None,
     save_levels: SaveLevels = None,
+    bake: Annotated[
+        bool,
+        typer.Option(
+            "--bake/--no-bake",
+            help="Where IN has an image and OUT is .glb, .obj or .ply, make a new image for OUT from it, as "
+            "`scanloom bake` does.",
+        ),
+    ] = True,
 ) -> None:
     """Make a normal mesh: a base mesh, refined level by level on the surface, one number a vertex.
 
     OUT is the finest level, which lies on the surface of IN with even triangles. Colours are carried along,
     and so is a property `confidence` of a PLY file's vertices.
 
-    IN must be a manifold mesh; run `scanloom clean` on it first when it is not. Vertices where several fans
-    of triangles touch are split.
+    Where IN is no manifold it is split into sheets.
 
     Example: scanloom remesh clean.ply normal.ply --save normal.snm --tolerance 1e-4
 
@@ -56,14 +66,19 @@ def remesh(
     mesh = read_file(source, out)
     with about_file(source), out.progress("remesh", "levels") as progress:
         found = stages.remesh(mesh, params, confidence=_confidence(source), progress=progress)
-    for note in found.mesh.notes[len(mesh.notes) :]:
-        out.remark(note)
-    write_normal_mesh(target, found, save_levels, out)
+    baked = baked_by_default(target, found.mesh, mesh, out) if bake else None
+    notes = found.mesh.notes[len(mesh.notes) :]
+    tell_notes(source, [note for note in notes if baked is None or TEXTURE_LEFT_OUT not in note], out)
+    write_normal_mesh(target if baked is None else None, found, save_levels, out)
     if save is not None:
         save.parent.mkdir(parents=True, exist_ok=True)
         found.save(save)
         out.remark(f"{save}: {size_of(len(found.data))}")
-    tell_normal_mesh(target, found, out)
+    figures = found.figures()
+    out.warn_of(figures)
+    for sentence in unmet(params.max_error, figures):
+        out.unmet(sentence)
+    tell_normal_mesh(target, found, out, baked)
 
 
 def _confidence(path: Path) -> NDArray[np.float64] | None:

@@ -12,7 +12,8 @@ import stages
 from cli.mesh_arguments import MeshFile, read_file
 from cli.output import Output
 from cli.paths import require_new_file
-from stages import UsageError
+from cli.scan_argument import read_scan
+from stages import ScanParams, UsageError
 from stages.params import check, param, with_former_names
 from stages.picturing.render import write_png
 
@@ -55,7 +56,7 @@ def render(
     Example: scanloom render simplified.ply picture.png --shading edges --viewpoint 2
     """
     require_new_file(target, (".png",))
-    frames = stages.read_scan(scan).frames if scan is not None else ()
+    frames = read_scan(scan, ScanParams(), out).frames if scan is not None else ()
     mesh = read_file(source, out)
     around = stages.viewpoints(mesh, max(params.viewpoint, 4), frames=frames, width=params.width)
     if params.viewpoint > len(around):

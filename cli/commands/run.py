@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.options import Changes
-from cli.output import Output
+from cli.options import Changes, as_typed
+from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
-from cli.watch import tell_skipped, watching
+from cli.watch import watching
 from stages import ScanParams
 
 if TYPE_CHECKING:
+    from pipeline.dry_run import DryRun
     from pipeline.run import RunResult
 
 
@@ -59,6 +60,21 @@ def run(
             show_default=False,
         ),
     ] = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option(
+            "--overwrite",
+            help="Also replace files in OUT that no run has placed there, or that were changed since.",
+        ),
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Only say what would be done, and write nothing: the stages, which of them are cached and "
+            "why the others are not, and the seconds and memory to expect.",
+        ),
+    ] = False,
     cache: Annotated[
         Path | None,
         typer.Option(
@@ -78,6 +94,7 @@ def run(
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
     from pipeline.config import Config
+    from pipeline.dry_run import foresee
     from pipeline.run import run as run_pipeline
     from stages.simplification.auto import chosen
 
@@ -87,12 +104,69 @@ def run(
     config = replace(config, scan=replace(config.scan, **scan_options))
     chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
     require_writable(target)
+    if dry_run:
+        _tell_dry_run(
+            foresee(
+                scan,
+                target,
+                config,
+                until=until,
+                force=tuple(force or ()),
+                cache_dir=cache,
+                overwrite=overwrite,
+            ),
+            out,
+        )
+        return
     with watching(out) as events:
         result = run_pipeline(
-            scan, target, config, until=until, force=tuple(force or ()), cache_dir=cache, events=events
+            scan,
+            target,
+            config,
+            until=until,
+            force=tuple(force or ()),
+            cache_dir=cache,
+            overwrite=overwrite,
+            events=events,
         )
-    tell_skipped(out, "the reader", result.report["scan"])
+    for sentence in result.unmet:
+        out.unmet(sentence)
     out.result(result.figures(), _summary(result))
+
+
+def _tell_dry_run(found: DryRun, out: Output) -> None:
+    """Print what a run would do; that it would be refused is a warning."""
+    for warning in found.warnings:
+        out.warn(as_typed(warning))
+    if found.refused is not None:
+        out.warn(f"the run would not begin: {found.refused}")
+    figures = found.figures()
+    rows = [["stage", "", "seconds", "memory", "expected from"]]
+    for one in found.stages:
+        take = one.expected
+        rows.append(
+            [one.stage, "cached", "", "", ""]
+            if take is None
+            else [one.stage, "runs", f"{take.seconds:.1f}", size_of(take.memory_bytes), _BASES[take.basis]]
+        )
+    reasons = [f"{one.stage}: {one.reason}" for one in found.stages if not one.cached]
+    lines = [f"{found.layout}, {found.frames:,} frames; nothing is written.", "", table_of(rows)]
+    if reasons:
+        lines += [
+            "",
+            *reasons,
+            "",
+            f"about {found.seconds:.0f} s, and {size_of(found.memory_bytes)} at the most",
+        ]
+    out.result({**figures, "warnings": []}, "\n".join(lines))
+
+
+# What an expectation rests on, in words.
+_BASES = {
+    "measured": "the same work before",
+    "scaled": "other work before",
+    "estimated": "the size of the scan (an estimate)",
+}
 
 
 def _summary(result: RunResult) -> str:

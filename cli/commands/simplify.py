@@ -9,16 +9,18 @@ from typing import Annotated, Any
 import typer
 
 import stages
-from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, write_file
+from cli.baked import TEXTURED_SUFFIXES, baked_by_default, baked_text, baked_to
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
 from cli.options import option_name
 from cli.output import Output, lines_of
 from cli.paths import MESH_SUFFIXES, require_new_file
 from cli.written_bounds import SaveBounds, write_bounds
 from stages import BakeParams, Simplified, SimplifyParams, UsageError
 from stages.simplification.auto import chosen
+from stages.simplification.kernel_input import TEXTURE_LEFT_OUT
 from stages.simplification.methods import METHODS
 from stages.simplification.regions import parse_region
+from stages.simplification.unmet import unmet
 
 
 def simplify(
@@ -46,13 +48,15 @@ def simplify(
     ] = None,
     save_bounds: SaveBounds = None,
     bake: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--bake",
+            "--bake/--no-bake",
             help="Keep the colour in full: a texture with the colours of IN, as `scanloom bake` makes it, in "
-            "place of vertex colours. OUT is then .glb, .obj or .ply.",
+            "place of vertex colours. OUT is then .glb, .obj or .ply. Default: where IN has an image, and "
+            "the method does not carry it.",
+            show_default=False,
         ),
-    ] = False,
+    ] = None,
     partial: Annotated[
         bool,
         typer.Option(
@@ -102,7 +106,11 @@ def simplify(
             partial=partial,
             progress=progress,
         )
-    baked = baked_to(target, simplified.mesh, mesh, BakeParams(), out) if bake else None
+    baked: dict[str, Any] | None = None
+    if bake:
+        baked = baked_to(target, simplified.mesh, mesh, BakeParams(), out)
+    elif bake is None:
+        baked = baked_by_default(target, simplified.mesh, mesh, out)
     if baked is None:
         write_file(target, simplified.mesh, out)
     if simplified.record is not None and save_record is not None:
@@ -112,8 +120,14 @@ def simplify(
         proven = simplified.details
         write_bounds(save_bounds, simplified.mesh, proven.shape_bound, proven.color_bound, out)
     figures = {"output": str(target), **simplified.figures()}
+    notes = simplified.mesh.notes[len(mesh.notes) :]
+    if baked is not None:
+        notes = tuple(note for note in notes if TEXTURE_LEFT_OUT not in note)
+    tell_notes(source, notes, out)
     for warning in simplified.warnings:
-        out.remark(f"warning: {warning}")
+        out.warn(warning)
+    for sentence in unmet(params, figures):
+        out.unmet(f"{target}: {sentence}")
     text = _text(simplified, figures)
     if baked is not None:
         figures["baked"] = baked

@@ -120,6 +120,9 @@ def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path
     assert figures["method"] == "planar"
     assert figures["details"]["shape_bound_m"] <= 0.05
     assert len(read_mesh(light).triangles) == figures["triangles"] < 1280
+    # Those of the bound that leaves fewest triangles.
+    assert figures["details"]["patch_shape_m"] <= figures["details"]["max_shape_m"] == 0.05
+    bounds = ("--max-shape", figures["details"]["patch_shape_m"])
     ran = scanloom("patches", clean, colored, *bounds)
     assert ran.exit_code == 0, ran.stderr
     assert f"{figures['details']['patches']:,} patches, " in ran.stdout
@@ -139,8 +142,11 @@ def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_pa
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] * 2, float)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
     write_ply(source, Mesh(corners, triangles, np.repeat([[0] * 3, [255] * 3], 4, axis=0).astype(np.uint8)))
-    ran = scanloom("simplify", source, tmp_path / "light.ply", "--max-color", 20)
-    assert ran.exit_code == 0, ran.stderr
+    light = tmp_path / "light.ply"
+    ran = scanloom("simplify", source, light, "--max-color", 20)
+    assert ran.exit_code == 1
+    assert light.exists()
+    assert f"scanloom: {light}: the bounds that were asked for are not proven; proven are" in ran.stderr
     assert "Not proven: the bounds that were asked for, at 4 triangles of the result and 4 of" in ran.stdout
 
 
@@ -315,14 +321,15 @@ def test_a_truncated_mesh_is_bad_input_and_leaves_nothing(scanloom: Run, ball: P
     assert not target.exists()
 
 
-def test_a_mesh_that_is_not_manifold_is_named_and_sent_to_clean(scanloom: Run, tmp_path: Path) -> None:
+def test_a_mesh_that_is_not_manifold_is_split_and_a_warning_says_so(scanloom: Run, tmp_path: Path) -> None:
     fan = tmp_path / "fan.ply"
     vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, -1, 0]], float)
     write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))
     ran = scanloom("simplify", fan, tmp_path / "light.ply")
-    assert ran.exit_code == 3
-    assert ran.stderr.startswith(f"scanloom: {fan}: ")
-    assert "clean" in ran.stderr
+    assert ran.exit_code == 0
+    assert ran.stderr.count(f"warning: {fan}: the surface is no manifold: it was split into sheets") == 1
+    assert "run clean first" in ran.stderr
+    assert scanloom("simplify", fan, tmp_path / "light.ply", "--strict").exit_code == 1
 
 
 def test_debug_adds_the_traceback(scanloom: Run) -> None:
@@ -342,3 +349,38 @@ def test_an_unforeseen_error_is_a_sentence_too(
     assert ran.exit_code == 1
     assert "bug in scanloom" in json.loads(ran.stdout)["error"]
     assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".glb"])
+def test_an_output_takes_the_place_of_what_a_link_leads_to(
+    scanloom: Run, ball: Path, tmp_path: Path, suffix: str
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    file, link = there / f"real{suffix}", tmp_path / f"link{suffix}"
+    file.write_text("old")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    assert scanloom("clean", ball, link).exit_code == 0
+    assert link.is_symlink()
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert len(read_mesh(file).triangles) == 1280
+    assert {path.name for path in tmp_path.iterdir()} == {"ball.ply", "there", link.name}
+
+
+def test_images_and_materials_go_beside_the_file_that_a_link_leads_to(scanloom: Run, tmp_path: Path) -> None:
+    (tmp_path / "wood.png").write_bytes(cv2.imencode(".png", np.full((4, 4, 3), 90, np.uint8))[1].tobytes())
+    (tmp_path / "model.mtl").write_text("newmtl wood\nmap_Kd wood.png\n")
+    model = tmp_path / "model.obj"
+    model.write_text(
+        "mtllib model.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\nusemtl wood\n"
+        "f 1/1 2/2 3/3\nf 2/2 4/4 3/3\n"
+    )
+    there, link = tmp_path / "there", tmp_path / "link.obj"
+    there.mkdir()
+    link.symlink_to(there / "real.obj")
+    assert scanloom("simplify", model, link, "--ratio", 1, "--method", "seams").exit_code == 0
+    written = read_mesh(there / "real.obj")
+    assert written.texture is not None
+    assert written.texture.images
+    assert sorted(path.name for path in tmp_path.glob("link*")) == ["link.obj"]

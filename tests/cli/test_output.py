@@ -15,7 +15,7 @@ import typer
 from cli.errors import bug_of, failure_of
 from cli.output import Output, lines_of, to_json
 from pipeline.schema import SCHEMA
-from stages.errors import InputError, MeshError, StageError, UsageError
+from stages.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
 
 
 def test_json_holds_only_what_every_reader_takes() -> None:
@@ -124,10 +124,25 @@ def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code
     assert (failure.exit_code, failure.sentence) == (exit_code, sentence)
 
 
-def test_a_lack_of_memory_is_explained() -> None:
-    failure = failure_of(MemoryError())
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        ImportError("libx.so: failed to map segment from shared object"),
+        ImportError("libx.so: cannot create shared object descriptor: Cannot allocate memory"),
+        RuntimeError("can't start new thread"),
+    ],
+)
+def test_a_lack_of_memory_is_explained(error: Exception) -> None:
+    assert is_lack_of_memory(error)
+    failure = failure_of(error)
     assert failure.exit_code == 1
     assert "memory" in failure.sentence
+
+
+def test_a_library_that_is_loaded_too_late_is_no_lack_of_memory() -> None:
+    assert not is_lack_of_memory(ImportError("libx.so: cannot allocate memory in static TLS block"))
 
 
 def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:

@@ -119,6 +119,8 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
     assert re.search(
         r"^warning: fuse left out 1 frame; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
     )
+    # Said once.
+    assert ran.stderr.count("depth-3.png") == 1
     figures = scanloom(*words, "--json").json["stages"]["fuse"]["figures"]
     assert [skipped["frame"] for skipped in figures["frames_skipped"]] == ["3"]
 
@@ -302,6 +304,8 @@ def test_the_cache_is_listed_verified_and_pruned(scanloom: Run, tiny_scan: Path,
     assert [entry["stage"] for entry in ran.json["entries"] if entry["problem"]] == ["clean"]
 
     assert scanloom("cache", "prune", cache, "--json").json["entries"] == []
+    assert scanloom("cache", "prune", cache, "--max-size", "0", "--json").json["entries"] == []
+    assert scanloom("cache", "prune", cache, "--max-size", "much").exit_code == 2
     assert len(scanloom("cache", "prune", cache, "--all", "--dry-run", "--json").json["entries"]) == len(
         entries
     )
@@ -385,3 +389,34 @@ def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path
     assert "Traceback" not in stderr
     assert list(out.rglob("*")) == []
     assert [path for path in cache.rglob("*") if path.is_dir() and path.name not in ("drafts", "runs")] == []
+
+
+def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--dry-run")
+    ran = scanloom(*words)
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert re.search(
+        r"^fuse +runs +[\d.]+ +[\d.]+ MB +the size of the scan \(an estimate\)$", ran.stdout, re.M
+    )
+    assert "fuse: first run" in ran.stdout
+    found = scanloom(*words, "--json").json
+    assert found["dry_run"]
+    assert list(found["stages"]) == ["fuse", "clean", "simplify", "report"]
+    assert found["stages"]["fuse"]["expected_seconds"] > 0
+    assert list(tmp_path.iterdir()) == []
+    scanloom(*words[:-1], "--until", "clean")
+    again = scanloom(*words, "--set", "clean.keep_largest=true")
+    assert re.search(r"^fuse +cached$", again.stdout, re.MULTILINE)
+    assert "clean: params changed: keep_largest False → True" in again.stdout
+    (tmp_path / "out" / "simplified.ply").write_text("mine")
+    blocked = scanloom(*words)
+    assert blocked.exit_code == 0
+    assert "warning: the run would not begin: " in blocked.stderr
+    real = scanloom(*words[:-1])
+    assert real.exit_code == 3
+    assert real.stderr.splitlines()[-1].endswith(
+        "simplified.ply: no run has placed this, or it was changed since; move it, name another output "
+        "folder, or give --overwrite."
+    )

@@ -1,0 +1,19 @@
+"""Meshes that had to be of the same thing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cli.output import Output
+from stages import Mesh
+from stages.comparing.overlap import gap_of_unrelated
+
+
+def require_overlap(file: Path, mesh: Mesh, other_file: Path, other: Mesh, out: Output) -> None:
+    """Tell that two meshes that had to overlap do not, if so; the exit code of the command is then 1."""
+    gap = gap_of_unrelated(mesh, other)
+    if gap is not None:
+        out.unmet(
+            f"{file}: lies {gap:.3g} m from {other_file}, which is more than their size; give meshes of one "
+            "thing, in the same world and unit."
+        )

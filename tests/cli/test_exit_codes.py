@@ -1,0 +1,200 @@
+"""One table of exit codes: the program's, the README's, and what commands end with."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from cli.exit_codes import MEANINGS, in_short
+from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.mesh import Mesh
+
+Run = Callable[..., Any]
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def pieces(tmp_path: Path) -> Path:
+    """Five balls: all stay, so that no fewer than 20 triangles can be left of them."""
+    one = trimesh.creation.icosphere(subdivisions=1)
+    vertices = np.vstack([one.vertices + np.array([3.0 * i, 0, 0]) for i in range(5)])
+    triangles = np.vstack([one.faces + i * len(one.vertices) for i in range(5)])
+    path = tmp_path / "pieces.ply"
+    write_ply(path, Mesh(vertices, triangles.astype(np.int32)))
+    return path
+
+
+def test_the_readme_has_the_same_table() -> None:
+    section = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## Exit codes\n")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| (\d+) \| ([^|:]+?)(?::[^|]*)? \|", section, re.MULTILINE)
+    assert {int(code): meaning for code, meaning in rows} == MEANINGS
+
+
+def test_the_help_says_them_in_short(scanloom: Run) -> None:
+    text = re.sub(r"\s+", " ", scanloom("--help").stdout)
+    assert f"Exit codes: {in_short()}." in text
+
+
+def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pieces: Path) -> None:
+    light = pieces.with_name("light.ply")
+    ran = scanloom("simplify", pieces, light, "--triangles", 10, "--json")
+    assert ran.exit_code == 1
+    left = len(read_ply(light).triangles)
+    assert left == ran.json["triangles"] > 10
+    (sentence,) = ran.json["unmet"]
+    assert sentence.startswith(f"{light}: {left} triangles are left, not 10 as asked: ")
+    assert f"scanloom: {sentence}" in ran.stderr.splitlines()
+    assert scanloom("simplify", pieces, light, "--ratio", 0.01, "--quiet").exit_code == 1
+    assert scanloom("simplify", pieces, light, "--triangles", 200).exit_code == 0
+
+
+def test_with_bounds_whichever_comes_first_is_what_was_asked_for(scanloom: Run, pieces: Path) -> None:
+    words = ("simplify", pieces, pieces.with_name("light.ply"), "--triangles", 10, "--json")
+    by_bounds = scanloom(*words, "--max-shape", 0.01)
+    assert (by_bounds.exit_code, by_bounds.json["stopped_by"]) == (0, "bounds")
+    assert "unmet" not in by_bounds.json
+
+
+def test_a_normal_mesh_that_is_too_far_ends_with_1(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.ply"
+    few = ("--levels", 1, "--base-triangles", 40)
+    ran = scanloom("remesh", clean_ball, target, *few, "--max-error", 1e-9)
+    assert ran.exit_code == 1
+    assert target.is_file()
+    # Said once, as the warning it is.
+    assert ran.stderr.count("the finest level is up to") == 1
+    assert scanloom("remesh", clean_ball, target, *few, "--max-error", 1).exit_code == 0
+
+
+def test_a_limit_that_is_not_kept_ends_with_1_and_a_sentence(scanloom: Run, clean_ball: Path) -> None:
+    light = clean_ball.with_name("light.ply")
+    scanloom("simplify", clean_ball, light, "--ratio", 0.3)
+    ran = scanloom("certify", light, clean_ball, "--max-shape", 1e-6)
+    assert ran.exit_code == 1
+    assert f"scanloom: {light}: the limits are not proven to be kept." in ran.stderr
+    assert "Limits are not proven to be kept." in ran.stdout
+
+
+def test_a_limit_loosens_no_number_that_is_printed(scanloom: Run, clean_ball: Path) -> None:
+    light = clean_ball.with_name("light.ply")
+    scanloom("simplify", clean_ball, light, "--ratio", 0.3)
+    bound = scanloom("certify", light, clean_ball, "--json").json["shape_bound_m"]
+    limited = scanloom("certify", light, clean_ball, "--max-shape", 0.9, "--json")
+    assert limited.exit_code == 0
+    assert limited.json["shape_bound_m"] <= bound
+    alone = scanloom("certify", light, clean_ball, "--only-decide")
+    assert (alone.exit_code, "--only-decide is for limits" in alone.stderr) == (2, True)
+    decided = scanloom("certify", light, clean_ball, "--max-shape", 0.9, "--only-decide", "--json")
+    assert (decided.exit_code, decided.json["shape_bound_m"]) == (0, 0.9)
+
+
+@pytest.mark.parametrize("command", ["compare", pytest.param("bake", marks=pytest.mark.slow)])
+def test_meshes_of_different_things_end_with_1(
+    scanloom: Run, clean_ball: Path, tmp_path: Path, command: str
+) -> None:
+    ball, far, target = read_ply(clean_ball), tmp_path / "far.ply", tmp_path / "out.glb"
+    for away, code in ((1000.0, 1), (2.5, 0)):
+        write_ply(far, ball.with_(vertices=ball.vertices + np.array([away, 0, 0])))
+        some = ("--samples", 1000) if command == "compare" else (target, "--max-size", 64)
+        ran = scanloom(command, clean_ball, far, *some)
+        assert ran.exit_code == code, ran.stderr
+        assert ("in the same world and unit" in ran.stderr) == bool(code)
+        assert ran.stdout
+        assert target.is_file() == (command == "bake")
+
+
+@pytest.mark.slow
+def test_a_run_that_does_not_reach_a_number_ends_with_1(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--until", "simplify", "--json")
+    for _ in ("made", "cached"):
+        ran = scanloom(*words, "--set", "simplify.triangles=2")
+        assert ran.exit_code == 1, ran.stderr
+        (sentence,) = ran.json["unmet"]
+        assert re.match(r"simplify: [\d,]+ triangles are left, not 2 as asked: ", sentence)
+        assert f"scanloom: {sentence}" in ran.stderr.splitlines()
+        report = json.loads((tmp_path / "out" / "report.json").read_text())
+        assert report["stages"]["simplify"]["unmet"] == [sentence.removeprefix("simplify: ")]
+    more = scanloom(*words, "--set", "simplify.triangles=2", "--set", "simplify.max_shape=0.01")
+    assert (more.exit_code, more.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "code"),
+    [
+        ("wrong.toml", "[fuse", 2),
+        ("wrong.toml", "[fuse]\nvoxle_size = 1.0\n", 2),
+        ("poses.tum", "no numbers", 3),
+    ],
+)
+def test_companions_of_a_scan_are_input_and_a_configuration_is_words(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path, name: str, content: str, code: int
+) -> None:
+    option = "--config" if name == "wrong.toml" else "--poses"
+    file = tmp_path / name
+    file.write_text(content)
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--until", "fuse")
+    ran = scanloom(*words, option, file)
+    assert ran.exit_code == code, ran.stderr
+    assert name in ran.stderr
+    assert ran.stderr.count("\n") == 1
+    missing = scanloom(*words, option, tmp_path / f"no-{name}")
+    assert missing.exit_code == code, missing.stderr
+    assert missing.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "scan", "-o", "out", "--set", "fuse.voxle_size=1"),
+        ("run", "scan", "-o", "out", "--set", "fuze.voxel_size=1"),
+        ("run", "scan", "-o", "out", "--until", "cleen"),
+        ("simplfy", "a.ply", "b.ply"),
+        ("simplify", "a.ply", "b.ply", "--ratioo", "1"),
+    ],
+)
+def test_a_guess_at_what_was_meant_is_asked_once(
+    scanloom: Run, tiny_scan: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = scanloom(*(tiny_scan if word == "scan" else word for word in words))
+    assert ran.exit_code == 2
+    assert ran.stderr.count("?") <= 1
+    assert not re.search(r"\?[.?]|\.\.", ran.stderr)
+    assert re.search(r"voxel_size|fuse|clean|simplify|--ratio", ran.stderr)
+
+
+# The first imports of the program take most of a second; by the last delay some commands are over. By the
+# first one, the line after the first import has been run, which takes Ctrl-C in hand.
+@pytest.mark.slow
+@pytest.mark.parametrize("program", [["-m", "cli.app"], ["-c", "from cli.start import main; main()"]])
+@pytest.mark.parametrize("delay", [0.02, 0.05, 0.1, 0.2, 0.4, 0.8])
+def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float, tmp_path: Path) -> None:
+    # Python tells each import as it is done: that of `cli.interrupts` is the first moment that is ours.
+    words = [sys.executable, "-X", "importtime", *program, "clean", "missing.ply", str(tmp_path / "out.ply")]
+    started = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    assert started.stderr is not None
+    said = ""
+    while "cli.interrupts" not in said:
+        said = started.stderr.readline()
+    time.sleep(delay)
+    started.send_signal(signal.SIGINT)
+    rest = [line for line in started.communicate(timeout=60)[1].splitlines() if "import time:" not in line]
+    if delay <= 0.05:
+        assert started.returncode == 130
+    if started.returncode == 130:
+        assert rest[-1] == "scanloom: Interrupted; what was finished is kept."
+    assert rest
+    assert all(line.startswith("scanloom: ") for line in rest)

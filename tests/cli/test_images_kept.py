@@ -1,0 +1,101 @@
+"""No image is lost in silence: it is carried, baked anew, or a warning says which option keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from seamed_meshes import edge_counts, welded, wrapped_ball
+
+from stages.surface.mesh import Image, Material, Mesh, Texture
+from stages.surface.mesh_files import read_mesh, write_mesh
+
+Run = Callable[..., Any]
+
+METHODS = {
+    "quadric": ("--method", "quadric", "--ratio", 0.3),
+    "certified": ("--max-shape", 0.05),
+    "auto": ("--ratio", 0.3),
+    "jia01": ("--method", "jia01"),
+    "planar": ("--method", "planar", "--max-shape", 0.05),
+}
+
+
+@pytest.fixture
+def textured(tmp_path: Path) -> Path:
+    """A closed ball whose image has its left half red and its right half blue."""
+    mesh = wrapped_ball(16, 32, bumps=0.05)
+    pixels = np.zeros((64, 64, 3), np.uint8)
+    pixels[:, :32, 0] = pixels[:, 32:, 2] = 200
+    assert mesh.texture is not None
+    image = Material("halves", image=Image(given=pixels))
+    material_ids = np.zeros(len(mesh.triangles), np.int32)
+    path = tmp_path / "ball.glb"
+    write_mesh(
+        path, Mesh(mesh.vertices, mesh.triangles, texture=Texture(mesh.texture.uvs, material_ids, (image,)))
+    )
+    return path
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_gives_a_closed_mesh_with_an_image(
+    scanloom: Run, textured: Path, tmp_path: Path, method: str
+) -> None:
+    target = tmp_path / "light.glb"
+    ran = scanloom("simplify", textured, target, *METHODS[method], "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert not any("texture" in warning for warning in ran.json["warnings"])
+    light, mesh = read_mesh(target), read_mesh(textured)
+    assert edge_counts(welded(light))[0] <= edge_counts(welded(mesh))[0]
+    assert len(light.triangles) < len(mesh.triangles)
+    assert light.texture is not None
+    assert len(light.texture.images) == 1
+    assert ("baked" in ran.json) == (method in ("quadric", "jia01", "planar"))
+    color = scanloom("compare", textured, target, "--samples", 20_000, "--json").json["color"]
+    assert color["a_to_b"]["rmse_levels"] < 40
+
+
+@pytest.mark.parametrize("method", ["quadric", "jia01", "planar"])
+def test_where_no_image_is_wanted_a_warning_says_what_keeps_it(
+    scanloom: Run, textured: Path, tmp_path: Path, method: str
+) -> None:
+    target = tmp_path / "light.glb"
+    ran = scanloom("simplify", textured, target, *METHODS[method], "--no-bake")
+    assert ran.exit_code == 0
+    assert "left out: texture; method seams carries it, and bake makes a new image" in ran.stderr
+    assert read_mesh(target).texture is None
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".off"])
+def test_formats_of_the_shape_alone_say_so(
+    scanloom: Run, textured: Path, tmp_path: Path, suffix: str
+) -> None:
+    ran = scanloom("simplify", textured, tmp_path / f"light{suffix}", "--ratio", 0.5, "--quiet")
+    assert ran.exit_code == 0
+    assert f"{suffix} holds the shape alone: the colours are left out; write .ply or .glb" in ran.stderr
+
+
+def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+    target = tmp_path / "normal.glb"
+    ran = scanloom("remesh", textured, target, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    light = read_mesh(target)
+    assert light.texture is not None
+    assert edge_counts(welded(light))[0] <= edge_counts(welded(read_mesh(textured)))[0]
+    assert ran.json["baked"]["charts"] > 0
+    ran = scanloom("remesh", textured, target, "--no-bake")
+    assert "remesh left out: texture" in ran.stderr
+
+
+def test_transparency_is_told(scanloom: Run, tmp_path: Path) -> None:
+    lines = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {x}" for x in "xyz")]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
+    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    lines += ["0 0 0 9 9 9 128", "1 0 0 9 9 9 255", "0 1 0 9 9 9 255", "3 0 1 2", ""]
+    path = tmp_path / "glass.ply"
+    path.write_text("\n".join(lines))
+    ran = scanloom("simplify", path, tmp_path / "light.ply", "--ratio", 1.0)
+    assert f"warning: {path}: the transparency of vertices is left out" in ran.stderr

@@ -1,0 +1,67 @@
+"""Commands with less and less memory: a sentence and an exit code, and no process that is aborted."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cli.app import run_command
+from stages.surface.formats.ply import write_ply
+from tests.made.coloured_meshes import sheet
+
+COMMANDS = {
+    "quadric": "simplify mesh.ply out.ply --method quadric --ratio 0.1",
+    "jia01": "simplify mesh.ply out.ply --method jia01 --ratio 0.3",
+    "certified": "simplify mesh.ply out.ply --method certified --max-shape 0.01",
+    "planar": "simplify mesh.ply out.ply --method planar --max-shape 0.01",
+    "seams": "simplify mesh.ply out.ply --method seams --ratio 0.1",
+    "remesh": "remesh mesh.ply out.ply --save out.snm --levels 1",
+    "decode": "decode made.snm out.ply",
+    "clean": "clean mesh.ply out.ply",
+    "compare": "compare mesh.ply light.ply",
+    "certify": "certify light.ply mesh.ply",
+    "patches": "patches mesh.ply out.ply",
+    "bake": "bake mesh.ply light.ply out.glb",
+    "replay": "replay made.npz out.ply --ratio 0.5",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A mesh, a light one, the record of that, and a normal mesh."""
+    folder = tmp_path_factory.mktemp("memory")
+    write_ply(folder / "mesh.ply", sheet(60))
+    files = {
+        name: str(folder / name) for name in ("mesh.ply", "light.ply", "made.npz", "made.snm", "made.ply")
+    }
+    simplified = ["simplify", files["mesh.ply"], files["light.ply"], "--ratio", "0.1"]
+    assert run_command([*simplified, "--save-record", files["made.npz"]]) == 0
+    remeshed = ["remesh", files["mesh.ply"], files["made.ply"], "--levels", "1"]
+    assert run_command([*remeshed, "--save", files["made.snm"]]) == 0
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_too_little_memory_is_a_sentence(command: str, folder: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "tests.made.commands_short_of_memory", *COMMANDS[command].split()],
+        env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    ends = json.loads(run.stdout)
+    assert {code for code, _ in ends.values()} <= {0, 1}, ends
+    assert ends["0 MiB"][0] == 1
+    for code, text in ends.values():
+        assert code == 0 or text.count("scanloom: ") == 1, text
+        assert "bug in scanloom" not in text
+        assert "Traceback" not in text
