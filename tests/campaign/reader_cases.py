@@ -1,0 +1,42 @@
+"""Cases for readers: a specimen, one or two of whose files are damaged."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+from typing import Any
+
+from tests.campaign.damage import damaged
+from tests.campaign.specimens import SPECIMENS
+
+# Most pictures of a scan are like others, and hardly a reader of ours looks into them.
+_SELDOM = (".png", ".jpg")
+
+
+def reader_case(seed: int, specimens: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Return what is read by what, and the files by name; `specimens` is where they were written."""
+    draw = random.Random(seed)
+    name = draw.choice(list(SPECIMENS))
+    own = specimens / name
+    files = {
+        path.relative_to(own).as_posix(): path.read_bytes()
+        for path in sorted(own.rglob("*"))
+        if path.is_file()
+    }
+    for _ in range(draw.choice((1, 1, 1, 2))):
+        names = [n for n in files if not n.endswith(_SELDOM)]
+        if len(names) < len(files) and draw.random() < 0.15:
+            names = [n for n in files if n.endswith(_SELDOM)]
+        hit = draw.choice(names)
+        files[hit] = damaged(files[hit], draw)
+    specimen = SPECIMENS[name]
+    case = {"kind": "readers", "seed": seed, "specimen": name, "reader": specimen.reader}
+    return {**case, "target": specimen.target}, files
+
+
+def written(files: dict[str, bytes], folder: Path) -> None:
+    """Write the files of a case below a folder."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)

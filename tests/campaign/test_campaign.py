@@ -1,0 +1,91 @@
+"""The campaign itself: a few dozen cases of each kind are held, and a failure is found, kept and repeated."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# Its modules are imported by their full names, and those of tests/made by their own.
+_PATHS = os.pathsep.join((str(ROOT), str(ROOT / "tests" / "made")))
+
+
+def campaign(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tests.campaign", "--failures", folder, *words]
+    return subprocess.run(
+        [str(word) for word in command],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": _PATHS},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def counts(ended: subprocess.CompletedProcess[str], kind: str) -> list[int]:
+    """Cases, accepted, refused, skipped and failed of a kind, from the table."""
+    (line,) = [line for line in ended.stdout.splitlines() if line.startswith(kind) and ":" not in line]
+    return [int(word) for word in line.split()[1:]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "cases"), [("readers", 400), ("runs", 3), ("kernels", 24)])
+def test_some_cases_of_each_kind_end_well(tmp_path: Path, kind: str, cases: int) -> None:
+    ended = campaign(tmp_path, "--only", kind, "--cases", cases, "--seed", 2)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    held, accepted, refused, skipped, failed = counts(ended, kind)
+    assert held == cases
+    assert accepted + refused + skipped == held
+    assert failed == 0
+    assert accepted > 0
+    if kind == "readers":
+        assert refused > accepted > 40
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ("raise IndexError('lost')", "IndexError: lost"),
+        ("os.abort()", "SIGABRT"),
+        ("bytearray(1 << 40)", "MemoryError"),
+        ("sys.exit(5)", "SystemExit: 5"),
+    ],
+)
+def test_a_failure_of_any_kind_is_told_kept_and_repeated(tmp_path: Path, wrong: str, said: str) -> None:
+    # What Python runs at its start stands in for a reader's own fault.
+    (tmp_path / "sitecustomize.py").write_text(
+        f"import os, sys\nimport stages.surface.mesh_files as files\ndef fault(path):\n    {wrong}\n"
+        "files.read_mesh = fault\n"
+    )
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), _PATHS))}
+    words = [sys.executable, "-m", "tests.campaign", "--failures", str(tmp_path / "kept")]
+    run = {"cwd": ROOT, "env": env, "capture_output": True, "text": True, "check": False}
+    ended = subprocess.run([*words, "--only", "readers", "--cases", "20"], **run)
+    assert ended.returncode == 1, ended.stderr
+    kept = sorted((tmp_path / "kept").iterdir())
+    assert len(kept) == counts(ended, "readers")[-1] > 0
+    assert kept[0].name in ended.stdout
+
+    again = subprocess.run([*words, "--again", str(kept[0])], **run)
+    assert again.returncode == 1, again.stderr
+    assert said in again.stdout
+
+
+def test_the_same_seed_gives_the_same_damage(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    from tests.campaign.damage import damaged
+
+    for data in (
+        b'{"a": [1, 2, 3], "b": {"c": 0.5}}',
+        b"ply\nformat ascii 1.0\nend_header\n1 2 3\n",
+        b"PK\x03\x04",
+    ):
+        some = [damaged(data, random.Random(seed)) for seed in range(50)]
+        assert some == [damaged(data, random.Random(seed)) for seed in range(50)]
+        assert len(set(some)) > 20

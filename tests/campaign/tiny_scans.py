@@ -1,0 +1,165 @@
+"""Scan folders of two small frames in layouts of several makers, and recordings."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tiny_recordings import recording, ros_bag
+
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Camera, Frame
+
+_SAMPLES = Path(__file__).resolve().parents[2] / "samples"
+_CAMERA = Camera(32, 24, 100.0, 100.0, 16.0, 12.0)
+_TURNED = np.array([[0, 0, 1, 1], [0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 0, 1.0]])
+_POSES = (np.eye(4), _TURNED)
+_INTRINSICS = "100 0 16\n0 100 12\n0 0 1\n"
+
+
+def _images(folder: Path, color: str, depth: str | None, names: Sequence[str]) -> None:
+    """Write colour, and depth in millimetres, of each name into paths with a place for it."""
+    for name in names:
+        for form in (color, depth):
+            if form is not None:
+                path = folder / form.format(name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                pixels = np.full((24, 32, 3), 120, np.uint8)
+                pixels[:, 10:20] = (10, 40, 230)
+                assert cv2.imwrite(str(path), pixels if form is color else np.full((24, 32), 2000, np.uint16))
+
+
+def _rows(matrix: NDArray[np.float64]) -> str:
+    out = io.StringIO()
+    np.savetxt(out, matrix, "%.6f")
+    return out.getvalue()
+
+
+def _scan_json(folder: Path) -> None:
+    _images(folder, "color/{}.png", "depth/{}.png", ("0", "1"))
+    frames = [
+        Frame(
+            str(i),
+            _CAMERA,
+            folder / f"color/{i}.png",
+            depth=folder / f"depth/{i}.png",
+            world_from_camera=pose,
+        )
+        for i, pose in enumerate(_POSES)
+    ]
+    write_scan_json(folder, frames)
+
+
+def _tum(folder: Path) -> None:
+    names = ("10.000000", "10.500000")
+    _images(folder, "rgb/{}.png", "depth/{}.png", names)
+    for kind in ("rgb", "depth"):
+        (folder / f"{kind}.txt").write_text("# list\n" + "".join(f"{n} {kind}/{n}.png\n" for n in names))
+    (folder / "groundtruth.txt").write_text("# t\n10.0 0 0 0 0 0 0 1\n10.5 1 2 3 0 0.6 0 0.8\n")
+
+
+def _seven_scenes(folder: Path) -> None:
+    names = ("frame-000002", "frame-000010")
+    _images(folder, "{}.color.png", "{}.depth.png", names)
+    for name, pose in zip(names, _POSES, strict=True):
+        (folder / f"{name}.pose.txt").write_text(_rows(pose))
+    (folder / "camera-intrinsics.txt").write_text(_INTRINSICS)
+
+
+def _redwood(folder: Path) -> None:
+    _images(folder, "color/{}.jpg", "depth/{}.png", ("2", "10"))
+    log = [f"{i} {i} {i + 1}\n{_rows(pose)}" for i, pose in enumerate(_POSES)]
+    (folder / "trajectory.log").write_text("".join(log))
+    camera = {"width": 32, "height": 24, "intrinsic_matrix": [100, 0, 0, 0, 100, 0, 16, 12, 1]}
+    (folder / "intrinsic.json").write_text(json.dumps(camera))
+
+
+def _nerfstudio(folder: Path) -> None:
+    _images(folder, "images/{}.png", "depth/{}.png", ("2", "10"))
+    frames = [
+        {
+            "file_path": f"images/{n}.png",
+            "depth_file_path": f"depth/{n}.png",
+            "transform_matrix": pose.tolist(),
+        }
+        for n, pose in zip((2, 10), _POSES, strict=True)
+    ]
+    lens = {"camera_model": "OPENCV", "w": 32, "h": 24, "fl_x": 100.0, "fl_y": 100.0, "cx": 16.5, "cy": 12.5}
+    (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+
+
+def _colmap(folder: Path) -> None:
+    _images(folder, "images/{}.png", None, ("2", "10"))
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text("# cameras\n7 PINHOLE 32 24 100 100 16.5 12.5\n")
+    (model / "images.txt").write_text(
+        "# images\n1 1 0 0 0 0 0 0 7 2.png\n1.5 2.5 1\n2 0.8 0 -0.6 0 3 -2 -1 7 10.png\n3.5 2.5 1\n"
+    )
+    (model / "points3D.txt").write_text("1 0.1 0.2 2 10 20 30 0.5 1 0 2 0\n")
+
+
+def _stereo(folder: Path) -> None:
+    for side in ("left", "right"):
+        _images(folder, f"{side}/{{}}.png", None, ("0", "1"))
+    lens = "width = 32\nheight = 24\nfx = 100.0\nfy = 100.0\ncx = 16.0\ncy = 12.0\n"
+    (folder / "calibration.toml").write_text(f"baseline = 0.1\n[left]\n{lens}[right]\n{lens}")
+    (folder / "poses.txt").write_text("".join(" ".join(_rows(pose[:3]).split()) + "\n" for pose in _POSES))
+
+
+def _bag(folder: Path) -> None:
+    ros_bag().write(folder / "take.bag")
+
+
+def _realsense(folder: Path) -> None:
+    recording().write(folder / "take.bag")
+
+
+def _mcap(folder: Path) -> None:
+    ros_bag().write_ros2(folder / "take", "mcap")
+
+
+def _sample_rgbd(folder: Path) -> None:
+    """The first frames of the sample."""
+    listed = json.loads((_SAMPLES / "rgbd" / "scan.json").read_text(encoding="utf-8"))
+    listed["frames"] = listed["frames"][:2]
+    (folder / "scan.json").write_text(json.dumps(listed))
+    _copied(_SAMPLES / "rgbd", folder, ("color", "depth"))
+
+
+def _sample_stereo(folder: Path) -> None:
+    """The first pairs of the sample."""
+    _copied(_SAMPLES / "stereo", folder, ("left", "right"))
+    shutil.copy(_SAMPLES / "stereo" / "calibration.toml", folder)
+    poses = (_SAMPLES / "stereo" / "poses.txt").read_text(encoding="utf-8").splitlines()
+    (folder / "poses.txt").write_text("\n".join(poses[:2]))
+
+
+def _copied(sample: Path, folder: Path, kinds: Sequence[str]) -> None:
+    for kind in kinds:
+        (folder / kind).mkdir()
+        for path in sorted((sample / kind).iterdir())[:2]:
+            shutil.copy(path, folder / kind)
+
+
+# What is handed to read_scan, relative to the folder, and what writes it.
+SCANS: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "scan.json": (".", _scan_json),
+    "TUM": (".", _tum),
+    "7-Scenes": (".", _seven_scenes),
+    "Redwood": (".", _redwood),
+    "nerfstudio": (".", _nerfstudio),
+    "COLMAP": (".", _colmap),
+    "stereo pairs": (".", _stereo),
+    "sample of RGB-D": (".", _sample_rgbd),
+    "sample of stereo": (".", _sample_stereo),
+    "ROS bag": ("take.bag", _bag),
+    "RealSense bag": ("take.bag", _realsense),
+    "ROS 2 folder": ("take", _mcap),
+}

@@ -1,0 +1,45 @@
+"""What a case came to: accepted, refused with a sentence, or a failure, and what tells these apart."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from cli.errors import failure_of
+from cli.exit_codes import BAD_INPUT
+from cli.one_line import one_line
+from stages.errors import ScanloomError
+
+ACCEPTED, REFUSED, FAILED, SKIPPED = "accepted", "refused", "failed", "skipped"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a case ended, one of the four words above, and what was said."""
+
+    outcome: str
+    said: str = ""
+
+    def figures(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def judged(case: Callable[[], str]) -> Verdict:
+    """Run a case. Scanloom's own errors refuse it; any other, and a broken rule, is a failure."""
+    try:
+        return Verdict(ACCEPTED, case())
+    except ScanloomError as error:
+        return Verdict(REFUSED, one_line(str(error)))
+    except OSError as error:
+        failure = failure_of(error)
+        if failure.exit_code == BAD_INPUT:
+            return Verdict(REFUSED, failure.sentence)
+        return Verdict(FAILED, _told(error))
+    except BaseException as error:
+        return Verdict(FAILED, _told(error))
+
+
+def _told(error: BaseException) -> str:
+    return "".join(traceback.format_exception(error))[-3000:]

@@ -1,0 +1,54 @@
+"""A command with less and less memory, each time in a process of its own.
+
+`python -m tests.made.commands_short_of_memory WORDS…` runs a command line, and writes the exit code and the
+output of each run as JSON, by how much the process was allowed to grow. Libraries are imported before.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+
+from cli.app import run_command
+from stages._open3d import open3d
+from tests.made.short_of_memory import limit
+
+
+def ran(words: list[str], spare: int) -> tuple[int, str]:
+    """Return exit code (negative: the signal that ended it) and output of a command."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.dup2(writing, 1)
+        os.dup2(writing, 2)
+        code = 99
+        try:
+            limit(spare)
+            code = run_command(words)
+            sys.stdout.flush()
+            sys.stderr.flush()
+        finally:
+            os._exit(code)
+    os.close(writing)
+    with os.fdopen(reading, errors="replace") as output:
+        text = output.read()
+    _, status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(status), text
+
+
+def main() -> None:
+    # The libraries that commands import where they use them.
+    import cv2  # noqa: F401
+    import scipy.sparse
+    import scipy.spatial  # noqa: F401
+    import trimesh  # noqa: F401
+
+    open3d()
+    words = sys.argv[1:]
+    megabytes = (400, 200, 150, 120, 100, 80, 60, 40, 20, 10, 5, 4, 3, 2, 0)
+    sys.stdout.write(json.dumps({f"{m} MiB": ran(words, m << 20) for m in megabytes}))
+
+
+if __name__ == "__main__":
+    main()

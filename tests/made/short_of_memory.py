@@ -1,0 +1,223 @@
+"""Each kernel with too little memory, each time in a process of its own.
+
+`python -m tests.made.short_of_memory KERNEL SIDE` runs a kernel on a sheet of 2 SIDE² triangles with less and
+less address space, and with none that is left after a while. It writes how each run ended: "done", "memory"
+for a MemoryError, else what was wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages import _kernels as kernels
+from stages.surface.mesh import Mesh
+from tests.made.coloured_meshes import sheet
+
+DONE, MEMORY = "done", "memory"
+_ENDS = {0: DONE, 1: MEMORY, 2: "another exception"}
+
+Call = Callable[[], object]
+
+
+def call_of(kernel: str, side: int) -> Call:
+    """Return a call of a kernel, with all its arrays made before."""
+    if kernel == "decode_normal_mesh":
+        return partial(_decoded, _made_elsewhere(side))
+    return _calls(sheet(side))[kernel]
+
+
+def _calls(mesh: Mesh) -> dict[str, Call]:
+    count, triangles = len(mesh.vertices), len(mesh.triangles)
+    locked, labels = np.zeros(0, bool), np.zeros(0, np.int32)
+    importance = np.zeros(0)
+    soup = (mesh.vertices, mesh.colors, mesh.triangles)
+    running = kernels.Running(target_triangles=triangles // 10, threads=2, record=True)
+    told = {"progress": _told}
+    lengths = np.linalg.norm(np.diff(mesh.vertices[mesh.triangles], axis=1), axis=2)
+    corners = np.zeros((3 * triangles, 5))
+    corners[:, :2] = mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2]
+    sets = np.arange(count, dtype=np.int32)
+    patches = {
+        "cosines": (0.9, 0.9, 0.0),
+        "bounds": (0.01, 50.0),
+        "threads": 2,
+    }
+    return {
+        "side_lengths": partial(kernels.side_lengths, mesh.vertices, mesh.triangles, wanted_threads=2),
+        "spatial_order": partial(kernels.spatial_order, mesh.vertices, mesh.triangles),
+        "weld_sheets": partial(kernels.weld_sheets, sets, mesh.triangles),
+        "color_weight": partial(
+            kernels.color_weight, *soup, target=triangles // 10, tried=True, wanted_threads=2
+        ),
+        "simplify": partial(
+            kernels.simplify,
+            *soup,
+            locked,
+            bounds=(float(lengths.mean()) * 4, np.inf, np.inf),
+            scales=(1.0, 1.0, 1.0),
+            attribute_scale=1.0,
+            paper_rule=False,
+            triangle_limit=8 * triangles,
+            running=running,
+            **told,
+        ),
+        "simplify_by_quadrics": partial(
+            kernels.simplify_by_quadrics, *soup, locked, importance, weight=1e-4, running=running, **told
+        ),
+        "fit": partial(
+            kernels.fit, *soup, locked, *soup, np.arange(count, dtype=np.int32), threads=2, **told
+        ),
+        "simplify_certified": partial(
+            kernels.simplify_certified,
+            *soup,
+            locked,
+            importance,
+            bounds=(0.02, 60.0),
+            weight=1e-4,
+            share=0.8,
+            tolerance=(0.1, 0.1),
+            effort=1.0,
+            close=False,
+            running=running,
+            **told,
+        ),
+        "certify": partial(
+            kernels.certify,
+            soup,
+            soup,
+            tolerance=(0.1, 0.1),
+            absolute_tolerance=(1e-6, 0.1),
+            limit=None,
+            effort=1.0,
+            slack=None,
+            threads=2,
+            **told,
+        ),
+        "simplify_planar": partial(
+            kernels.simplify_planar, *soup, labels, locked, partial=False, **patches, **told
+        ),
+        "planar_patches": partial(kernels.planar_patches, *soup, labels, **patches, **told),
+        "simplify_seams": partial(
+            kernels.simplify_seams,
+            mesh.vertices,
+            sets,
+            mesh.triangles,
+            corners,
+            np.ones(triangles, bool),
+            np.zeros(triangles, np.int32),
+            np.zeros(triangles, np.int32),
+            importance,
+            np.zeros(count, bool),
+            knobs=kernels.SeamKnobs(
+                across_materials=1.0, across_parts=1.0, valence=0.1, wedges=0.1, shape=0.1, seam_drift=1.0
+            ),
+            fit=True,
+            running=running,
+            **told,
+        ),
+        "remesh": partial(_remeshed, mesh),
+    }
+
+
+def _told(_done: int, _total: int) -> None:
+    pass
+
+
+def _remeshed(mesh: Mesh) -> kernels.NormalMesh:
+    assert mesh.colors is not None
+    return kernels.remesh(
+        mesh.vertices,
+        mesh.colors,
+        np.zeros(0),
+        mesh.triangles,
+        levels=3,
+        base_triangles=len(mesh.triangles) // 50,
+        base_error=0.0,
+        at_any_price=False,
+        max_error=0.0,
+        butterfly=True,
+        relaxations=1,
+        tolerance=1e-5,
+        color_tolerance=1.0,
+        threads=2,
+        progress=_told,
+    )
+
+
+def _made_elsewhere(side: int) -> bytes:
+    """Return a normal mesh made by another process: runs would begin with what is freed in this one."""
+    reading, writing = os.pipe()
+    if os.fork() == 0:
+        os.close(reading)
+        with os.fdopen(writing, "wb") as file:
+            file.write(_remeshed(sheet(side)).data)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as file:
+        data = file.read()
+    os.wait()
+    return data
+
+
+def _decoded(file: bytes) -> object:
+    made = kernels.decode_normal_mesh(file, -1)
+    level = made.levels
+    tables = (made.kinds, made.offsets, made.predicted, made.frames)
+    attributes = (made.colors, made.confidence, made.hit_triangle)
+    return [table(level) for table in (made.vertices, made.triangles, *attributes, *tables)]
+
+
+def ended(call: Call, *, spare: int = 0, after: float = 0.0) -> str:
+    """Return how a call ends in a process that may grow by `spare` bytes at most from `after` seconds on."""
+    sys.stdout.flush()
+    child = os.fork()
+    if child == 0:
+        _end(call, spare, after)
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else _ENDS.get(code, f"exit code {code}")
+
+
+def _end(call: Call, spare: int, after: float) -> None:
+    code = 2
+    try:
+        if after > 0:
+            threading.Thread(target=limit, args=(spare, after), daemon=True).start()
+        else:
+            limit(spare)
+        call()
+        code = 0
+    except MemoryError:
+        code = 1
+    finally:
+        os._exit(code)
+
+
+def limit(spare: int, after: float = 0.0) -> None:
+    """Let this process grow by no more than `spare` bytes from `after` seconds on."""
+    time.sleep(after)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * resource.getpagesize() + spare
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+def main() -> None:
+    call = call_of(sys.argv[1], int(sys.argv[2]))
+    falling = {f"{m} MiB": ended(call, spare=m << 20) for m in (1500, *range(240, 0, -20), 0)}
+    late = {f"{ms} ms": ended(call, after=ms / 1000) for ms in (1, 2, 4, 8, 15, 30, 60, 120, 240)}
+    sys.stdout.write(json.dumps({"falling": falling, "late": late}))
+
+
+if __name__ == "__main__":
+    main()
