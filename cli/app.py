@@ -38,6 +38,7 @@ from cli.commands import (
     replay,
     run,
     simplify,
+    texture,
 )
 from cli.one_line import one_line
 from cli.options import with_options
@@ -56,6 +57,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         clean.clean,
         simplify.simplify,
         replay.replay,
+        texture.texture,
         bake.bake,
         remesh.remesh,
         decode.decode,

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from stages.surface.texture import Image, Material, Texture
     from stages.surface.topology import Topology, topology
     from stages.texturing.bake import Baked, BakeParams, bake
+    from stages.texturing.texture import Textured, TextureParams, texture
 
     __version__: str
 
@@ -82,6 +83,7 @@ _NAMES_OF = {
     "surface.texture": ("Image", "Material", "Texture"),
     "surface.topology": ("Topology", "topology"),
     "texturing.bake": ("Baked", "BakeParams", "bake"),
+    "texturing.texture": ("TextureParams", "Textured", "texture"),
 }
 _MODULE_OF = {name: f"stages.{module}" for module, names in _NAMES_OF.items() for name in names}
 # Understood for one version more.
@@ -128,6 +130,8 @@ __all__ = [
     "StageError",
     "StereoRig",
     "Texture",
+    "TextureParams",
+    "Textured",
     "Topology",
     "UsageError",
     "Viewpoint",
@@ -150,6 +154,7 @@ __all__ = [
     "remesh",
     "render",
     "simplify",
+    "texture",
     "to_open3d",
     "to_open3d_legacy",
     "to_trimesh",

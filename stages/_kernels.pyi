@@ -1,6 +1,6 @@
 """Mesh kernels in Rust. Private: `stages.simplification.simplify` is the way in."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeAlias, final
 
 import numpy as np
@@ -15,6 +15,7 @@ __all__ = [
     "BySums",
     "Certified",
     "InvalidMeshError",
+    "LaidOut",
     "LimitError",
     "NormalMesh",
     "PlanarPatches",
@@ -24,11 +25,15 @@ __all__ = [
     "SeamLog",
     "Simplified",
     "SnmError",
+    "SurfacePoints",
+    "TexturedSurface",
+    "View",
     "WeldedSheets",
     "certify",
     "color_weight",
     "decode_normal_mesh",
     "fit",
+    "lay_out",
     "planar_patches",
     "remesh",
     "side_lengths",
@@ -38,7 +43,9 @@ __all__ = [
     "simplify_planar",
     "simplify_seams",
     "spatial_order",
+    "texels",
     "weld_sheets",
+    "zbuffer",
 ]
 
 # Height over longest side below which only the longest side of a triangle counts in a proof.
@@ -187,6 +194,8 @@ def weld_sheets(sets: NDArray[np.int32], triangles: NDArray[np.int32]) -> Welded
 
 # (n, k): levels of colour, or numbers.
 _Attributes: TypeAlias = NDArray[np.uint8] | NDArray[np.float64]
+# fx, fy, cx, cy, width and height; and the (4, 4) matrix that takes the world to the camera.
+_Camera: TypeAlias = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Soup: TypeAlias = tuple[NDArray[np.float64], _Attributes, NDArray[np.int32]]
 
 @final
@@ -320,6 +329,105 @@ def fit(
     progress: Callable[[int, int], object],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a simplified mesh to its input by least squares: vertices along their normals, and attributes."""
+
+@final
+class LaidOut:
+    """A surface laid out: charts and images of triangles, −1 for none, and their corners in texels."""
+
+    @property
+    def charts(self) -> NDArray[np.int32]: ...
+    @property
+    def pages(self) -> NDArray[np.int32]: ...
+    @property
+    def corners(self) -> NDArray[np.float64]: ...
+    @property
+    def heights(self) -> list[int]: ...
+
+def lay_out(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    density: NDArray[np.float32],
+    *,
+    side: int,
+    padding: int,
+    progress: Callable[[int, int], object],
+) -> LaidOut:
+    """Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle."""
+
+def texels(
+    corners: NDArray[np.float64], pages: NDArray[np.int32], *, page: int, width: int, height: int
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
+    """Return the texels of one image, by triangles: pixels, triangles and shares of their corners."""
+
+def zbuffer(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32], camera: _Camera, *, near: float
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
+
+@final
+class View:
+    """A photo with what its camera sees of a mesh, and what it measured."""
+
+    def __new__(
+        cls,
+        camera: _Camera,
+        photo: NDArray[np.uint8],
+        blurred: NDArray[np.uint8],
+        mesh_camera: _Camera,
+        mesh_depth: NDArray[np.float32],
+        mesh_triangles: NDArray[np.int32],
+        *,
+        reach: tuple[float, float],
+        measured: tuple[_Camera, NDArray[np.float32]] | None,
+        warp: NDArray[np.float32] | None,
+        worth: float,
+    ) -> View: ...
+
+@final
+class SurfacePoints:
+    """Points of a surface, by their triangles, each with the few views that show it best."""
+
+    def __new__(
+        cls,
+        vertices: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        triangles: NDArray[np.int32],
+        of: NDArray[np.uint32],
+        shares: NDArray[np.float32],
+        *,
+        kept: int,
+    ) -> SurfacePoints: ...
+    def see(self, view: View, number: int, *, wanted_threads: int) -> None:
+        """Look at all points from one more view."""
+
+    def see_again(self, view: View, number: int, *, wanted_threads: int) -> None:
+        """Take the colours of a view anew, at the points at which it is one of the best."""
+
+    def samples(self) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]:
+        """Return views (n, k), the best first, −1 for none; colours (n, k, 3) and scores (n, k)."""
+
+    def seen(self) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+        """Return pixels a metre in the best view (n,), and how many views show each point (n,)."""
+
+    def blend(
+        self, *, blurred: float, details: float, deviations: float, levels: float, wanted_threads: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+        """Return colours (n, 3), the best view (n,), −1 for none, and how many views count (n,)."""
+
+@final
+class TexturedSurface:
+    """A mesh laid out in images."""
+
+    def __new__(
+        cls,
+        vertices: NDArray[np.float64],
+        triangles: NDArray[np.int32],
+        corners: NDArray[np.float64],
+        pages: NDArray[np.int32],
+        images: Sequence[NDArray[np.uint8]],
+    ) -> TexturedSurface: ...
+    def seen_by(self, camera: _Camera, *, near: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Return what a camera sees, (h, w, 3), and whether each pixel shows a triangle with an image."""
 
 def color_weight(
     vertices: NDArray[np.float64],

@@ -14,9 +14,12 @@
 //! | [`certified`] | simplification within proven bounds | `collapse`, `quadric`, `certify` |
 //! | [`seams`] | surfaces whose vertices are doubled along texture seams | `collapse`, `quadrics`, `fitting` |
 //! | [`planar`] | simplification by near-planar patches | `mesh` |
+//! | [`atlas`] | the surface cut into charts that lie flat, packed into images | `base` |
+//! | [`texture`] | the colours of a mesh from photos of it | `base` |
 //! | [`snm`] | the file that keeps normal meshes | `subdivision` |
 //! | [`normal`] | normal meshes: base, levels, and the search that places their vertices | `collapse`, `quadrics`, `subdivision`, `snm` |
 
+pub mod atlas;
 pub mod base;
 pub mod certified;
 pub mod certify;
@@ -31,6 +34,7 @@ pub mod quadrics;
 pub mod seams;
 pub mod snm;
 pub mod subdivision;
+pub mod texture;
 
 #[cfg(feature = "python")]
 mod python;

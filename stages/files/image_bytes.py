@@ -92,6 +92,14 @@ def encoded_png(image: NDArray[np.uint8]) -> bytes:
     return encoded.tobytes()
 
 
+def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """Return an image (h, w) of one channel as a PNG file."""
+    import cv2
+
+    _, encoded = cv2.imencode(".png", image)
+    return encoded.tobytes()
+
+
 def is_possible(size: tuple[int, int], most: int = MAX_PIXELS) -> bool:
     """Return whether an image of (width, height) pixels is one, and no larger than cameras make them."""
     return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= most

@@ -6,6 +6,7 @@ because rectification removes it together with the rotation.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, scaled
 from stages.scans.undistortion import undistorted
 
 
@@ -52,6 +53,28 @@ def read_pinhole(frame: Frame) -> ColorImage | None:
     if not frame.camera.distortion:
         return image
     return cast(ColorImage, undistorted(image, frame.camera, smooth=True))
+
+
+def read_photo(frame: Frame) -> tuple[ColorImage, Camera]:
+    """Return a frame's colour image without lens distortion, as sharp as it is, and its pinhole camera.
+
+    Returns
+    -------
+    (h, w, 3) uint8 RGB at its own size, and the camera for this size: that of the colour image, or, where the
+    frame has none, its own.
+
+    Raises
+    ------
+    InputError
+        If there is no image, or it cannot be read.
+    """
+    if frame.color is None:
+        raise InputError("there is no colour image.", f"frame {frame.name}")
+    image = _color(frame.color, frame.name)
+    camera = scaled(frame.color_camera or frame.camera, image.shape[1], image.shape[0])
+    if camera.distortion:
+        image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True))
+    return image, replace(camera, distortion=(), fisheye=False)
 
 
 def read_mask(frame: Frame) -> NDArray[np.uint8] | None:

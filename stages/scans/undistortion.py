@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 from stages.scans.scan import Camera, scaled
 
 
-def undistorted(image: NDArray[Any], camera: Camera, *, smooth: bool) -> NDArray[Any]:
-    """Return what a pinhole camera with the same matrix sees; depth is never averaged across an edge."""
+def undistorted(image: NDArray[Any], camera: Camera, *, smooth: bool, sharp: bool = False) -> NDArray[Any]:
+    """Return what a pinhole camera with the same matrix sees; depth is never averaged across an edge.
+
+    Parameters
+    ----------
+    smooth : interpolate linearly; else the nearest pixel is taken.
+    sharp : interpolate by Lanczos' window of four pixels instead, which keeps details.
+    """
     import cv2
 
     across, down = _undistortion(camera, image.shape[1], image.shape[0])
-    return cv2.remap(image, across, down, cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST)
+    how = cv2.INTER_LANCZOS4 if sharp else cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
+    return cv2.remap(image, across, down, how)
 
 
 @functools.lru_cache(maxsize=4)

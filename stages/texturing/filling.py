@@ -25,9 +25,13 @@ def filled_up(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: in
 
 def _pull_push(image: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Fill what is not known from coarser and coarser means (Gortler et al. 1996, "The Lumigraph", 4.3)."""
-    if known.all() or len(image) == 1:
+    if known.all():
         return image
-    halves = (len(image) // 2, 2, len(image) // 2, 2)
+    height, width = known.shape
+    if height % 2 or width % 2:
+        mean = image[known].mean(axis=0) if known.any() else np.zeros(3, np.float32)
+        return np.where(known[:, :, None], image, mean)
+    halves = (height // 2, 2, width // 2, 2)
     weight = known.reshape(halves).sum(axis=(1, 3))
     sums = np.where(known[:, :, None], image, 0).reshape(*halves, 3).sum(axis=(1, 3))
     coarse = _pull_push((sums / np.maximum(weight, 1)[:, :, None]).astype(np.float32), weight > 0)

@@ -137,3 +137,12 @@ pub fn triangle_array(py: Python<'_>, triangles: &[[u32; 3]]) -> PyResult<Py<PyA
 pub fn id_array(py: Python<'_>, ids: impl Iterator<Item = u32>) -> Py<PyArray1<i32>> {
     PyArray1::from_vec(py, ids.map(|id| id as i32).collect()).unbind()
 }
+
+/// Rows of so many numbers.
+pub fn rows<T: Element + Copy, const D: usize>(array: &PyReadonlyArray2<'_, T>) -> PyResult<Vec<[T; D]>> {
+    let array = array.as_array();
+    if array.ncols() != D {
+        return Err(PyValueError::new_err(format!("an array is {:?}; n × {D} is expected", array.shape())));
+    }
+    Ok((0..array.nrows()).map(|i| std::array::from_fn(|k| array[[i, k]])).collect())
+}

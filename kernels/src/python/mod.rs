@@ -3,6 +3,7 @@
 //! Arrays are checked and copied while the GIL is held; the work runs without it (see [`detached`]).
 
 mod arrays;
+mod atlas;
 mod certified;
 mod certify;
 mod color_weight;
@@ -16,6 +17,7 @@ mod planar;
 mod quadric;
 mod seams;
 mod simplified;
+mod texture;
 
 use pyo3::create_exception;
 use pyo3::exceptions::{PyMemoryError, PyOverflowError, PyValueError};
@@ -72,6 +74,13 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;
+    module.add_class::<atlas::LaidOut>()?;
+    module.add_function(wrap_pyfunction!(atlas::lay_out, module)?)?;
+    module.add_function(wrap_pyfunction!(atlas::texels, module)?)?;
+    module.add_class::<texture::View>()?;
+    module.add_class::<texture::SurfacePoints>()?;
+    module.add_function(wrap_pyfunction!(texture::zbuffer, module)?)?;
+    module.add_class::<texture::TexturedSurface>()?;
     module.add_class::<certified::Proven>()?;
     module.add_function(wrap_pyfunction!(certified::simplify_certified, module)?)?;
     module.add_class::<jia01::BySums>()?;

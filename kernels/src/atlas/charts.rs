@@ -1,0 +1,259 @@
+//! Pieces of the surface that face one way, each laid in its plane.
+//!
+//! A chart grows from a triangle over those across its border, first those that face as the chart does in the mean. In its
+//! plane no triangle is turned over or very thin; that none lies on another is found out texel by texel, and what does
+//! becomes a chart of its own. Where the photos show more, a chart gets more texels.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use super::bitmap::Bitmap;
+use super::neighbours::{NONE, neighbours};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, cross, dot, norm2, sub, unit};
+use crate::base::progress::Progress;
+
+/// A triangle may join a chart that faces within this cosine of it, and is thrown out again below the other.
+const JOINS: f64 = 0.72;
+const STAYS: f64 = 0.4;
+/// Of the cost of a triangle, what remains where two of its sides touch the chart: borders get short.
+const TOUCHING: f64 = 0.4;
+/// Texels a metre within a chart differ by no more than this factor.
+const ALIKE: f64 = 2.5;
+/// Triangles of less area than this share of their longest side's square are flat.
+const FLAT: f64 = 1e-9;
+/// Directions that a chart is turned to, a quarter turn in all, to find the one that takes least room.
+const TURNS: usize = 18;
+
+/// Charts of a mesh: every triangle belongs to one, but those without area.
+#[derive(Debug)]
+pub struct Charts {
+    /// [`NONE`] for triangles without area.
+    pub of: Vec<u32>,
+    pub count: usize,
+    /// Of each triangle, in texels, from the corner of its chart's box.
+    pub corners: Vec<[[f64; 2]; 3]>,
+}
+
+#[derive(PartialEq)]
+struct Candidate {
+    cost: f64,
+    triangle: u32,
+}
+
+impl Eq for Candidate {}
+
+impl Ord for Candidate {
+    fn cmp(&self, other: &Self) -> Ordering {
+        other.cost.total_cmp(&self.cost).then(other.triangle.cmp(&self.triangle))
+    }
+}
+
+impl PartialOrd for Candidate {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// Cut a surface into charts of at most `side` texels in each direction; `density` is the texels a metre that each triangle
+/// should have.
+///
+/// # Errors
+/// As [`Progress::check`].
+pub fn charts(
+    points: &[Vec3],
+    triangles: &[[u32; 3]],
+    density: &[f32],
+    side: usize,
+    progress: &mut Progress,
+) -> Result<Charts, KernelError> {
+    let mut growth = Growth::new(points, triangles, density, side);
+    let mut seeds: Vec<u32> =
+        (0..triangles.len() as u32).filter(|&t| growth.size[t as usize] > 0.0).collect();
+    seeds.sort_by(|&a, &b| growth.size[b as usize].total_cmp(&growth.size[a as usize]).then(a.cmp(&b)));
+    let mut charts =
+        Charts { of: vec![NONE; triangles.len()], count: 0, corners: vec![[[0.0; 2]; 3]; triangles.len()] };
+    // Those that were thrown out of a chart are seeds again.
+    while !seeds.is_empty() {
+        let mut again = vec![];
+        for seed in seeds {
+            if charts.of[seed as usize] != NONE {
+                continue;
+            }
+            progress.check_now_and_then()?;
+            let members = growth.grown(seed, &charts);
+            charts.lay_out(&members, &growth, &mut again);
+        }
+        seeds = again;
+    }
+    Ok(charts)
+}
+
+struct Growth<'a> {
+    points: &'a [Vec3],
+    triangles: &'a [[u32; 3]],
+    across: Vec<[u32; 3]>,
+    normals: Vec<Vec3>,
+    /// Area, 0 for none.
+    size: Vec<f64>,
+    density: &'a [f32],
+    side: f64,
+    /// The seed of the chart a triangle was last refused or taken by.
+    looked: Vec<u32>,
+}
+
+impl<'a> Growth<'a> {
+    fn new(points: &'a [Vec3], triangles: &'a [[u32; 3]], density: &'a [f32], side: usize) -> Self {
+        let corners = |t: &[u32; 3]| t.map(|v| points[v as usize]);
+        let (mut normals, mut size) = (vec![], vec![]);
+        for t in triangles {
+            let [a, b, c] = corners(t);
+            let normal = cross(&sub(&b, &a), &sub(&c, &a));
+            let twice = norm2(&normal).sqrt();
+            let longest2 = norm2(&sub(&b, &a)).max(norm2(&sub(&c, &b))).max(norm2(&sub(&a, &c)));
+            normals.push(unit(&normal));
+            size.push(if twice > FLAT * longest2 { twice / 2.0 } else { 0.0 });
+        }
+        let across = neighbours(triangles);
+        let looked = vec![NONE; triangles.len()];
+        Self { points, triangles, across, normals, size, density, side: side as f64, looked }
+    }
+
+    /// The triangles that join a seed, which is the first.
+    fn grown(&mut self, seed: u32, charts: &Charts) -> Vec<u32> {
+        let start = seed as usize;
+        let [u, v] = plane(&self.normals[start]);
+        let alike = f64::from(self.density[start]).max(f64::MIN_POSITIVE);
+        let mut members = vec![];
+        let mut sum = [0.0; 3];
+        let mut low = [f64::INFINITY; 2];
+        let mut high = [f64::NEG_INFINITY; 2];
+        let mut front = BinaryHeap::from([Candidate { cost: 0.0, triangle: seed }]);
+        while let Some(Candidate { triangle, .. }) = front.pop() {
+            let t = triangle as usize;
+            if self.looked[t] == seed {
+                continue;
+            }
+            let axis = if members.is_empty() { self.normals[t] } else { unit(&sum) };
+            if dot(&self.normals[t], &axis) < JOINS {
+                continue;
+            }
+            let (mut lower, mut higher) = (low, high);
+            for p in self.triangles[t].map(|v| self.points[v as usize]) {
+                for (k, direction) in [&u, &v].into_iter().enumerate() {
+                    let place = dot(direction, &p) * alike;
+                    lower[k] = lower[k].min(place);
+                    higher[k] = higher[k].max(place);
+                }
+            }
+            // Turned by an eighth it is as long as its diagonal.
+            if !members.is_empty() && (higher[0] - lower[0]).hypot(higher[1] - lower[1]) > self.side {
+                continue;
+            }
+            (low, high) = (lower, higher);
+            self.looked[t] = seed;
+            members.push(triangle);
+            sum = [0, 1, 2].map(|i| sum[i] + self.size[t] * self.normals[t][i]);
+            let axis = unit(&sum);
+            for next in self.across[t] {
+                let n = next as usize;
+                if next == NONE || charts.of[n] != NONE || self.looked[n] == seed || self.size[n] == 0.0 {
+                    continue;
+                }
+                let ratio = f64::from(self.density[n]) / alike;
+                let cosine = dot(&self.normals[n], &axis);
+                if cosine < JOINS || !(1.0 / ALIKE..=ALIKE).contains(&ratio) {
+                    continue;
+                }
+                let touching =
+                    self.across[n].iter().filter(|&&o| o != NONE && self.looked[o as usize] == seed);
+                let share = if touching.count() > 1 { TOUCHING } else { 1.0 };
+                front.push(Candidate { cost: (1.0 - cosine) * share, triangle: next });
+            }
+        }
+        members
+    }
+}
+
+impl Charts {
+    /// Lay triangles in their plane; those that do not fit there go to `again`.
+    fn lay_out(&mut self, members: &[u32], growth: &Growth<'_>, again: &mut Vec<u32>) {
+        let mut sum = [0.0; 3];
+        let (mut area, mut texels) = (0.0, 0.0);
+        for &t in members {
+            let t = t as usize;
+            sum = [0, 1, 2].map(|i| sum[i] + growth.size[t] * growth.normals[t][i]);
+            area += growth.size[t];
+            texels += growth.size[t] * f64::from(growth.density[t]);
+        }
+        let axis = unit(&sum);
+        let scale = texels / area;
+        let flat = best_turn(members, growth, &axis, scale);
+        let mut bitmap = Bitmap::around(&flat);
+        let number = self.count as u32;
+        for (&t, corners) in members.iter().zip(&flat) {
+            let leaves = dot(&growth.normals[t as usize], &axis) < STAYS || !bitmap.claim(corners);
+            // A single triangle always fits.
+            if leaves && members.len() > 1 {
+                again.push(t);
+            } else {
+                (self.of[t as usize], self.corners[t as usize]) = (number, *corners);
+            }
+        }
+        self.count += 1;
+    }
+}
+
+/// Triangles in the plane across an axis, turned so that their box is smallest, and shifted to its corner.
+fn best_turn(members: &[u32], growth: &Growth<'_>, axis: &Vec3, scale: f64) -> Vec<[[f64; 2]; 3]> {
+    let [u, v] = plane(axis);
+    let flat: Vec<[[f64; 2]; 3]> = members
+        .iter()
+        .map(|&t| {
+            growth.triangles[t as usize].map(|corner| {
+                let p = &growth.points[corner as usize];
+                [scale * dot(&u, p), scale * dot(&v, p)]
+            })
+        })
+        .collect();
+    let turned = |p: &[f64; 2], [c, s]: [f64; 2]| [c * p[0] - s * p[1], s * p[0] + c * p[1]];
+    let extent = |turn: [f64; 2]| {
+        let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for p in flat.iter().flatten().map(|p| turned(p, turn)) {
+            for k in 0..2 {
+                (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k]));
+            }
+        }
+        (low, high)
+    };
+    let (mut best, mut least) = ([1.0, 0.0], f64::INFINITY);
+    for step in 0..TURNS {
+        let angle = std::f64::consts::FRAC_PI_2 * step as f64 / TURNS as f64;
+        let (low, high) = extent([angle.cos(), angle.sin()]);
+        let room = (high[0] - low[0] + 1.0) * (high[1] - low[1] + 1.0);
+        if room < least * (1.0 - 1e-9) {
+            let upright = high[1] - low[1] >= high[0] - low[0];
+            // Another quarter turn brings the longer side upright, as the packer likes it.
+            (best, least) =
+                (if upright { [angle.cos(), angle.sin()] } else { [-angle.sin(), angle.cos()] }, room);
+        }
+    }
+    let (low, _) = extent(best);
+    flat.iter()
+        .map(|corners| {
+            corners.map(|p| {
+                let p = turned(&p, best);
+                [p[0] - low[0], p[1] - low[1]]
+            })
+        })
+        .collect()
+}
+
+/// Two directions across a normal.
+fn plane(normal: &Vec3) -> [Vec3; 2] {
+    let least = (0..3).min_by(|&i, &j| normal[i].abs().total_cmp(&normal[j].abs())).unwrap_or(0);
+    let mut other = [0.0; 3];
+    other[least] = 1.0;
+    let u = unit(&cross(normal, &other));
+    [u, cross(normal, &u)]
+}

@@ -1,0 +1,23 @@
+//! Triangles across edges, of any mesh: where more than two share an edge, none is across.
+
+/// Stands for no triangle.
+pub const NONE: u32 = u32::MAX;
+
+/// The triangle across the edge that begins at each corner.
+pub fn neighbours(triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+    let mut sides: Vec<(u64, u32)> = (0..3 * triangles.len())
+        .map(|side| {
+            let (a, b) = (triangles[side / 3][side % 3], triangles[side / 3][(side + 1) % 3]);
+            (u64::from(a.min(b)) << 32 | u64::from(a.max(b)), side as u32)
+        })
+        .collect();
+    sides.sort_unstable();
+    let mut across = vec![[NONE; 3]; triangles.len()];
+    for sides in sides.chunk_by(|a, b| a.0 == b.0) {
+        if let [(_, a), (_, b)] = *sides {
+            across[a as usize / 3][a as usize % 3] = b / 3;
+            across[b as usize / 3][b as usize % 3] = a / 3;
+        }
+    }
+    across
+}

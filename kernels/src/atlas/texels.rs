@@ -1,0 +1,158 @@
+//! What lies under each texel: a triangle, or the nearest place of one that ends close by.
+
+use std::ops::Range;
+
+use super::neighbours::NONE;
+use crate::base::geometry::Vec3;
+
+/// How far beyond the border of a chart texels take its colours, so that what lies between two texels is right at the
+/// border, too.
+const BEYOND: f64 = 1.5;
+
+/// The columns of each row whose texels' centres lie in a triangle. An edge is crossed at the same place whichever of its
+/// triangles asks, so that neighbours share no texel and leave none out.
+pub fn spans(
+    corners: &[[f64; 2]; 3],
+    width: usize,
+    height: usize,
+) -> impl Iterator<Item = (usize, Range<usize>)> + use<> {
+    let mut sorted = *corners;
+    sorted.sort_by(|a, b| a[1].total_cmp(&b[1]).then(a[0].total_cmp(&b[0])));
+    let [a, b, c] = sorted;
+    let rows = between(a[1], c[1], height);
+    rows.map(move |row| {
+        let y = row as f64 + 0.5;
+        let (p, q) = if y >= b[1] { (b, c) } else { (a, b) };
+        let (long, short) = (crossing(a, c, y), crossing(p, q, y));
+        (row, between(long.min(short), long.max(short), width))
+    })
+}
+
+fn between(low: f64, high: f64, size: usize) -> Range<usize> {
+    let bound = |at: f64| (at - 0.5).ceil().clamp(0.0, size as f64) as usize;
+    bound(low)..bound(high).max(bound(low))
+}
+
+fn crossing(a: [f64; 2], b: [f64; 2], y: f64) -> f64 {
+    let height = b[1] - a[1];
+    if height > 0.0 { a[0] + (y - a[1]) / height * (b[0] - a[0]) } else { a[0] }
+}
+
+/// Texels of one image, in the order of their triangles.
+#[derive(Debug, Default)]
+pub struct Texels {
+    /// Row × width + column.
+    pub pixels: Vec<u32>,
+    pub triangles: Vec<u32>,
+    /// Shares of the triangle's corners.
+    pub shares: Vec<[f32; 3]>,
+}
+
+/// The texels of the triangles of an image: those in charts, and those next to their borders.
+///
+/// `corners` are in texels; the centre of the first texel is at (0.5, 0.5). Triangles of another page are left out.
+pub fn texels(
+    corners: &[[[f64; 2]; 3]],
+    is_here: impl Fn(usize) -> bool,
+    width: usize,
+    height: usize,
+) -> Texels {
+    let mut owner = vec![NONE; width * height];
+    let here: Vec<usize> = (0..corners.len()).filter(|&t| is_here(t)).collect();
+    for &t in &here {
+        for (row, columns) in spans(&corners[t], width, height) {
+            owner[row * width..][columns].fill(t as u32);
+        }
+    }
+    let inside: Vec<bool> = owner.iter().map(|&t| t != NONE).collect();
+    let mut nearest = vec![f32::INFINITY; width * height];
+    for &t in &here {
+        let place =
+            |k: usize, by: fn(f64, f64) -> f64| corners[t].iter().map(|p| p[k]).reduce(by).unwrap_or(0.0);
+        let range = |k: usize, size: usize| {
+            let low = (place(k, f64::min) - BEYOND).floor().max(0.0) as usize;
+            low..((place(k, f64::max) + BEYOND).ceil().max(0.0) as usize).min(size)
+        };
+        for y in range(1, height) {
+            for x in range(0, width) {
+                let i = y * width + x;
+                if inside[i] {
+                    continue;
+                }
+                let centre = [x as f64 + 0.5, y as f64 + 0.5];
+                let distance = (distance2(&corners[t], centre) as f32).sqrt();
+                if distance <= BEYOND as f32 && distance < nearest[i] {
+                    (nearest[i], owner[i]) = (distance, t as u32);
+                }
+            }
+        }
+    }
+    let mut order: Vec<(u32, u32)> =
+        (0..owner.len()).filter(|&i| owner[i] != NONE).map(|i| (owner[i], i as u32)).collect();
+    order.sort_unstable();
+    let shares = order
+        .iter()
+        .map(|&(t, i)| {
+            let centre = [(i as usize % width) as f64 + 0.5, (i as usize / width) as f64 + 0.5];
+            shares(&corners[t as usize], centre).map(|share| share as f32)
+        })
+        .collect();
+    Texels {
+        pixels: order.iter().map(|o| o.1).collect(),
+        triangles: order.iter().map(|o| o.0).collect(),
+        shares,
+    }
+}
+
+/// The shares of the corners of the place in a triangle that is nearest to a point.
+fn shares(corners: &[[f64; 2]; 3], p: [f64; 2]) -> [f64; 3] {
+    let [a, b, c] = corners;
+    let area = turn(a, b, c);
+    if area != 0.0 {
+        let inside = [turn(b, c, &p) / area, turn(c, a, &p) / area, turn(a, b, &p) / area];
+        if inside.iter().all(|&share| share >= 0.0) {
+            return inside;
+        }
+    }
+    let mut best = ([1.0, 0.0, 0.0], f64::INFINITY);
+    for k in 0..3 {
+        let (t, distance) = along(&corners[k], &corners[(k + 1) % 3], p);
+        if distance < best.1 {
+            let mut found = [0.0; 3];
+            (found[k], found[(k + 1) % 3]) = (1.0 - t, t);
+            best = (found, distance);
+        }
+    }
+    best.0
+}
+
+fn distance2(corners: &[[f64; 2]; 3], p: [f64; 2]) -> f64 {
+    (0..3).map(|k| along(&corners[k], &corners[(k + 1) % 3], p).1).fold(f64::INFINITY, f64::min)
+}
+
+/// How far along a segment the place nearest to a point is, and its squared distance.
+fn along(a: &[f64; 2], b: &[f64; 2], p: [f64; 2]) -> (f64, f64) {
+    let (d, e) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let length2 = d[0] * d[0] + d[1] * d[1];
+    let t = if length2 > 0.0 { ((d[0] * e[0] + d[1] * e[1]) / length2).clamp(0.0, 1.0) } else { 0.0 };
+    (t, (e[0] - t * d[0]).powi(2) + (e[1] - t * d[1]).powi(2))
+}
+
+fn turn(a: &[f64; 2], b: &[f64; 2], c: &[f64; 2]) -> f64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+/// The points of a mesh under its texels.
+pub fn places(texels: &Texels, points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    texels
+        .triangles
+        .iter()
+        .zip(&texels.shares)
+        .map(|(&t, shares)| mixed(shares, &triangles[t as usize].map(|v| points[v as usize])))
+        .collect()
+}
+
+/// The mean of three values by shares.
+pub fn mixed(shares: &[f32; 3], values: &[Vec3; 3]) -> Vec3 {
+    [0, 1, 2].map(|k| (0..3).map(|c| f64::from(shares[c]) * values[c][k]).sum())
+}

@@ -1,0 +1,113 @@
+//! `stages._kernels.lay_out` and `texels`.
+
+use numpy::ndarray::{Array2, Array3};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{rows, triangles_from};
+use super::detached::detached;
+use super::guarded::guarded;
+use crate::atlas::neighbours::NONE;
+use crate::atlas::{charts, pack, texels as under};
+
+/// Texels with their triangles, and the shares of its corners.
+type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
+
+/// A surface laid out in images.
+#[pyclass(frozen, get_all, module = "stages._kernels")]
+pub struct LaidOut {
+    charts: Py<PyArray1<i32>>,
+    pages: Py<PyArray1<i32>>,
+    corners: Py<PyArray3<f64>>,
+    heights: Vec<usize>,
+}
+
+/// Lay a surface out in images of `side` × `side`; `density` holds the texels a metre of each triangle.
+#[pyfunction]
+#[pyo3(signature = (vertices, triangles, density, *, side, padding, progress))]
+pub fn lay_out(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    density: PyReadonlyArray1<'_, f32>,
+    side: usize,
+    padding: usize,
+    progress: Py<PyAny>,
+) -> PyResult<LaidOut> {
+    if side <= 2 * padding + 1 {
+        return Err(PyValueError::new_err("the images have no room beside the padding"));
+    }
+    let count = vertices.as_array().nrows() + triangles.as_array().nrows();
+    guarded(count + side * side / 64, || {
+        let points = rows::<f64, 3>(&vertices)?;
+        let triangles = triangles_from(&triangles, points.len())?;
+        let density = density.as_array().to_vec();
+        if density.len() != triangles.len() {
+            return Err(PyValueError::new_err("density needs one value for each triangle"));
+        }
+        let (charts, packed) = detached(py, Some(&progress), false, |progress| {
+            crate::mesh::connect::check_indices(points.len(), &triangles)?;
+            let charts = charts::charts(&points, &triangles, &density, side - 2 * padding - 1, progress)?;
+            let packed = pack::pack(&charts, side, padding, progress)?;
+            Ok((charts, packed))
+        })?;
+        let numbers = |values: Vec<i32>| PyArray1::from_vec(py, values).unbind();
+        let corners = packed.corners.into_iter().flatten().flatten().collect();
+        let corners = Array3::from_shape_vec((triangles.len(), 3, 2), corners).map_err(shape)?;
+        Ok(LaidOut {
+            charts: numbers(charts.of.iter().map(|&c| if c == NONE { -1 } else { c as i32 }).collect()),
+            pages: numbers(packed.pages.iter().map(|&p| if p == u16::MAX { -1 } else { p.into() }).collect()),
+            corners: corners.into_pyarray(py).unbind(),
+            heights: packed.heights,
+        })
+    })
+}
+
+/// The texels of the triangles of one image, and of the rows and columns next to their charts.
+#[pyfunction]
+#[pyo3(signature = (corners, pages, *, page, width, height))]
+pub fn texels(
+    py: Python<'_>,
+    corners: PyReadonlyArray3<'_, f64>,
+    pages: PyReadonlyArray1<'_, i32>,
+    page: i32,
+    width: usize,
+    height: usize,
+) -> PyResult<Found> {
+    guarded(width * height, || {
+        let corners = triangle_corners(&corners)?;
+        let pages = pages.as_array().to_vec();
+        if pages.len() != corners.len() {
+            return Err(PyValueError::new_err("pages needs one value for each triangle"));
+        }
+        let found = py.detach(|| under::texels(&corners, |t| pages[t] == page, width, height));
+        let count = found.pixels.len();
+        let shares = Array2::from_shape_vec((count, 3), found.shares.into_iter().flatten().collect())
+            .map_err(shape)?;
+        Ok((
+            PyArray1::from_vec(py, found.pixels).unbind(),
+            PyArray1::from_vec(py, found.triangles).unbind(),
+            shares.into_pyarray(py).unbind(),
+        ))
+    })
+}
+
+/// Corners of triangles in a plane, m × 3 × 2.
+pub fn triangle_corners(corners: &PyReadonlyArray3<'_, f64>) -> PyResult<Vec<[[f64; 2]; 3]>> {
+    let corners = corners.as_array();
+    if corners.shape()[1..] != [3, 2] {
+        return Err(PyValueError::new_err(format!(
+            "corners are {:?}; m × 3 × 2 is expected",
+            corners.shape()
+        )));
+    }
+    let value = |t: usize, c: usize, k: usize| corners[[t, c, k]];
+    Ok((0..corners.shape()[0]).map(|t| [0, 1, 2].map(|c| [0, 1].map(|k| value(t, c, k)))).collect())
+}
+
+pub fn shape(error: numpy::ndarray::ShapeError) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}

@@ -1,0 +1,334 @@
+//! `stages._kernels.zbuffer`, `View`, `SurfacePoints` and `TexturedSurface`.
+
+use std::sync::Mutex;
+
+use numpy::ndarray::{Array2, Array3};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{rows, triangles_from};
+use super::atlas::{shape, triangle_corners};
+use super::detached::detached;
+use super::guarded::guarded;
+use crate::base::parallel::threads;
+use crate::texture::blend::{NO_VIEW, Weights, blend};
+use crate::texture::pinhole::Pinhole;
+use crate::texture::shade::{Textured, shade as shaded};
+use crate::texture::surface_points::SurfacePoints as Points;
+use crate::texture::view::{Depths, Photo, View as Photographed, Warp};
+use crate::texture::zbuffer::{NOTHING, zbuffer as drawn};
+
+/// fx, fy, cx, cy, width, height; and the (4, 4) matrix that takes the world to the camera.
+type Camera<'py> = ((f64, f64, f64, f64, usize, usize), PyReadonlyArray2<'py, f64>);
+type Map<'py> = PyReadonlyArray2<'py, f32>;
+type Image<'py> = PyReadonlyArray3<'py, u8>;
+/// Depth and triangle at each pixel.
+type Drawn = (Py<PyArray2<f32>>, Py<PyArray2<i32>>);
+/// Colours of pixels, and whether each shows something.
+type Shaded = (Py<PyArray3<u8>>, Py<PyArray2<bool>>);
+/// Views, colours and scores of samples.
+type Samples = (Py<PyArray2<i32>>, Py<PyArray3<u8>>, Py<PyArray2<f32>>);
+/// Colours, labels and counts of views of points.
+type Blended = (Py<PyArray2<f32>>, Py<PyArray1<i32>>, Py<PyArray1<u8>>);
+
+fn pinhole(camera: &Camera<'_>) -> PyResult<Pinhole> {
+    let ((fx, fy, cx, cy, width, height), ref pose) = *camera;
+    let pose = pose.as_array();
+    if pose.shape() != [4, 4] || width < 2 || height < 2 {
+        return Err(PyValueError::new_err(
+            "a camera needs an image of 2 × 2 pixels at least and a 4 × 4 pose",
+        ));
+    }
+    Ok(Pinhole {
+        focal: [fx, fy],
+        centre: [cx, cy],
+        width,
+        height,
+        turn: [0, 1, 2].map(|i| [0, 1, 2].map(|k| pose[[i, k]])),
+        shift: [0, 1, 2].map(|i| pose[[i, 3]]),
+    })
+}
+
+/// Depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen.
+#[pyfunction]
+#[pyo3(signature = (vertices, triangles, camera, *, near))]
+pub fn zbuffer(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    camera: Camera<'_>,
+    near: f64,
+) -> PyResult<Drawn> {
+    let camera = pinhole(&camera)?;
+    let count = vertices.as_array().nrows() + triangles.as_array().nrows();
+    guarded(count + camera.width * camera.height / 16, || {
+        let points = rows::<f64, 3>(&vertices)?;
+        let triangles = triangles_from(&triangles, points.len())?;
+        crate::mesh::connect::check_indices(points.len(), &triangles)?;
+        let seen = py.detach(|| drawn(&points, &triangles, &camera, near));
+        let size = (camera.height, camera.width);
+        let numbers = seen.triangle.into_iter().map(|t| if t == NOTHING { -1 } else { t as i32 }).collect();
+        Ok((
+            Array2::from_shape_vec(size, seen.depth).map_err(shape)?.into_pyarray(py).unbind(),
+            Array2::from_shape_vec(size, numbers).map_err(shape)?.into_pyarray(py).unbind(),
+        ))
+    })
+}
+
+/// A photo with what its camera sees of the mesh, and what it measured.
+#[pyclass(frozen, module = "stages._kernels")]
+pub struct View(Photographed);
+
+#[pymethods]
+impl View {
+    #[new]
+    #[pyo3(signature = (camera, photo, blurred, mesh_camera, mesh_depth, mesh_triangles, *, reach, measured, warp, worth))]
+    #[allow(clippy::too_many_arguments)]
+    fn new(
+        camera: Camera<'_>,
+        photo: Image<'_>,
+        blurred: Image<'_>,
+        mesh_camera: Camera<'_>,
+        mesh_depth: Map<'_>,
+        mesh_triangles: PyReadonlyArray2<'_, i32>,
+        reach: (f64, f64),
+        measured: Option<(Camera<'_>, Map<'_>)>,
+        warp: Option<PyReadonlyArray3<'_, f32>>,
+        worth: f32,
+    ) -> PyResult<Self> {
+        let camera = pinhole(&camera)?;
+        let (photo, blurred) = (image(&photo)?, image(&blurred)?);
+        for picture in [&photo, &blurred] {
+            if (picture.width, picture.height) != (camera.width, camera.height) {
+                return Err(PyValueError::new_err("a photo is of another size than its camera"));
+            }
+        }
+        let mesh = depths(&mesh_camera, &mesh_depth, reach.0)?;
+        let triangles: Vec<u32> =
+            mesh_triangles.as_array().iter().map(|&t| if t < 0 { NOTHING } else { t as u32 }).collect();
+        let measured = measured.map(|(camera, depth)| depths(&camera, &depth, reach.1)).transpose()?;
+        let warp = warp.map(|warp| shifts(&warp)).transpose()?;
+        let place = camera.place();
+        Ok(Self(Photographed { camera, place, photo, blurred, mesh, triangles, measured, warp, worth }))
+    }
+}
+
+fn image(image: &Image<'_>) -> PyResult<Photo> {
+    let pixels = image.as_array();
+    let [height, width, channels] = *pixels.shape() else { unreachable!("an array of three dimensions") };
+    if channels != 3 || width < 2 || height < 2 {
+        return Err(PyValueError::new_err(format!(
+            "an image is {:?}; h × w × 3 is expected",
+            pixels.shape()
+        )));
+    }
+    let standard = pixels.as_standard_layout();
+    let levels = standard.as_slice().unwrap_or_default().chunks_exact(3);
+    Ok(Photo { width, height, pixels: levels.map(|c| [c[0], c[1], c[2], 0]).collect() })
+}
+
+fn depths(camera: &Camera<'_>, nearest: &Map<'_>, reach: f64) -> PyResult<Depths> {
+    let camera = pinhole(camera)?;
+    let nearest = nearest.as_array();
+    if nearest.shape() != [camera.height, camera.width] {
+        return Err(PyValueError::new_err("depth is of another size than its camera"));
+    }
+    Ok(Depths { camera, nearest: nearest.iter().copied().collect(), reach })
+}
+
+fn shifts(warp: &PyReadonlyArray3<'_, f32>) -> PyResult<Warp> {
+    let warp = warp.as_array();
+    let [rows, columns, 2] = *warp.shape() else {
+        return Err(PyValueError::new_err("shifts are h × w × 2"));
+    };
+    if rows < 2 || columns < 2 {
+        return Err(PyValueError::new_err("shifts need two rows and columns at least"));
+    }
+    let shifts = (0..rows * columns).map(|i| [0, 1].map(|k| warp[[i / columns, i % columns, k]])).collect();
+    Ok(Warp { columns, rows, shifts })
+}
+
+/// Points of a surface, by their triangles, each with the few views that show it best.
+#[pyclass(frozen, module = "stages._kernels")]
+pub struct SurfacePoints(Mutex<Points>);
+
+#[pymethods]
+impl SurfacePoints {
+    /// `of` holds the triangle of each point in ascending order, `shares` those of its corners.
+    #[new]
+    #[pyo3(signature = (vertices, normals, triangles, of, shares, *, kept))]
+    fn new(
+        vertices: PyReadonlyArray2<'_, f64>,
+        normals: PyReadonlyArray2<'_, f64>,
+        triangles: PyReadonlyArray2<'_, i32>,
+        of: PyReadonlyArray1<'_, u32>,
+        shares: Map<'_>,
+        kept: usize,
+    ) -> PyResult<Self> {
+        guarded(of.as_array().len(), || {
+            let (points, normals) = (rows::<f64, 3>(&vertices)?, rows::<f64, 3>(&normals)?);
+            let triangles = triangles_from(&triangles, points.len())?;
+            crate::mesh::connect::check_indices(points.len(), &triangles)?;
+            let (of, shares) = (of.as_array().to_vec(), rows::<f32, 3>(&shares)?);
+            let is_sorted = of.is_sorted() && of.last().is_none_or(|&t| (t as usize) < triangles.len());
+            if !is_sorted || of.len() != shares.len() || normals.len() != points.len() || kept == 0 {
+                return Err(PyValueError::new_err("points do not go with their mesh"));
+            }
+            let mut first = vec![0u32; triangles.len() + 1];
+            of.iter().for_each(|&t| first[t as usize + 1] += 1);
+            for t in 0..triangles.len() {
+                first[t + 1] += first[t];
+            }
+            let at = |values: &[[f64; 3]]| -> Vec<[f64; 3]> {
+                let corners = |t: u32| triangles[t as usize].map(|v| values[v as usize]);
+                of.iter().zip(&shares).map(|(&t, s)| crate::atlas::texels::mixed(s, &corners(t))).collect()
+            };
+            let places = at(&points);
+            let normals =
+                at(&normals).iter().map(|n| crate::base::geometry::unit(n).map(|x| x as f32)).collect();
+            Ok(Self(Mutex::new(Points::new(&places, normals, first, triangles, points.len(), kept)?)))
+        })
+    }
+
+    /// Look at all points from one more view; views have numbers below 65,535.
+    #[pyo3(signature = (view, number, *, wanted_threads))]
+    fn see(&self, py: Python<'_>, view: &View, number: u16, wanted_threads: usize) -> PyResult<()> {
+        guarded(0, || {
+            detached(py, None, false, |progress| {
+                self.locked().see(&view.0, number, threads(wanted_threads), progress)
+            })
+        })
+    }
+
+    /// Take the colours of a view anew, at the points at which it is one of the best.
+    #[pyo3(signature = (view, number, *, wanted_threads))]
+    fn see_again(&self, py: Python<'_>, view: &View, number: u16, wanted_threads: usize) -> PyResult<()> {
+        guarded(0, || {
+            detached(py, None, false, |progress| {
+                self.locked().see_again(&view.0, number, threads(wanted_threads), progress)
+            })
+        })
+    }
+
+    /// Views (n, k) in the order of their scores, −1 for none; colours (n, k, 3) and scores (n, k).
+    fn samples(&self, py: Python<'_>) -> PyResult<Samples> {
+        let points = self.locked();
+        let (samples, kept) = points.all_samples();
+        guarded(samples.len(), || {
+            let (n, k) = (points.len(), kept);
+            let views = samples.iter().map(|s| if s.score > 0.0 { s.view.into() } else { -1 }).collect();
+            let colors = samples.iter().flat_map(|s| s.color).collect();
+            let scores = samples.iter().map(|s| s.score).collect();
+            Ok((
+                Array2::from_shape_vec((n, k), views).map_err(shape)?.into_pyarray(py).unbind(),
+                Array3::from_shape_vec((n, k, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec((n, k), scores).map_err(shape)?.into_pyarray(py).unbind(),
+            ))
+        })
+    }
+
+    /// Pixels a metre in the best view (n,), and how many views show each point (n,).
+    fn seen(&self, py: Python<'_>) -> (Py<PyArray1<f32>>, Py<PyArray1<u16>>) {
+        let points = self.locked();
+        (PyArray1::from_slice(py, &points.density).unbind(), PyArray1::from_slice(py, &points.seen).unbind())
+    }
+
+    /// Colours (n, 3), the view that counts most (n,), −1 for none, and how many views count (n,).
+    #[pyo3(signature = (*, blurred, details, deviations, levels, wanted_threads))]
+    fn blend(
+        &self,
+        py: Python<'_>,
+        blurred: f32,
+        details: f32,
+        deviations: f32,
+        levels: f32,
+        wanted_threads: usize,
+    ) -> PyResult<Blended> {
+        let weights = Weights { blurred, details, deviations, levels };
+        let points = self.locked();
+        guarded(points.len(), || {
+            let found = detached(py, None, false, |progress| {
+                blend(&points, &weights, threads(wanted_threads), progress)
+            })?;
+            let colors = found.colors.into_iter().flatten().collect();
+            let labels = found.labels.into_iter().map(|l| if l == NO_VIEW { -1 } else { l.into() }).collect();
+            Ok((
+                Array2::from_shape_vec((points.len(), 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
+                PyArray1::from_vec(py, labels).unbind(),
+                PyArray1::from_vec(py, found.views).unbind(),
+            ))
+        })
+    }
+}
+
+impl SurfacePoints {
+    fn locked(&self) -> std::sync::MutexGuard<'_, Points> {
+        self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+/// A mesh laid out in images.
+#[pyclass(frozen, module = "stages._kernels")]
+pub struct TexturedSurface {
+    points: Vec<[f64; 3]>,
+    triangles: Vec<[u32; 3]>,
+    corners: Vec<[[f64; 2]; 3]>,
+    pages: Vec<u16>,
+    images: Vec<Photo>,
+}
+
+#[pymethods]
+impl TexturedSurface {
+    /// `corners` are in pixels of the image that `pages` names for each triangle, −1 for none.
+    #[new]
+    fn new(
+        vertices: PyReadonlyArray2<'_, f64>,
+        triangles: PyReadonlyArray2<'_, i32>,
+        corners: PyReadonlyArray3<'_, f64>,
+        pages: PyReadonlyArray1<'_, i32>,
+        images: Vec<Image<'_>>,
+    ) -> PyResult<Self> {
+        let bytes: usize = images.iter().map(|image| image.as_array().len()).sum();
+        guarded(vertices.as_array().nrows() + triangles.as_array().nrows() + bytes / 64, || {
+            let points = rows::<f64, 3>(&vertices)?;
+            let triangles = triangles_from(&triangles, points.len())?;
+            crate::mesh::connect::check_indices(points.len(), &triangles)?;
+            let corners = triangle_corners(&corners)?;
+            let pages: Vec<u16> =
+                pages.as_array().iter().map(|&p| u16::try_from(p).unwrap_or(u16::MAX)).collect();
+            if corners.len() != triangles.len() || pages.len() != triangles.len() {
+                return Err(PyValueError::new_err("corners and pages need one row for each triangle"));
+            }
+            let images = images.iter().map(image).collect::<PyResult<Vec<_>>>()?;
+            Ok(Self { points, triangles, corners, pages, images })
+        })
+    }
+
+    /// What a camera sees: colours (h, w, 3), and whether each pixel shows a triangle with an image.
+    #[pyo3(signature = (camera, *, near))]
+    fn seen_by(&self, py: Python<'_>, camera: Camera<'_>, near: f64) -> PyResult<Shaded> {
+        let camera = pinhole(&camera)?;
+        guarded(self.points.len() + camera.width * camera.height / 16, || {
+            let (colors, shown) = py.detach(|| {
+                let seen = drawn(&self.points, &self.triangles, &camera, near);
+                let mesh = Textured {
+                    points: &self.points,
+                    triangles: &self.triangles,
+                    corners: &self.corners,
+                    pages: &self.pages,
+                    images: &self.images,
+                };
+                shaded(&mesh, &seen, &camera)
+            });
+            let (h, w) = (camera.height, camera.width);
+            let colors = colors.into_iter().flatten().collect();
+            Ok((
+                Array3::from_shape_vec((h, w, 3), colors).map_err(shape)?.into_pyarray(py).unbind(),
+                Array2::from_shape_vec((h, w), shown).map_err(shape)?.into_pyarray(py).unbind(),
+            ))
+        })
+    }
+}

@@ -1,0 +1,17 @@
+//! The colours of a mesh from photos of it.
+//!
+//! | file | what |
+//! | --- | --- |
+//! | [`pinhole`] | cameras and where they stand |
+//! | [`zbuffer`] | which triangle a camera sees at each pixel |
+//! | [`view`] | a photo with what its camera sees, and the colour of a point in it |
+//! | [`surface_points`] | points of the surface, each with its best few views |
+//! | [`blend`] | one colour of many |
+//! | [`shade`] | the textured mesh as a camera sees it |
+
+pub mod blend;
+pub mod pinhole;
+pub mod shade;
+pub mod surface_points;
+pub mod view;
+pub mod zbuffer;

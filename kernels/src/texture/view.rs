@@ -1,0 +1,221 @@
+//! A photo with what its camera sees, and the colour of a point of the surface in it.
+
+use super::pinhole::Pinhole;
+use crate::base::geometry::{Vec3, dot, norm2, sub};
+
+/// A surface seen flatter than at this cosine shows nothing worth having.
+const LEAST_COSINE: f64 = 0.15;
+/// Surfaces this share of their distance apart are one, and so are the surface and its measured depth.
+const SAME_DEPTH: f64 = 0.016;
+const SAME_MEASURED_DEPTH: f64 = 0.03;
+/// Slopes are steeper than this for no reason but noise.
+const MOST_TANGENT: f64 = 4.0;
+/// Of the image's width, where views begin to fade out.
+const FADE: f64 = 0.03;
+/// Levels beyond which a channel is cut off, and what such a view is worth.
+const DARK: f32 = 4.0;
+const BRIGHT: f32 = 250.0;
+const CUT_OFF: f32 = 0.3;
+/// What a view is worth where its own camera measured no depth.
+const UNMEASURED: f32 = 0.5;
+
+/// An image of three channels, a row after another.
+#[derive(Debug)]
+pub struct Photo {
+    pub width: usize,
+    pub height: usize,
+    /// Red, green, blue, and nothing: four at a time are read at once.
+    pub pixels: Vec<[u8; 4]>,
+}
+
+/// What a camera measured or would see: a depth a pixel, the least one around it.
+#[derive(Debug)]
+pub struct Depths {
+    pub camera: Pinhole,
+    /// The least depth within `reach` pixels; infinite or 0 where there is none.
+    pub nearest: Vec<f32>,
+    pub reach: f64,
+}
+
+/// Shifts of the photo, in pixels, at the corners of a grid over it.
+#[derive(Debug)]
+pub struct Warp {
+    pub columns: usize,
+    pub rows: usize,
+    pub shifts: Vec<[f32; 2]>,
+}
+
+#[derive(Debug)]
+pub struct View {
+    pub camera: Pinhole,
+    /// Where it stands.
+    pub place: Vec3,
+    pub photo: Photo,
+    /// The photo without its details.
+    pub blurred: Photo,
+    /// The mesh from this camera, and the triangle at each pixel.
+    pub mesh: Depths,
+    pub triangles: Vec<u32>,
+    /// What the frame measured, if it did.
+    pub measured: Option<Depths>,
+    pub warp: Option<Warp>,
+    /// How much it is worth beside other photos: blurred ones less.
+    pub worth: f32,
+}
+
+/// A point in a photo; without colours, and of score 0, where the photo is not among the best.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    pub score: f32,
+    pub color: [f32; 3],
+    pub blurred: [f32; 3],
+    /// Pixels a metre, across the slope.
+    pub density: f32,
+}
+
+impl View {
+    /// How a point of the surface appears, if it does, in front, not hidden, where it was measured, and better than `least`.
+    pub fn of(&self, place: &Vec3, normal: &Vec3, least: f32) -> Option<Seen> {
+        let p = self.camera.in_camera(place);
+        if p[2] <= 0.0 {
+            return None;
+        }
+        let pixel @ [x, y] = self.camera.pixel(&p);
+        let (width, height) = (self.camera.width as f64, self.camera.height as f64);
+        let edge = (x + 0.5).min(y + 0.5).min(width - 0.5 - x).min(height - 0.5 - y);
+        if edge < 1.0 {
+            return None;
+        }
+        let towards = sub(&self.place, place);
+        let distance2 = norm2(&towards);
+        let cosine = dot(&towards, normal) / distance2.sqrt();
+        if cosine < LEAST_COSINE {
+            return None;
+        }
+        let tangent = ((1.0 - cosine * cosine).max(0.0).sqrt() / cosine).min(MOST_TANGENT);
+        if self.mesh.difference(place, tangent)? < -SAME_DEPTH {
+            return None;
+        }
+        let mut worth = self.worth;
+        match self.measured.as_ref().and_then(|measured| measured.difference(place, tangent)) {
+            None if self.measured.is_some() => worth *= UNMEASURED,
+            Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
+            _ => {}
+        }
+        let fade = (edge / (FADE * width)).min(1.0);
+        let density2 = self.camera.focal[0] * self.camera.focal[1] / distance2;
+        let mut score = (cosine * fade * density2) as f32 * worth * worth;
+        let density = (self.camera.focal[0] / p[2]) as f32;
+        if score <= least {
+            return Some(Seen { score: 0.0, density, color: [0.0; 3], blurred: [0.0; 3] });
+        }
+        let (color, blurred) = self.colors(pixel);
+        if color.iter().any(|level| !(DARK..=BRIGHT).contains(level)) {
+            score *= CUT_OFF;
+        }
+        Some(Seen { score, density, color, blurred })
+    }
+
+    /// The colours of a point that is known to appear.
+    pub fn again(&self, place: &Vec3) -> ([f32; 3], [f32; 3]) {
+        self.colors(self.camera.pixel(&self.camera.in_camera(place)))
+    }
+
+    /// The colour at a pixel, and that of the blurred photo.
+    fn colors(&self, pixel: [f64; 2]) -> ([f32; 3], [f32; 3]) {
+        let place = self.warped(pixel);
+        (self.photo.cubic(place), self.blurred.linear(place))
+    }
+
+    fn warped(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let Some(warp) = &self.warp else { return [x, y] };
+        let across = x / (self.camera.width as f64 - 1.0) * (warp.columns - 1) as f64;
+        let down = y / (self.camera.height as f64 - 1.0) * (warp.rows - 1) as f64;
+        let (i, s) = cell(across, warp.columns);
+        let (j, t) = cell(down, warp.rows);
+        let at = |i: usize, j: usize| warp.shifts[j * warp.columns + i].map(f64::from);
+        let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)];
+        let shift = |k: usize| (1.0 - t) * (a[k] + s * (b[k] - a[k])) + t * (c[k] + s * (d[k] - c[k]));
+        [x + shift(0), y + shift(1)]
+    }
+}
+
+/// The cell of a row of `count` values that a place is in, and how far.
+#[inline]
+fn cell(place: f64, count: usize) -> (usize, f64) {
+    let i = (place.max(0.0) as usize).min(count - 2);
+    (i, (place - i as f64).clamp(0.0, 1.0))
+}
+
+impl Depths {
+    /// How far behind a point the nearest surface around its pixel is, as a share of its depth: negative where something is
+    /// in front. None where nothing is known. A surface of the point's own slope counts as no difference.
+    fn difference(&self, place: &Vec3, tangent: f64) -> Option<f64> {
+        let p = self.camera.in_camera(place);
+        if p[2] <= 0.0 {
+            return None;
+        }
+        let nearest = f64::from(self.nearest[self.camera.nearest(self.camera.pixel(&p))?]);
+        if nearest <= 0.0 || nearest.is_infinite() {
+            return None;
+        }
+        let slope = (self.reach + 0.5) / self.camera.focal[0] * tangent;
+        let difference = nearest / p[2] - 1.0;
+        Some(if difference < 0.0 { (difference + slope).min(0.0) } else { difference })
+    }
+}
+
+impl Photo {
+    #[inline]
+    fn at(&self, x: usize, y: usize) -> [f32; 4] {
+        self.pixels[y * self.width + x].map(f32::from)
+    }
+
+    /// Between four pixels.
+    pub fn linear(&self, [x, y]: [f64; 2]) -> [f32; 3] {
+        let (i, s) = cell(x, self.width);
+        let (j, t) = cell(y, self.height);
+        let (s, t) = (s as f32, t as f32);
+        let mut sum = [0.0; 4];
+        for (row, weight) in [(j, 1.0 - t), (j + 1, t)] {
+            add(&mut sum, weight * (1.0 - s), &self.at(i, row));
+            add(&mut sum, weight * s, &self.at(i + 1, row));
+        }
+        [sum[0], sum[1], sum[2]]
+    }
+
+    /// Between sixteen pixels, by Catmull and Rom's cubic, which keeps details that four would blur.
+    pub fn cubic(&self, [x, y]: [f64; 2]) -> [f32; 3] {
+        let (i, s) = cell(x, self.width);
+        let (j, t) = cell(y, self.height);
+        let (along, down) = (catmull_rom(s as f32), catmull_rom(t as f32));
+        let columns = [0, 1, 2, 3].map(|k| (i + k).saturating_sub(1).min(self.width - 1));
+        let mut sum = [0.0; 4];
+        for (k, weight) in down.iter().enumerate() {
+            let row = (j + k).saturating_sub(1).min(self.height - 1) * self.width;
+            let line = &self.pixels[row..row + self.width];
+            for (&column, share) in columns.iter().zip(&along) {
+                add(&mut sum, weight * share, &line[column].map(f32::from));
+            }
+        }
+        [sum[0], sum[1], sum[2]].map(|level| level.clamp(0.0, 255.0))
+    }
+}
+
+/// sum + t·color
+#[inline]
+fn add(sum: &mut [f32; 4], t: f32, color: &[f32; 4]) {
+    for (sum, level) in sum.iter_mut().zip(color) {
+        *sum += t * level;
+    }
+}
+
+fn catmull_rom(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        0.5 * (-t3 + 2.0 * t2 - t),
+        0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+        0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+        0.5 * (t3 - t2),
+    ]
+}

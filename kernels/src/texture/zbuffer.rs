@@ -1,0 +1,142 @@
+//! Which triangle a camera sees at each pixel, and how far it is.
+
+use super::pinhole::Pinhole;
+use crate::base::geometry::{Vec3, add_scaled, sub};
+
+/// What stands in a pixel that sees nothing.
+pub const NOTHING: u32 = u32::MAX;
+
+/// Depth along the optical axis and number of the nearest triangle, a row of the image after another.
+#[derive(Clone, Debug)]
+pub struct ZBuffer {
+    /// Infinite where nothing is seen.
+    pub depth: Vec<f32>,
+    pub triangle: Vec<u32>,
+}
+
+/// Draw a mesh, either side of its triangles; of two at one depth the first is seen. What is nearer than `near` is cut off.
+pub fn zbuffer(points: &[Vec3], triangles: &[[u32; 3]], camera: &Pinhole, near: f64) -> ZBuffer {
+    let seen: Vec<Vec3> = points.iter().map(|p| camera.in_camera(p)).collect();
+    let pixels = camera.width * camera.height;
+    let mut buffer = ZBuffer { depth: vec![f32::INFINITY; pixels], triangle: vec![NOTHING; pixels] };
+    for (number, corners) in triangles.iter().enumerate() {
+        let corners = corners.map(|v| seen[v as usize]);
+        let behind = corners.iter().filter(|p| p[2] < near).count();
+        if behind == 0 {
+            buffer.draw(&corners, number as u32, camera);
+        } else if behind < 3 {
+            let (cut, count) = cut_off(&corners, near);
+            for k in 2..count {
+                buffer.draw(&[cut[0], cut[k - 1], cut[k]], number as u32, camera);
+            }
+        }
+    }
+    buffer
+}
+
+/// The part of a triangle beyond `near`: a polygon of so many corners.
+fn cut_off(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
+    let (mut cut, mut count) = ([[0.0; 3]; 4], 0);
+    let mut push = |p| {
+        cut[count] = p;
+        count += 1;
+    };
+    for k in 0..3 {
+        let (a, b) = (&corners[k], &corners[(k + 1) % 3]);
+        if a[2] >= near {
+            push(*a);
+        }
+        if (a[2] >= near) != (b[2] >= near) {
+            push(add_scaled(a, (near - a[2]) / (b[2] - a[2]), &sub(b, a)));
+        }
+    }
+    (cut, count)
+}
+
+impl ZBuffer {
+    fn draw(&mut self, corners: &[Vec3; 3], number: u32, camera: &Pinhole) {
+        let [a, b, c] = corners.map(|p| camera.pixel(&p));
+        let twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        if twice == 0.0 || !twice.is_finite() {
+            return;
+        }
+        // The inverse of the depth is linear in the image.
+        let [za, zb, zc] = corners.map(|p| 1.0 / p[2]);
+        let edge = |p: [f64; 2], q: [f64; 2]| {
+            let (along, up) = (-(q[1] - p[1]) / twice, (q[0] - p[0]) / twice);
+            [along, up, -along * p[0] - up * p[1]]
+        };
+        let edges = [edge(b, c), edge(c, a), edge(a, b)];
+        let inverse = [0, 1, 2].map(|i| edges[0][i] * za + edges[1][i] * zb + edges[2][i] * zc);
+        let between = |axis: usize, size: usize| {
+            let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
+            let high = a[axis].max(b[axis]).max(c[axis]).floor().min(size as f64 - 1.0);
+            if low > high { 1..=0 } else { low as usize..=high as usize }
+        };
+        let columns = between(0, camera.width);
+        for y in between(1, camera.height) {
+            // Each edge leaves a part of the row, to one side.
+            let (mut first, mut last) = (*columns.start() as f64, *columns.end() as f64);
+            for [along, up, rest] in edges {
+                let at = up * y as f64 + rest;
+                if along > 0.0 {
+                    first = first.max((-at / along).ceil());
+                } else if along < 0.0 {
+                    last = last.min((-at / along).floor());
+                } else if at < 0.0 {
+                    last = f64::NEG_INFINITY;
+                }
+            }
+            if first > last {
+                continue;
+            }
+            let row = y * camera.width;
+            for x in first as usize..=last as usize {
+                let z = (1.0 / (inverse[0] * x as f64 + inverse[1] * y as f64 + inverse[2])) as f32;
+                if z < self.depth[row + x] {
+                    self.depth[row + x] = z;
+                    self.triangle[row + x] = number;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Pinhole {
+        Pinhole {
+            focal: [100.0; 2],
+            centre: [50.0, 40.0],
+            width: 101,
+            height: 81,
+            turn: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            shift: [0.0; 3],
+        }
+    }
+
+    #[test]
+    fn the_nearest_triangle_is_seen_and_a_square_of_two_has_no_gap() {
+        let square = |z: f64, r: f64| [[-r, -r, z], [r, -r, z], [r, r, z], [-r, r, z]];
+        let points: Vec<Vec3> = square(2.0, 0.5).into_iter().chain(square(1.0, 0.1)).collect();
+        let triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
+        let seen = zbuffer(&points, &triangles, &camera(), 1e-3);
+        let count = |depth: f32| seen.depth.iter().filter(|&&z| (z - depth).abs() < 1e-6).count();
+        // 0.1 m at 1 m and 0.5 m at 2 m, with both borders.
+        assert_eq!((count(1.0), count(2.0)), (21 * 21, 51 * 51 - 21 * 21));
+        assert_eq!(seen.triangle.iter().filter(|&&t| t == NOTHING).count(), 101 * 81 - 51 * 51);
+    }
+
+    #[test]
+    fn a_floor_under_the_camera_is_cut_off_where_it_begins() {
+        let points = [[-50.0, 1.0, -50.0], [50.0, 1.0, -50.0], [0.0, 1.0, 100.0]];
+        let seen = zbuffer(&points, &[[0, 1, 2]], &camera(), 0.1);
+        // Below the horizon the depth of a floor 1 m down is 100 / rows below it.
+        assert!(seen.depth[..40 * 101].iter().all(|z| z.is_infinite()));
+        for row in 45..81 {
+            assert!((seen.depth[row * 101 + 50] - 100.0 / (row as f32 - 40.0)).abs() < 1e-3, "{row}");
+        }
+    }
+}

@@ -1,0 +1,68 @@
+"""Small shifts of photos that bring them where the others say they are.
+
+Poses, shape and lens are never quite right, so a point is seen a pixel or two beside where it should be, in
+every photo elsewhere, and their mean is blurred. The mesh with the texture so far is drawn from each camera;
+optical flow (Kroeger, Timofte, Dai and Van Gool 2016, "Fast optical flow using dense inverse search") from it
+to the photo, smoothed where there is little to see, says by how much. This is the idea of Zhou and Koltun
+2014, "Color map optimization for 3D reconstruction with consumer depth cameras", section 5, with the grid of
+shifts found directly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Shifts = NDArray[np.float32]
+
+# Of a photo's width: largest shift, spread of the smoothing, and of a cell of the grid.
+_MOST = 6 / 640
+_SMOOTH = 10 / 640
+_CELLS = 80
+# What holds shifts to 0 where there is little to see: squared levels a pixel.
+_PRIOR = 20.0
+# Differences of levels, after the shift, beyond which a pixel shows something else.
+_ELSE = 25.0
+
+
+def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray[np.uint8]) -> Shifts:
+    """Return by how much a photo is off what is drawn, (rows, columns, 2) pixels at the corners of a grid.
+
+    Parameters
+    ----------
+    drawn : (h, w, 3) uint8, the textured mesh from the photo's camera.
+    shown : (h, w), where it shows the mesh.
+    photo : (h, w, 3) uint8.
+    """
+    import cv2
+
+    height, width = shown.shape
+    there = np.where(shown[..., None], drawn, photo)
+    before, after = (np.asarray(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY), np.uint8) for one in (there, photo))
+    flow = _flow(before, after)
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    x, y = x + flow[..., 0], y + flow[..., 1]
+    moved = cv2.remap(after, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    rest = np.abs(moved.astype(np.float32) - before)
+    smooth = cv2.GaussianBlur(before.astype(np.float32), (0, 0), 1.0)
+    detail = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(smooth, cv2.CV_32F, 0, 1) ** 2
+    most = _MOST * width
+    sound = shown & (rest < _ELSE) & (np.abs(flow).max(axis=2) < most)
+    weight = np.where(sound, np.minimum(detail, 4e3), 0).astype(np.float32)
+    spread = _SMOOTH * width
+    total = cv2.GaussianBlur(weight, (0, 0), spread) + np.float32(_PRIOR)
+    mean = cv2.GaussianBlur(weight[..., None] * flow, (0, 0), spread) / total[..., None]
+    columns = _CELLS + 1
+    rows = max(round(_CELLS * height / width), 1) + 1
+    across = np.linspace(0, width - 1, columns, dtype=np.float32)
+    down = np.linspace(0, height - 1, rows, dtype=np.float32)
+    grid = cv2.remap(mean, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+    return np.ascontiguousarray(grid.clip(-most, most), np.float32)
+
+
+def _flow(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.float32]:
+    import cv2
+
+    search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    search.setFinestScale(0)
+    return np.asarray(search.calc(before, after, np.zeros((*before.shape, 2), np.float32)), np.float32)

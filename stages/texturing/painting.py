@@ -1,0 +1,151 @@
+"""The texels of a texture painted from photos, and photos brought to where the texture says they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.scans.prefetch import read_ahead, workers
+from stages.surface.mesh import Mesh
+from stages.texturing.alignment import Shifts, shifts_of
+from stages.texturing.pages import Pages, Texels, texels_of
+from stages.texturing.survey import Survey
+from stages.texturing.views import kernel_camera, near_of, see
+
+Floats = NDArray[np.float64]
+
+# Texels that are painted at a time: each remembers its best photos.
+_AT_ONCE = 4_000_000
+# Details come from the best photos: their share falls with this power of the score; the rest is a mean.
+_DETAILS_POWER, _BLURRED_POWER = 3.0, 1.0
+# Photos that differ from the median by so many deviations, and so many levels, do not count.
+_DEVIATIONS, _LEVELS = 3.0, 12.0
+# Every so many texels tell how the mesh's own colours go with those painted.
+_EVERY = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """An image of a texture.
+
+    Attributes
+    ----------
+    colors : (h, w, 3) float32, levels.
+    filled : (h, w) whether a texel shows the surface.
+    labels : (h, w) int32, the photo that counts most there; -1 where none shows the surface.
+    views : (h, w) uint8, photos that count.
+    """
+
+    colors: NDArray[np.float32]
+    filled: NDArray[np.bool_]
+    labels: NDArray[np.int32]
+    views: NDArray[np.uint8]
+
+
+class Painter:
+    """Paints all images of a texture, once or again with other shifts."""
+
+    def __init__(self, mesh: Mesh, normals: Floats, pages: Pages, survey: Survey, kept: int) -> None:
+        self._mesh, self._normals, self._pages, self._survey, self._kept = mesh, normals, pages, survey, kept
+        # What is painted at once can be painted again without looking for the best photos anew.
+        self._remembered: _kernels.SurfacePoints | None = None
+        self.parts = sum(1 for page in range(len(pages.sizes)) for _ in _parts(texels_of(pages, page)))
+
+    def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> list[Painted]:
+        """Return the images; `progress` is called for each photo and part of the texels."""
+        return [self._page(number, shifts, progress) for number in range(len(self._pages.sizes))]
+
+    def shifts(self, painted: Sequence[Painted], progress: Callable[[], object]) -> list[Shifts]:
+        """Return by how much each photo is off the texture."""
+        mesh, pages, survey = self._mesh, self._pages, self._survey
+        images = [np.rint(image.colors).clip(1, 255).astype(np.uint8) for image in painted]
+        for image, page in zip(images, painted, strict=True):
+            image[page.labels < 0] = 0
+        surface = _kernels.TexturedSurface(mesh.vertices, mesh.triangles, pages.corners, pages.pages, images)
+        near = near_of(mesh)
+
+        def off(number: int) -> Shifts:
+            photo = survey.photos.read(number)
+            camera = kernel_camera(photo.camera, photo.camera_from_world)
+            drawn, shown = surface.seen_by(camera, near=near)
+            shown &= drawn.min(axis=2) > 0
+            return shifts_of(drawn, shown, survey.exposures.photos[number].corrected(photo.image))
+
+        found = []
+        for shifts in read_ahead(off, range(len(survey.photos)), threads=workers(), ahead=workers() + 1):
+            found.append(shifts)
+            progress()
+        return found
+
+    def _page(self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Painted:
+        width, height = self._pages.sizes[number]
+        colors = np.zeros((height * width, 3), np.float32)
+        filled = np.zeros(height * width, np.bool_)
+        labels = np.full(height * width, -1, np.int32)
+        views = np.zeros(height * width, np.uint8)
+        for texels in _parts(texels_of(self._pages, number)):
+            at = texels.pixels
+            colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
+            filled[at] = True
+        shape = (height, width)
+        return Painted(
+            colors.reshape(*shape, 3), filled.reshape(shape), labels.reshape(shape), views.reshape(shape)
+        )
+
+    def _part(
+        self, texels: Texels, shifts: Sequence[Shifts] | None, progress: Callable[[], object]
+    ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
+        mesh, survey = self._mesh, self._survey
+        points, again = self._remembered, True
+        if points is None:
+            points, again = (
+                _kernels.SurfacePoints(
+                    mesh.vertices,
+                    self._normals,
+                    mesh.triangles,
+                    texels.triangles,
+                    texels.shares,
+                    kept=self._kept,
+                ),
+                False,
+            )
+            if self.parts == 1:
+                self._remembered = points
+        see(points, mesh, survey.photos, survey.exposures.photos, shifts, progress, again=again)
+        colors, labels, views = points.blend(
+            blurred=_BLURRED_POWER,
+            details=_DETAILS_POWER,
+            deviations=_DEVIATIONS,
+            levels=_LEVELS,
+            wanted_threads=0,
+        )
+        _fill_unseen(colors, labels < 0, texels, mesh)
+        return colors, labels, views
+
+
+def _parts(texels: Texels) -> Iterator[Texels]:
+    for start in range(0, len(texels.pixels), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        yield Texels(texels.pixels[part], texels.triangles[part], texels.shares[part])
+
+
+def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:
+    """Give texels that no photo shows the mesh's own colours, as bright as the photos are here."""
+    if mesh.colors is None or not unseen.any():
+        return
+
+    def own(chosen: NDArray[np.int64]) -> NDArray[np.float32]:
+        corners = mesh.colors[mesh.triangles[texels.triangles[chosen]]].astype(np.float32)  # type: ignore[index]
+        return np.asarray(np.einsum("nc,ncx->nx", texels.shares[chosen], corners))
+
+    known, missing = np.flatnonzero(~unseen)[::_EVERY], np.flatnonzero(unseen)
+    there, here = own(missing), own(known)
+    for k in range(3):
+        gain, bias = 1.0, 0.0
+        if len(known) and np.ptp(here[:, k]) > 0:
+            gain, bias = np.polyfit(here[:, k], colors[known, k], 1)
+        colors[missing, k] = (gain * there[:, k] + bias).clip(0, 255)

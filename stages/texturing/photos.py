@@ -1,0 +1,167 @@
+"""Photos of a surface: images without lens distortion, and where their cameras stood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.progress import Progress
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_photo
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
+
+# Photos are kept in memory up to so many bytes; others are read again when they are needed.
+_KEPT_BYTES = 400_000_000
+# Photos taken before and after that one is compared with, and what a blurred one is worth at least.
+_BESIDE = 5
+_LEAST_WORTH = 0.4
+# Levels from which a pixel is black or white, and how many may be so in a photo of use.
+_DARK, _BRIGHT = 4, 250
+_MOST_CUT_OFF = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """A colour image as a pinhole camera would have taken it.
+
+    Attributes
+    ----------
+    frame : what it is of.
+    image : (h, w, 3) uint8 RGB.
+    camera : without distortion, of this size.
+    camera_from_world : (4, 4) float64, metres.
+    """
+
+    frame: Frame
+    image: ColorImage
+    camera: Camera
+    camera_from_world: Pose
+
+
+def photo_of(frame: Frame) -> Photo:
+    """Read a frame's photo.
+
+    Raises
+    ------
+    InputError
+        If it has none, or no pose, it cannot be read, or hardly anything but black and white is in it.
+    """
+    if frame.world_from_camera is None:
+        raise InputError("there is no camera pose.", f"frame {frame.name}")
+    image, camera = read_photo(frame)
+    cut_off = float(np.mean((image.max(axis=2) < _DARK) | (image.min(axis=2) > _BRIGHT)))
+    if cut_off > _MOST_CUT_OFF:
+        raise InputError(f"{cut_off:.0%} of the photo is black or white.", f"frame {frame.name}")
+    pose = inverted(np.asarray(frame.world_from_camera, np.float64))
+    if frame.color_camera is not None and frame.color_from_depth is not None:
+        pose = np.asarray(frame.color_from_depth, np.float64) @ pose
+    return Photo(frame, image, camera, pose)
+
+
+@dataclass(frozen=True, eq=False)
+class Photos:
+    """The photos of a scan that can be used; `read` gives them, from memory or anew.
+
+    Attributes
+    ----------
+    frames : theirs.
+    cameras, poses : of each, and what takes the world to it (4, 4).
+    worths : (n,) of each beside those taken just before and after: blurred ones less; at most 1.
+    kept : those in memory, by their number.
+    skipped : frames without, and why.
+    """
+
+    frames: tuple[Frame, ...]
+    cameras: tuple[Camera, ...]
+    poses: tuple[Pose, ...]
+    worths: NDArray[np.float64]
+    kept: dict[int, Photo]
+    skipped: tuple[SkippedFrame, ...]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def read(self, number: int) -> Photo:
+        """Return a photo.
+
+        Raises
+        ------
+        InputError
+            If its file has gone since.
+        """
+        return self.kept[number] if number in self.kept else photo_of(self.frames[number])
+
+    def without(self, wrong: dict[int, str]) -> Photos:
+        """Return the photos without some, by their numbers, and why."""
+        rest = [i for i in range(len(self)) if i not in wrong]
+        return Photos(
+            frames=tuple(self.frames[i] for i in rest),
+            cameras=tuple(self.cameras[i] for i in rest),
+            poses=tuple(self.poses[i] for i in rest),
+            worths=self.worths[rest],
+            kept={new: self.kept[old] for new, old in enumerate(rest) if old in self.kept},
+            skipped=(*self.skipped, *(SkippedFrame(self.frames[i].name, why) for i, why in wrong.items())),
+        )
+
+
+def photos_of(frames: Sequence[Frame], progress: Progress) -> Photos:
+    """Look through the photos of frames.
+
+    Parameters
+    ----------
+    progress : called after each frame.
+    """
+
+    def looked_at(frame: Frame) -> tuple[Photo, float] | SkippedFrame:
+        try:
+            photo = photo_of(frame)
+        except InputError as error:
+            return SkippedFrame(frame.name, str(error))
+        return photo, _details(photo)
+
+    used: list[Frame] = []
+    stands: list[tuple[Camera, Pose]] = []
+    skipped: list[SkippedFrame] = []
+    kept: dict[int, Photo] = {}
+    details: list[float] = []
+    room = _KEPT_BYTES
+    found = read_ahead(looked_at, frames, threads=workers(), ahead=workers() + 2)
+    for done, (frame, one) in enumerate(zip(frames, found, strict=True), 1):
+        if isinstance(one, SkippedFrame):
+            skipped.append(one)
+        else:
+            photo, detail = one
+            room -= photo.image.nbytes
+            if room >= 0:
+                kept[len(used)] = photo
+            used.append(frame)
+            stands.append((photo.camera, photo.camera_from_world))
+            details.append(detail)
+        progress(done, len(frames))
+    return Photos(
+        frames=tuple(used),
+        cameras=tuple(camera for camera, _ in stands),
+        poses=tuple(pose for _, pose in stands),
+        worths=_worths(np.array(details)),
+        kept=kept,
+        skipped=tuple(skipped),
+    )
+
+
+def _details(photo: Photo) -> float:
+    """Return the variance of the Laplacian, which blur takes away."""
+    import cv2
+
+    return float(cv2.Laplacian(cv2.cvtColor(photo.image, cv2.COLOR_RGB2GRAY), cv2.CV_32F).var())
+
+
+def _worths(details: NDArray[np.float64]) -> NDArray[np.float64]:
+    around = [details[max(i - _BESIDE, 0) : i + _BESIDE + 1] for i in range(len(details))]
+    medians = np.array([np.median(some) for some in around])
+    share = np.divide(details, medians, out=np.ones_like(details), where=medians > 0)
+    return np.asarray(np.sqrt(share).clip(_LEAST_WORTH, 1.0))

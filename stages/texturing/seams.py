@@ -1,0 +1,57 @@
+"""How visible the borders between photos are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Fewer pairs of texels tell nothing.
+_LEAST_PAIRS = 100
+# Rows at a time: bounds the memory.
+_ROWS = 512
+
+
+def seam_ratio(colors: Sequence[NDArray[np.float32]], labels: Sequence[NDArray[np.int32]]) -> float | None:
+    """Return the mean colour difference across borders of photos over that of all other neighbours.
+
+    Parameters
+    ----------
+    colors : of each image (h, w, 3), levels.
+    labels : of each image (h, w), the photo that counts most at each texel, -1 for none.
+
+    Returns
+    -------
+    The ratio of mean distances in CIELAB (CIE 1976), 1 where no border can be seen; None where there are
+    hardly any borders.
+    """
+    sums, counts = np.zeros(2), np.zeros(2, np.int64)
+    for image, label in zip(colors, labels, strict=True):
+        for start in range(0, len(label), _ROWS):
+            rows = slice(start, start + _ROWS + 1)
+            _add(image[rows], label[rows], sums, counts)
+    if counts.min() < _LEAST_PAIRS:
+        return None
+    across, within = sums / counts
+    return float(across / within) if within > 0 else None
+
+
+def _add(
+    image: NDArray[np.float32], label: NDArray[np.int32], sums: NDArray[np.float64], counts: NDArray[np.int64]
+) -> None:
+    import cv2
+
+    lab = cv2.cvtColor(image / np.float32(255), cv2.COLOR_RGB2Lab)
+    for axis in (0, 1):
+        first, second = (np.take(label, range(*ends), axis=axis) for ends in _ends(label.shape[axis]))
+        step = np.diff(lab, axis=axis)
+        apart = np.linalg.norm(step, axis=2)
+        known = (first >= 0) & (second >= 0)
+        for kind, chosen in enumerate((known & (first != second), known & (first == second))):
+            sums[kind] += float(apart[chosen].sum(dtype=np.float64))
+            counts[kind] += int(np.count_nonzero(chosen))
+
+
+def _ends(size: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (0, size - 1), (1, size)

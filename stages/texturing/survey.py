@@ -1,0 +1,135 @@
+"""A first look with all photos: how bright each is, how much they show where, and which are wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import InputError
+from stages.surface.mesh import Mesh
+from stages.surface.topology import areas
+from stages.texturing.exposure import Exposures, exposures, no_exposure
+from stages.texturing.photos import Photos
+from stages.texturing.views import see
+
+Floats = NDArray[np.float64]
+
+# Points of the surface that are looked at, beside the middle of every triangle.
+_POINTS = 150_000
+# A photo is wrong if it differs from the others by so many times what is usual, and so many levels, in the
+# median of so many points at least.
+_WRONG_TIMES, _WRONG_LEVELS, _WRONG_POINTS = 4.0, 25.0, 100
+# Of the median of all triangles: no triangle gets texels for more pixels than this.
+_MOST_DENSITY = 3.0
+# Of the median: what a triangle gets that no photo shows.
+_UNSEEN_DENSITY = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """What photos show of a mesh.
+
+    Attributes
+    ----------
+    photos : those that show it, and agree.
+    exposures : theirs.
+    pixels_per_m : (m,) float32, of each triangle in the photo that shows it best; less where none does.
+    seen : share of the surface that some photo shows.
+    """
+
+    photos: Photos
+    exposures: Exposures
+    pixels_per_m: NDArray[np.float32]
+    seen: float
+
+
+def survey(
+    mesh: Mesh, normals: Floats, photos: Photos, kept: int, correct: bool, progress: Callable[[], object]
+) -> Survey:
+    """Look at points all over a mesh with all photos.
+
+    Parameters
+    ----------
+    normals : (n, 3) of the vertices.
+    kept : photos that are kept of each point.
+    correct : find how bright photos are; else all count as equal.
+    progress : called after each photo.
+
+    Raises
+    ------
+    InputError
+        If no photo shows the mesh.
+    """
+    of, shares = _points(mesh)
+    points = _kernels.SurfacePoints(mesh.vertices, normals, mesh.triangles, of, shares, kept=kept)
+    see(points, mesh, photos, [no_exposure()] * len(photos), None, progress)
+    views, colors, _ = points.samples()
+    radii2 = _radii2(mesh, of, shares, views, photos)
+    found = exposures(views, colors, radii2, len(photos))
+    unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
+    if unseen.all():
+        raise InputError(
+            f"none of the {len(photos)} photos shows the mesh: do poses and mesh belong together?"
+        )
+    wrong = {int(i): "its photo does not show the mesh." for i in np.flatnonzero(unseen)}
+    usual = max(float(np.median(found.differences[~unseen])), 1.0)
+    off = (found.differences > max(_WRONG_TIMES * usual, _WRONG_LEVELS)) & (found.samples >= _WRONG_POINTS)
+    wrong |= {
+        int(i): f"its photo shows something else than the others: {found.differences[i]:.0f} levels "
+        "difference in the median."
+        for i in np.flatnonzero(off & ~unseen)
+    }
+    if not correct:
+        found = found.none()
+    density, _ = points.seen()
+    best = np.zeros(len(mesh.triangles), np.float32)
+    np.maximum.at(best, of, density)
+    area = areas(mesh.vertices, mesh.triangles)
+    is_seen = best > 0
+    middle = float(np.median(best[is_seen]))
+    wanted = np.where(is_seen, np.minimum(best, _MOST_DENSITY * middle), _UNSEEN_DENSITY * middle)
+    return Survey(
+        photos=photos.without(wrong),
+        exposures=found.without(wrong),
+        pixels_per_m=wanted.astype(np.float32),
+        seen=float(area[is_seen].sum() / area.sum()),
+    )
+
+
+def _points(mesh: Mesh) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Return points all over the surface, one a triangle at least: triangles, and shares of corners."""
+    area = areas(mesh.vertices, mesh.triangles)
+    counts = 1 + np.floor(area / area.sum() * _POINTS).astype(np.int64)
+    of = np.repeat(np.arange(len(area), dtype=np.uint32), counts)
+    # Chosen by chance, but the same each time: a lattice could miss what is regular.
+    shares = np.random.RandomState(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
+    shares[np.cumsum(counts) - counts] = 1 / 3
+    return of, shares
+
+
+def _radii2(
+    mesh: Mesh,
+    of: NDArray[np.uint32],
+    shares: NDArray[np.float32],
+    views: NDArray[np.int32],
+    photos: Photos,
+) -> NDArray[np.float32]:
+    """Return the squared distance of samples (n, k) from the middle of their photos, 1 in the corners."""
+    corners = mesh.vertices[mesh.triangles[of]]
+    places = np.einsum("nc,ncx->nx", shares.astype(np.float64), corners)
+    radii2 = np.zeros(views.shape, np.float32)
+    order = np.argsort(views, axis=None, kind="stable")
+    bounds = np.searchsorted(views.ravel()[order], np.arange(len(photos) + 1))
+    for number in range(len(photos)):
+        chosen = order[bounds[number] : bounds[number + 1]]
+        camera, pose = photos.cameras[number], photos.poses[number]
+        seen = places[chosen // views.shape[1]] @ pose[:3, :3].T + pose[:3, 3]
+        x = (camera.fx * seen[:, 0] / seen[:, 2] + camera.cx) / (camera.width - 1) * 2 - 1
+        y = (camera.fy * seen[:, 1] / seen[:, 2] + camera.cy) / (camera.height - 1) * 2 - 1
+        aspect = camera.height / camera.width
+        radii2.ravel()[chosen] = (x**2 + (aspect * y) ** 2) / (1 + aspect**2)
+    return radii2

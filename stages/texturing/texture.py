@@ -1,0 +1,394 @@
+"""Texture from the camera images: what the photos saw, on the mesh.
+
+The surface is laid out in images, at about the fineness of the photos. Every texel is looked up in all photos
+that show it: in front, not behind anything, where the frame's own depth agrees, not at the border. The best
+few are remembered, made equally bright, and blended in two bands: a mean of all that agree, with the details
+of those that show it best. Then each photo is brought to where the texture says it is, by small shifts, and
+the texture is painted again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError, UsageError
+from stages.files.image_bytes import encoded_png
+from stages.params import check, param, resolve
+from stages.printing import by_figures, table
+from stages.progress import Progress, silent
+from stages.scans.scan import Frame, Scan, SkippedFrame
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Image, Material, Texture
+from stages.surface.topology import require_area
+from stages.texturing.alignment import Shifts
+from stages.texturing.filling import filled_up
+from stages.texturing.pages import Pages, laid_out
+from stages.texturing.painting import Painted, Painter
+from stages.texturing.photos import photos_of
+from stages.texturing.seams import seam_ratio
+from stages.texturing.survey import Survey, survey
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
+
+_MIN_SIZE = 64
+# Of a photo's width: photos that are off by less in the mean are where they should be.
+_STILL = 0.3 / 640
+# Shares of the surface that no photo shows, and of the photos' levels that they differ by, worth a warning.
+_MUCH_UNSEEN = 0.5
+_MUCH_DIFFERENCE = 20.0
+# Of a photo's width: photos that are off by more in the mean are blurred.
+_MUCH_OFF = 2.0 / 640
+
+_FILE = "What the file keeps"
+_HOW = "How"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureParams:
+    """How finely photos are kept on a mesh, and how they are put together."""
+
+    texels_per_pixel: float = param(
+        1.25,
+        "Texels for a pixel of the photo that shows a place best, along each side.",
+        group=_FILE,
+        low=0.1,
+        high=4,
+    )
+    max_size: int = param(
+        4096,
+        "Largest side of an image: a power of two. There are as many images as are needed.",
+        group=_FILE,
+        unit="texels",
+        low=_MIN_SIZE,
+        high=16384,
+    )
+    max_texels: float = param(
+        64.0,
+        "Texels of all images together; where more were needed, all get coarser.",
+        group=_FILE,
+        unit="million texels",
+        low=0.01,
+        high=1000,
+    )
+    format: str = param("jpeg", "How images are kept.", group=_FILE, choices=("jpeg", "webp", "png"))
+    quality: int = param(95, "Of JPEG and WebP images.", group=_FILE, low=1, high=100)
+    padding: int = param(
+        4,
+        "Texels around each piece of the surface that show its colours; between two there are twice as many.",
+        group=_FILE,
+        unit="texels",
+        low=2,
+        high=128,
+    )
+    views: int = param(12, "Photos that are blended at a place, at most.", group=_HOW, low=1, high=16)
+    exposure: bool = param(
+        True,
+        "Make photos equally bright: a gain and a bias for each channel of each, one vignette for all.",
+        group=_HOW,
+    )
+    rounds: int = param(
+        1,
+        "How often photos are shifted, by a few pixels here and there, to where the others say they are; "
+        "not where they are there already.",
+        group=_HOW,
+        low=0,
+        high=10,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.max_size & (self.max_size - 1):
+            raise UsageError(f"max_size is {self.max_size} texels; it must be a power of two.")
+
+
+class TextureKeywords(TypedDict, total=False):
+    """TextureParams as keywords of `texture`."""
+
+    texels_per_pixel: float
+    max_size: int
+    max_texels: float
+    format: str
+    quality: int
+    padding: int
+    views: int
+    exposure: bool
+    rounds: int
+
+
+@dataclass(frozen=True, eq=False)
+class Textured:
+    """A mesh with what photos saw, and how that came about.
+
+    Attributes
+    ----------
+    mesh : with texture images, without vertex colours.
+    photos : names of the frames that were used.
+    skipped : those that were not, and why.
+    sizes : (width, height) of each image, texels.
+    charts : pieces the surface is cut into.
+    filled : share of the images that shows the surface.
+    texel_size : metres, the median of the triangles.
+    seen : share of the surface that some photo shows; the rest has the mesh's own colours.
+    views : photos that count at a texel, in the mean.
+    difference_before, difference_after : median difference of photos from their mean in levels, without and
+        with exposures.
+    gains : least and greatest gain of a photo's channel.
+    vignette : share of the light that is lost in the corners.
+    shift : median over the photos of their mean shift, in thousandths of the photo's width.
+    seams : mean colour difference (CIE 1976) between texels where another photo counts most, over that where
+        the same does; None if there are too few.
+    labels : of each image (h, w) int32, the photo that counts most, -1 where none shows the surface.
+    counts : of each image (h, w) uint8, photos that count.
+    warnings : what is odd.
+    """
+
+    mesh: Mesh
+    photos: tuple[str, ...]
+    skipped: tuple[SkippedFrame, ...]
+    sizes: tuple[tuple[int, int], ...]
+    charts: int
+    filled: float
+    texel_size: float
+    seen: float
+    views: float
+    difference_before: float
+    difference_after: float
+    gains: tuple[float, float]
+    vignette: float
+    shift: float
+    seams: float | None
+    labels: tuple[NDArray[np.int32], ...]
+    counts: tuple[NDArray[np.uint8], ...]
+    warnings: tuple[str, ...]
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return all figures for JSON, units in the names."""
+        return {
+            "triangles": len(self.mesh.triangles),
+            "photos": len(self.photos),
+            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "images": [list(size) for size in self.sizes],
+            "charts": self.charts,
+            "filled_share": self.filled,
+            "texel_size_m": self.texel_size,
+            "seen_share": self.seen,
+            "photos_a_texel": self.views,
+            "difference_before_levels": self.difference_before,
+            "difference_after_levels": self.difference_after,
+            "gain_least": self.gains[0],
+            "gain_greatest": self.gains[1],
+            "vignette_share": self.vignette,
+            "shift_share_of_width": self.shift,
+            "seam_ratio": self.seams,
+            "warnings": list(self.warnings),
+        }
+
+
+def texture(
+    mesh: MeshLike,
+    frames: Scan | Iterable[Frame],
+    params: TextureParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Unpack[TextureKeywords],
+) -> Textured:
+    """Give a mesh the colours that photos show of it.
+
+    The same mesh and frames give the same bytes, on any number of threads. Memory beside the mesh and the
+    images is bounded, whatever the number of photos.
+
+    Parameters
+    ----------
+    mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world of the poses; need not be a
+        manifold. Its own colours are taken where no photo shows it; its texture is replaced.
+    frames : with colour and poses. Depth helps: what it does not agree with is not believed.
+    params : see TextureParams; single ones can be given by name.
+    progress : told of thousandths.
+
+    Raises
+    ------
+    MeshError
+        If the mesh is not valid or has no area.
+    InputError
+        If no frame has a photo that can be used, or none shows the mesh.
+
+    References
+    ----------
+    Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010;
+    charts are packed after Lévy, Petitjean, Ray and Maillot 2002.
+    """
+    params = resolve(TextureParams, params, changes)
+    given = as_mesh(mesh)
+    require_area(given, "mesh")
+    where = frames.folder if isinstance(frames, Scan) else None
+    shown = list(frames.frames if isinstance(frames, Scan) else frames)
+    colored = [frame for frame in shown if frame.color is not None]
+    if not colored:
+        raise InputError(f"none of the {len(shown)} frames has a colour image.", where)
+    far = _Far(progress, len(colored))
+    photos = photos_of(colored, far.within(0.1))
+    if not len(photos):
+        first = photos.skipped[0]
+        raise InputError(
+            f"none of the {len(colored)} photos can be used (frame {first.name}: {first.reason}).", where
+        )
+    normals = _vertex_normals(given)
+    surveyed = survey(given, normals, photos, params.views, params.exposure, far.photo(0.25))
+    pages = laid_out(
+        given,
+        surveyed.pixels_per_m * np.float32(params.texels_per_pixel),
+        max_side=params.max_size,
+        max_texels=params.max_texels * 1e6,
+        padding=params.padding,
+        progress=far.nothing,
+    )
+    painter = Painter(given, normals, pages, surveyed, params.views)
+    rounds = 1 + params.rounds
+    part = 0.7 / rounds
+    painted = painter.paint(None, far.photo(0.25 + part, painter.parts))
+    shift = 0.0
+    for turn in range(params.rounds):
+        shifts = painter.shifts(painted, far.photo(0.25 + part * (turn + 1.3)))
+        # The first shifts tell how far off photos are.
+        shift = shift or _typical(shifts, surveyed)
+        if shift < _STILL:
+            break
+        painted = painter.paint(shifts, far.photo(0.25 + part * (turn + 2), painter.parts))
+    images = [_encoded(one, pages.padding, params) for one in painted]
+    progress(1000, 1000)
+    return _result(given, surveyed, pages, painted, images, shift)
+
+
+class _Far:
+    """How far the work is, in thousandths: what comes next goes from where it is to a share of all."""
+
+    def __init__(self, progress: Progress, photos: int) -> None:
+        self._progress, self._photos, self._done = progress, photos, 0.0
+
+    def within(self, until: float) -> Progress:
+        start = self._done
+        self._done = until
+
+        def tell(done: int, total: int) -> None:
+            self._progress(round(1000 * (start + (until - start) * done / max(total, 1))), 1000)
+
+        return tell
+
+    def photo(self, until: float, times: int = 1) -> Callable[[], None]:
+        tell, done = self.within(until), 0
+
+        def one_more() -> None:
+            nonlocal done
+            done += 1
+            tell(min(done, self._photos * times), self._photos * times)
+
+        return one_more
+
+    def nothing(self, done: int, total: int) -> None:  # noqa: ARG002
+        self._progress(round(1000 * self._done), 1000)
+
+
+def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """Return unit normals (n, 3), the mean of the triangles' by their area; 0 for unused vertices."""
+    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
+    normals = np.cross(b - a, c - a)
+    corners, count = mesh.triangles.T.ravel(), len(mesh.vertices)
+    sums = np.stack([np.bincount(corners, np.tile(n, 3), minlength=count) for n in normals.T], axis=1)
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.asarray(np.divide(sums, length, out=np.zeros_like(sums), where=length > 0))
+
+
+def _typical(shifts: Sequence[Shifts], surveyed: Survey) -> float:
+    widths = np.array([camera.width for camera in surveyed.photos.cameras])
+    return float(np.median(np.array([np.linalg.norm(one, axis=2).mean() for one in shifts]) / widths))
+
+
+def _encoded(painted: Painted, padding: int, params: TextureParams) -> bytes:
+    import cv2
+
+    pixels = filled_up(painted.colors, painted.filled, padding)
+    if params.format == "png":
+        return encoded_png(pixels)
+    options = {
+        # Colours at full resolution: halved ones fringe red on white.
+        "jpeg": [cv2.IMWRITE_JPEG_QUALITY, params.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111],
+        "webp": [cv2.IMWRITE_WEBP_QUALITY, params.quality],
+    }
+    suffix = {"jpeg": ".jpg", "webp": ".webp"}[params.format]
+    _, data = cv2.imencode(suffix, pixels[:, :, ::-1], options[params.format])
+    return data.tobytes()
+
+
+def _result(
+    mesh: Mesh,
+    surveyed: Survey,
+    pages: Pages,
+    painted: Sequence[Painted],
+    images: Sequence[bytes],
+    shift: float,
+) -> Textured:
+    suffix = {b"\xff\xd8": "jpg", b"\x89P": "png"}.get(images[0][:2], "webp")
+    materials = tuple(
+        Material(
+            name=f"photos-{number}",
+            image=Image(name=f"photos-{number}.{suffix}", encoded=data),
+            wrap=("clamp", "clamp"),
+        )
+        for number, data in enumerate(images, 1)
+    )
+    material_ids = np.maximum(pages.pages, 0).astype(np.int32)
+    textured = mesh.with_(colors=None, texture=Texture(pages.uvs, material_ids, materials))
+    exposures = surveyed.exposures.photos
+    gains = np.array([one.gain for one in exposures])
+    v = exposures[0].vignette
+    views = np.concatenate([one.views[one.labels >= 0] for one in painted])
+    texels = sum(one.filled.size for one in painted)
+    return Textured(
+        mesh=textured,
+        photos=tuple(frame.name for frame in surveyed.photos.frames),
+        skipped=surveyed.photos.skipped,
+        sizes=pages.sizes,
+        charts=int(pages.charts.max()) + 1,
+        filled=sum(int(one.filled.sum()) for one in painted) / texels,
+        texel_size=1 / float(np.median(pages.texels_per_m)),
+        seen=surveyed.seen,
+        views=float(views.mean()) if len(views) else 0.0,
+        difference_before=surveyed.exposures.before,
+        difference_after=surveyed.exposures.after,
+        gains=(float(gains.min()), float(gains.max())),
+        vignette=1 - v[0] * (1 + v[1] + v[2]),
+        shift=shift,
+        seams=seam_ratio([one.colors for one in painted], [one.labels for one in painted]),
+        labels=tuple(one.labels for one in painted),
+        counts=tuple(one.views for one in painted),
+        warnings=tuple(_warnings(mesh, surveyed, shift)),
+    )
+
+
+def _warnings(mesh: Mesh, surveyed: Survey, shift: float) -> Iterator[str]:
+    unseen = 1 - surveyed.seen
+    if unseen > _MUCH_UNSEEN:
+        colors = "the mesh's own colours" if mesh.colors is not None else "no colours of its own"
+        yield f"{unseen:.0%} of the surface is in no photo and has {colors}"
+    if shift > _MUCH_OFF:
+        yield (
+            f"photos are off the mesh by {shift:.1%} of their width in the mean: poses or calibration are "
+            "wrong, and details are blurred; see `scanloom adjust`"
+        )
+    if surveyed.exposures.after > _MUCH_DIFFERENCE:
+        yield (
+            f"photos differ by {surveyed.exposures.after:.0f} levels in the median where they show the same: "
+            "poses or calibration are wrong, or things moved"
+        )

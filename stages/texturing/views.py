@@ -1,0 +1,128 @@
+"""What a photo's camera sees of a mesh, and points of the mesh seen by one photo after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import InputError
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_depth
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Camera, Frame, Pose, scaled
+from stages.surface.mesh import Mesh
+from stages.texturing.alignment import Shifts
+from stages.texturing.exposure import Exposure
+from stages.texturing.photos import Photo, Photos
+
+# Of a kernel's call: focal lengths, centre and size, and the pose.
+KernelCamera = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
+_Map = NDArray[np.float32]
+
+# The mesh is drawn at no more pixels than this, whatever the photo has.
+_MOST_DRAWN = 1_500_000
+# Of an image's width: how near to something in front of it nothing is believed.
+_MARGIN = 1 / 210
+# Of the mesh's diagonal, before which nothing is seen.
+_NEAR = 1e-4
+# Standard deviation of the blur that parts details from the rest, of the photo's width.
+_BLUR = 3 / 640
+
+
+def kernel_camera(camera: Camera, camera_from_world: Pose) -> KernelCamera:
+    """Return a camera as the kernels take it."""
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    return values, np.ascontiguousarray(camera_from_world, np.float64)
+
+
+def near_of(mesh: Mesh) -> float:
+    """Return the distance in metres before which nothing of a mesh is drawn."""
+    return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))) * _NEAR
+
+
+def see(
+    points: _kernels.SurfacePoints,
+    mesh: Mesh,
+    photos: Photos,
+    exposures: Sequence[Exposure],
+    shifts: Sequence[Shifts] | None,
+    progress: Callable[[], object],
+    *,
+    again: bool = False,
+) -> None:
+    """Look at points of a mesh with one photo after another.
+
+    Parameters
+    ----------
+    exposures, shifts : of each photo; see `stages.texturing.exposure` and `alignment`.
+    progress : called after each photo.
+    again : the points were seen already, and only their colours are taken anew.
+    """
+
+    def prepared(number: int) -> _kernels.View:
+        shift = None if shifts is None else shifts[number]
+        worth = float(photos.worths[number])
+        return _view(photos.read(number), mesh, exposures[number], worth, shift)
+
+    look = points.see_again if again else points.see
+    views = read_ahead(prepared, range(len(photos)), threads=workers(), ahead=workers() + 1)
+    for number, view in enumerate(views):
+        look(view, number, wanted_threads=0)
+        progress()
+
+
+def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Shifts | None) -> _kernels.View:
+    import cv2
+
+    image = exposure.corrected(photo.image)
+    blurred = cv2.GaussianBlur(image, (0, 0), max(_BLUR * photo.camera.width, 0.5))
+    drawn = kernel_camera(_drawing_camera(photo.camera), photo.camera_from_world)
+    depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near_of(mesh))
+    nearest, reach = _nearest(depth)
+    measured, measured_reach = _measured(photo.frame)
+    return _kernels.View(
+        kernel_camera(photo.camera, photo.camera_from_world),
+        image,
+        np.asarray(blurred),
+        drawn,
+        nearest,
+        triangles,
+        reach=(reach, measured_reach),
+        measured=measured,
+        warp=shifts,
+        worth=worth,
+    )
+
+
+def _drawing_camera(camera: Camera) -> Camera:
+    share = (_MOST_DRAWN / (camera.width * camera.height)) ** 0.5
+    if share >= 1:
+        return camera
+    return scaled(camera, max(round(camera.width * share), 2), max(round(camera.height * share), 2))
+
+
+def _measured(frame: Frame) -> tuple[tuple[KernelCamera, _Map] | None, float]:
+    try:
+        depth = read_depth(frame)
+    except InputError:
+        return None, 0.0
+    if depth is None or not depth.any():
+        return None, 0.0
+    camera = frame.camera
+    pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    pose = inverted(np.asarray(frame.world_from_camera, np.float64))
+    nearest, reach = _nearest(np.where(depth > 0, depth, np.float32(np.inf)))
+    return (kernel_camera(pinhole, pose), nearest), reach
+
+
+def _nearest(depth: _Map) -> tuple[_Map, float]:
+    """Return the least depth around each pixel, and within how many pixels."""
+    import cv2
+
+    reach = max(round(depth.shape[1] * _MARGIN), 1)
+    window: NDArray[Any] = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    return np.asarray(cv2.erode(depth, window, borderType=cv2.BORDER_REPLICATE)), float(reach)
