@@ -1,0 +1,108 @@
+"""From pixels of colour images to points: the depth there, looked up through both cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.cameras import Cameras, inverted_all
+from stages.adjusting.lens import project, rays
+from stages.adjusting.view import View
+
+# Where the cameras stand apart, the depth along a ray is found by steps; it is found once the last one
+# changes it by less than this share.
+_STEPS, _SETTLED = 6, 0.01
+
+
+def lifted(
+    views: Sequence[View], cameras: Cameras, view: NDArray[np.intp], pixels: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Return the (n, 3) points, metres, in the axes of the depth cameras, that pixels show; NaN if unknown.
+
+    Parameters
+    ----------
+    view : (n,) which view each pixel is of.
+    pixels : (n, 2), of the colour image.
+    """
+    way = rays(pixels, cameras.lenses[view])
+    apart = cameras.color_from_depth[view]
+    back = inverted_all(cameras.color_from_depth)[view]
+    typical = np.array([_median(one) for one in views])
+    z = typical[view]
+    seen = np.zeros((len(view), 3))
+    before = z
+    known = np.zeros(len(view), bool)
+    for _ in range(_STEPS):
+        seen = _placed(back, way * z[:, None])
+        measured = depth_at(views, view, seen)
+        known = measured > 0
+        # Beside what was measured, depth is searched from where the ray was.
+        seen *= (np.where(known, measured, seen[:, 2]) / seen[:, 2])[:, None]
+        before, z = z, np.maximum(_placed(apart, seen)[:, 2], 1e-3)
+    known &= np.abs(z - before) < _SETTLED * z
+    return np.where(known[:, None], seen, np.nan)
+
+
+def depth_at(
+    views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the depth (n,) that views measure where they see points of their own axes; 0 where none."""
+    lenses = np.stack([one.depth_lens for one in views])[view]
+    shapes = np.array([one.depth.shape for one in views])[view]
+    z = np.where(points[:, 2] > 0, points[:, 2], np.inf)
+    columns = points[:, 0] / z * lenses[:, 0] + lenses[:, 2]
+    rows = points[:, 1] / z * lenses[:, 1] + lenses[:, 3]
+    inside = (columns > -0.5) & (rows > -0.5) & (rows < shapes[:, 0] - 0.5) & (columns < shapes[:, 1] - 0.5)
+    inside &= np.isfinite(z)
+    result = np.zeros(len(points))
+    at = np.flatnonzero(inside)
+    at = at[np.argsort(view[at], kind="stable")]
+    row, column = np.rint(rows[at]).astype(int), np.rint(columns[at]).astype(int)
+    ends = np.searchsorted(view[at], np.arange(len(views) + 1))
+    for number, one in enumerate(views):
+        here = slice(ends[number], ends[number + 1])
+        result[at[here]] = one.depth[row[here], column[here]]
+    return result
+
+
+def in_world(cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points of the views' own axes in the world."""
+    return _placed(cameras.poses[view], points)
+
+
+def in_color(cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points of the world in the axes of colour cameras."""
+    back = cameras.color_from_depth @ inverted_all(cameras.poses)
+    return _placed(back[view], points)
+
+
+def transfer_errors(
+    views: Sequence[View],
+    cameras: Cameras,
+    couples: NDArray[np.intp],
+    pixels: tuple[NDArray[np.floating], NDArray[np.floating]],
+) -> NDArray[np.float64]:
+    """Return how far from its match a point lands in the other view, (n,) pixels; NaN where it has no depth.
+
+    Parameters
+    ----------
+    couples : (n, 2) the two views of each match.
+    pixels : of the first and of the second view, (n, 2) each.
+    """
+    points = in_world(cameras, couples[:, 0], lifted(views, cameras, couples[:, 0], pixels[0]))
+    there = in_color(cameras, couples[:, 1], points)
+    there[:, 2] = np.where(there[:, 2] > 1e-3, there[:, 2], np.nan)
+    off = project(there, cameras.lenses[couples[:, 1]]) - pixels[1]
+    return np.asarray(np.hypot(*off.T))
+
+
+def _placed(poses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
+
+
+def _median(view: View) -> float:
+    some = view.depth[::8, ::8]
+    some = some[some > 0]
+    return float(np.median(some)) if len(some) else 1.0
