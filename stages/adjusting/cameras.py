@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.lens import OPENCV
-from stages.scans.scan import Camera, Pose, scaled
+from stages.scans.scan import Camera, Frame, Pose, scaled
 
 # What is free in a colour camera: log of the focal length, centre (x, y, pixels), k1, and its place (x, y, z,
 # metres, then a turn, radians).
@@ -32,10 +32,21 @@ class Cameras:
     lenses: NDArray[np.float64]
     color_from_depth: NDArray[np.float64]
 
-    def take(self, views: Sequence[int]) -> Cameras:
-        """Return the cameras of some views."""
-        at = list(views)
-        return Cameras(self.poses[at], self.lenses[at], self.color_from_depth[at])
+    @classmethod
+    def given(cls, frames: Sequence[Frame], lenses: Sequence[NDArray[np.float64]]) -> Cameras:
+        """Return the cameras of frames with poses, as the scan gives them."""
+        here = np.eye(4)
+        return cls(
+            np.stack([here if one.world_from_camera is None else one.world_from_camera for one in frames]),
+            np.stack(lenses),
+            np.stack([here if one.color_from_depth is None else one.color_from_depth for one in frames]),
+        )
+
+    def zoomed(self, share: float) -> Cameras:
+        """Return them with this share of the focal length of the colour cameras."""
+        lenses = self.lenses.copy()
+        lenses[:, :2] *= share
+        return Cameras(self.poses, lenses, self.color_from_depth)
 
     def moved(self, poses: NDArray[np.float64], camera: NDArray[np.float64]) -> Cameras:
         """Return them after small steps.

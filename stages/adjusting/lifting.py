@@ -14,6 +14,8 @@ from stages.adjusting.view import View
 # Where the cameras stand apart, the depth along a ray is found by steps; it is found once the last one
 # changes it by less than this share.
 _STEPS, _SETTLED = 6, 0.01
+# Pixels to each side that tell how a surface slopes; depth that changes more is an edge.
+_BESIDE, _BENT = 2, 0.1
 
 
 def lifted(
@@ -50,20 +52,59 @@ def depth_at(
 ) -> NDArray[np.float64]:
     """Return the depth (n,) that views measure where they see points of their own axes; 0 where none."""
     lenses = np.stack([one.depth_lens for one in views])[view]
-    shapes = np.array([one.depth.shape for one in views])[view]
-    z = np.where(points[:, 2] > 0, points[:, 2], np.inf)
-    columns = points[:, 0] / z * lenses[:, 0] + lenses[:, 2]
-    rows = points[:, 1] / z * lenses[:, 1] + lenses[:, 3]
-    inside = (columns > -0.5) & (rows > -0.5) & (rows < shapes[:, 0] - 0.5) & (columns < shapes[:, 1] - 0.5)
-    inside &= np.isfinite(z)
-    result = np.zeros(len(points))
+    return _sampled(views, view, _depth_pixels(lenses, points))
+
+
+def planes_at(
+    views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the planes that views measure where they see points of their own axes.
+
+    The inverse depth of a plane is linear in the image: 1/z = a x + b y + c where aX + bY + cZ = 1.
+
+    Returns
+    -------
+    normals : (n, 3), so that `normals @ point - depth` is how far behind the plane a point is, metres of depth.
+    depth : (n,) metres, 0 where none is measured.
+    slope : (n,) metres that depth changes by in a pixel.
+    """
+    lenses = np.stack([one.depth_lens for one in views])[view]
+    pixels = _depth_pixels(lenses, points)
+    depth = _sampled(views, view, pixels)
+    known = np.where(depth > 0, depth, 1)
+    normals = np.zeros((len(points), 3))
+    for axis in range(2):
+        step = np.eye(2)[axis] * _BESIDE
+        low, high = (_sampled(views, view, pixels + sign * step) for sign in (-1, 1))
+        both = (low > 0) & (high > 0) & (np.abs(high - low) < _BENT * known)
+        change = 1 / np.where(both, high, 1) - 1 / np.where(both, low, 1)
+        normals[:, axis] = known * change / (2 * _BESIDE)
+    slope = known * np.hypot(*normals[:, :2].T)
+    # From a change in a pixel to one in the ray.
+    normals[:, :2] *= lenses[:, :2]
+    normals[:, 2] = 1 - (normals[:, :2] * points[:, :2]).sum(axis=1) / np.maximum(points[:, 2], 1e-3)
+    return normals, depth, slope
+
+
+def _depth_pixels(lenses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    z = np.where(points[:, 2] > 1e-3, points[:, 2], np.nan)[:, None]
+    return points[:, :2] / z * lenses[:, :2] + lenses[:, 2:]
+
+
+def _sampled(
+    views: Sequence[View], view: NDArray[np.intp], pixels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the depth (n,) at pixels (n, 2) of depth maps; 0 beside them, and for NaN."""
+    width, height = np.array([one.depth.shape[::-1] for one in views])[view].T
+    columns, rows = np.rint(np.nan_to_num(pixels, nan=-1.0).clip(-1, 1e6)).astype(np.intp).T
+    inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
+    result = np.zeros(len(pixels))
     at = np.flatnonzero(inside)
     at = at[np.argsort(view[at], kind="stable")]
-    row, column = np.rint(rows[at]).astype(int), np.rint(columns[at]).astype(int)
     ends = np.searchsorted(view[at], np.arange(len(views) + 1))
     for number, one in enumerate(views):
-        here = slice(ends[number], ends[number + 1])
-        result[at[here]] = one.depth[row[here], column[here]]
+        here = at[ends[number] : ends[number + 1]]
+        result[here] = one.depth[rows[here], columns[here]]
     return result
 
 

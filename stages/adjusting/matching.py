@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import Cameras
 from stages.adjusting.lens import rays
-from stages.adjusting.lifting import in_world, lifted
+from stages.adjusting.lifting import in_world, lifted, transfer_errors
 from stages.adjusting.view import View
 from stages.progress import Progress, silent
 from stages.registration.sift import matches
@@ -18,31 +18,29 @@ from stages.scans.prefetch import read_ahead, workers
 
 # Pixels that a match may be off the epipolar line; trials; fewer matches tell no fundamental matrix.
 _OFF_PX, _TRIALS, _LEAST = 2.0, 1000, 16
-# How far apart the two views may measure a matched point, a share of its distance.
+# How far apart two views may measure a match, a share of its distance, for it to be of one thing.
 GAP_SHARE = 0.13
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Matches of many couples of views, n in all.
+    """Matches of couples of views, n in all.
 
     Attributes
     ----------
     couples : (n, 2) the two views.
     points : (n, 2) which of their keypoints.
-    found : matches that agree with the motion of two images, before depth and poses were asked.
     """
 
     couples: NDArray[np.intp]
     points: NDArray[np.intp]
-    found: int
 
     def __len__(self) -> int:
         return len(self.couples)
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Matches:
         """Return some of them."""
-        return Matches(self.couples[which], self.points[which], self.found)
+        return Matches(self.couples[which], self.points[which])
 
     def pixels(self, views: Sequence[View]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (n, 2) pixels in the first and in the second view of each match."""
@@ -53,12 +51,9 @@ class Matches:
 
 
 def match(
-    views: Sequence[View],
-    cameras: Cameras,
-    couples: Sequence[tuple[int, int]],
-    progress: Progress = silent,
+    views: Sequence[View], couples: Sequence[tuple[int, int]], progress: Progress = silent
 ) -> Matches:
-    """Match couples of views; kept is what one motion of the camera explains, and depth and poses allow."""
+    """Match couples of views; kept is what one motion of the camera explains."""
     threads = workers()
 
     def of(couple: tuple[int, int]) -> NDArray[np.int64]:
@@ -72,9 +67,7 @@ def match(
         which.append(np.tile(couple, (len(found), 1)))
         pairs.append(found)
         progress(done, len(couples))
-    every = Matches(np.concatenate(which).astype(np.intp), np.concatenate(pairs).astype(np.intp), 0)
-    every = Matches(every.couples, every.points, len(every))
-    return every.take(_near(views, cameras, every))
+    return Matches(np.concatenate(which).astype(np.intp), np.concatenate(pairs).astype(np.intp))
 
 
 def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -93,12 +86,17 @@ def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     return pairs[kept.ravel() > 0]
 
 
-def _near(views: Sequence[View], cameras: Cameras, every: Matches) -> NDArray[np.bool_]:
-    """Say of which matches both views measure about the same place."""
+def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
+    """Return how far apart two views measure each match, a share of its distance; NaN where one does not."""
     seen = [
-        lifted(views, cameras, every.couples[:, side], pixels)
-        for side, pixels in enumerate(every.pixels(views))
+        lifted(views, cameras, found.couples[:, side], pixels)
+        for side, pixels in enumerate(found.pixels(views))
     ]
-    places = [in_world(cameras, every.couples[:, side], points) for side, points in enumerate(seen)]
+    places = [in_world(cameras, found.couples[:, side], points) for side, points in enumerate(seen)]
     gap = np.linalg.norm(places[0] - places[1], axis=1)
-    return np.asarray(gap < GAP_SHARE * np.minimum(seen[0][:, 2], seen[1][:, 2]))
+    return np.asarray(gap / np.minimum(seen[0][:, 2], seen[1][:, 2]))
+
+
+def errors(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
+    """Return how far from its match each point of a first view lands in the second, (n,) pixels; or NaN."""
+    return transfer_errors(views, cameras, found.couples, found.pixels(views))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import Cameras, inverted_all
 from stages.adjusting.view import View
+from stages.scans.scan import Pose
 
 # Partners of a view: some that overlap most, and as many spread among those that overlap enough.
 _NEAREST, _SPREAD = 5, 5
@@ -33,24 +34,27 @@ def partners(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
 
 def overlaps(views: Sequence[View], cameras: Cameras) -> NDArray[np.float64]:
     """Return (m, m) shares of what one view measures that the other has before it, the smaller of both ways."""
-    count = len(views)
-    shares = np.zeros((count, count))
-    back = inverted_all(cameras.poses)
-    toward = cameras.poses[:, :3, 2]
-    for number, view in enumerate(views):
-        points = _points(view)
-        if not len(points):
-            continue
-        world = points @ cameras.poses[number, :3, :3].T + cameras.poses[number, :3, 3]
-        there = np.einsum("mij,nj->mni", back[:, :3, :3], world) + back[:, None, :3, 3]
-        z = np.where(there[..., 2] > 0.05, there[..., 2], np.nan)
-        lenses = np.stack([one.depth_lens for one in views])[:, None]
-        sizes = np.array([one.depth.shape[::-1] for one in views])[:, None]
-        places = there[..., :2] / z[..., None] * lenses[..., :2] + lenses[..., 2:]
-        inside = ((places > 0) & (places < sizes)).all(axis=-1)
-        alike = toward @ toward[number] > np.cos(np.radians(_ANGLE))
-        shares[number] = inside.mean(axis=1) * alike
+    shares = np.stack(
+        [overlap_of(view, pose, cameras.poses) for view, pose in zip(views, cameras.poses, strict=True)]
+    )
     return np.minimum(shares, shares.T)
+
+
+def overlap_of(view: View, pose: Pose, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share (m,) of what a view measures that the same camera would see from other poses.
+
+    Where it looks another way by more than 60 degrees, that is nothing.
+    """
+    points = _points(view)
+    if not len(points):
+        return np.zeros(len(poses))
+    back = inverted_all(poses) @ pose
+    there = np.einsum("mij,nj->mni", back[:, :3, :3], points) + back[:, None, :3, 3]
+    z = np.where(there[..., 2] > 0.05, there[..., 2], np.nan)
+    places = there[..., :2] / z[..., None] * view.depth_lens[:2] + view.depth_lens[2:]
+    inside = ((places > 0) & (places < view.depth.shape[::-1])).all(axis=-1)
+    alike = back[:, 2, 2] > np.cos(np.radians(_ANGLE))
+    return np.asarray(inside.mean(axis=1) * alike)
 
 
 def _points(view: View) -> NDArray[np.float64]:

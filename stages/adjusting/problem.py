@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stages.adjusting.cameras import FREE, Cameras, inverted_all, motion, skew, steps_of
 from stages.adjusting.lens import derivatives
-from stages.adjusting.lifting import depth_at
+from stages.adjusting.lifting import planes_at
 from stages.adjusting.tracks import Tracks
 from stages.adjusting.view import View
 
@@ -24,7 +24,7 @@ _PIXEL, _HUBER, _HUBER_DEPTH = 1.0, 2.0, 2.0
 _DEPTH_M, _DEPTH_PER_M = 0.0028, 0.0008
 _OTHER_THING = 12.0
 # What the given colour camera may be off: a share of the focal length, of the width, k1, metres, radians.
-_CAMERA_PRIOR = np.array([0.1, 0.04, 0.04, 0.1, *[0.05] * 3, *[np.radians(3)] * 3])
+_CAMERA_PRIOR = np.array([0.05, 0.005, 0.005, 0.05, *[0.015] * 3, *[np.radians(0.5)] * 3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,8 @@ class Problem:
     Attributes
     ----------
     tracks : where views see points.
-    depths : (n,) metres that the view measures at each observation; 0 where it is not held to it.
+    normals, depths, deviations : (n, 3), (n,) and (n,) metres, of the plane that the view measures where it sees
+        the point, see `planes_at`; a depth of 0 where the point is not held to it.
     given : the poses as they were, (m, 4, 4) world_from_camera.
     pose_prior : (6,) standard deviations of these, metres and radians.
     frees_camera : the colour camera is looked for, too.
@@ -64,7 +65,9 @@ class Problem:
     """
 
     tracks: Tracks
+    normals: NDArray[np.float64]
     depths: NDArray[np.float64]
+    deviations: NDArray[np.float64]
     given: NDArray[np.float64]
     pose_prior: NDArray[np.float64]
     frees_camera: bool
@@ -73,9 +76,10 @@ class Problem:
     def looked_up(self, views: Sequence[View], state: State) -> Problem:
         """Return it with the depth that views measure where they now see the points."""
         seen = _seen(state, self.tracks)
-        depths = depth_at(views, self.tracks.view, seen)
-        off = np.abs(seen[:, 2] - depths) > _OTHER_THING * deviation(seen[:, 2])
-        return replace(self, depths=np.where(off, 0, depths))
+        normals, depths, slopes = planes_at(views, self.tracks.view, seen)
+        deviations = np.hypot(deviation(depths), slopes)
+        off = np.abs((normals * seen).sum(axis=1) - depths) > _OTHER_THING * deviations
+        return replace(self, normals=normals, depths=np.where(off, 0, depths), deviations=deviations)
 
     def cost(self, state: State) -> float:
         """Return half the robust sum of squares."""
@@ -99,7 +103,8 @@ class Problem:
         shown = np.where(ahead[:, None], shown, (0, 0, 1))
         pixels, _, _ = derivatives(shown, cameras.lenses[tracks.view])
         pixel = np.where(ahead[:, None], (pixels - tracks.pixels) / _PIXEL, 1e3)
-        depth = np.where(self.depths > 0, seen[:, 2] - self.depths, 0) / deviation(self.depths)
+        behind = (self.normals * seen).sum(axis=1) - self.depths
+        depth = np.where(self.depths > 0, behind, 0) / self.deviations
         moved = steps_of(inverted_all(self.given) @ cameras.poses) / self.pose_prior
         return pixel, depth, moved, state.camera / self.camera_prior
 
@@ -121,7 +126,7 @@ class Problem:
         # Rows: two of the pixel, one of the depth. A step of the pose moves the point the other way.
         by_seen = np.empty((count, 3, 3))
         by_seen[:, :2] = by_point @ turned / _PIXEL
-        by_seen[:, 2] = np.array([0, 0, 1]) * (1 / deviation(self.depths))[:, None]
+        by_seen[:, 2] = self.normals / self.deviations[:, None]
         weights = np.empty((count, 3))
         weights[:, :2] = _weight(np.hypot(*pixel.T), _HUBER)[:, None]
         weights[:, 2] = np.where(self.depths > 0, _weight(np.abs(depth), _HUBER_DEPTH), 0)

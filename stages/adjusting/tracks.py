@@ -39,15 +39,6 @@ class Tracks:
     def of(self, chosen: NDArray[np.bool_]) -> Tracks:
         """Return the points of which (p,) `chosen` is true, without their matches."""
         kept = chosen[self.point]
-        return self._only(kept)
-
-    def without(self, dropped: NDArray[np.bool_]) -> Tracks:
-        """Return what is left without (n,) some observations; points of too few views go with them."""
-        kept = ~dropped
-        views = np.bincount(self.point[kept], minlength=self.count)
-        return self._only(kept & (views >= _LEAST_VIEWS)[self.point])
-
-    def _only(self, kept: NDArray[np.bool_]) -> Tracks:
         _, point = np.unique(self.point[kept], return_inverse=True)
         return Tracks(self.view[kept], point, self.pixels[kept], np.zeros(0, np.intp))
 

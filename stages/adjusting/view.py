@@ -40,7 +40,7 @@ class View:
     depth : (h, w) float32 metres, 0 where it is missing or jumps; a mean of neighbours elsewhere.
     lens : (9,) of the colour camera as given, see `Cameras.lenses`.
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
-    is_bent : the colour camera's lens is one that can be adjusted.
+    is_plain : the colour camera's lens is one that can be adjusted.
     """
 
     name: str
