@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.bundle import Bundle, bundle
-from stages.adjusting.cameras import Cameras, camera_of, inverted_all, motion_apart
+from stages.adjusting.cameras import Cameras, camera_of, motion_apart
 from stages.adjusting.key_frames import key_frames
 from stages.adjusting.look import Look, look, view_or_none
 from stages.adjusting.matching import match
@@ -57,8 +57,8 @@ class AdjustParams:
     camera: bool | None = param(
         None,
         "Look for one colour camera of the whole scan (focal length, centre, k1, its place beside the depth "
-        "camera): by default taken where it is clearly better than poses alone; true asks for it, false keeps "
-        "the given one.",
+        "camera): by default used where it is clearly better than poses alone; true asks for it, false "
+        "keeps the given one.",
     )
     pose_deviation: float = param(
         0.02,
@@ -82,7 +82,7 @@ class AdjustKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Transfer:
-    """How far from its match a point lands in another frame, pixels: half, three and nine tenths are nearer."""
+    """How far from its match a point lands in another frame, pixels, at most: half, 3/4 and 9/10 of them."""
 
     median: float
     p75: float
@@ -172,10 +172,10 @@ def adjust(
 ) -> Adjusted:
     """Make poses better, and the colour camera where that is wrong; what is not better is not used.
 
-    A few couples of frames say first whether anything is to be gained. If so, points that three frames or more
-    show are recognised, and poses, points and one colour camera are fitted to where they are seen and how deep
-    they are measured (bundle adjustment), held to the poses given. Every fifth point is held out: by these it
-    is judged. Equal input gives equal bits, on any number of threads.
+    A few couples of frames say first whether anything is to be gained. If so, points that three frames or
+    more show are recognised, and poses, points and one colour camera are fitted to where they are seen and
+    how deep they are measured (bundle adjustment), held to the poses given. Every fifth point is held out: by
+    these it is judged. Equal input gives equal bits, on any number of threads.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _adjusted(
     progress: Progress,
     began: float,
 ) -> Adjusted:
-    poses = np.stack([np.asarray(frames[place].world_from_camera, np.float64) for place in usable])
+    poses = np.stack([_pose(frames[place]) for place in usable])
     keys = [usable[n] for n in key_frames(poses, _MOST_KEYS)]
     total = len(usable) + len(keys)
     steps = _Steps(progress, total + total // 4 + 4)
@@ -246,7 +246,7 @@ def _adjusted(
     couples = partners(overlaps(key_views, given))
     found = match(key_views, couples, lambda done, of: steps.at(len(keys) + done * (total // 4) // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
-    frees = params.camera if all(view.is_plain for view in key_views) else False
+    frees = params.camera if _share_a_camera([frames[place] for place in usable], key_views) else False
     made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))
     if made is None:
         why = "too few points are seen by three frames"
@@ -267,15 +267,13 @@ def _adjusted(
     result = list(frames)
     for place in usable:
         result[place] = _with(frames[place], found_poses.get(place), made, views, keys)
-    moved = np.array(
-        [motion_apart(np.asarray(frames[place].world_from_camera), pose) for place, pose in found_poses.items()]
-    )
+    moved = np.array([motion_apart(_pose(frames[place]), pose) for place, pose in found_poses.items()])
     first = color_camera(frames[keys[0]])
     return Adjusted(
         frames=tuple(result),
         places=tuple(sorted(found_poses)),
         accepted=True,
-        why=why,
+        why=f"{'poses and colour camera' if made.has_camera else 'poses'} adjusted: {why}",
         has_camera=made.has_camera,
         before=before,
         after=after,
@@ -290,6 +288,24 @@ def _adjusted(
         warnings=(),
         seconds=time.perf_counter() - began,
     )
+
+
+def _share_a_camera(frames: Sequence[Frame], views: Sequence[View]) -> bool:
+    """Say whether one colour camera took all images, of a lens that can be adjusted."""
+    first = frames[0]
+    return (
+        all(view.is_plain and view.size == views[0].size for view in views)
+        and all(color_camera(frame) == color_camera(first) for frame in frames)
+        and all(np.array_equal(_apart(frame), _apart(first)) for frame in frames)
+    )
+
+
+def _apart(frame: Frame) -> NDArray[np.float64]:
+    return np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth)
+
+
+def _pose(frame: Frame) -> NDArray[np.float64]:
+    return np.asarray(frame.world_from_camera, np.float64)
 
 
 def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]:
@@ -381,7 +397,7 @@ def _as_given(
         frames=frames,
         places=(),
         accepted=False,
-        why=why,
+        why=f"left as given: {why}",
         has_camera=False,
         before=before,
         after=after,

@@ -1,4 +1,4 @@
-"""Which cameras fit what views have matched: poses alone, or with the colour camera; judged on points held out."""
+"""Cameras that fit what views have matched: poses alone or with the colour camera, judged on other points."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def bundle(
         return None
     held = np.arange(joined.count) % _HELD_OUT == 0
     of_held = np.zeros(len(found), bool)
-    of_held[np.flatnonzero(near)] = held[joined.matched] & (joined.matched >= 0)
+    of_held[np.flatnonzero(near)] = np.where(joined.matched >= 0, held[joined.matched], False)
     judged = found.take(of_held)
 
     def solved(start: Cameras, train: Tracks, frees_camera: bool) -> Cameras:
@@ -99,7 +99,7 @@ def bundle(
             tell()
     # With cameras that nearly fit, wrong matches are told from right ones, and right ones from wrong ones.
     rest = found.take(~of_held)
-    rest = rest.take(errors(views, best, rest) < _WRONG_PX)
+    rest = rest.take(np.flatnonzero(errors(views, best, rest) < _WRONG_PX))
     train = tracks(views, _without_held(rest, judged))
     best = solved(best, train, has_camera)
     tell()
@@ -141,10 +141,16 @@ def _solved(
     places = in_world(start, train.view, lifted(views, start, train.view, train.pixels))
     known = ~np.isnan(places[:, 0])
     counts = np.bincount(train.point[known], minlength=train.count)
-    means = np.stack(
-        [np.bincount(train.point[known], places[known, axis], minlength=train.count) for axis in range(3)],
-        axis=1,
-    ) / np.maximum(counts, 1)[:, None]
+    means = (
+        np.stack(
+            [
+                np.bincount(train.point[known], places[known, axis], minlength=train.count)
+                for axis in range(3)
+            ],
+            axis=1,
+        )
+        / np.maximum(counts, 1)[:, None]
+    )
     train = train.of(counts > 0)
     state = State(start, means[counts > 0], np.zeros(FREE))
     nothing = np.zeros(len(train.view))

@@ -98,6 +98,11 @@ def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return back
 
 
+def carried(moves: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 3) points after (n, 4, 4) motions, each by its own."""
+    return np.asarray(np.einsum("nij,nj->ni", moves[:, :3, :3], points) + moves[:, :3, 3])
+
+
 def lens_of(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
     """Return the (9,) lens of a camera's image in another size."""
     sized = scaled(camera, width, height)
@@ -119,4 +124,6 @@ def camera_of(lens: NDArray[np.float64], camera: Camera, width: int, height: int
 def motion_apart(one: Pose, other: Pose) -> tuple[float, float]:
     """Return how far two poses of a camera are apart, metres and degrees."""
     turn = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1) / 2
-    return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(np.arccos(np.clip(turn, -1, 1))))
+    return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(
+        np.degrees(np.arccos(np.clip(turn, -1, 1)))
+    )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras, inverted_all
+from stages.adjusting.cameras import Cameras, carried, inverted_all
 from stages.adjusting.lens import project, rays
 from stages.adjusting.view import View
 
@@ -37,12 +37,12 @@ def lifted(
     before = z
     known = np.zeros(len(view), bool)
     for _ in range(_STEPS):
-        seen = _placed(back, way * z[:, None])
+        seen = carried(back, way * z[:, None])
         measured = depth_at(views, view, seen)
         known = measured > 0
         # Beside what was measured, depth is searched from where the ray was.
         seen *= (np.where(known, measured, seen[:, 2]) / seen[:, 2])[:, None]
-        before, z = z, np.maximum(_placed(apart, seen)[:, 2], 1e-3)
+        before, z = z, np.maximum(carried(apart, seen)[:, 2], 1e-3)
     known &= np.abs(z - before) < _SETTLED * z
     return np.where(known[:, None], seen, np.nan)
 
@@ -64,7 +64,7 @@ def planes_at(
 
     Returns
     -------
-    normals : (n, 3), so that `normals @ point - depth` is how far behind the plane a point is, metres of depth.
+    normals : (n, 3); `normals @ point - depth` is how far behind the plane a point is, metres of depth.
     depth : (n,) metres, 0 where none is measured.
     slope : (n,) metres that depth changes by in a pixel.
     """
@@ -88,7 +88,7 @@ def planes_at(
 
 def _depth_pixels(lenses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     z = np.where(points[:, 2] > 1e-3, points[:, 2], np.nan)[:, None]
-    return points[:, :2] / z * lenses[:, :2] + lenses[:, 2:]
+    return np.asarray(points[:, :2] / z * lenses[:, :2] + lenses[:, 2:])
 
 
 def _sampled(
@@ -110,13 +110,13 @@ def _sampled(
 
 def in_world(cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return points of the views' own axes in the world."""
-    return _placed(cameras.poses[view], points)
+    return carried(cameras.poses[view], points)
 
 
 def in_color(cameras: Cameras, view: NDArray[np.intp], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return points of the world in the axes of colour cameras."""
     back = cameras.color_from_depth @ inverted_all(cameras.poses)
-    return _placed(back[view], points)
+    return carried(back[view], points)
 
 
 def transfer_errors(
@@ -137,10 +137,6 @@ def transfer_errors(
     there[:, 2] = np.where(there[:, 2] > 1e-3, there[:, 2], np.nan)
     off = project(there, cameras.lenses[couples[:, 1]]) - pixels[1]
     return np.asarray(np.hypot(*off.T))
-
-
-def _placed(poses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
 
 
 def _median(view: View) -> float:

@@ -1,4 +1,4 @@
-"""A look at a few couples of frames: do colour, depth and poses agree already?"""
+"""A look at a few couples of frames, which says whether colour, depth and poses agree already."""
 
 from __future__ import annotations
 
@@ -99,9 +99,7 @@ def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
     return Look(views, tuple(skipped), len(found), off[~np.isnan(off)], share)
 
 
-def _read(
-    frames: Sequence[Frame], places: Sequence[int], skipped: list[SkippedFrame]
-) -> dict[int, View]:
+def _read(frames: Sequence[Frame], places: Sequence[int], skipped: list[SkippedFrame]) -> dict[int, View]:
     views = {}
     threads = workers()
     for place, view in zip(

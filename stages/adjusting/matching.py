@@ -50,9 +50,7 @@ class Matches:
         return pixels[places[:, 0]], pixels[places[:, 1]]
 
 
-def match(
-    views: Sequence[View], couples: Sequence[tuple[int, int]], progress: Progress = silent
-) -> Matches:
+def match(views: Sequence[View], couples: Sequence[tuple[int, int]], progress: Progress = silent) -> Matches:
     """Match couples of views; kept is what one motion of the camera explains."""
     threads = workers()
 
@@ -80,10 +78,9 @@ def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
         (rays(one.pixels[pairs[:, side]], one.lens)[:, :2] * one.lens[:2] + one.lens[2:4]).astype(np.float32)
         for side, one in enumerate((a, b))
     ]
-    _, kept = cv2.findFundamentalMat(*flat, cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
-    if kept is None or np.count_nonzero(kept) < _LEAST:
-        return pairs[:0]
-    return pairs[kept.ravel() > 0]
+    _, found = cv2.findFundamentalMat(flat[0], flat[1], cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
+    kept = np.zeros(0) if found is None else np.ravel(found) > 0
+    return pairs[:0] if np.count_nonzero(kept) < _LEAST else pairs[kept]
 
 
 def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:

@@ -27,17 +27,19 @@ def partners(overlap: NDArray[np.float64]) -> list[tuple[int, int]]:
         order = np.argsort(-row, kind="stable")
         order = order[(row[order] >= _LEAST_OVERLAP) & (order != number)]
         rest = order[_NEAREST:]
-        spread = rest[np.unique(np.linspace(0, len(rest) - 1, _SPREAD).round().astype(int))] if len(rest) else []
+        spread = (
+            rest[np.unique(np.linspace(0, len(rest) - 1, _SPREAD).round().astype(int))] if len(rest) else []
+        )
         couples |= {(min(number, int(n)), max(number, int(n))) for n in (*order[:_NEAREST], *spread)}
     return sorted(couples)
 
 
 def overlaps(views: Sequence[View], cameras: Cameras) -> NDArray[np.float64]:
-    """Return (m, m) shares of what one view measures that the other has before it, the smaller of both ways."""
+    """Return (m, m) shares of what views measure that others have before them, the smaller of both ways."""
     shares = np.stack(
         [overlap_of(view, pose, cameras.poses) for view, pose in zip(views, cameras.poses, strict=True)]
     )
-    return np.minimum(shares, shares.T)
+    return np.asarray(np.minimum(shares, shares.T))
 
 
 def overlap_of(view: View, pose: Pose, poses: NDArray[np.float64]) -> NDArray[np.float64]:

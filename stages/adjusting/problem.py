@@ -1,7 +1,7 @@
 """Bundle adjustment stated: what points, poses and the colour camera are held to, and how that changes.
 
-Residuals are in standard deviations: where a view sees a point, how deep it measures it, and how far poses and
-camera are from what was given.
+Residuals are in standard deviations: where a view sees a point, how deep it measures it, and how far poses
+and camera are from what was given.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import FREE, Cameras, inverted_all, motion, skew, steps_of
+from stages.adjusting.cameras import FREE, Cameras, carried, inverted_all, skew, steps_of
 from stages.adjusting.lens import derivatives
 from stages.adjusting.lifting import planes_at
 from stages.adjusting.tracks import Tracks
@@ -56,8 +56,8 @@ class Problem:
     Attributes
     ----------
     tracks : where views see points.
-    normals, depths, deviations : (n, 3), (n,) and (n,) metres, of the plane that the view measures where it sees
-        the point, see `planes_at`; a depth of 0 where the point is not held to it.
+    normals, depths, deviations : (n, 3), (n,) and (n,) metres, of the plane that the view measures where it
+        sees the point, see `planes_at`; a depth of 0 where the point is not held to it.
     given : the poses as they were, (m, 4, 4) world_from_camera.
     pose_prior : (6,) standard deviations of these, metres and radians.
     frees_camera : the colour camera is looked for, too.
@@ -111,7 +111,7 @@ class Problem:
     @property
     def camera_prior(self) -> NDArray[np.float64]:
         """Return the (10,) standard deviations of the given colour camera."""
-        return _CAMERA_PRIOR * np.array([1, self.width, self.width, *[1] * 7])
+        return np.asarray(_CAMERA_PRIOR * np.array([1, self.width, self.width, *[1] * 7]))
 
     def linear(self, state: State) -> Linear:
         """Return the residuals and how they change with a small step, weighed as Huber's loss asks."""
@@ -181,19 +181,17 @@ def deviation(depth: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _seen(state: State, tracks: Tracks) -> NDArray[np.float64]:
     """Return the points of all observations in the axes of the depth cameras."""
-    back = inverted_all(state.cameras.poses)[tracks.view]
-    return np.einsum("nij,nj->ni", back[:, :3, :3], state.points[tracks.point]) + back[:, :3, 3]
+    return carried(inverted_all(state.cameras.poses)[tracks.view], state.points[tracks.point])
 
 
 def _shown(cameras: Cameras, tracks: Tracks, seen: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the same in the axes of the colour cameras."""
-    apart = cameras.color_from_depth[tracks.view]
-    return np.einsum("nij,nj->ni", apart[:, :3, :3], seen) + apart[:, :3, 3]
+    return carried(cameras.color_from_depth[tracks.view], seen)
 
 
 def _huber(size: NDArray[np.float64], bend: float) -> NDArray[np.float64]:
-    return np.where(size <= bend, 0.5 * size**2, bend * (size - 0.5 * bend))
+    return np.asarray(np.where(size <= bend, 0.5 * size**2, bend * (size - 0.5 * bend)))
 
 
 def _weight(size: NDArray[np.float64], bend: float) -> NDArray[np.float64]:
-    return bend / np.maximum(size, bend)
+    return np.asarray(bend / np.maximum(size, bend))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,8 @@ class _Normal:
 
         def of_points(values: NDArray[np.float64]) -> NDArray[np.float64]:
             # Observations stand in the order of their points.
-            return np.add.reduceat(values, np.searchsorted(by_point, np.arange(count)), axis=0)
+            ends = np.searchsorted(by_point, np.arange(count))
+            return np.asarray(np.add.reduceat(values, ends, axis=0))
 
         order = np.argsort(tracks.view, kind="stable")
         used, starts = np.unique(tracks.view[order], return_index=True)
@@ -87,9 +89,7 @@ class _Normal:
             towards_points=-of_points(point_t @ off)[..., 0],
         )
 
-    def step(
-        self, damping: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return steps of poses (m, 6), the camera (10,) and points (p, 3)."""
         tracks, views, count = self.problem.tracks, len(self.poses), len(self.points)
         inverse = np.linalg.inv(_damped(self.points, damping))
@@ -122,7 +122,7 @@ class _Normal:
 
 def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
     """Return (n, k, k) blocks with their diagonals raised."""
-    raised = blocks.copy()
+    raised = np.array(blocks)
     at = np.arange(blocks.shape[1])
     raised[:, at, at] += damping * blocks[:, at, at] + 1e-9
     return raised
@@ -130,7 +130,7 @@ def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
 
 def _sparse(
     blocks: NDArray[np.float64], rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]
-) -> object:
+) -> Any:
     """Return a sparse matrix of (n, 6, 3) blocks."""
     from scipy.sparse import bsr_array
 
@@ -141,7 +141,7 @@ def _sparse(
 
 
 def _solved(matrix: NDArray[np.float64], towards: NDArray[np.float64], views: int) -> NDArray[np.float64]:
-    """Solve a positive definite system by conjugate gradients, each view's and the camera's block inverted."""
+    """Solve a positive definite system by conjugate gradients, after inverting its diagonal blocks."""
     from scipy.sparse import block_diag, csr_array
     from scipy.sparse.linalg import cg
 
