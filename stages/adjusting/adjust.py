@@ -221,8 +221,8 @@ def _adjusted(
     began: float,
 ) -> Adjusted:
     poses = np.stack([_pose(frames[place]) for place in usable])
-    keys = [usable[n] for n in key_frames(poses, _MOST_KEYS)]
-    total = len(usable) + len(keys)
+    chosen = [usable[n] for n in key_frames(poses, _MOST_KEYS)]
+    total = len(usable) + len(chosen)
     steps = _Steps(progress, total + total // 4 + 4)
     skipped: list[SkippedFrame] = []
     views: dict[int, View] = {}
@@ -231,7 +231,7 @@ def _adjusted(
     def read(place: int) -> View | SkippedFrame:
         return seen.views.get(place) or view_or_none(frames[place])
 
-    for place, view in zip(keys, read_ahead(read, keys, threads=threads, ahead=threads + 2), strict=True):
+    for place, view in zip(chosen, read_ahead(read, chosen, threads=threads, ahead=threads + 2), strict=True):
         if isinstance(view, View):
             views[place] = view
         else:
@@ -261,7 +261,7 @@ def _adjusted(
         for place, pose, count in zip(keys, made.cameras.poses, made.seen, strict=True)
         if count >= _LEAST_SEEN
     }
-    between = [place for place in usable if place not in views and place not in set(keys)]
+    between = sorted(set(usable) - set(chosen))
     found_poses |= _between(frames, between, views, given, made, prior, skipped, steps)
     steps.end()
     result = list(frames)
