@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stages.adjusting.bundle import Bundle, bundle
 from stages.adjusting.cameras import Cameras, camera_of, motion_apart
 from stages.adjusting.key_frames import key_frames
-from stages.adjusting.look import Look, look, view_or_none
+from stages.adjusting.look import Look, look, usable, view_or_none
 from stages.adjusting.matching import match
 from stages.adjusting.partners import overlaps, partners
 from stages.adjusting.resection import expected, placed
@@ -191,38 +191,31 @@ def adjust(
     params = resolve(AdjustParams, params, changes)
     frames = tuple(scan.frames if isinstance(scan, Scan) else scan)
     began = time.perf_counter()
-    usable = [
-        place
-        for place, frame in enumerate(frames)
-        if frame.color is not None
-        and frame.depth is not None
-        and frame.world_from_camera is not None
-        and np.isfinite(frame.world_from_camera).all()
-    ]
-    if len(usable) < 2:
+    places = usable(frames)
+    if len(places) < 2:
         why = "fewer than two frames have colour, depth and a pose"
         return _as_given(frames, why, (), None, (), began)
-    seen = look(frames, usable)
+    seen = look(frames, places)
     if seen.trouble:
         return _as_given(frames, seen.trouble, seen.skipped, None, (f"not adjusted: {seen.trouble}",), began)
     before = Transfer.of(seen.errors)
     if seen.median < _GOOD_PX:
         why = f"colour, depth and poses agree to {seen.median:.2f} px already"
         return _as_given(frames, why, seen.skipped, before, (), began)
-    return _adjusted(frames, usable, seen, params, progress, began)
+    return _adjusted(frames, places, seen, params, progress, began)
 
 
 def _adjusted(
     frames: tuple[Frame, ...],
-    usable: Sequence[int],
+    places: Sequence[int],
     seen: Look,
     params: AdjustParams,
     progress: Progress,
     began: float,
 ) -> Adjusted:
-    poses = np.stack([_pose(frames[place]) for place in usable])
-    chosen = [usable[n] for n in key_frames(poses, _MOST_KEYS)]
-    total = len(usable) + len(chosen)
+    poses = np.stack([_pose(frames[place]) for place in places])
+    chosen = [places[n] for n in key_frames(poses, _MOST_KEYS)]
+    total = len(places) + len(chosen)
     steps = _Steps(progress, total + total // 4 + 4)
     skipped: list[SkippedFrame] = []
     views: dict[int, View] = {}
@@ -246,7 +239,7 @@ def _adjusted(
     couples = partners(overlaps(key_views, given))
     found = match(key_views, couples, lambda done, of: steps.at(len(keys) + done * (total // 4) // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
-    frees = params.camera if _share_a_camera([frames[place] for place in usable], key_views) else False
+    frees = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
     made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))
     if made is None:
         why = "too few points are seen by three frames"
@@ -261,11 +254,11 @@ def _adjusted(
         for place, pose, count in zip(keys, made.cameras.poses, made.seen, strict=True)
         if count >= _LEAST_SEEN
     }
-    between = sorted(set(usable) - set(chosen))
+    between = sorted(set(places) - set(chosen))
     found_poses |= _between(frames, between, views, given, made, prior, skipped, steps)
     steps.end()
     result = list(frames)
-    for place in usable:
+    for place in places:
         result[place] = _with(frames[place], found_poses.get(place), made, views, keys)
     moved = np.array([motion_apart(_pose(frames[place]), pose) for place, pose in found_poses.items()])
     first = color_camera(frames[keys[0]])

@@ -63,6 +63,18 @@ class Look:
         return ""
 
 
+def usable(frames: Sequence[Frame]) -> list[int]:
+    """Return the places of frames that have colour, depth and a pose."""
+    return [
+        place
+        for place, frame in enumerate(frames)
+        if frame.color is not None
+        and frame.depth is not None
+        and frame.world_from_camera is not None
+        and np.isfinite(frame.world_from_camera).all()
+    ]
+
+
 def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
     """Look at a few couples of frames, spread over those at these places (with poses, colour and depth)."""
     poses = np.stack([_pose(frames[place]) for place in places])
