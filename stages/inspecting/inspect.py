@@ -281,8 +281,8 @@ def _misfit(frames: Sequence[Frame]) -> tuple[float | None, list[str]]:
     if seen.median < _MISFIT_PX:
         return seen.median, []
     return seen.median, [
-        f"colour, depth and poses are off by {seen.median:.1f} px (median of {len(seen.errors):,} points that "
-        "two frames show): `scanloom run` adjusts them, `scanloom adjust` does it alone"
+        f"colour, depth and poses are off by {seen.median:.1f} px (median of {len(seen.errors):,} points "
+        "that two frames show): `scanloom run` adjusts them, `scanloom adjust` does it alone"
     ]
 
 
