@@ -68,9 +68,11 @@ def _register(job: Job) -> Mapping[str, Any]:
 
 def _adjust(job: Job) -> Mapping[str, Any]:
     scan = _frames(job)
+    if job.config.scan.check_poses:
+        # What fuse refuses, and is no matter of centimetres; what is only suspected, it tells.
+        require_poses(scan)
     found = adjust(scan, job.config.adjust, progress=job.progress)
-    figures = _with_skipped(adjusting.write(job.folder, found))
-    return from_folder(figures, scan.folder)
+    return from_folder(adjusting.write(job.folder, found), scan.folder)
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
@@ -210,6 +212,10 @@ def _of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  
     return _stated(depth_scan, _measure(inputs["pairs"]))
 
 
+def _of_adjust(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    return _stated(adjust, require_poses) if config.scan.check_poses else _stated(adjust)
+
+
 def _of_fuse(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
     # Poses that are not looked at are not refused, and nothing is said of them.
     return _stated(fuse, require_poses) if config.scan.check_poses else _stated(fuse)
@@ -258,7 +264,7 @@ STAGES: tuple[Stage, ...] = (
         writes="adjusted",
         sections=("adjust",),
         make=_adjust,
-        versions=_of(adjust),
+        versions=_of_adjust,
         libraries=_OPENCV | {"scipy": _version("scipy")},
         results=("adjusted/",),
         cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6),

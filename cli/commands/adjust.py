@@ -11,7 +11,6 @@ import stages
 from cli.output import Output
 from cli.paths import new_folder
 from cli.scan_argument import ScanFolder, read_scan
-from cli.skipped import tell_skipped
 from stages import AdjustParams, InputError, ScanParams
 from stages.scans.read import require_complete
 
@@ -46,6 +45,5 @@ def adjust(
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
         figures = write(draft, stages.adjust(source, params, progress=progress))
-    tell_skipped(out, "adjust", figures)
     out.warn_of(figures)
     out.result({"output": str(target), **figures})

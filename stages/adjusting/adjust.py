@@ -19,7 +19,7 @@ from stages.adjusting.partners import overlaps, partners
 from stages.adjusting.resection import expected, placed
 from stages.adjusting.view import View, color_camera
 from stages.params import check, param, resolve
-from stages.printing import by_figures, table
+from stages.printing import by_figures, counted, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
@@ -147,7 +147,7 @@ class Adjusted:
             "frames": len(self.frames),
             "frames_adjusted": len(self.places),
             "frames_unplaced": self.unplaced,
-            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "frames_unusable": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
             "key_frames": self.key_frames,
             "points": self.points,
             "transfer_before": self.before and _in_px(self.before),
@@ -197,7 +197,8 @@ def adjust(
         return _as_given(frames, why, (), None, (), began)
     seen = look(frames, places)
     if seen.trouble:
-        return _as_given(frames, seen.trouble, seen.skipped, None, (f"not adjusted: {seen.trouble}",), began)
+        told = (f"not adjusted: {seen.trouble}",) if seen.is_of_another else ()
+        return _as_given(frames, seen.trouble, seen.skipped, None, told, began)
     before = Transfer.of(seen.errors)
     if seen.median < _GOOD_PX:
         why = f"colour, depth and poses agree to {seen.median:.2f} px already"
@@ -234,7 +235,7 @@ def _adjusted(
     key_views = list(views.values())
     if len(keys) < 2:
         why = f"{len(keys)} frames can be used"
-        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (f"not adjusted: {why}",), began)
+        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
     given = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
     couples = partners(overlaps(key_views, given))
     found = match(key_views, couples, lambda done, of: steps.at(len(keys) + done * (total // 4) // of))
@@ -243,7 +244,7 @@ def _adjusted(
     made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))
     if made is None:
         why = "too few points are seen by three frames"
-        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (f"not adjusted: {why}",), began)
+        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
     before, after = Transfer.of(made.before), Transfer.of(made.after)
     better, why = _judged(before, after)
     if not better:
@@ -266,7 +267,7 @@ def _adjusted(
         frames=tuple(result),
         places=tuple(sorted(found_poses)),
         accepted=True,
-        why=f"{'poses and colour camera' if made.has_camera else 'poses'} adjusted: {why}",
+        why=f"{'poses and colour camera' if made.has_camera else 'poses'} adjusted: {why}{_said_of(skipped)}",
         has_camera=made.has_camera,
         before=before,
         after=after,
@@ -390,7 +391,7 @@ def _as_given(
         frames=frames,
         places=(),
         accepted=False,
-        why=f"left as given: {why}",
+        why=f"left as given: {why}{_said_of(skipped)}",
         has_camera=False,
         before=before,
         after=after,
@@ -405,6 +406,14 @@ def _as_given(
         warnings=warnings,
         seconds=time.perf_counter() - began,
     )
+
+
+def _said_of(skipped: Sequence[SkippedFrame]) -> str:
+    """Return the end of a sentence that tells of frames that cannot be used; empty without any."""
+    if not skipped:
+        return ""
+    one = skipped[0]
+    return f"; {counted(len(skipped), 'frame')} cannot be used (the first, {one.name}: {one.reason})"
 
 
 def _in_px(transfer: Transfer) -> dict[str, float]:

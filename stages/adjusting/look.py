@@ -47,15 +47,18 @@ class Look:
         return float(np.median(self.errors))
 
     @property
+    def is_of_another(self) -> bool:
+        """Say whether enough is recognised, and hardly any of it lies where depth and poses say."""
+        return self.matches >= _LEAST and not self.near_share >= _LEAST_NEAR
+
+    @property
     def trouble(self) -> str:
         """Return why nothing can be told, as the end of a sentence; empty if something can."""
         if not self.views:
-            one = self.skipped[0] if self.skipped else None
-            return "none of its frames can be used" + (f" (frame {one.name}: {one.reason})" if one else "")
+            return "none of the frames looked at shows anything"
         if self.matches < _LEAST:
-            told = f" (frame {self.skipped[0].name}: {self.skipped[0].reason})" if self.skipped else ""
-            return f"only {self.matches} points are recognised from frame to frame{told}"
-        if not self.near_share >= _LEAST_NEAR:
+            return f"only {self.matches} points are recognised from frame to frame"
+        if self.is_of_another:
             return (
                 f"of {self.matches} points recognised from frame to frame, depth and poses bring only "
                 f"{self.near_share:.0%} together: the poses, the depth or the colour are of something else"

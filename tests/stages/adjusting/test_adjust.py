@@ -116,7 +116,7 @@ def test_black_frames_are_told(frames):
     found = adjust(dark)
     assert not found.accepted
     assert "its colour image is black" in found.why
-    assert found.warnings == (f"not adjusted: {found.why.removeprefix('left as given: ')}",)
+    assert found.warnings == (), "there is nothing in them that could be wrong"
 
 
 def test_over_exposed_frames_are_told(frames):
@@ -130,7 +130,7 @@ def test_colour_of_another_scene_is_told_with_numbers(frames):
     other = [replace(a, color=b.color) for a, b in zip(frames, reversed(frames), strict=True)]
     found = adjust(other)
     assert not found.accepted
-    assert any("%" in text or "points" in text for text in found.warnings), found.why
+    assert "points" in found.why
 
 
 @pytest.mark.slow
