@@ -21,6 +21,7 @@ import typer
 
 from cli import errors, exit_codes
 from cli.commands import (
+    adjust,
     bake,
     cache,
     certify,
@@ -53,6 +54,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "One stage at a time": (
         depth.depth,
         register.register,
+        adjust.adjust,
         fuse.fuse,
         clean.clean,
         simplify.simplify,

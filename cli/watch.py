@@ -32,6 +32,7 @@ _UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "tria
 _HEADLINES = {
     "depth": "{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
     "up to {max_depth_m:.3g} m",
+    "adjust": "{why}",
     "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
     "clean": "{triangles:,} triangles; {islands:,} islands removed",

@@ -9,6 +9,7 @@ from pipeline.cache_size import CacheParams
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
+from stages.adjusting.adjust import AdjustParams
 from stages.cleaning.clean import CleanParams
 from stages.comparing.compare import CompareParams
 from stages.fusion.params import FuseParams
@@ -25,6 +26,7 @@ class Config(Sections):
     scan: ScanParams = field(default_factory=ScanParams)
     depth: DepthParams = field(default_factory=DepthParams)
     register: RegisterParams = field(default_factory=RegisterParams)
+    adjust: AdjustParams = field(default_factory=AdjustParams)
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)

@@ -1,10 +1,11 @@
 """The stages of the pipeline, declared: what each reads and writes, what decides its result, what it runs.
 
-pairs ──depth──▶ frames ──fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
-                   └─register─▶ posed ─▲                               ├──remesh──▶ remeshed ──▲
-                                                                       └──bake──▶ baked
+pairs ──depth──▶ frames ──────────fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
+                   ├─register─▶ posed ─▲                                       ├──remesh──▶ remeshed ──▲
+                   └─adjust──▶ adjusted ▲                                      └──bake──▶ baked
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
-register is there where poses are missing, bake and remesh if they are enabled; bake reads clean, too)
+register is there where poses are missing; adjust where frames have colour and measured depth, from what
+register found; bake and remesh if they are enabled; bake reads clean, too, and report what fuse reads)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them.
 """
@@ -18,13 +19,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline import baking, registering, remeshing, report
+from pipeline import adjusting, baking, registering, remeshing, report
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
+from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare_surfaces
@@ -62,6 +64,15 @@ def _register(job: Job) -> Mapping[str, Any]:
     found = register(scan, job.config.register, progress=job.progress)
     figures = _with_skipped(registering.write(job.folder, found, scan.folder))
     return from_folder(figures, scan.folder)
+
+
+def _adjust(job: Job) -> Mapping[str, Any]:
+    scan = _frames(job)
+    if job.config.scan.check_poses:
+        # What fuse refuses, and is no matter of centimetres; what is only suspected, it tells.
+        require_poses(scan)
+    found = adjust(scan, job.config.adjust, progress=job.progress)
+    return from_folder(adjusting.write(job.folder, found), scan.folder)
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
@@ -150,8 +161,10 @@ def _frames(job: Job) -> Scan:
 
 
 def _placed(scan: Scan, job: Job) -> Scan:
-    """Return the scan with the poses that were found, if any were looked for."""
-    return registering.placed(scan, job.inputs["posed"]) if "posed" in job.inputs else scan
+    """Return the scan with the poses that were found, and made better, if they were."""
+    if "posed" in job.inputs:
+        scan = registering.placed(scan, job.inputs["posed"])
+    return adjusting.placed(scan, job.inputs["adjusted"]) if "adjusted" in job.inputs else scan
 
 
 def _scan(job: Job) -> Scan:
@@ -199,6 +212,10 @@ def _of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  
     return _stated(depth_scan, _measure(inputs["pairs"]))
 
 
+def _of_adjust(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    return _stated(adjust, require_poses) if config.scan.check_poses else _stated(adjust)
+
+
 def _of_fuse(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
     # Poses that are not looked at are not refused, and nothing is said of them.
     return _stated(fuse, require_poses) if config.scan.check_poses else _stated(fuse)
@@ -242,8 +259,19 @@ STAGES: tuple[Stage, ...] = (
         cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6),
     ),
     Stage(
+        name="adjust",
+        reads=("frames", "posed", "names", "times"),
+        writes="adjusted",
+        sections=("adjust",),
+        make=_adjust,
+        versions=_of_adjust,
+        libraries=_OPENCV | {"scipy": _version("scipy")},
+        results=("adjusted/",),
+        cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6),
+    ),
+    Stage(
         name="fuse",
-        reads=("frames", "posed", "names"),
+        reads=("frames", "posed", "adjusted", "names"),
         writes="fused",
         sections=("fuse",),
         make=_fuse,
@@ -299,7 +327,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="report",
-        reads=("frames", "posed", "fused", "clean", "simplified", "remeshed"),
+        reads=("frames", "posed", "adjusted", "fused", "clean", "simplified", "remeshed"),
         writes="report",
         sections=("compare", "report"),
         make=_report,
@@ -334,10 +362,17 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         why = (
             "is switched off"
             if config.register.enabled is False
-            else "its frames have poses; set register.refine=true to make them better, or "
-            "register.enabled=true to find others"
+            else "its frames have poses; adjust makes them better, and register.enabled=true finds others"
         )
         reasons["register"] = f"is not a stage of this scan: {why}"
+    if not is_adjusted(scan, config):
+        if config.adjust.enabled is False:
+            why = "is switched off"
+        elif scan.is_views:
+            why = "is not a stage of this scan: its depth is found with the poses that it has"
+        else:
+            why = "is not a stage of this scan: its frames have no colour"
+        reasons["adjust"] = why
     if not config.bake.enabled:
         reasons["bake"] = "is not enabled; set bake.enabled=true"
     if not config.remesh.enabled:
@@ -348,8 +383,15 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
 def is_registered(scan: Scan, config: Config) -> bool:
     """Return whether the poses of a scan are found: those it lacks, or all, if asked for."""
     if config.register.enabled is None:
-        return config.register.refine or not scan.has_poses
+        return not scan.has_poses or (config.register.refine and not is_adjusted(scan, config))
     return config.register.enabled
+
+
+def is_adjusted(scan: Scan, config: Config) -> bool:
+    """Return whether poses and colour camera are adjusted: where frames have colour and measured depth."""
+    if config.adjust.enabled is False or scan.is_views:
+        return False
+    return any(frame.color is not None for frame in scan.frames)
 
 
 def source_of(scan: Scan) -> str:

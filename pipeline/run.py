@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import warnings as python_warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +17,11 @@ from pipeline.engine import Engine, Outcome, Source, Stage
 from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
 from pipeline.expectation import megapixels
 from pipeline.failures import explained
-from pipeline.graph import STAGES, is_registered, left_out, plan_for, source_of
+from pipeline.graph import STAGES, is_adjusted, is_registered, left_out, plan_for, source_of
 from pipeline.report import compose
 from pipeline.results import REPORT
 from stages.errors import UsageError
+from stages.params import RenamedWarning
 from stages.scans.read import read_scan, require_complete
 from stages.scans.scan import Scan
 
@@ -132,6 +134,9 @@ def wanted_of(
         _require_stage(name, known)
     scan = read_scan(scan_folder, config.scan, complete=False)
     require_complete(scan, scan_folder, posed=not is_registered(scan, config))
+    if config.register.refine and config.register.enabled is None and is_adjusted(scan, config):
+        message = "register.refine is called adjust.enabled now, which is on where frames have colour"
+        python_warnings.warn(message, RenamedWarning, stacklevel=3)
     plan = plan_for(scan, config)
     until = until or plan[-1].name
     absent = left_out(scan, config)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 # For editors and type checkers; while the program runs, names are fetched from `_NAMES_OF`.
 if TYPE_CHECKING:
+    from stages.adjusting.adjust import Adjusted, AdjustParams, adjust
     from stages.cleaning.clean import Cleaned, CleanParams, clean
     from stages.comparing.certify import Certificate, CertifyParams, certify
     from stages.comparing.compare import CompareParams, Comparison, compare
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     __version__: str
 
 _NAMES_OF = {
+    "adjusting.adjust": ("Adjusted", "AdjustParams", "adjust"),
     "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
@@ -90,6 +92,8 @@ _MODULE_OF = {name: f"stages.{module}" for module, names in _NAMES_OF.items() fo
 _NOW_CALLED = {"View": "Viewpoint"}
 
 __all__ = [
+    "AdjustParams",
+    "Adjusted",
     "BakeParams",
     "Baked",
     "Box",
@@ -136,6 +140,7 @@ __all__ = [
     "UsageError",
     "Viewpoint",
     "__version__",
+    "adjust",
     "as_mesh",
     "bake",
     "certify",

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.adjusting.look import look, usable
 from stages.errors import InputError
 from stages.files.images import image_size, read_raw_depth
 from stages.fusion.posed_depth import read_matching_color
@@ -30,6 +31,8 @@ _LARGEST_TURN_DEG = 30.0
 _PLAUSIBLE_M = (0.1, 20.0)
 # A frame so much less sharp than the usual one shows hardly any of its edges.
 _BLURRED = 0.25
+# Where points of two frames lie so far apart, details of the colours are lost.
+_MISFIT_PX = 1.5
 # Units a metre of the layouts in use, for a hint when the depth cannot be right.
 _SCALES = {1000.0: "millimetres", 5000.0: "TUM RGB-D", 6553.5: "Replica", 256.0: "KITTI depth", 1.0: "metres"}
 
@@ -75,6 +78,8 @@ class Inspection:
     depth : of RGB-D scans, None when no sampled frame has any.
     stereo_depth_m : for calibrated pairs: the depth at the largest stated disparity (or None) and at one
         pixel.
+    misfit_px : how far from its match a point that two frames show lands by depth and poses, median; None if
+        not measured.
     pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
     least_sharp : the least sharp twentieth of the frames with colour, the worst first, each with the variance
         of its image's Laplacian over the median frame's; of long scans, of a sample.
@@ -87,6 +92,7 @@ class Inspection:
     path: Path3D | None
     depth: DepthRange | None
     stereo_depth_m: tuple[float | None, float] | None
+    misfit_px: float | None
     pose_errors_m: dict[str, float]
     least_sharp: tuple[tuple[str, float], ...]
     outlook: Outlook | None
@@ -120,6 +126,7 @@ class Inspection:
             "depth": self.depth and dataclasses.asdict(self.depth),
             "stereo_depth_m": self.stereo_depth_m
             and {"largest_disparity": self.stereo_depth_m[0], "one_pixel": self.stereo_depth_m[1]},
+            "misfit_px": self.misfit_px,
             "pose_errors_m": self.pose_errors_m,
             "least_sharp": [{"frame": name, "of_median": value} for name, value in self.least_sharp],
             "outlook": self.outlook and dataclasses.asdict(self.outlook),
@@ -164,6 +171,8 @@ class Inspection:
             lines.append(
                 f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
             )
+        if self.misfit_px is not None:
+            lines.append(f"misfit    points that two frames show lie {self.misfit_px:.2g} px apart (median)")
         if self.least_sharp:
             words = ", ".join(f"{name} ({value:.0%})" for name, value in self.least_sharp[:5])
             lines.append(f"sharpness least in {words} of the median frame's")
@@ -205,14 +214,16 @@ def inspect(scan: Scan) -> Inspection:
     warnings += ([] if scan.is_views else said) + _odd_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
+    misfit = None
     if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
     elif scan.rig is None and not scan.is_views:
         depth, said = _depth_range([one.depth for one in samples], scan.frames[0].depth_scale)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
+        misfit, about_misfit = _misfit(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]
-        warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs)
+        warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs) + about_misfit
     sharpness, about_sharpness = _least_sharp(scan)
     return Inspection(
         scan=scan,
@@ -220,6 +231,7 @@ def inspect(scan: Scan) -> Inspection:
         path=path,
         depth=depth,
         stereo_depth_m=stereo_depth,
+        misfit_px=misfit,
         pose_errors_m=errors,
         least_sharp=sharpness,
         outlook=_outlook(scan) if depth is not None and path is not None else None,
@@ -258,6 +270,20 @@ def _matching(sample: _Sample) -> ColorImage | None:
     if sample.color is None or sample.depth is None or sample.frame.color_camera is None:
         return sample.color
     return read_matching_color(sample.frame, sample.depth)
+
+
+def _misfit(frames: Sequence[Frame]) -> tuple[float | None, list[str]]:
+    """Return how far from its match a point of one frame lands in another, pixels, and what helps."""
+    places = usable(frames)
+    seen = look(frames, places) if len(places) > 1 else None
+    if seen is None or seen.trouble:
+        return None, []
+    if seen.median < _MISFIT_PX:
+        return seen.median, []
+    return seen.median, [
+        f"colour, depth and poses are off by {seen.median:.1f} px (median of {len(seen.errors):,} points "
+        "that two frames show): `scanloom run` adjusts them, `scanloom adjust` does it alone"
+    ]
 
 
 def _least_sharp(scan: Scan) -> tuple[tuple[tuple[str, float], ...], list[str]]:

@@ -44,7 +44,7 @@ def cached(found: DryRun) -> dict[str, bool]:
 def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
     found = foresee(SCAN, tmp_path / "out", config())
     assert list(tmp_path.iterdir()) == []
-    assert cached(found) == dict.fromkeys(("fuse", "clean", "simplify", "report"), False)
+    assert cached(found) == dict.fromkeys(("adjust", "fuse", "clean", "simplify", "report"), False)
     assert [one.reason for one in found.stages] == ["first run"] * 4
     assert {one.expected.basis for one in found.stages if one.expected} == {"estimated"}
     assert found.seconds > 0

@@ -13,6 +13,7 @@ import pytest
 from pipeline.config import Config
 from pipeline.run import run
 from stages.errors import InputError, UsageError
+from stages.params import RenamedWarning
 from stages.scans.formats.trajectories import read_tum
 from stages.scans.read import read_scan
 from stages.surface.formats.ply import read_ply
@@ -48,7 +49,7 @@ def config(*more: str) -> Config:
 def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run(unposed, out, config())
-    assert [outcome.stage for outcome in first.stages][:2] == ["register", "fuse"]
+    assert [outcome.stage for outcome in first.stages][:3] == ["register", "adjust", "fuse"]
     truth = read_scan(SAMPLE).frames[::3]
     found = read_tum(out / "trajectory.tum").poses
     assert len(found) == len(truth)
@@ -67,7 +68,7 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
     assert first.unmet == ()
 
     again = run(unposed, out, config("fuse.voxel_size=0.03"), until="fuse")
-    assert [outcome.cached for outcome in again.stages][:2] == [True, False]
+    assert [outcome.cached for outcome in again.stages][:3] == [True, True, False]
 
 
 def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
@@ -101,16 +102,22 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
 
 def test_poses_of_a_scan_are_refined(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    made = run(SAMPLE, out, config("register.refine=true"), until="fuse")
+    made = run(SAMPLE, out, config("register.refine=true", "adjust.enabled=false"), until="fuse")
     assert [outcome.stage for outcome in made.stages] == ["register", "fuse"]
     truth = read_scan(SAMPLE).frames[::3]
     for pose, true in zip(read_tum(out / "trajectory.tum").poses, truth, strict=True):
         np.testing.assert_allclose(pose, true.world_from_camera, atol=0.01)
 
 
+def test_to_refine_is_another_name_for_to_adjust(tmp_path: Path) -> None:
+    with pytest.warns(RenamedWarning, match=r"register\.refine is called adjust\.enabled now"):
+        made = run(SAMPLE, tmp_path / "out", config("register.refine=true"), until="fuse")
+    assert [outcome.stage for outcome in made.stages] == ["adjust", "fuse"]
+
+
 def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) -> None:
     plain = run(SAMPLE, tmp_path / "plain", config(), until="fuse")
-    assert [outcome.stage for outcome in plain.stages] == ["fuse"]
+    assert [outcome.stage for outcome in plain.stages] == ["adjust", "fuse"]
     with pytest.raises(UsageError, match="register is not a stage of this scan: its frames have poses"):
         run(SAMPLE, tmp_path / "no", config(), until="register")
     anew = run(SAMPLE, tmp_path / "anew", config("register.enabled=true"), until="register")

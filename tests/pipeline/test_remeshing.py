@@ -74,7 +74,7 @@ def ran(result) -> list[str]:
 def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, tmp_path):
     out = tmp_path / "out"
     result = run(scan, out, quick("remesh.enabled=true"))
-    assert ran(result) == ["fuse", "clean", "simplify", "remesh", "report"]
+    assert ran(result) == ["adjust", "fuse", "clean", "simplify", "remesh", "report"]
     assert names(out) == sorted([*PLAIN, *OWN])
     assert sorted(path.name for path in (out / "levels").iterdir()) == [f"level_{i}.ply" for i in range(3)]
     decoded = decode(out / "remeshed.snm")
@@ -99,7 +99,7 @@ def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, 
 def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
     out = tmp_path / "out"
     plain = run(scan, out, quick())
-    assert [outcome.stage for outcome in plain.stages] == ["fuse", "clean", "simplify", "report"]
+    assert [outcome.stage for outcome in plain.stages] == ["adjust", "fuse", "clean", "simplify", "report"]
     assert names(out) == PLAIN
     assert plain.report["normal_mesh"] is None
     before = sorted(path.name for path in (out / "pictures").iterdir())
@@ -125,7 +125,7 @@ def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
 
 def test_until_remesh_has_no_report(scan, tmp_path):
     result = run(scan, tmp_path / "out", quick("remesh.enabled=true"), until="remesh")
-    assert [outcome.stage for outcome in result.stages] == ["fuse", "clean", "simplify", "remesh"]
+    assert [outcome.stage for outcome in result.stages] == ["adjust", "fuse", "clean", "simplify", "remesh"]
     assert result.report["normal_mesh"] is None
 
 

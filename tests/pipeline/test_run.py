@@ -137,8 +137,8 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     events = []
     result = run(rgbd, out, quick(), events=events.append)
     assert snapshot(rgbd) == before, "the scan is only read"
-    assert events[0] == RunStarted("plain-rgbd", 6, (), ("fuse", "clean", "simplify", "report"))
-    assert ran(result) == ["fuse", "clean", "simplify", "report"]
+    assert events[0] == RunStarted("plain-rgbd", 6, (), ("adjust", "fuse", "clean", "simplify", "report"))
+    assert ran(result) == ["adjust", "fuse", "clean", "simplify", "report"]
     assert names(out) == PLAIN
 
     report = json.loads((out / "report.json").read_text())
@@ -146,7 +146,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     assert result.figures()["out"] == str(out)
     assert report["schema"] == SCHEMA
     assert report["scan"] == {"layout": "plain-rgbd", "frames": 6, "frames_skipped": [], "warnings": []}
-    assert list(report["stages"]) == ["fuse", "clean", "simplify", "report"]
+    assert list(report["stages"]) == ["adjust", "fuse", "clean", "simplify", "report"]
     for stage in report["stages"].values():
         assert stage["cached"] is False
         assert stage["reason"] == "first run"
@@ -259,7 +259,7 @@ def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
 def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
     out = tmp_path / "out"
     result = run(stereo, out, quick(), until="fuse")
-    assert ran(result) == ["depth", "fuse"]
+    assert ran(result) == ["depth", "adjust", "fuse"]
     assert names(out) == ["fused.ply", "points.ply", "report.json"]
     assert result.report["mesh"] is None
 
@@ -317,7 +317,7 @@ def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
 def test_cache_is_kept_to_its_size_after_a_run(rgbd, tmp_path):
     out = tmp_path / "out"
     run(rgbd, out, quick("fuse.voxel_size=0.03"), until="fuse")
-    first = run(rgbd, out, quick(), until="fuse").stages[0].folder
+    first = run(rgbd, out, quick(), until="fuse").stages[1].folder
     assert len(list(first.parent.iterdir())) == 2
     warnings = []
     options = quick("cache.max_size=1 kB")
@@ -334,11 +334,12 @@ def test_poses_that_were_not_looked_at_are_looked_at_once_asked_for(rgbd, tmp_pa
         pose[0, 3] *= -15
         frame["world_from_camera"] = pose.tolist()
     (rgbd / "scan.json").write_text(json.dumps(listed))
-    assert ran(run(rgbd, tmp_path / "out", quick("scan.check_poses=false"), until="fuse")) == ["fuse"]
+    plain = quick("scan.check_poses=false")
+    assert ran(run(rgbd, tmp_path / "out", plain, until="fuse")) == ["adjust", "fuse"]
     with contextlib.suppress(
         InputError
     ):  # What it then says is a matter of test_poses_of_another_convention.
-        assert ran(run(rgbd, tmp_path / "out", quick(), until="fuse")) == ["fuse"]
+        assert ran(run(rgbd, tmp_path / "out", quick(), until="fuse")) == ["adjust", "fuse"]
 
 
 def test_pairs_that_are_all_bad(stereo, tmp_path):
@@ -381,7 +382,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
     assert run(rgbd, tmp_path / "out", quick(), until="fuse").cache == tmp_path / "shared"
     assert ran(run(rgbd, tmp_path / "other", quick(), until="fuse")) == []
     given = run(rgbd, tmp_path / "out", quick(), until="fuse", cache_dir=tmp_path / "given")
-    assert ran(given) == ["fuse"]
+    assert ran(given) == ["adjust", "fuse"]
     assert given.cache == tmp_path / "given"
 
 
@@ -391,7 +392,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
         (
             {"force": ["all"]},
-            "there is no stage 'all'; known are depth, register, fuse, clean, simplify, bake, remesh, ",
+            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, simplify, bake, remesh, ",
         ),
         ({"until": "depth"}, "depth is not a stage of this scan"),
         ({"force": ["depth"]}, "depth is not a stage of this scan"),

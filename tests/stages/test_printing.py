@@ -107,6 +107,7 @@ def everything():
         remeshed.offsets[0],
         stages.bake(ball(1), mesh, max_size=64),
         registration(),
+        stages.adjust(scan),
         stages.depth(*pair, StereoRig(wide, wide, shifted, rectified=True), disparities=16),
         inspected,
         inspected.path,

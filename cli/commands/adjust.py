@@ -1,0 +1,49 @@
+"""The command `adjust`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.output import Output
+from cli.paths import new_folder
+from cli.scan_argument import ScanFolder, read_scan
+from stages import AdjustParams, InputError, ScanParams
+from stages.scans.read import require_complete
+
+
+def adjust(
+    folder: ScanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="OUTDIR", help="Folder for poses and cameras.", show_default=False)
+    ],
+    scan: ScanParams,
+    params: AdjustParams,
+    out: Output,
+) -> None:
+    """Make the poses of a scan with colour and depth better, and its colour camera where that is wrong.
+
+    Points that several frames show are recognised; poses, points and one colour camera are fitted to where
+    they are seen and how deep they are measured. What is not clearly better on points held out is not used.
+    OUTDIR gets adjusted/cameras.json (whether it is used and why, the colour camera, matrices) and, if it is
+    better, adjusted/trajectory.tum (camera-to-world). The scan's own files stay as they are.
+
+    Example: scanloom adjust my_scan better
+    """
+    from pipeline.adjusting import write
+
+    source = read_scan(folder, scan, out, complete=False)
+    if source.is_stereo or source.is_views:
+        raise InputError(
+            f"these are images without depth; run `scanloom depth {folder} OUTDIR` and adjust OUTDIR, or "
+            "`scanloom run` for the whole way.",
+            folder,
+        )
+    require_complete(source, folder)
+    with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
+        figures = write(draft, stages.adjust(source, params, progress=progress))
+    out.warn_of(figures)
+    out.result({"output": str(target), **figures})

@@ -1,0 +1,82 @@
+"""Leave what adjustment found as files, and give it to the frames it is of.
+
+adjusted/trajectory.tum   a pose a line, camera-to-world, of the frames that were adjusted
+adjusted/cameras.json     the same as matrices by the frame's place in the scan; the colour camera, if it was
+                          adjusted; whether it is used, and why
+
+Where what was found is not better there is no trajectory, and frames stay as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.adjusting.adjust import Adjusted
+from stages.fusion.posed_depth import rigid_pose
+from stages.scans.formats.trajectories import write_tum
+from stages.scans.scan import Camera, Frame, Scan
+
+_FOLDER, _FILE = "adjusted", "cameras.json"
+
+
+def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
+    """Write the files into an empty folder; return figures."""
+    beside = folder / _FOLDER
+    beside.mkdir()
+    poses = {place: rigid_pose(found.frames[place]) for place in found.places}
+    if poses:
+        times = [_time(place, found.frames[place]) for place in poses]
+        write_tum(beside / "trajectory.tum", times, list(poses.values()))
+    camera, apart = _color_camera(found)
+    document = {
+        "accepted": found.accepted,
+        "why": found.why,
+        "color_camera": camera,
+        "color_from_depth": apart,
+        "poses": {str(place): pose.tolist() for place, pose in poses.items()},
+    }
+    (beside / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return found.figures()
+
+
+def placed(scan: Scan, folder: Path) -> Scan:
+    """Return a scan with the poses and the colour camera that were found for its frames."""
+    found = json.loads((folder / _FOLDER / _FILE).read_text(encoding="utf-8"))
+    frames = [_placed(frame, found["poses"].get(str(place))) for place, frame in enumerate(scan.frames)]
+    if found["color_camera"] is not None:
+        camera, apart = Camera(**_as_tuple(found["color_camera"])), np.array(found["color_from_depth"])
+        frames = [_seen_by(frame, camera, apart) for frame in frames]
+    return replace(scan, frames=frames)
+
+
+def _color_camera(found: Adjusted) -> tuple[dict[str, Any] | None, list[list[float]] | None]:
+    if not found.has_camera:
+        return None, None
+    frame = found.frames[found.places[0]]
+    assert frame.color_camera is not None
+    assert frame.color_from_depth is not None
+    return asdict(frame.color_camera), frame.color_from_depth.tolist()
+
+
+def _as_tuple(camera: Mapping[str, Any]) -> dict[str, Any]:
+    return {**camera, "distortion": tuple(camera["distortion"])}
+
+
+def _placed(frame: Frame, pose: list[list[float]] | None) -> Frame:
+    return frame if pose is None else replace(frame, world_from_camera=np.array(pose))
+
+
+def _seen_by(frame: Frame, camera: Camera, apart: np.ndarray[Any, Any]) -> Frame:
+    if frame.color is None or frame.depth is None:
+        return frame
+    return replace(frame, color_camera=camera, color_from_depth=apart)
+
+
+def _time(place: int, frame: Frame) -> float:
+    return place if frame.timestamp is None else frame.timestamp / 1e9

@@ -1,0 +1,1 @@
+"""Adjustment: one colour camera and better poses, by points that several frames show and measure."""

@@ -1,0 +1,437 @@
+"""Adjustment: poses and the colour camera made better by points that several frames show and measure."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.bundle import Bundle, bundle
+from stages.adjusting.cameras import Cameras, camera_of, motion_apart
+from stages.adjusting.key_frames import key_frames
+from stages.adjusting.look import Look, look, usable, view_or_none
+from stages.adjusting.matching import match
+from stages.adjusting.partners import overlaps, partners
+from stages.adjusting.resection import expected, placed
+from stages.adjusting.view import View, color_camera
+from stages.params import check, param, resolve
+from stages.printing import by_figures, counted, table
+from stages.progress import Progress, silent
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
+
+# Colour and depth agree where points land this near, pixels: nothing is to be gained.
+_GOOD_PX = 0.5
+# What is found is taken where the median error falls by more than this share, and by more pixels than this.
+_BETTER_SHARE, _BETTER_PX = 0.2, 0.3
+# Views that are adjusted together; of longer scans, frames between them are placed to these.
+_MOST_KEYS = 200
+# Key views that a frame between them is placed to.
+_AROUND = 4
+# Fewer observations leave a view where it was given.
+_LEAST_SEEN = 12
+# A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
+_TURN_PER_M = float(np.radians(30))
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdjustParams:
+    """How poses and the colour camera are adjusted."""
+
+    enabled: bool | None = param(
+        None,
+        "Adjust poses and the colour camera: by default where frames have colour and depth; what is not "
+        "better is not used.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+    camera: bool | None = param(
+        None,
+        "Look for one colour camera of the whole scan (focal length, centre, k1, its place beside the depth "
+        "camera): by default used where it is clearly better than poses alone; true asks for it, false "
+        "keeps the given one.",
+    )
+    pose_deviation: float = param(
+        0.02,
+        "Standard deviation of the given poses, with 0.3° for each 10 mm.",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class AdjustKeywords(TypedDict, total=False):
+    """AdjustParams as keywords of `adjust`."""
+
+    enabled: bool | None
+    camera: bool | None
+    pose_deviation: float
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """How far from its match a point lands in another frame, pixels, at most: half, 3/4 and 9/10 of them."""
+
+    median: float
+    p75: float
+    p90: float
+
+    @classmethod
+    def of(cls, errors: NDArray[np.float64]) -> Transfer | None:
+        """Return it for errors (n,); None without any."""
+        return cls(*(float(value) for value in np.percentile(errors, (50, 75, 90)))) if len(errors) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """Frames of a scan with what was found.
+
+    Attributes
+    ----------
+    frames : all of them, in order; those that were adjusted have another `world_from_camera`, and if
+        `has_camera` another `color_camera` and `color_from_depth`.
+    places : of the frames that were adjusted.
+    accepted : what was found is better, and used; else the frames are as they were.
+    why : the reason, a sentence.
+    has_camera : the colour camera was adjusted, too.
+    before, after : transfer errors of held-out points; of a few couples of frames, and no `after`, where that
+        was enough.
+    key_frames : frames that were adjusted together.
+    points : that three of these or more show.
+    unplaced : frames that keep the pose that was given.
+    skipped : frames that cannot be used, and why.
+    camera_before, camera_after : of the first frame's colour image.
+    moved_mm, moved_deg : the median and the largest change of a pose.
+    warnings : what is odd.
+    seconds : of the work.
+    """
+
+    frames: tuple[Frame, ...]
+    places: tuple[int, ...]
+    accepted: bool
+    why: str
+    has_camera: bool
+    before: Transfer | None
+    after: Transfer | None
+    key_frames: int
+    points: int
+    unplaced: int
+    skipped: tuple[SkippedFrame, ...]
+    camera_before: Camera | None
+    camera_after: Camera | None
+    moved_mm: tuple[float, float]
+    moved_deg: tuple[float, float]
+    warnings: tuple[str, ...]
+    seconds: float
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return what a report says of it, as JSON values."""
+        return {
+            "accepted": self.accepted,
+            "why": self.why,
+            "frames": len(self.frames),
+            "frames_adjusted": len(self.places),
+            "frames_unplaced": self.unplaced,
+            "frames_unusable": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "key_frames": self.key_frames,
+            "points": self.points,
+            "transfer_before": self.before and _in_px(self.before),
+            "transfer_after": self.after and _in_px(self.after),
+            "color_camera_adjusted": self.has_camera,
+            "color_camera_before": self.camera_before and asdict(self.camera_before),
+            "color_camera_after": self.camera_after and asdict(self.camera_after),
+            "moved_median_mm": self.moved_mm[0],
+            "moved_most_mm": self.moved_mm[1],
+            "turned_median_deg": self.moved_deg[0],
+            "turned_most_deg": self.moved_deg[1],
+            "warnings": list(self.warnings),
+        }
+
+
+def adjust(
+    scan: Scan | Sequence[Frame],
+    params: AdjustParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Unpack[AdjustKeywords],
+) -> Adjusted:
+    """Make poses better, and the colour camera where that is wrong; what is not better is not used.
+
+    A few couples of frames say first whether anything is to be gained. If so, points that three frames or
+    more show are recognised, and poses, points and one colour camera are fitted to where they are seen and
+    how deep they are measured (bundle adjustment), held to the poses given. Every fifth point is held out: by
+    these it is judged. Equal input gives equal bits, on any number of threads.
+
+    Parameters
+    ----------
+    scan : frames with colour, depth and poses; others stay as they are.
+    params : AdjustParams; single fields can be given by name instead.
+    progress : called with steps of the work that are done, and their number.
+
+    References
+    ----------
+    Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; features and
+    fundamental matrices are OpenCV's, the sparse algebra SciPy's.
+    """
+    params = resolve(AdjustParams, params, changes)
+    frames = tuple(scan.frames if isinstance(scan, Scan) else scan)
+    began = time.perf_counter()
+    places = usable(frames)
+    if len(places) < 2:
+        why = "fewer than two frames have colour, depth and a pose"
+        return _as_given(frames, why, (), None, (), began)
+    seen = look(frames, places)
+    if seen.trouble:
+        told = (f"not adjusted: {seen.trouble}",) if seen.is_of_another else ()
+        return _as_given(frames, seen.trouble, seen.skipped, None, told, began)
+    before = Transfer.of(seen.errors)
+    if seen.median < _GOOD_PX:
+        why = f"colour, depth and poses agree to {seen.median:.2f} px already"
+        return _as_given(frames, why, seen.skipped, before, (), began)
+    return _adjusted(frames, places, seen, params, progress, began)
+
+
+def _adjusted(
+    frames: tuple[Frame, ...],
+    places: Sequence[int],
+    seen: Look,
+    params: AdjustParams,
+    progress: Progress,
+    began: float,
+) -> Adjusted:
+    poses = np.stack([_pose(frames[place]) for place in places])
+    chosen = [places[n] for n in key_frames(poses, _MOST_KEYS)]
+    total = len(places) + len(chosen)
+    steps = _Steps(progress, total + total // 4 + 4)
+    skipped: list[SkippedFrame] = []
+    views: dict[int, View] = {}
+    threads = workers()
+
+    def read(place: int) -> View | SkippedFrame:
+        return seen.views.get(place) or view_or_none(frames[place])
+
+    for place, view in zip(chosen, read_ahead(read, chosen, threads=threads, ahead=threads + 2), strict=True):
+        if isinstance(view, View):
+            views[place] = view
+        else:
+            skipped.append(view)
+        steps.done(1)
+    keys = list(views)
+    key_views = list(views.values())
+    if len(keys) < 2:
+        why = f"{len(keys)} frames can be used"
+        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
+    given = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
+    couples = partners(overlaps(key_views, given))
+    found = match(key_views, couples, lambda done, of: steps.at(len(keys) + done * (total // 4) // of))
+    prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
+    frees = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
+    made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))
+    if made is None:
+        why = "too few points are seen by three frames"
+        return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
+    before, after = Transfer.of(made.before), Transfer.of(made.after)
+    better, why = _judged(before, after)
+    if not better:
+        steps.end()
+        return _as_given(frames, why, skipped, before, (), began, after)
+    found_poses = {
+        place: pose
+        for place, pose, count in zip(keys, made.cameras.poses, made.seen, strict=True)
+        if count >= _LEAST_SEEN
+    }
+    between = sorted(set(places) - set(chosen))
+    found_poses |= _between(frames, between, views, given, made, prior, skipped, steps)
+    steps.end()
+    result = list(frames)
+    for place in places:
+        result[place] = _with(frames[place], found_poses.get(place), made, views, keys)
+    moved = np.array([motion_apart(_pose(frames[place]), pose) for place, pose in found_poses.items()])
+    first = color_camera(frames[keys[0]])
+    return Adjusted(
+        frames=tuple(result),
+        places=tuple(sorted(found_poses)),
+        accepted=True,
+        why=f"{'poses and colour camera' if made.has_camera else 'poses'} adjusted: {why}{_said_of(skipped)}",
+        has_camera=made.has_camera,
+        before=before,
+        after=after,
+        key_frames=len(keys),
+        points=made.points,
+        unplaced=len(frames) - len(found_poses),
+        skipped=tuple(skipped),
+        camera_before=first,
+        camera_after=color_camera(result[keys[0]]),
+        moved_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
+        moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
+        warnings=(),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _share_a_camera(frames: Sequence[Frame], views: Sequence[View]) -> bool:
+    """Say whether one colour camera took all images, of a lens that can be adjusted."""
+    first = frames[0]
+    return (
+        all(view.is_plain and view.size == views[0].size for view in views)
+        and all(color_camera(frame) == color_camera(first) for frame in frames)
+        and all(np.array_equal(_apart(frame), _apart(first)) for frame in frames)
+    )
+
+
+def _apart(frame: Frame) -> NDArray[np.float64]:
+    return np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth)
+
+
+def _pose(frame: Frame) -> NDArray[np.float64]:
+    return np.asarray(frame.world_from_camera, np.float64)
+
+
+def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]:
+    """Say whether what was found is better, and why."""
+    if before is None or after is None:
+        return False, "no held-out point is measured before and after"
+    gained = before.median - after.median
+    told = f"held-out points land {after.median:.2f} px from their matches, {before.median:.2f} px before"
+    if gained > _BETTER_SHARE * before.median and gained > _BETTER_PX:
+        return True, told
+    return False, f"{told}: not better by {_BETTER_SHARE:.0%} and {_BETTER_PX} px"
+
+
+def _between(
+    frames: Sequence[Frame],
+    places: Sequence[int],
+    views: dict[int, View],
+    given: Cameras,
+    made: Bundle,
+    prior: NDArray[np.float64],
+    skipped: list[SkippedFrame],
+    steps: _Steps,
+) -> dict[int, NDArray[np.float64]]:
+    """Return the poses of frames between key frames, of those that can be placed."""
+    keys = np.array(list(views))
+    key_views = list(views.values())
+    threads = workers()
+
+    def place_one(place: int) -> NDArray[np.float64] | SkippedFrame | None:
+        view = view_or_none(frames[place])
+        if isinstance(view, SkippedFrame):
+            return view
+        around = np.sort(np.argsort(np.abs(keys - place), kind="stable")[:_AROUND])
+        nearest = int(np.argmin(np.abs(keys - place)))
+        alone = Cameras.given([frames[place]], [view.lens])
+        start = Cameras(
+            expected(alone.poses[0], given.poses[nearest], made.cameras.poses[nearest])[None],
+            made.cameras.lenses[nearest : nearest + 1],
+            made.cameras.color_from_depth[nearest : nearest + 1],
+        )
+        near = Cameras(
+            made.cameras.poses[around], made.cameras.lenses[around], made.cameras.color_from_depth[around]
+        )
+        return placed(view, start, [key_views[n] for n in around], near, prior)
+
+    poses = {}
+    for place, pose in zip(
+        places, read_ahead(place_one, places, threads=threads, ahead=threads + 2), strict=True
+    ):
+        if isinstance(pose, SkippedFrame):
+            skipped.append(pose)
+        elif pose is not None:
+            poses[place] = pose
+        steps.done(1)
+    return poses
+
+
+def _with(
+    frame: Frame,
+    pose: NDArray[np.float64] | None,
+    made: Bundle,
+    views: dict[int, View],
+    keys: Sequence[int],
+) -> Frame:
+    """Return a frame with its pose, where it has another, and the colour camera, if there is another."""
+    if pose is not None:
+        frame = replace(frame, world_from_camera=pose)
+    if not made.has_camera:
+        return frame
+    width, height = views[keys[0]].size
+    return replace(
+        frame,
+        color_camera=camera_of(made.cameras.lenses[0], color_camera(frame), width, height),
+        color_from_depth=made.cameras.color_from_depth[0],
+    )
+
+
+def _as_given(
+    frames: tuple[Frame, ...],
+    why: str,
+    skipped: Sequence[SkippedFrame],
+    before: Transfer | None,
+    warnings: tuple[str, ...],
+    began: float,
+    after: Transfer | None = None,
+) -> Adjusted:
+    camera = next((color_camera(frame) for frame in frames if frame.color is not None), None)
+    return Adjusted(
+        frames=frames,
+        places=(),
+        accepted=False,
+        why=f"left as given: {why}{_said_of(skipped)}",
+        has_camera=False,
+        before=before,
+        after=after,
+        key_frames=0,
+        points=0,
+        unplaced=0,
+        skipped=tuple(skipped),
+        camera_before=camera,
+        camera_after=camera,
+        moved_mm=(0.0, 0.0),
+        moved_deg=(0.0, 0.0),
+        warnings=warnings,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _said_of(skipped: Sequence[SkippedFrame]) -> str:
+    """Return the end of a sentence that tells of frames that cannot be used; empty without any."""
+    if not skipped:
+        return ""
+    one = skipped[0]
+    return f"; {counted(len(skipped), 'frame')} cannot be used (the first, {one.name}: {one.reason})"
+
+
+def _in_px(transfer: Transfer) -> dict[str, float]:
+    return {f"{name}_px": value for name, value in asdict(transfer).items()}
+
+
+class _Steps:
+    """Counts steps of the work towards a total that is known before."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def done(self, count: int) -> None:
+        self.at(self._done + count)
+
+    def at(self, done: int) -> None:
+        self._done = min(max(done, self._done), self._total)
+        self._progress(self._done, self._total)
+
+    def end(self) -> None:
+        self.at(self._total)

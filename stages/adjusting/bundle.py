@@ -1,0 +1,173 @@
+"""Cameras that fit what views have matched: poses alone or with the colour camera, judged on other points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.cameras import FREE, Cameras
+from stages.adjusting.lifting import in_world, lifted
+from stages.adjusting.matching import GAP_SHARE, Matches, errors, gaps
+from stages.adjusting.problem import Problem, State
+from stages.adjusting.solve import solve
+from stages.adjusting.tracks import Tracks, tracks
+from stages.adjusting.view import View
+
+# Every fifth point is held out.
+_HELD_OUT = 5
+# The colour camera begins as given, and as one that sees more (colour cameras of RGB-D sensors often do).
+_ZOOMS = (1.0, 0.9)
+# Points that are enough to choose by; turns of looking depth up and steps between.
+_FEW, _TURNS, _STEPS = 3000, 6, 3
+# A colour camera of its own must leave less than this share of the error that nine tenths of the points stay
+# below: a wrong lens is off most at the border of the image.
+_BETTER_CAMERA, _MOST = 0.8, 90
+# Matches that land farther off than this, once cameras fit, are wrong.
+_WRONG_PX = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Cameras that were found.
+
+    Attributes
+    ----------
+    cameras : of all views.
+    has_camera : the colour camera was adjusted, too.
+    before, after : (n,) pixels, transfer errors of held-out matches that are measured both times.
+    points : that were adjusted, by (n,) tracks.
+    seen : (m,) observations of each view.
+    """
+
+    cameras: Cameras
+    has_camera: bool
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    points: int
+    seen: NDArray[np.intp]
+
+
+def bundle(
+    views: Sequence[View],
+    given: Cameras,
+    found: Matches,
+    pose_prior: NDArray[np.float64],
+    camera: bool | None,
+    tell: Callable[[], object],
+) -> Bundle | None:
+    """Adjust cameras to matches.
+
+    Parameters
+    ----------
+    found : all matches that a motion explains.
+    pose_prior : (6,) standard deviations of the given poses, metres and radians.
+    camera : adjust the colour camera: True, False, or None where it is clearly better on held-out points.
+    tell : called after each of four parts of the work.
+
+    Returns
+    -------
+    Bundle, or None if too few points are seen by three views.
+    """
+    near = gaps(views, given, found) < GAP_SHARE
+    joined = tracks(views, found.take(near))
+    if joined.count < 2 * _HELD_OUT:
+        return None
+    held = np.arange(joined.count) % _HELD_OUT == 0
+    of_held = np.zeros(len(found), bool)
+    of_held[np.flatnonzero(near)] = np.where(joined.matched >= 0, held[joined.matched], False)
+    judged = found.take(of_held)
+
+    def fitted(start: Cameras, train: Tracks, frees_camera: bool) -> Cameras:
+        return solved(views, given, start, train, pose_prior, frees_camera)
+
+    def off(cameras: Cameras) -> NDArray[np.float64]:
+        return errors(views, cameras, judged)
+
+    train = joined.of(~held)
+    few = train.of(np.arange(train.count) % max(train.count // _FEW, 1) == 0)
+    best = given if camera else fitted(given, few, False)
+    has_camera = False
+    tell()
+    if camera or camera is None:
+        for number, zoom in enumerate(_ZOOMS):
+            other = fitted(given.zoomed(zoom), few, True)
+            needed = 1.0 if has_camera else _BETTER_CAMERA
+            if (camera and number == 0) or _ratio(off(best), off(other)) < needed:
+                best, has_camera = other, True
+            tell()
+    # With cameras that nearly fit, wrong matches are told from right ones, and right ones from wrong ones.
+    rest = found.take(~of_held)
+    rest = rest.take(np.flatnonzero(errors(views, best, rest) < _WRONG_PX))
+    train = tracks(views, _without_held(rest, judged))
+    best = fitted(best, train, has_camera)
+    tell()
+    before, after = off(given), off(best)
+    both = ~(np.isnan(before) | np.isnan(after))
+    return Bundle(
+        cameras=best,
+        has_camera=has_camera,
+        before=before[both],
+        after=after[both],
+        points=train.count,
+        seen=np.bincount(train.view, minlength=len(views)),
+    )
+
+
+def _without_held(rest: Matches, judged: Matches) -> Matches:
+    """Return matches without those that share a keypoint with what is held out."""
+    most = int(max(rest.points.max(initial=0), judged.points.max(initial=0))) + 1
+    held = np.unique(judged.couples * most + judged.points)
+    shared = np.asarray(np.isin(rest.couples * most + rest.points, held).any(axis=1))
+    return rest.take(~shared)
+
+
+def _ratio(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Return what share of one's error the other has, of matches that both measure."""
+    both = ~(np.isnan(one) | np.isnan(other))
+    if not both.any():
+        return np.inf
+    return float(np.percentile(other[both], _MOST) / np.percentile(one[both], _MOST))
+
+
+def solved(
+    views: Sequence[View],
+    given: Cameras,
+    start: Cameras,
+    train: Tracks,
+    pose_prior: NDArray[np.float64],
+    frees_camera: bool,
+) -> Cameras:
+    """Return the cameras of least cost, by turns of looking up depth and stepping."""
+    places = in_world(start, train.view, lifted(views, start, train.view, train.pixels))
+    known = ~np.isnan(places[:, 0])
+    counts = np.bincount(train.point[known], minlength=train.count)
+    means = (
+        np.stack(
+            [
+                np.bincount(train.point[known], places[known, axis], minlength=train.count)
+                for axis in range(3)
+            ],
+            axis=1,
+        )
+        / np.maximum(counts, 1)[:, None]
+    )
+    train = train.of(counts > 0)
+    state = State(start, means[counts > 0], np.zeros(FREE))
+    nothing = np.zeros(len(train.view))
+    problem = Problem(
+        tracks=train,
+        normals=np.zeros((len(train.view), 3)),
+        depths=nothing,
+        deviations=nothing,
+        given=given.poses,
+        pose_prior=pose_prior,
+        frees_camera=frees_camera,
+        width=views[0].size[0],
+    )
+    for _ in range(_TURNS):
+        problem = problem.looked_up(views, state)
+        state = solve(problem, state, _STEPS)
+    return state.cameras

@@ -1,0 +1,129 @@
+"""What is adjusted: the poses of views, and one correction of the colour camera that all of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.lens import OPENCV
+from stages.scans.scan import Camera, Frame, Pose, scaled
+
+# What is free in a colour camera: log of the focal length, centre (x, y, pixels), k1, and its place (x, y, z,
+# metres, then a turn, radians).
+FREE = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Cameras:
+    """Cameras of m views.
+
+    Attributes
+    ----------
+    poses : (m, 4, 4) world_from_camera, of the depth cameras.
+    lenses : (m, 9) of the colour cameras: fx, fy, cx, cy in pixels of the image that was looked at; k1, k2,
+        p1, p2, k3.
+    color_from_depth : (m, 4, 4).
+    """
+
+    poses: NDArray[np.float64]
+    lenses: NDArray[np.float64]
+    color_from_depth: NDArray[np.float64]
+
+    @classmethod
+    def given(cls, frames: Sequence[Frame], lenses: Sequence[NDArray[np.float64]]) -> Cameras:
+        """Return the cameras of frames with poses, as the scan gives them."""
+        here = np.eye(4)
+        return cls(
+            np.stack([here if one.world_from_camera is None else one.world_from_camera for one in frames]),
+            np.stack(lenses),
+            np.stack([here if one.color_from_depth is None else one.color_from_depth for one in frames]),
+        )
+
+    def zoomed(self, share: float) -> Cameras:
+        """Return them with this share of the focal length of the colour cameras."""
+        lenses = self.lenses.copy()
+        lenses[:, :2] *= share
+        return Cameras(self.poses, lenses, self.color_from_depth)
+
+    def moved(self, poses: NDArray[np.float64], camera: NDArray[np.float64]) -> Cameras:
+        """Return them after small steps.
+
+        Parameters
+        ----------
+        poses : (m, 6) shift and turn of each view in its own axes, metres and radians.
+        camera : (10,) of every colour camera, see `FREE`.
+        """
+        lenses = self.lenses.copy()
+        lenses[:, :2] *= np.exp(camera[0])
+        lenses[:, 2:5] += camera[1:4]
+        return Cameras(self.poses @ motion(poses), lenses, motion(camera[None, 4:]) @ self.color_from_depth)
+
+
+def motion(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 4, 4) motions of (n, 6) shifts and turns (rotation vectors, Rodrigues' formula)."""
+    turns = steps[:, 3:]
+    angle = np.linalg.norm(turns, axis=1)[:, None, None]
+    cross = skew(turns)
+    one = np.sinc(angle / np.pi)
+    two = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    moves = np.tile(np.eye(4), (len(steps), 1, 1))
+    moves[:, :3, :3] += one * cross + two * (cross @ cross)
+    moves[:, :3, 3] = steps[:, :3]
+    return moves
+
+
+def steps_of(moves: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n, 6) shifts and turns of (n, 4, 4) motions: what `motion` takes."""
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(moves[:, :3, :3]).as_rotvec()
+    return np.concatenate([moves[:, :3, 3], turns], axis=1)
+
+
+def skew(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 3, 3) matrices of the cross product with (n, 3) vectors from the left."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+
+
+def inverted_all(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverses of (n, 4, 4) rigid motions."""
+    back = np.tile(np.eye(4), (len(poses), 1, 1))
+    back[:, :3, :3] = poses[:, :3, :3].swapaxes(1, 2)
+    back[:, :3, 3] = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    return back
+
+
+def carried(moves: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 3) points after (n, 4, 4) motions, each by its own."""
+    return np.asarray(np.einsum("nij,nj->ni", moves[:, :3, :3], points) + moves[:, :3, 3])
+
+
+def lens_of(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
+    """Return the (9,) lens of a camera's image in another size."""
+    sized = scaled(camera, width, height)
+    lens = np.zeros(4 + OPENCV)
+    lens[:4] = sized.fx, sized.fy, sized.cx, sized.cy
+    lens[4 : 4 + len(camera.distortion)] = camera.distortion
+    return lens
+
+
+def camera_of(lens: NDArray[np.float64], camera: Camera, width: int, height: int) -> Camera:
+    """Return a camera with this lens, which is of an image of another size; `camera` says its own size."""
+    bent = tuple(float(k) for k in lens[4:])
+    bent = bent if any(bent[4:]) else bent[:4]
+    fx, fy, cx, cy = (float(value) for value in lens[:4])
+    seen = replace(Camera(width, height, fx, fy, cx, cy), distortion=bent if any(bent) else ())
+    return scaled(seen, camera.width, camera.height)
+
+
+def motion_apart(one: Pose, other: Pose) -> tuple[float, float]:
+    """Return how far two poses of a camera are apart, metres and degrees."""
+    turn = (np.trace(one[:3, :3].T @ other[:3, :3]) - 1) / 2
+    return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(
+        np.degrees(np.arccos(np.clip(turn, -1, 1)))
+    )

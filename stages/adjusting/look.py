@@ -1,0 +1,141 @@
+"""A look at a few couples of frames, which says whether colour, depth and poses agree already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.cameras import Cameras
+from stages.adjusting.matching import GAP_SHARE, errors, gaps, match
+from stages.adjusting.partners import overlap_of
+from stages.adjusting.view import View, read_view
+from stages.errors import InputError
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Frame, Pose, SkippedFrame
+
+# Frames that are looked at, each with the farthest one that has so much of it before it.
+_LOOKS, _OVERLAP = 8, 0.7
+# Fewer matches tell nothing; where fewer of them are near each other, poses and depth do not belong together.
+_LEAST, _LEAST_NEAR = 60, 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a few couples of frames show.
+
+    Attributes
+    ----------
+    views : by the frame's place, those that were read.
+    skipped : those that could not be, and why.
+    matches : points that two of them show.
+    errors : (n,) pixels, how far from its match a point lands, of those that both measure near each other.
+    near_share : how many of the matches that both measure these are; NaN without any.
+    """
+
+    views: Mapping[int, View]
+    skipped: tuple[SkippedFrame, ...]
+    matches: int
+    errors: NDArray[np.float64]
+    near_share: float
+
+    @property
+    def median(self) -> float:
+        """Return the median transfer error, pixels."""
+        return float(np.median(self.errors))
+
+    @property
+    def is_of_another(self) -> bool:
+        """Say whether enough is recognised, and hardly any of it lies where depth and poses say."""
+        return self.matches >= _LEAST and not self.near_share >= _LEAST_NEAR
+
+    @property
+    def trouble(self) -> str:
+        """Return why nothing can be told, as the end of a sentence; empty if something can."""
+        if not self.views:
+            return "none of the frames looked at shows anything"
+        if self.matches < _LEAST:
+            return f"only {self.matches} points are recognised from frame to frame"
+        if self.is_of_another:
+            return (
+                f"of {self.matches} points recognised from frame to frame, depth and poses bring only "
+                f"{self.near_share:.0%} together: the poses, the depth or the colour are of something else"
+            )
+        return ""
+
+
+def usable(frames: Sequence[Frame]) -> list[int]:
+    """Return the places of frames that have colour, depth and a pose."""
+    return [
+        place
+        for place, frame in enumerate(frames)
+        if frame.color is not None
+        and frame.depth is not None
+        and frame.world_from_camera is not None
+        and np.isfinite(frame.world_from_camera).all()
+    ]
+
+
+def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
+    """Look at a few couples of frames, spread over those at these places (with poses, colour and depth)."""
+    poses = np.stack([_pose(frames[place]) for place in places])
+    chosen = np.unique(np.linspace(0, len(places) - 1, min(_LOOKS, len(places))).round().astype(int))
+    skipped: list[SkippedFrame] = []
+    views = _read(frames, [places[n] for n in chosen], skipped)
+    wanted = {}
+    for n in chosen:
+        if places[n] in views:
+            shares = overlap_of(views[places[n]], poses[n], poses)
+            shares[n] = 0
+            enough = np.flatnonzero(shares >= _OVERLAP)
+            wanted[n] = int(enough[np.argmin(shares[enough])] if len(enough) else np.argmax(shares))
+    others = sorted({places[n] for n in wanted.values()} - set(views))
+    views |= _read(frames, others, skipped)
+    order = sorted(views)
+    number = {place: i for i, place in enumerate(order)}
+    couples = sorted(
+        {
+            (number[places[a]], number[places[b]])
+            for a, b in wanted.items()
+            if a != b and places[a] in number and places[b] in number
+        }
+    )
+    seen = [views[place] for place in order]
+    if not couples:
+        return Look(views, tuple(skipped), 0, np.zeros(0), np.nan)
+    cameras = Cameras.given([frames[place] for place in order], [view.lens for view in seen])
+    found = match(seen, couples)
+    gap = gaps(seen, cameras, found)
+    near = gap < GAP_SHARE
+    off = errors(seen, cameras, found.take(near))
+    share = float(near[~np.isnan(gap)].mean()) if (~np.isnan(gap)).any() else np.nan
+    return Look(views, tuple(skipped), len(found), off[~np.isnan(off)], share)
+
+
+def _read(frames: Sequence[Frame], places: Sequence[int], skipped: list[SkippedFrame]) -> dict[int, View]:
+    views = {}
+    threads = workers()
+    for place, view in zip(
+        places,
+        read_ahead(lambda place: view_or_none(frames[place]), places, threads=threads, ahead=threads + 2),
+        strict=True,
+    ):
+        if isinstance(view, View):
+            views[place] = view
+        else:
+            skipped.append(view)
+    return views
+
+
+def view_or_none(frame: Frame) -> View | SkippedFrame:
+    """Return what is read of a frame, or why it cannot be used."""
+    try:
+        return read_view(frame)
+    except InputError as error:
+        return SkippedFrame(frame.name, str(error).removeprefix(f"frame {frame.name}: ").rstrip("."))
+
+
+def _pose(frame: Frame) -> Pose:
+    return np.eye(4) if frame.world_from_camera is None else np.asarray(frame.world_from_camera, np.float64)

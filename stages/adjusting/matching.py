@@ -1,0 +1,99 @@
+"""Points of views that are the same, matched couple by couple."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.cameras import Cameras
+from stages.adjusting.lens import rays
+from stages.adjusting.lifting import in_world, lifted, transfer_errors
+from stages.adjusting.view import View
+from stages.progress import Progress, silent
+from stages.registration.sift import matches
+from stages.scans.prefetch import read_ahead, workers
+
+# Pixels that a match may be off the epipolar line; trials; fewer matches tell no fundamental matrix.
+_OFF_PX, _TRIALS, _LEAST = 2.0, 1000, 16
+# How far apart two views may measure a match, a share of its distance, for it to be of one thing.
+GAP_SHARE = 0.13
+
+
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Matches of couples of views, n in all.
+
+    Attributes
+    ----------
+    couples : (n, 2) the two views.
+    points : (n, 2) which of their keypoints.
+    """
+
+    couples: NDArray[np.intp]
+    points: NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.couples)
+
+    def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Matches:
+        """Return some of them."""
+        return Matches(self.couples[which], self.points[which])
+
+    def pixels(self, views: Sequence[View]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the (n, 2) pixels in the first and in the second view of each match."""
+        starts = np.concatenate([[0], np.cumsum([len(view.pixels) for view in views])])
+        pixels = np.concatenate([view.pixels for view in views]).astype(np.float64)
+        places = starts[self.couples] + self.points
+        return pixels[places[:, 0]], pixels[places[:, 1]]
+
+
+def match(views: Sequence[View], couples: Sequence[tuple[int, int]], progress: Progress = silent) -> Matches:
+    """Match couples of views; kept is what one motion of the camera explains."""
+    threads = workers()
+
+    def of(couple: tuple[int, int]) -> NDArray[np.int64]:
+        a, b = (views[number] for number in couple)
+        return _agreeing(a, b, matches(a.descriptors, b.descriptors))
+
+    which, pairs = [np.zeros((0, 2), int)], [np.zeros((0, 2), int)]
+    for done, (couple, found) in enumerate(
+        zip(couples, read_ahead(of, couples, threads=threads, ahead=2 * threads), strict=True), 1
+    ):
+        which.append(np.tile(couple, (len(found), 1)))
+        pairs.append(found)
+        progress(done, len(couples))
+    return Matches(np.concatenate(which).astype(np.intp), np.concatenate(pairs).astype(np.intp))
+
+
+def _agreeing(a: View, b: View, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the matches that one fundamental matrix explains; OpenCV draws its trials from a fixed seed."""
+    import cv2
+
+    if len(pairs) < _LEAST:
+        return pairs[:0]
+    flat = [
+        (rays(one.pixels[pairs[:, side]], one.lens)[:, :2] * one.lens[:2] + one.lens[2:4]).astype(np.float32)
+        for side, one in enumerate((a, b))
+    ]
+    _, found = cv2.findFundamentalMat(flat[0], flat[1], cv2.FM_RANSAC, _OFF_PX, 0.999, _TRIALS)
+    kept = np.zeros(0) if found is None else np.ravel(found) > 0
+    return pairs[:0] if np.count_nonzero(kept) < _LEAST else pairs[kept]
+
+
+def gaps(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
+    """Return how far apart two views measure each match, a share of its distance; NaN where one does not."""
+    seen = [
+        lifted(views, cameras, found.couples[:, side], pixels)
+        for side, pixels in enumerate(found.pixels(views))
+    ]
+    places = [in_world(cameras, found.couples[:, side], points) for side, points in enumerate(seen)]
+    gap = np.linalg.norm(places[0] - places[1], axis=1)
+    return np.asarray(gap / np.minimum(seen[0][:, 2], seen[1][:, 2]))
+
+
+def errors(views: Sequence[View], cameras: Cameras, found: Matches) -> NDArray[np.float64]:
+    """Return how far from its match each point of a first view lands in the second, (n,) pixels; or NaN."""
+    return transfer_errors(views, cameras, found.couples, found.pixels(views))

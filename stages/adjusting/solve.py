@@ -1,0 +1,152 @@
+"""Levenberg's and Marquardt's method; points are eliminated first (Schur complement; Triggs et al. 2000)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.cameras import FREE
+from stages.adjusting.problem import Linear, Problem, State
+
+# The first damping, what a good step divides it by, a bad one multiplies it with, and where it is given up.
+_DAMPING, _EASED, _TIGHTENED, _MOST = 1e-4, 5.0, 8.0, 1e6
+# Steps end where one makes the cost smaller by less than this share.
+_ENOUGH = 1e-4
+# Conjugate gradients solve the reduced system to this share; sums in a fixed order, whatever the threads.
+_SHARE, _ITERATIONS = 1e-7, 600
+
+
+def solve(problem: Problem, state: State, steps: int) -> State:
+    """Return the state of least cost that is found in at most `steps` steps from one."""
+    cost, damping = problem.cost(state), _DAMPING
+    for _ in range(steps):
+        normal = _Normal.of(problem, problem.linear(state), len(state.points))
+        while damping < _MOST:
+            tried = state.moved(*normal.step(damping))
+            found = problem.cost(tried)
+            if found < cost:
+                break
+            damping *= _TIGHTENED
+        else:
+            break
+        gain, state, cost = cost - found, tried, found
+        damping /= _EASED
+        if gain < _ENOUGH * cost:
+            break
+    return state
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """The normal equations, in blocks: poses and camera (a), points (p), and what joins them."""
+
+    problem: Problem
+    poses: NDArray[np.float64]
+    poses_camera: NDArray[np.float64]
+    camera: NDArray[np.float64]
+    points: NDArray[np.float64]
+    pose_point: NDArray[np.float64]
+    camera_point: NDArray[np.float64]
+    towards_poses: NDArray[np.float64]
+    towards_camera: NDArray[np.float64]
+    towards_points: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, problem: Problem, linear: Linear, count: int) -> _Normal:
+        tracks, views = problem.tracks, len(problem.given)
+        pose_t, camera_t, point_t = (
+            one.swapaxes(1, 2) for one in (linear.by_pose, linear.by_camera, linear.by_point)
+        )
+        off = linear.residuals[:, :, None]
+        by_point = tracks.point
+
+        def of_points(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            # Observations stand in the order of their points.
+            ends = np.searchsorted(by_point, np.arange(count))
+            return np.asarray(np.add.reduceat(values, ends, axis=0))
+
+        order = np.argsort(tracks.view, kind="stable")
+        used, starts = np.unique(tracks.view[order], return_index=True)
+
+        def of_views(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            total = np.zeros((views, *values.shape[1:]))
+            total[used] = np.add.reduceat(values[order], starts, axis=0)
+            return total
+
+        return cls(
+            problem=problem,
+            poses=of_views(pose_t @ linear.by_pose) + np.diag(linear.pose_weights),
+            poses_camera=of_views(pose_t @ linear.by_camera),
+            camera=(camera_t @ linear.by_camera).sum(axis=0) + np.diag(linear.camera_weights),
+            points=of_points(point_t @ linear.by_point),
+            pose_point=pose_t @ linear.by_point,
+            camera_point=of_points(camera_t @ linear.by_point),
+            towards_poses=-of_views(pose_t @ off)[..., 0] - linear.poses,
+            towards_camera=-(camera_t @ off).sum(axis=0)[:, 0] - linear.camera,
+            towards_points=-of_points(point_t @ off)[..., 0],
+        )
+
+    def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return steps of poses (m, 6), the camera (10,) and points (p, 3)."""
+        tracks, views, count = self.problem.tracks, len(self.poses), len(self.points)
+        inverse = np.linalg.inv(_damped(self.points, damping))
+        half = np.linalg.cholesky(inverse)
+        bridge = _sparse(self.pose_point @ half[tracks.point], tracks.view, tracks.point, (views, count))
+        shared = self.camera_point @ half
+        ends = (half.swapaxes(1, 2) @ self.towards_points[..., None]).reshape(-1)
+        flat = shared.swapaxes(0, 1).reshape(FREE, -1)
+        reduced = np.zeros((6 * views + FREE,) * 2)
+        at = np.arange(6 * views).reshape(views, 6)
+        reduced[at[:, :, None], at[:, None, :]] = _damped(self.poses, damping)
+        reduced[: 6 * views, : 6 * views] -= (bridge @ bridge.T).toarray()
+        across = self.poses_camera.reshape(6 * views, FREE) - bridge @ flat.T
+        reduced[: 6 * views, 6 * views :], reduced[6 * views :, : 6 * views] = across, across.T
+        both = np.einsum("npi,nqi->pq", shared, shared)
+        reduced[6 * views :, 6 * views :] = _damped(self.camera[None], damping)[0] - both
+        towards = np.concatenate(
+            [
+                self.towards_poses.reshape(-1) - bridge @ ends,
+                self.towards_camera - np.einsum("pk,k->p", flat, ends),
+            ]
+        )
+        found = _solved(reduced, towards, views)
+        poses, camera = found[: 6 * views], found[6 * views :]
+        rest = ends - bridge.T @ poses - np.einsum("pk,p->k", flat, camera)
+        points = (half @ rest.reshape(-1, 3, 1))[..., 0]
+        frees = self.problem.frees_camera
+        return poses.reshape(views, 6), camera if frees else np.zeros(FREE), points
+
+
+def _damped(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
+    """Return (n, k, k) blocks with their diagonals raised."""
+    raised = np.array(blocks)
+    at = np.arange(blocks.shape[1])
+    raised[:, at, at] += damping * blocks[:, at, at] + 1e-9
+    return raised
+
+
+def _sparse(
+    blocks: NDArray[np.float64], rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, int]
+) -> Any:
+    """Return a sparse matrix of (n, 6, 3) blocks."""
+    from scipy.sparse import bsr_array
+
+    order = np.lexsort((columns, rows))
+    ends = np.searchsorted(rows[order], np.arange(shape[0] + 1))
+    size = (6 * shape[0], 3 * shape[1])
+    return bsr_array((blocks[order], columns[order], ends), shape=size)
+
+
+def _solved(matrix: NDArray[np.float64], towards: NDArray[np.float64], views: int) -> NDArray[np.float64]:
+    """Solve a positive definite system by conjugate gradients, after inverting its diagonal blocks."""
+    from scipy.sparse import block_diag, csr_array
+    from scipy.sparse.linalg import cg
+
+    blocks = [matrix[6 * n : 6 * n + 6, 6 * n : 6 * n + 6] for n in range(views)]
+    blocks.append(matrix[6 * views :, 6 * views :])
+    nearly = csr_array(block_diag([np.linalg.inv(one) for one in blocks]))
+    found, _ = cg(csr_array(matrix), towards, rtol=_SHARE, maxiter=_ITERATIONS, M=nearly)
+    return np.asarray(found)

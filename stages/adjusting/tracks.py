@@ -1,0 +1,66 @@
+"""Points that three views or more have matched to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.matching import Matches
+from stages.adjusting.view import View
+
+# A track needs so many views.
+_LEAST_VIEWS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """n observations of p points, in the order of the points.
+
+    Attributes
+    ----------
+    view, point : (n,) which view sees which point; no view sees one twice.
+    pixels : (n, 2).
+    matched : (k,) of the matches, the point of each, or -1.
+    """
+
+    view: NDArray[np.intp]
+    point: NDArray[np.intp]
+    pixels: NDArray[np.float64]
+    matched: NDArray[np.intp]
+
+    @property
+    def count(self) -> int:
+        """Return how many points there are."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    def of(self, chosen: NDArray[np.bool_]) -> Tracks:
+        """Return the points of which (p,) `chosen` is true, without their matches."""
+        kept = chosen[self.point]
+        _, point = np.unique(self.point[kept], return_inverse=True)
+        return Tracks(self.view[kept], point, self.pixels[kept], np.zeros(0, np.intp))
+
+
+def tracks(views: Sequence[View], found: Matches) -> Tracks:
+    """Join matches to tracks; those with two points of one view are wrong somewhere, and left out."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    starts = np.concatenate([[0], np.cumsum([len(view.pixels) for view in views])])
+    nodes = starts[found.couples] + found.points
+    used, ends = np.unique(nodes, return_inverse=True)
+    ends = ends.reshape(nodes.shape)
+    edges = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(used), len(used)))
+    _, label = connected_components(edges, directed=False)
+    view = np.searchsorted(starts, used, side="right") - 1
+    sizes = np.bincount(label, minlength=1)
+    distinct = np.bincount(np.unique(label * len(views) + view) // len(views), minlength=len(sizes))
+    sound = (sizes >= _LEAST_VIEWS) & (sizes == distinct)
+    number = np.where(sound, np.cumsum(sound) - 1, -1)
+    order = np.lexsort((view, label))
+    order = order[sound[label[order]]]
+    at = used[order]
+    pixels = np.concatenate([one.pixels for one in views]).astype(np.float64)[at]
+    return Tracks(view[order], number[label[order]], pixels, number[label[ends[:, 0]]])

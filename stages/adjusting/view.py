@@ -1,0 +1,119 @@
+"""A frame as adjustment needs it: points that can be recognised, and depth that can be relied on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.adjusting.cameras import lens_of
+from stages.adjusting.lens import OPENCV
+from stages.errors import InputError
+from stages.registration.sift import keypoints
+from stages.scans.images import read_color, read_depth
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame
+
+# Wider images are made smaller; transfer errors are in pixels of what is looked at.
+WIDEST = 960
+# Wider depth maps are thinned.
+_WIDEST_DEPTH = 640
+_POINTS = 1500
+# Weaker corners count than by default: what is smooth or blurred has no others.
+_CONTRAST = 0.025
+# Depth among neighbours may differ by this share of it; fewer neighbours than this say nothing.
+_SMOOTH, _NEIGHBOURS = 0.04, 3
+# A grey image is black or white where its mean is beyond these.
+_DARK, _BRIGHT = 8.0, 247.0
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame that was read.
+
+    Attributes
+    ----------
+    name : of the frame.
+    pixels : (n, 2) float32, of recognisable points, in the image that was looked at.
+    descriptors : (n, 128) uint8, SIFT's.
+    size : (width, height) of that image.
+    depth : (h, w) float32 metres, 0 where it is missing or jumps; a mean of neighbours elsewhere.
+    lens : (9,) of the colour camera as given, see `Cameras.lenses`.
+    depth_lens : (4,) fx, fy, cx, cy of the depth map.
+    is_plain : the colour camera's lens is one that can be adjusted.
+    """
+
+    name: str
+    pixels: NDArray[np.float32]
+    descriptors: NDArray[np.uint8]
+    size: tuple[int, int]
+    depth: DepthImage
+    lens: NDArray[np.float64]
+    depth_lens: NDArray[np.float64]
+    is_plain: bool
+
+
+def color_camera(frame: Frame) -> Camera:
+    """Return the camera of a frame's colour image, that of its depth map where none is stated."""
+    return frame.camera if frame.color_camera is None else frame.color_camera
+
+
+def read_view(frame: Frame) -> View:
+    """Read a frame.
+
+    Raises
+    ------
+    InputError
+        If it has no colour or depth, cannot be read, or its image is black or over-exposed.
+    """
+    import cv2
+
+    depth = read_depth(frame)
+    if depth is None:
+        raise InputError("there is no depth map.", f"frame {frame.name}")
+    camera = color_camera(frame)
+    is_plain = not camera.fisheye and len(camera.distortion) <= OPENCV
+    color = _as_taken(frame) if is_plain else read_color(frame)
+    if color is None:
+        raise InputError("there is no colour image.", f"frame {frame.name}")
+    grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+    if not _DARK <= grey.mean() <= _BRIGHT:
+        what = "black" if grey.mean() < _DARK else "over-exposed"
+        raise InputError(f"its colour image is {what}.", f"frame {frame.name}")
+    if grey.shape[1] > WIDEST:
+        size = (WIDEST, max(round(grey.shape[0] * WIDEST / grey.shape[1]), 1))
+        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    found = keypoints(grey, _POINTS, contrast=_CONTRAST)
+    height, width = grey.shape
+    step = max(-(-depth.shape[1] // _WIDEST_DEPTH), 1)
+    given = frame.camera
+    return View(
+        name=frame.name,
+        pixels=found.pixels,
+        descriptors=found.descriptors,
+        size=(width, height),
+        depth=np.ascontiguousarray(_sound(depth)[::step, ::step]),
+        lens=lens_of(camera if is_plain else replace(camera, distortion=(), fisheye=False), width, height),
+        depth_lens=np.array([given.fx, given.fy, given.cx, given.cy]) / step,
+        is_plain=is_plain,
+    )
+
+
+def _as_taken(frame: Frame) -> ColorImage | None:
+    """Return the colour image with the distortion of its lens."""
+    camera = replace(color_camera(frame), distortion=())
+    return read_color(replace(frame, color_camera=camera))
+
+
+def _sound(depth: DepthImage) -> DepthImage:
+    """Return the mean of what each pixel and its neighbours measure, 0 where these do not agree."""
+    import cv2
+
+    known = (depth > 0).astype(np.float32)
+    count = cv2.boxFilter(known, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(depth, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+    square = np.ones((3, 3), np.uint8)
+    farthest = cv2.dilate(depth, square)
+    nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), square)
+    smooth = (count >= _NEIGHBOURS) & (farthest - nearest < _SMOOTH * farthest)
+    return np.where(smooth, total / np.maximum(count, 1), 0).astype(np.float32)

@@ -1,0 +1,75 @@
+"""A made problem: views on an arc before a wavy wall, whose true cameras and points are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.adjusting.cameras import Cameras, motion
+from stages.adjusting.lens import project
+from stages.adjusting.lifting import in_color
+from stages.adjusting.tracks import Tracks
+from stages.adjusting.view import View
+
+SIZE = (320, 240)
+DEPTH_LENS = np.array([290.0, 290.0, 159.5, 119.5])
+
+
+@dataclass(frozen=True)
+class Made:
+    """Views with their depth maps, the true cameras and points, and where these are seen."""
+
+    views: list[View]
+    cameras: Cameras
+    points: np.ndarray
+    tracks: Tracks
+
+
+def made(seed: int = 3, views: int = 6, points: int = 300) -> Made:
+    """Make it; depth is exact, pixels are off by 0.2."""
+    rng = np.random.default_rng(seed)
+    steps = np.zeros((views, 6))
+    steps[:, 0] = np.linspace(-0.35, 0.35, views)
+    steps[:, 1] = 0.05 * rng.normal(size=views)
+    steps[:, 4] = -np.linspace(-0.25, 0.25, views)
+    steps[:, 3:] += 0.03 * rng.normal(size=(views, 3))
+    lens = np.array([*DEPTH_LENS, -0.04, 0, 0, 0, 0]) * np.array([0.97, 0.97, *[1] * 7])
+    apart = motion(np.array([[0.02, -0.004, 0.003, 0.005, -0.008, 0.002]]))
+    cameras = Cameras(motion(steps), np.tile(lens, (views, 1)), np.tile(apart, (views, 1, 1)))
+    flat = rng.uniform((-0.8, -0.5), (0.8, 0.5), (points, 2))
+    places = np.column_stack([flat, _wall(*flat.T)])
+    number = np.repeat(np.arange(points), views)
+    view = np.tile(np.arange(views), points)
+    pixels = project(in_color(cameras, view, places[number]), cameras.lenses[view])
+    inside = ((pixels > 2) & (pixels < np.array(SIZE) - 3)).all(axis=1)
+    often = np.bincount(number[inside], minlength=points) >= 3
+    kept = inside & often[number]
+    _, point = np.unique(number[kept], return_inverse=True)
+    noisy = pixels[kept] + 0.2 * rng.normal(size=(np.count_nonzero(kept), 2))
+    tracks = Tracks(view[kept], point, noisy, np.zeros(0, np.intp))
+    return Made([_view(n, pose) for n, pose in enumerate(cameras.poses)], cameras, places[often], tracks)
+
+
+def _wall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 1.5 + 0.15 * np.sin(3 * x) * np.cos(4 * y) + 0.1 * x
+
+
+def _view(number: int, pose: np.ndarray) -> View:
+    columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    fx, fy, cx, cy = DEPTH_LENS
+    way = np.stack([(columns - cx) / fx, (rows - cy) / fy, np.ones(columns.shape)], axis=-1)
+    depth = np.full(columns.shape, 1.5)
+    for _ in range(30):
+        hit = (way * depth[..., None]) @ pose[:3, :3].T + pose[:3, 3]
+        depth += (_wall(hit[..., 0], hit[..., 1]) - hit[..., 2]) / (way @ pose[:3, :3].T)[..., 2]
+    return View(
+        name=f"{number:04d}",
+        pixels=np.zeros((0, 2), np.float32),
+        descriptors=np.zeros((0, 128), np.uint8),
+        size=SIZE,
+        depth=depth.astype(np.float32),
+        lens=np.array([*DEPTH_LENS, 0, 0, 0, 0, 0]),
+        depth_lens=DEPTH_LENS,
+        is_plain=True,
+    )

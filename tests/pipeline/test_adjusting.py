@@ -1,0 +1,86 @@
+"""A run on a scan whose poses and colour camera are off: found once, kept, written beside, and fused with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import adjusting
+from pipeline.config import Config
+from pipeline.run import run
+from stages import adjust
+from stages.adjusting.cameras import motion
+from stages.errors import UsageError
+from stages.scans.formats.trajectories import read_tum
+from stages.scans.read import read_scan
+
+pytestmark = pytest.mark.slow
+
+SAMPLE = Path(__file__).parents[2] / "samples" / "rgbd"
+QUICK = ("fuse.voxel_size=0.02", "scan.every=2")
+
+
+def config(*more: str) -> Config:
+    return Config().set([*QUICK, *more])
+
+
+@pytest.fixture(scope="module")
+def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the sample with poses that are off by a centimetre and half a degree."""
+    folder = tmp_path_factory.mktemp("disturbed") / "scan"
+    shutil.copytree(SAMPLE, folder)
+    document = json.loads((folder / "scan.json").read_text())
+    rng = np.random.default_rng(2)
+    for frame in document["frames"]:
+        step = rng.normal(size=(1, 6)) * np.array([0.006] * 3 + [np.radians(0.3)] * 3)
+        frame["world_from_camera"] = (np.array(frame["world_from_camera"]) @ motion(step)[0]).tolist()
+    (folder / "scan.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_adjusted_poses_are_written_beside_kept_and_fused_with(disturbed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    first = run(disturbed, out, config(), until="fuse")
+    assert [outcome.stage for outcome in first.stages] == ["adjust", "fuse"]
+    figures = first.report["stages"]["adjust"]["figures"]
+    assert figures["accepted"]
+    assert figures["transfer_after"]["median_px"] < 0.4 < 2 < figures["transfer_before"]["median_px"]
+    document = json.loads((out / "adjusted" / "cameras.json").read_text())
+    written = read_tum(out / "adjusted" / "trajectory.tum").poses
+    assert len(written) == len(document["poses"]) == 12
+    for pose, other in zip(written, document["poses"].values(), strict=True):
+        np.testing.assert_allclose(pose, other, atol=1e-6)
+
+    again = run(disturbed, out, config("fuse.voxel_size=0.03"), until="fuse")
+    assert [outcome.cached for outcome in again.stages] == [True, False]
+    off = run(disturbed, tmp_path / "off", config("adjust.enabled=false"), until="fuse")
+    assert [outcome.stage for outcome in off.stages] == ["fuse"]
+    fused = [one.report["stages"]["fuse"]["figures"]["triangles"] for one in (first, off)]
+    assert fused[0] != fused[1]
+    with pytest.raises(UsageError, match="adjust is switched off"):
+        run(disturbed, tmp_path / "no", config("adjust.enabled=false"), until="adjust")
+
+
+def test_exact_poses_go_on_as_they_are(tmp_path: Path) -> None:
+    made = run(SAMPLE, tmp_path / "out", config(), until="adjust")
+    assert not made.report["stages"]["adjust"]["figures"]["accepted"]
+    assert [path.name for path in (tmp_path / "out" / "adjusted").iterdir()] == ["cameras.json"]
+    document = json.loads((tmp_path / "out" / "adjusted" / "cameras.json").read_text())
+    assert document["poses"] == {}
+    assert document["why"].startswith("left as given: colour, depth and poses agree to 0.")
+
+
+def test_what_is_written_gives_the_frames_back_to_the_bit(disturbed: Path, tmp_path: Path) -> None:
+    scan = read_scan(disturbed)
+    found = adjust(scan, camera=True)
+    assert found.has_camera
+    adjusting.write(tmp_path, found)
+    read = adjusting.placed(scan, tmp_path)
+    for one, other in zip(read.frames, found.frames, strict=True):
+        np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
+        np.testing.assert_array_equal(one.color_from_depth, other.color_from_depth)
+        assert one.color_camera == other.color_camera

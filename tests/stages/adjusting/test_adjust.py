@@ -1,0 +1,159 @@
+"""The sample is left as it is; disturbed on purpose it comes back; what cannot be used is told."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stages import Frame, adjust, read_scan
+from stages.adjusting.cameras import motion, motion_apart
+from stages.adjusting.key_frames import key_frames
+
+SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
+
+
+@pytest.fixture(scope="module")
+def frames() -> Sequence[Frame]:
+    return read_scan(SAMPLE).frames
+
+
+def jittered(frames: Sequence[Frame], metres: float, degrees: float, zoom: float = 1.0) -> list[Frame]:
+    """Return frames with poses off by so much, and a colour camera of another focal length."""
+    rng = np.random.default_rng(1)
+    scale = np.array([metres] * 3 + [np.radians(degrees)] * 3) / np.sqrt(3)
+    result = []
+    for frame in frames:
+        camera = replace(frame.camera, fx=zoom * frame.camera.fx, fy=zoom * frame.camera.fy)
+        pose = frame.world_from_camera @ motion(rng.normal(size=(1, 6)) * scale)[0]
+        result.append(replace(frame, world_from_camera=pose, color_camera=camera if zoom != 1 else None))
+    return result
+
+
+def apart(frames: Sequence[Frame], others: Sequence[Frame]) -> np.ndarray:
+    """Return how far steps from frame to frame differ, (n, 2) metres and degrees: the world may move."""
+    both = [[one.world_from_camera for one in some] for some in (frames, others)]
+    steps = [[np.linalg.inv(a) @ b for a, b in itertools.pairwise(poses)] for poses in both]
+    return np.array([motion_apart(a, b) for a, b in zip(*steps, strict=True)])
+
+
+@pytest.mark.slow
+def test_exact_poses_are_left_as_they_are(frames):
+    found = adjust(frames)
+    assert not found.accepted
+    assert "agree to 0." in found.why
+    assert found.before.median < 0.5
+    assert list(map(id, found.frames)) == list(map(id, frames))
+
+
+@pytest.mark.slow
+def test_disturbed_poses_come_back(frames):
+    disturbed = jittered(frames, 0.01, 0.5)
+    found = adjust(disturbed)
+    assert found.accepted
+    assert not found.has_camera, "the given camera is right"
+    assert found.after.median < 0.3 < 2 < found.before.median
+    was, is_now = (np.median(apart(frames, some), axis=0) for some in (disturbed, found.frames))
+    assert is_now[0] < 0.2 * was[0]
+    assert is_now[1] < 0.15 * was[1]
+    assert all(frame.color_camera is None for frame in found.frames)
+
+
+@pytest.mark.slow
+def test_a_wrong_focal_length_comes_back_with_the_poses(frames):
+    disturbed = jittered(frames, 0.01, 0.5, zoom=1.05)
+    found = adjust(disturbed)
+    assert found.accepted
+    assert found.has_camera
+    assert found.after.median < 0.3
+    camera = found.frames[0].color_camera
+    assert camera.fx == pytest.approx(frames[0].camera.fx, rel=0.005)
+    assert camera.distortion[1:] == (0, 0, 0) or camera.distortion == ()
+    assert (camera.width, camera.height) == (320, 240)
+    assert np.linalg.norm(found.frames[0].color_from_depth[:3, 3]) < 0.004
+    assert np.median(apart(frames, found.frames), axis=0)[0] < 0.002
+    assert found.camera_before.fx == pytest.approx(1.05 * frames[0].camera.fx)
+    again = adjust(disturbed)
+    for one, other in zip(found.frames, again.frames, strict=True):
+        np.testing.assert_array_equal(one.world_from_camera, other.world_from_camera)
+        assert one.color_camera == other.color_camera
+
+
+@pytest.mark.slow
+def test_frames_between_key_frames_are_placed_too(frames, monkeypatch):
+    monkeypatch.setattr("stages.adjusting.adjust._MOST_KEYS", 14)
+    disturbed = jittered(frames, 0.006, 0.3)
+    found = adjust(disturbed)
+    assert found.key_frames == 14
+    assert found.unplaced == 0
+    assert len(found.places) == len(frames)
+    was, is_now = (np.median(apart(frames, some), axis=0) for some in (disturbed, found.frames))
+    assert is_now[0] < 0.4 * was[0]
+    assert is_now[1] < 0.3 * was[1]
+
+
+@pytest.mark.slow
+def test_frames_that_cannot_be_used_keep_their_poses(frames):
+    disturbed = jittered(frames, 0.01, 0.5)
+    dark = np.zeros((240, 320, 3), np.uint8)
+    disturbed[5] = replace(disturbed[5], color=dark)
+    disturbed[9] = replace(disturbed[9], world_from_camera=None)
+    found = adjust(disturbed)
+    assert found.accepted
+    assert [(one.name, one.reason) for one in found.skipped] == [("0005", "its colour image is black")]
+    assert found.frames[5].world_from_camera is disturbed[5].world_from_camera
+    assert found.frames[9].world_from_camera is None
+    assert found.unplaced == 2
+    assert not {5, 9} & set(found.places)
+
+
+def test_black_frames_are_told(frames):
+    dark = [replace(frame, color=np.zeros((240, 320, 3), np.uint8)) for frame in frames[:4]]
+    found = adjust(dark)
+    assert not found.accepted
+    assert "its colour image is black" in found.why
+    assert found.warnings == (), "there is nothing in them that could be wrong"
+
+
+def test_over_exposed_frames_are_told(frames):
+    white = [replace(frame, color=np.full((240, 320, 3), 255, np.uint8)) for frame in frames[:4]]
+    assert "over-exposed" in adjust(white).why
+
+
+@pytest.mark.slow
+def test_colour_of_another_scene_is_told_with_numbers(frames):
+    # What each frame shows is what another one, elsewhere, should.
+    other = [replace(a, color=b.color) for a, b in zip(frames, reversed(frames), strict=True)]
+    found = adjust(other)
+    assert not found.accepted
+    assert "points" in found.why
+
+
+@pytest.mark.slow
+def test_poses_of_another_frame_are_told_with_numbers(frames):
+    other = [replace(one, world_from_camera=np.linalg.inv(one.world_from_camera)) for one in frames]
+    found = adjust(other)
+    assert not found.accepted
+    assert found.warnings
+    assert list(map(id, found.frames)) == list(map(id, other))
+
+
+def test_too_few_frames_are_left_alone(frames):
+    found = adjust([replace(frame, world_from_camera=None) for frame in frames])
+    assert found.why == "left as given: fewer than two frames have colour, depth and a pose"
+    assert found.figures()["transfer_before"] is None
+
+
+def test_key_frames_are_spread_over_the_way():
+    poses = np.tile(np.eye(4), (100, 1, 1))
+    poses[:, 0, 3] = np.concatenate([np.linspace(0, 0.01, 50), np.linspace(0.02, 1, 50)])
+    chosen = key_frames(poses, 20)
+    assert len(chosen) <= 20
+    assert chosen[0] == 0
+    assert chosen[-1] == 99
+    assert (chosen >= 50).sum() > 3 * (chosen < 50).sum()
+    assert key_frames(poses, 100).tolist() == list(range(100))

@@ -1,0 +1,107 @@
+"""On a made problem: derivatives are those of small steps, and what was moved comes back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from views_of_a_wall import Made, made
+
+from stages.adjusting.bundle import solved
+from stages.adjusting.cameras import FREE, Cameras, motion, motion_apart, steps_of
+from stages.adjusting.lifting import lifted
+from stages.adjusting.problem import Problem, State
+
+PRIOR = np.array([0.02] * 3 + [np.radians(0.6)] * 3)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Made:
+    return made()
+
+
+def problem(scene: Made, given: np.ndarray) -> Problem:
+    count = len(scene.tracks.view)
+    empty = np.zeros(count)
+    return Problem(scene.tracks, np.zeros((count, 3)), empty, empty, given, PRIOR, True, 320)
+
+
+def off(one: Cameras, other: Cameras) -> np.ndarray:
+    """Return how far poses are apart, metres and degrees, without what all have in common."""
+    common = one.poses @ np.linalg.inv(other.poses)
+    into = motion(steps_of(common).mean(axis=0)[None])[0]
+    return np.array([motion_apart(a, into @ b) for a, b in zip(one.poses, other.poses, strict=True)])
+
+
+def disturbed(scene: Made, rng: np.random.Generator) -> Cameras:
+    steps = rng.normal(size=(len(scene.views), 6)) * np.array([0.006] * 3 + [np.radians(0.3)] * 3)
+    return replace(scene.cameras, poses=scene.cameras.poses @ motion(steps))
+
+
+def test_motions_and_steps_are_each_others_inverse():
+    steps = np.random.default_rng(1).normal(size=(20, 6)) * 0.5
+    np.testing.assert_allclose(steps_of(motion(steps)), steps, atol=1e-12)
+    np.testing.assert_array_equal(motion(np.zeros((2, 6))), np.tile(np.eye(4), (2, 1, 1)))
+
+
+def test_points_are_lifted_through_cameras_that_stand_apart(scene):
+    seen = lifted(scene.views, scene.cameras, scene.tracks.view, scene.tracks.pixels)
+    back = np.linalg.inv(scene.cameras.poses)[scene.tracks.view]
+    true = np.einsum("nij,nj->ni", back[:, :3, :3], scene.points[scene.tracks.point]) + back[:, :3, 3]
+    known = ~np.isnan(seen[:, 0])
+    assert known.mean() > 0.95
+    assert np.median(np.linalg.norm(seen - true, axis=1)[known]) < 0.003
+
+
+def test_the_gradient_is_that_of_the_cost(scene):
+    rng = np.random.default_rng(2)
+    start = disturbed(scene, rng)
+    state = State(start, scene.points + 0.003 * rng.normal(size=scene.points.shape), np.zeros(FREE))
+    stated = problem(scene, scene.cameras.poses).looked_up(scene.views, state)
+    assert (stated.depths > 0).mean() > 0.9
+    linear = stated.linear(state)
+    views, count = len(scene.views), len(scene.points)
+    weighed = linear.residuals[:, :, None]
+    by = (linear.by_pose * weighed, linear.by_camera * weighed, linear.by_point * weighed)
+    poses, camera, points = (one.sum(axis=1) for one in by)
+    for name, direction in {
+        "poses": (rng.normal(size=(views, 6)), np.zeros(FREE), np.zeros((count, 3))),
+        "camera": (np.zeros((views, 6)), rng.normal(size=FREE), np.zeros((count, 3))),
+        "points": (np.zeros((views, 6)), np.zeros(FREE), rng.normal(size=(count, 3))),
+    }.items():
+        step = 1e-7
+        there, back = (
+            stated.cost(state.moved(*(sign * step * part for part in direction))) for sign in (1, -1)
+        )
+        told = (
+            (poses * direction[0][scene.tracks.view]).sum()
+            + (linear.poses * direction[0]).sum()
+            + camera.sum(axis=0) @ direction[1]
+            + linear.camera @ direction[1]
+            + (points * direction[2][scene.tracks.point]).sum()
+        )
+        assert (there - back) / (2 * step) == pytest.approx(told, rel=2e-3), name
+
+
+def test_poses_and_camera_come_back(scene):
+    start = disturbed(scene, np.random.default_rng(4))
+    given = replace(
+        start,
+        lenses=np.stack([view.lens for view in scene.views]),
+        color_from_depth=np.tile(np.eye(4), (len(scene.views), 1, 1)),
+    )
+    found = solved(scene.views, given, given, scene.tracks, PRIOR, frees_camera=True)
+    before, after = off(scene.cameras, given), off(scene.cameras, found)
+    assert np.median(after[:, 0]) < 0.4 * np.median(before[:, 0])
+    assert np.median(after[:, 1]) < 0.4 * np.median(before[:, 1])
+    true = scene.cameras.lenses[0]
+    assert found.lenses[0, 0] == pytest.approx(true[0], rel=0.01)
+    assert found.lenses[0, 4] == pytest.approx(true[4], abs=0.015)
+    assert np.abs(found.lenses - found.lenses[0]).max() == 0, "there is one camera"
+
+
+def test_a_camera_that_is_given_stays(scene):
+    start = disturbed(scene, np.random.default_rng(5))
+    found = solved(scene.views, start, start, scene.tracks, PRIOR, frees_camera=False)
+    np.testing.assert_array_equal(found.lenses, start.lenses)
+    np.testing.assert_array_equal(found.color_from_depth, start.color_from_depth)
+    assert np.median(off(scene.cameras, found)[:, 1]) < 0.1 * np.median(off(scene.cameras, start)[:, 1])
