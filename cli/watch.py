@@ -36,6 +36,8 @@ _HEADLINES = {
     "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
     "clean": "{triangles:,} triangles; {islands:,} islands removed",
+    "texture": "{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface seen, texels of "
+    "{texel_size_m:.2g} m",
     "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",
     "report": "{pictures} pictures",

@@ -9,6 +9,7 @@ from pipeline.cache_size import CacheParams
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
+from pipeline.texturing import TextureSection
 from stages.adjusting.adjust import AdjustParams
 from stages.cleaning.clean import CleanParams
 from stages.comparing.compare import CompareParams
@@ -30,6 +31,7 @@ class Config(Sections):
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
+    texture: TextureSection = field(default_factory=TextureSection)
     bake: BakeSection = field(default_factory=BakeSection)
     remesh: RemeshSection = field(default_factory=RemeshSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.

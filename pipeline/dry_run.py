@@ -9,14 +9,14 @@ from typing import Any
 
 from pipeline.cache import Cache
 from pipeline.config import Config
-from pipeline.digest import digest, label_digests, scan_digest
+from pipeline.digest import digest
 from pipeline.engine import Source, recipe_of
 from pipeline.entry import DamagedError, Recipe, verified
 from pipeline.expectation import Expectation, expected, megapixels
-from pipeline.graph import source_of
 from pipeline.reasons import reason
 from pipeline.results import Results
 from pipeline.run import Wanted, cache_folder, placed_by, wanted_of
+from pipeline.sources import sources_of
 from stages.errors import InputError
 
 
@@ -131,9 +131,7 @@ def foresee(
 
 def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen, ...]:
     scan, size = wanted.scan, megapixels(wanted.scan)
-    content = scan_digest(scan)
-    labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
-    sources = {source_of(scan): Source(content.digest, scan, content.parts), **labels}
+    sources = sources_of(scan)
     writers = {stage.writes: stage.name for stage in wanted.plan}
     entries = sorted(cache.ls(), key=lambda entry: -entry.last_used.timestamp())
     earlier = [entry.manifest for entry in entries if entry.problem is None]

@@ -1,11 +1,13 @@
 """The stages of the pipeline, declared: what each reads and writes, what decides its result, what it runs.
 
 pairs ──depth──▶ frames ──────────fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
-                   ├─register─▶ posed ─▲                                       ├──remesh──▶ remeshed ──▲
-                   └─adjust──▶ adjusted ▲                                      └──bake──▶ baked
+                   ├─register─▶ posed ─▲                                       ├──texture──▶ textured ─▲
+                   └─adjust──▶ adjusted ▲                                      ├──remesh──▶ remeshed ──▲
+                                                                               └──bake──▶ baked
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
 register is there where poses are missing; adjust where frames have colour and measured depth, from what
-register found; bake and remesh if they are enabled; bake reads clean, too, and report what fuse reads)
+register found; texture where frames have colour; bake and remesh if they are enabled; bake reads clean, too,
+texture and report what fuse reads, and report frames that were `held_out`)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them.
 """
@@ -19,7 +21,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline import adjusting, baking, registering, remeshing, report
+from pipeline import adjusting, baking, holding_out, registering, remeshing, report, texturing
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
@@ -30,6 +32,7 @@ from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare_surfaces
+from stages.comparing.left_out import left_out as left_out_of_all
 from stages.errors import InputError, UsageError
 from stages.fusion.fuse import fuse
 from stages.inspecting.sanity import require_poses
@@ -45,7 +48,10 @@ from stages.simplification.unmet import unmet as not_simplified
 from stages.stereo.depth import depth_scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply, write_ply
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
 from stages.texturing.bake import bake
+from stages.texturing.texture import texture
 
 
 def _depth(job: Job) -> Mapping[str, Any]:
@@ -120,6 +126,13 @@ def _simplify(job: Job) -> Mapping[str, Any]:
     return simplified.figures()
 
 
+def _texture(job: Job) -> Mapping[str, Any]:
+    scan = _frames(job)
+    mesh = read_ply(job.inputs["simplified"] / "simplified.ply")
+    figures = texturing.make(job.folder, mesh, scan.frames, job.config.texture, job.progress)
+    return from_folder(_with_skipped(figures), scan.folder)
+
+
 def _bake(job: Job) -> Mapping[str, Any]:
     light, original = (read_ply(job.inputs[name] / f"{name}.ply") for name in ("simplified", "clean"))
     return baking.make(job.folder, light, original, job.config.bake, job.progress)
@@ -144,7 +157,19 @@ def _report(job: Job) -> Mapping[str, Any]:
             pictures, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
+    if HELD_OUT in job.inputs:
+        made["held_out"], drawn = _held_out(job, pictures, meshes["simplified"])
+        made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
+
+
+def _held_out(job: Job, pictures: Path, light: Mesh) -> tuple[dict[str, Any], list[str]]:
+    """Compare the frames that no stage saw with the textured mesh, or with the simplified one."""
+    mesh = read_mesh(job.inputs["textured"] / texturing.FILE) if "textured" in job.inputs else light
+    scan, held_out = _scan(job), job.inputs[HELD_OUT].frames
+    every = job.config.scan.hold_out
+    frames = holding_out.like_neighbours(held_out, every, scan.frames, _placed(scan, job).frames)
+    return holding_out.judge(pictures, mesh, frames, job.progress)
 
 
 def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:
@@ -230,6 +255,9 @@ def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]
     return {**_stated(simplify), method.name: method.result_version, **proof}
 
 
+# Under this name the report reads the frames that were kept from all other stages.
+HELD_OUT = "held_out"
+
 # What stages read beside the scan: see `pipeline.digest.label_digests`.
 LABELS = ("names", "times")
 
@@ -303,6 +331,17 @@ STAGES: tuple[Stage, ...] = (
         cost=Cost(seconds_per_megapixel=0.15),
     ),
     Stage(
+        name="texture",
+        reads=("frames", "posed", "adjusted", "simplified", "names"),
+        writes="textured",
+        sections=("texture",),
+        make=_texture,
+        versions=_of(texture),
+        libraries=_KERNELS | _OPENCV,
+        results=(texturing.FILE,),
+        cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6),
+    ),
+    Stage(
         name="bake",
         reads=("clean", "simplified"),
         writes="baked",
@@ -327,12 +366,22 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="report",
-        reads=("frames", "posed", "adjusted", "fused", "clean", "simplified", "remeshed"),
+        reads=(
+            "frames",
+            "posed",
+            "adjusted",
+            "fused",
+            "clean",
+            "simplified",
+            "textured",
+            "remeshed",
+            HELD_OUT,
+        ),
         writes="report",
         sections=("compare", "report"),
         make=_report,
-        versions=_of(report.make, compare_surfaces),
-        libraries=_OPEN3D,
+        versions=_of(report.make, compare_surfaces, left_out_of_all),
+        libraries=_OPEN3D | _OPENCV | {"scikit-image": _version("scikit-image")},
         results=("pictures/",),
         cost=Cost(seconds=6, seconds_per_megapixel=0.2, bytes=300e6),
     ),
@@ -343,6 +392,8 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
     """Return the stages a scan goes through: not those of `left_out`, and what they write is not read."""
     stages = [stage for stage in STAGES if stage.name not in left_out(scan, config)]
     there = {source_of(scan), *(stage.writes for stage in stages)}
+    if scan.held_out:
+        there.add(HELD_OUT)
     plan = []
     for stage in stages:
         # Frames that the depth stage left are numbered, and have no times.
@@ -373,6 +424,10 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         else:
             why = "is not a stage of this scan: its frames have no colour"
         reasons["adjust"] = why
+    if not config.texture.enabled:
+        reasons["texture"] = "is switched off; set texture.enabled=true"
+    elif not any(frame.color is not None for frame in scan.frames):
+        reasons["texture"] = "is not a stage of this scan: its frames have no colour"
     if not config.bake.enabled:
         reasons["bake"] = "is not enabled; set bake.enabled=true"
     if not config.remesh.enabled:

@@ -178,6 +178,8 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
         "mesh": final.get("mesh"),
         # None unless remesh is enabled.
         "normal_mesh": final.get("normal_mesh"),
+        # None unless frames were held out.
+        "held_out": final.get("held_out"),
         "pictures": final.get("pictures", []),
     }
 

@@ -12,14 +12,14 @@ from typing import Any
 
 from pipeline.cache import Cache
 from pipeline.config import Config
-from pipeline.digest import label_digests, scan_digest
-from pipeline.engine import Engine, Outcome, Source, Stage
+from pipeline.engine import Engine, Outcome, Stage
 from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
 from pipeline.expectation import megapixels
 from pipeline.failures import explained
-from pipeline.graph import STAGES, is_adjusted, is_registered, left_out, plan_for, source_of
+from pipeline.graph import STAGES, is_adjusted, is_registered, left_out, plan_for
 from pipeline.report import compose
 from pipeline.results import REPORT
+from pipeline.sources import sources_of
 from stages.errors import UsageError
 from stages.params import RenamedWarning
 from stages.scans.read import read_scan, require_complete
@@ -71,9 +71,10 @@ def run(
     Parameters
     ----------
     scan_folder : read only.
-    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/, for stereo
-        points.ply, with `bake.enabled` baked.glb, and with `remesh.enabled` remeshed.ply, remeshed.snm and
-        levels/. Files there that a run placed and that belong to no current result are removed.
+    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/, where frames
+        have colour textured.glb, for stereo points.ply, with `bake.enabled` baked.glb, and with
+        `remesh.enabled` remeshed.ply, remeshed.snm and levels/. Files there that a run placed and that belong
+        to no current result are removed.
     until : the last stage to run.
     force : stages to run even though their results are cached.
     cache_dir : see `cache_folder`.
@@ -164,13 +165,11 @@ def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunRe
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()
-    content = scan_digest(scan, lambda done, total: events(StageProgress("scan", done, total)))
-    source = Source(content.digest, scan, content.parts, content.require_unchanged)
-    labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
+    sources = sources_of(scan, lambda done, total: events(StageProgress("scan", done, total)))
     with Engine(
         wanted.plan,
         config,
-        {source_of(scan): source, **labels},
+        sources,
         cache,
         out,
         events,

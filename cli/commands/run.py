@@ -86,8 +86,9 @@ def run(
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
 
-    OUT then holds fused.ply, clean.ply, simplified.ply, report.json and pictures. A second run does only
-    what has changed since. With --set bake.enabled=true it also holds baked.glb: the simplified mesh with a
+    OUT then holds fused.ply, clean.ply, simplified.ply, textured.glb (the simplified mesh with what the photos
+    show), report.json and pictures. A second run does only what has changed since. --hold-out 10 keeps every
+    tenth frame from all stages and tells how near the result comes to it. With --set bake.enabled=true it also holds baked.glb: the simplified mesh with a
     texture that shows all colour. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all
     its levels, and remeshed.snm.
 
@@ -182,6 +183,13 @@ def _summary(result: RunResult) -> str:
             f"off the fused mesh by {distance['rms_m']:.3g} m RMS, {distance['maximum_m']:.3g} m at most"
             + (f"; colour by {color['rmse_levels']:.3g} of 255 levels RMS" if color else ""),
         ]
+    held_out = result.report.get("held_out")
+    if held_out and held_out["photos"]:
+        lines.append(
+            f"{held_out['photos']} photos held out: PSNR {held_out['psnr_affine_db']:.1f} dB "
+            f"({held_out['psnr_raw_db']:.1f} raw), SSIM {held_out['ssim']:.3f}, sharpness "
+            f"{held_out['sharpness']:.2f}, {held_out['coverage_share']:.0%} of their pixels"
+        )
     placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
     names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)
     lines.append(f"results in {result.out}: {', '.join([*names, 'report.json'])}")

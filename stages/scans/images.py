@@ -19,6 +19,10 @@ from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, sca
 from stages.scans.undistortion import undistorted
 
 
+# By how much an image may be wider or narrower than its camera says, of its height: rounding of its size.
+_SAME_SHAPE = 0.02
+
+
 def read_color(frame: Frame) -> ColorImage | None:
     """Return the frame's colour (or left) image, (h, w, 3) uint8 RGB, at its own size; None if it has none.
 
@@ -66,12 +70,18 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera]:
     Raises
     ------
     InputError
-        If there is no image, or it cannot be read.
+        If there is no image, it cannot be read, or it is of another shape than its camera's.
     """
     if frame.color is None:
         raise InputError("there is no colour image.", f"frame {frame.name}")
     image = _color(frame.color, frame.name)
-    camera = scaled(frame.color_camera or frame.camera, image.shape[1], image.shape[0])
+    height, width = image.shape[:2]
+    known = frame.color_camera or frame.camera
+    if not known.is_calibrated:
+        raise InputError("its camera is not calibrated.", _called(frame.color, frame.name))
+    if abs(width * known.height / (height * known.width) - 1) > _SAME_SHAPE:
+        require_size(image, known, frame.color, frame.name)
+    camera = scaled(known, width, height)
     if camera.distortion:
         image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True))
     return image, replace(camera, distortion=(), fisheye=False)

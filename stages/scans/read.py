@@ -43,7 +43,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     if options.align_axes:
         scan = aligned(scan, folder)
     warnings = (*scan.warnings, *_time_warnings(scan.frames))
-    scan = replace(scan, frames=_selected(scan.frames, options), warnings=warnings)
+    scan = _split(replace(scan, frames=_selected(scan.frames, options), warnings=warnings), options.hold_out)
     if len(scan.frames) == 1:
         scan = _at_origin(scan)
     if complete:
@@ -124,6 +124,17 @@ def _selected(frames: Sequence[Frame], options: ScanParams) -> Sequence[Frame]:
             f"first={options.first}, last={options.last} leaves no frame of the scan's {len(frames)}."
         )
     return chosen
+
+
+def _split(scan: Scan, every: int | None) -> Scan:
+    """Keep every n-th frame apart, beginning in the middle of the first n."""
+    if every is None:
+        return scan
+    kept = [frame for number, frame in enumerate(scan.frames) if number % every != every // 2]
+    held_out = tuple(scan.frames[every // 2 :: every])
+    if not held_out:
+        raise UsageError(f"hold_out={every} keeps none of the scan's {len(scan.frames)} frames apart.")
+    return replace(scan, frames=kept, held_out=held_out)
 
 
 def _without_still_poses(scan: Scan) -> Scan:

@@ -206,6 +206,7 @@ class Scan:
     warnings : what is odd, in plain sentences.
     missing : what the scan lacks to become a mesh, such as `poses: … is missing; name one with …`.
     box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
+    held_out : frames that are kept from all stages, to judge results by.
     """
 
     layout: str
@@ -216,6 +217,7 @@ class Scan:
     warnings: tuple[str, ...] = field(default=())
     missing: tuple[str, ...] = ()
     box: NDArray[np.float64] | None = None
+    held_out: Sequence[Frame] = ()
 
     def __repr__(self) -> str:
         kind = "stereo pairs" if self.is_stereo else "views" if self.is_views else "colour and depth"
@@ -226,6 +228,7 @@ class Scan:
                 counted(len(self.frames), "frame") or "no frames",
                 kind,
                 "poses" if self.has_poses else "no poses",
+                f"{len(self.held_out):,} held out" if self.held_out else "",
                 f"{len(self.skipped):,} skipped" if self.skipped else "",
                 *(f"lacks {what.partition(':')[0]}" for what in self.missing),
                 counted(len(self.warnings), "warning"),

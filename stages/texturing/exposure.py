@@ -206,8 +206,7 @@ def _fitted(
         a, y, w = mean[:, k], level[:, k], weight[:, k]
 
         def total(values: Floats) -> Floats:
-            sums: Floats = np.bincount(view, values, minlength=count)
-            return sums
+            return np.asarray(np.bincount(view, values, minlength=count), np.float64)
 
         n, sa, sy = total(w), total(w * a), total(w * y)
         middle = np.divide(sa, n, out=np.full(count, 128.0), where=n > 0)

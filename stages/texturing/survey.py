@@ -83,6 +83,10 @@ def survey(
         "difference in the median."
         for i in np.flatnonzero(off & ~unseen)
     }
+    if wrong:
+        # What they show must not count for the others.
+        views = np.where(np.isin(views, list(wrong)), np.int32(-1), views)
+        found = exposures(views, colors, radii2, len(photos))
     if not correct:
         found = found.none()
     density, _ = points.seen()

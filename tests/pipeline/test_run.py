@@ -392,7 +392,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
         (
             {"force": ["all"]},
-            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, simplify, bake, remesh, ",
+            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, simplify, texture, ",
         ),
         ({"until": "depth"}, "depth is not a stage of this scan"),
         ({"force": ["depth"]}, "depth is not a stage of this scan"),

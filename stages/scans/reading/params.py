@@ -65,6 +65,12 @@ class ReadingParams:
         None, "Position of the last frame to use; by default the scan's last.", unit="frames", low=0
     )
     every: int = param(1, "Use every n-th frame.", unit="frames", low=1)
+    hold_out: int | None = param(
+        None,
+        "Keep every n-th frame from all stages; a run then compares its photo with the mesh.",
+        unit="frames",
+        low=2,
+    )
 
     def __post_init__(self) -> None:
         check(self)

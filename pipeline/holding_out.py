@@ -1,0 +1,60 @@
+"""Frames that no stage saw, beside the result: placed like their neighbours, compared, drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from stages.comparing.left_out import left_out
+from stages.picturing.render import write_png
+from stages.progress import Progress, silent
+from stages.scans.formats.trajectories import inverted
+from stages.scans.scan import Frame
+from stages.surface.mesh import Mesh
+
+
+def judge(
+    folder: Path, mesh: Mesh, held_out: Sequence[Frame], progress: Progress = silent
+) -> tuple[dict[str, Any], list[str]]:
+    """Compare frames with a mesh, and draw the worst and the median; return figures and files."""
+    found = left_out(mesh, held_out, progress)
+    names = []
+    for which, picture in found.pictures.items():
+        names.append(f"held-out-{which}.png")
+        write_png(folder / names[-1], picture)
+    return found.figures(), names
+
+
+def like_neighbours(
+    held_out: Sequence[Frame], every: int, given: Sequence[Frame], used: Sequence[Frame]
+) -> list[Frame]:
+    """Return frames moved as those taken just before them were, with their colour camera.
+
+    Parameters
+    ----------
+    held_out : every `every`-th frame of a scan.
+    given : the other frames, in order, as the scan has them.
+    used : those that were used, with the poses and the camera found for them.
+    """
+    found = {frame.name: frame for frame in used}
+    return [
+        _like(frame, given[min(every // 2 + number * (every - 1), len(given) - 1)], found)
+        for number, frame in enumerate(held_out)
+    ]
+
+
+def _like(frame: Frame, neighbour: Frame, found: dict[str, Frame]) -> Frame:
+    used = found.get(neighbour.name)
+    if used is None or used.world_from_camera is None:
+        return frame
+    pose = used.world_from_camera
+    if frame.world_from_camera is not None and neighbour.world_from_camera is not None:
+        pose = pose @ inverted(neighbour.world_from_camera) @ frame.world_from_camera
+    return replace(
+        frame,
+        world_from_camera=pose,
+        color_camera=used.color_camera,
+        color_from_depth=used.color_from_depth,
+    )

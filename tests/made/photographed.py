@@ -1,0 +1,81 @@
+"""A painted wall, photographed by cameras that are known: what a texture of it must show is known, too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stages.scans.scan import Camera, Frame
+from stages.surface.mesh import Mesh
+
+CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
+
+
+def paint(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The colour of the wall z = 0 at places in 0..1, (…, 3) levels: blots of several sizes, and stripes."""
+    red = 128 + 60 * np.sin(9 * x + 2) * np.cos(7 * y) + 30 * np.sin(41 * x)
+    green = 120 + 50 * np.cos(12 * x - 5 * y) + 30 * np.sin(37 * y)
+    blue = 130 + 70 * np.sin(5 * (x + y)) + 20 * np.cos(53 * x + 11)
+    return np.stack([red, green, blue], axis=-1).clip(10, 245)
+
+
+def wall(n: int = 12, colors: np.ndarray | None = None) -> Mesh:
+    """The unit square in n × n cells, seen from z < 0."""
+    x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    cells = np.stack([a, a + n + 1, a + 1, a + 1, a + n + 1, a + n + 2], axis=1)
+    return Mesh(vertices, cells.reshape(-1, 3).astype(np.int32), colors)
+
+
+def pose(x: float, y: float, z: float = -0.8, turn: float = 0.0) -> np.ndarray:
+    """World from a camera at a place that looks along z, turned about y by some degrees."""
+    c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    found = np.eye(4)
+    found[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    found[:3, 3] = x, y, z
+    return found
+
+
+def hits(world_from_camera: np.ndarray, z: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places x and y on the plane at z that the pixels show, and their depth."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    way = rays @ world_from_camera[:3, :3].T
+    depth = (z - world_from_camera[2, 3]) / way[..., 2]
+    at = world_from_camera[:3, 3] + way * depth[..., None]
+    return at[..., 0], at[..., 1], depth
+
+
+def photo(number: int, world_from_camera: np.ndarray, *, with_depth: bool = True) -> Frame:
+    """A frame that shows the wall, and black beside it."""
+    x, y, depth = hits(world_from_camera)
+    on_wall = (np.minimum(x, y) >= 0) & (np.maximum(x, y) <= 1) & (depth > 0)
+    levels = np.where(on_wall[..., None], paint(x, y), 0)
+    return Frame(
+        f"{number:03d}",
+        CAMERA,
+        color=np.rint(levels).astype(np.uint8),
+        depth=np.where(on_wall, depth, 0).astype(np.float32) if with_depth else None,
+        world_from_camera=world_from_camera,
+    )
+
+
+def photos(count: int = 12, *, with_depth: bool = True) -> list[Frame]:
+    """Frames from places all along the wall, some of them turned."""
+    rng = np.random.default_rng(7)
+    places = zip(rng.uniform(0.25, 0.75, (count, 2)), rng.uniform(-15, 15, count), strict=True)
+    return [
+        photo(number, pose(*place, turn=turn), with_depth=with_depth)
+        for number, (place, turn) in enumerate(places)
+    ]
+
+
+def brighter(frame: Frame, gain: float, bias: float) -> Frame:
+    """The frame as another exposure would show it."""
+    assert isinstance(frame.color, np.ndarray)
+    levels = np.rint(frame.color * gain + bias).clip(0, 255).astype(np.uint8)
+    return replace(
+        frame, color=np.where(frame.color.max(axis=2, keepdims=True) > 0, levels, 0).astype(np.uint8)
+    )

@@ -1,0 +1,227 @@
+"""Texture from photos: the wall shows what the photos show, whatever stands, walks or shines in between."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed import CAMERA, brighter, hits, paint, photo, photos, pose, wall
+
+from stages import InputError, MeshError, UsageError
+from stages.scans.scan import Frame, Scan
+from stages.surface.color import color_at
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.texturing.maps import write_maps
+from stages.texturing.texture import texture
+
+INNER = (0.2, 0.8)
+
+
+def shown(
+    mesh: Mesh, triangles: np.ndarray | None = None, count: int = 4000
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours of the mesh at random places, and these places, (k, 3) each."""
+    rng = np.random.default_rng(3)
+    chosen = rng.choice(len(mesh.triangles) if triangles is None else triangles, count)
+    weights = rng.dirichlet((1, 1, 1), count)
+    places = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[chosen]])
+    return color_at(mesh, chosen, weights), places
+
+
+def errors(mesh: Mesh) -> np.ndarray:
+    """Largest difference of a channel from the paint, in levels, at places in the middle of the wall."""
+    colors, places = shown(mesh)
+    middle = ((places[:, :2] > INNER[0]) & (places[:, :2] < INNER[1])).all(axis=1)
+    return np.abs(colors - paint(places[:, 0], places[:, 1])).max(axis=1)[middle]
+
+
+def test_a_wall_shows_what_its_photos_show():
+    found = texture(wall(), photos(), format="png")
+    assert np.median(errors(found.mesh)) < 2.5
+    assert np.quantile(errors(found.mesh), 0.99) < 8
+    assert found.seen > 0.95
+    assert found.mesh.colors is None
+    assert len(found.photos) == 12
+    assert found.skipped == ()
+
+
+def test_photos_without_depth_will_do():
+    found = texture(wall(), photos(with_depth=False), format="png")
+    assert np.quantile(errors(found.mesh), 0.95) < 8
+
+
+def test_equal_input_gives_equal_bytes():
+    first, second = (texture(wall(), photos(6)) for _ in range(2))
+    assert [image.file_bytes for image in first.mesh.texture.images] == [
+        image.file_bytes for image in second.mesh.texture.images
+    ]
+    assert np.array_equal(first.mesh.texture.uvs, second.mesh.texture.uvs)
+
+
+def test_photos_are_made_equally_bright():
+    gains = np.array([0.8, 1.25, 1.0, 0.9, 1.1, 1.0] * 2)
+    frames = [brighter(frame, gain, 3.0) for frame, gain in zip(photos(), gains, strict=True)]
+    found = texture(wall(), frames, format="png")
+    assert found.difference_after < 0.5 * found.difference_before
+    # Only ratios can be known: what is left is one gain and bias for all. What is very bright was cut off.
+    colors, places = shown(found.mesh)
+    truth = paint(places[:, 0], places[:, 1])
+    usable = (np.abs(places[:, :2] - 0.5) < 0.3).all(axis=1) & (truth.max(axis=1) < 190)
+    for k in range(3):
+        line = np.polyfit(colors[usable, k], truth[usable, k], 1)
+        assert np.median(np.abs(np.polyval(line, colors[usable, k]) - truth[usable, k])) < 2
+    plain = texture(wall(), frames, format="png", exposure=False)
+    assert plain.gains == (1.0, 1.0)
+    assert np.median(errors(plain.mesh)) > np.median(errors(found.mesh))
+
+
+def test_who_walks_by_is_not_painted():
+    frames = photos(20, with_depth=False)
+    for number in (4, 14):
+        image = np.array(frames[number].color)
+        image[30:110, 60:110] = (250, 20, 240)
+        frames[number] = replace(frames[number], color=image)
+    clean = texture(wall(), photos(20, with_depth=False), format="png").mesh
+    walked = texture(wall(), frames, format="png").mesh
+    off = np.abs(shown(walked)[0] - shown(clean)[0]).max(axis=1)
+    assert np.mean(off > 10) <= 0.01
+
+
+def test_what_stands_in_front_is_not_painted_on_what_is_behind():
+    # A white card before the wall, in the mesh and in every photo.
+    def with_card(frame: Frame) -> Frame:
+        x, y, depth = hits(np.asarray(frame.world_from_camera), z=-0.3)
+        card = (np.abs(x - 0.5) < 0.1) & (np.abs(y - 0.5) < 0.1)
+        image = np.where(card[..., None], 240, np.array(frame.color)).astype(np.uint8)
+        return replace(
+            frame, color=image, depth=np.where(card, depth, np.array(frame.depth)).astype(np.float32)
+        )
+
+    frames = [with_card(frame) for frame in photos(16)]
+    back = wall()
+    card = np.array([[0.4, 0.4, -0.3], [0.6, 0.4, -0.3], [0.6, 0.6, -0.3], [0.4, 0.6, -0.3]])
+    both = Mesh(
+        np.concatenate([back.vertices, card]),
+        np.concatenate([back.triangles, len(back.vertices) + np.array([[0, 2, 1], [0, 3, 2]], np.int32)]),
+    )
+    painted = texture(both, frames, format="png")
+    on_card, _ = shown(painted.mesh, np.arange(len(back.triangles), len(both.triangles)))
+    assert np.median(on_card) == pytest.approx(240, abs=2)
+    # The same with a mesh that lacks the card: its depth tells that the wall is not what the photo shows.
+    for mesh in (painted.mesh, texture(back, frames, format="png").mesh):
+        colors, places = shown(mesh, np.arange(len(back.triangles)))
+        off = np.abs(colors - paint(places[:, 0], places[:, 1])).max(axis=1)
+        near = (np.abs(places[:, :2] - 0.5) < 0.25).all(axis=1)
+        assert np.mean(off[near] > 30) < 0.02
+
+
+def test_a_photo_that_is_off_by_pixels_is_shifted():
+    # Each photo is off by two pixels, in another direction.
+    frames = []
+    for number, frame in enumerate(photos(12)):
+        angle = 2 * np.pi * number / 12
+        moved = np.array(frame.world_from_camera)
+        moved[:3, 3] += 0.8 * 2 / CAMERA.fx * np.array([np.cos(angle), np.sin(angle), 0])
+        frames.append(replace(frame, world_from_camera=moved))
+    still, shifted = (texture(wall(), frames, format="png", rounds=rounds) for rounds in (0, 1))
+    assert 0.2 / CAMERA.width < shifted.shift < 3 / CAMERA.width
+    assert np.median(errors(shifted.mesh)) < 0.8 * np.median(errors(still.mesh))
+
+
+def test_what_no_photo_shows_keeps_its_own_colours():
+    frames = [photo(number, pose(0.3, 0.5, z=-0.5)) for number in range(3)]
+    mesh = wall(50)
+    own = paint(mesh.vertices[:, 0], mesh.vertices[:, 1])
+    found = texture(mesh.with_(colors=np.rint(own).astype(np.uint8)), frames, format="png")
+    assert 0.1 < found.seen < 0.6
+    colors, places = shown(found.mesh)
+    unseen = places[:, 0] > 0.7
+    off = np.abs(colors - paint(places[:, 0], places[:, 1]))[unseen]
+    assert np.median(off) < 15
+    bare = texture(mesh, frames)
+    assert "no colours of its own" in bare.warnings[0]
+
+
+def test_texels_are_as_fine_as_the_photos():
+    found = texture(wall(), photos(), texels_per_pixel=1.0)
+    # 0.8 m away a pixel is 0.8 / 150 m.
+    assert found.texel_size == pytest.approx(0.8 / 150, rel=0.25)
+    fine = texture(wall(), photos(), texels_per_pixel=2.0)
+    assert fine.texel_size == pytest.approx(found.texel_size / 2, rel=0.05)
+
+
+def test_there_are_as_many_images_as_are_needed():
+    found = texture(wall(), photos(6), texels_per_pixel=2.0, max_size=128)
+    assert len(found.sizes) > 1
+    assert all(max(size) <= 128 for size in found.sizes)
+    assert np.quantile(errors(found.mesh), 0.95) < 15
+    coarse = texture(wall(), photos(6), texels_per_pixel=2.0, max_size=128, max_texels=0.02)
+    assert sum(w * h for w, h in coarse.sizes) < 0.05e6
+    assert coarse.texel_size > found.texel_size
+
+
+@pytest.mark.parametrize("name", ["wall.glb", "wall.obj", "wall.ply"])
+@pytest.mark.parametrize("kind", ["jpeg", "webp", "png"])
+def test_every_format_holds_it(name, kind, tmp_path):
+    found = texture(wall(), photos(6), format=kind)
+    if (name, kind) == ("wall.ply", "webp"):
+        return
+    write_mesh(tmp_path / name, found.mesh)
+    again = read_mesh(tmp_path / name)
+    assert np.quantile(errors(again), 0.95) < 12
+
+
+def test_maps_tell_which_photo_counts(tmp_path):
+    found = texture(wall(), photos(6))
+    write_maps(tmp_path, found)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["count-1.png", "photo-1.png", "photos.json"]
+    assert found.labels[0].max() < 6
+    assert found.counts[0][found.labels[0] >= 0].min() >= 1
+
+
+def test_progress_only_goes_on():
+    told = []
+    texture(wall(), photos(6), progress=lambda done, total: told.append((done, total)))
+    assert told == sorted(told)
+    assert told[-1] == (1000, 1000)
+    assert {total for _, total in told} == {1000}
+
+
+def test_bad_photos_are_left_out_and_counted():
+    frames = photos(8)
+    frames[1] = replace(frames[1], color=np.zeros((120, 160, 3), np.uint8))
+    frames[2] = replace(frames[2], color=np.full((120, 160, 3), 255, np.uint8))
+    frames[3] = replace(frames[3], color=np.full((160, 120, 3), 128, np.uint8))
+    frames[4] = replace(frames[4], world_from_camera=pose(9.0, 9.0))
+    rng = np.random.default_rng(0)
+    frames[5] = replace(frames[5], color=rng.integers(0, 255, (120, 160, 3), np.uint8))
+    found = texture(wall(), frames, format="png")
+    reasons = {one.name: one.reason for one in found.skipped}
+    assert sorted(reasons) == ["001", "002", "003", "004", "005"]
+    assert "black or white" in reasons["001"]
+    assert "black or white" in reasons["002"]
+    assert "120×160" in reasons["003"]
+    assert "does not show the mesh" in reasons["004"]
+    assert "something else than the others" in reasons["005"]
+    assert np.median(errors(found.mesh)) < 4
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        ([Frame("0", CAMERA, world_from_camera=np.eye(4))], "none of the 1 frames has a colour image"),
+        ([replace(photos(1)[0], world_from_camera=None)], "none of the 1 photos can be used"),
+        ([photo(0, pose(50.0, 50.0))], "none of the 1 photos shows the mesh|black or white"),
+        ([], "none of the 0 frames"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(frames, message):
+    with pytest.raises(InputError, match=message):
+        texture(wall(), Scan("made", frames))
+
+
+def test_wrong_words_and_meshes_are_refused():
+    with pytest.raises(UsageError, match="power of two"):
+        texture(wall(), photos(1), max_size=100)
+    with pytest.raises(MeshError, match="zero area"):
+        texture(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32)), photos(1))
