@@ -11,6 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.files.room import require_room
+
+# Four channels of 16 bits, once as they are decoded and once as they are handed out.
+_PIXEL_BYTES = 16
 # No camera in use makes larger images; a header that promises more is damaged or hostile.
 MAX_PIXELS = 1 << 27
 # Textures are put together from many images: 16384 texels a side.
@@ -57,6 +61,7 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     except cv2.error:
         image = None
     if image is None:
+        require_room_for(size)
         return _decoded_by_pillow(data)
     if image.dtype == np.uint16:
         image = np.rint(image / 257).astype(np.uint8)
@@ -95,6 +100,15 @@ def encoded_png(image: NDArray[np.uint8]) -> bytes:
 def is_possible(size: tuple[int, int], most: int = MAX_PIXELS) -> bool:
     """Return whether an image of (width, height) pixels is one, and no larger than cameras make them."""
     return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= most
+
+
+def require_room_for(size: tuple[int, int] | None) -> None:
+    """Raise MemoryError where an image of this size does not decode for want of memory.
+
+    OpenCV keeps that to itself.
+    """
+    width, height = size or (0, 0)
+    require_room(_PIXEL_BYTES * width * height)
 
 
 def is_cut_short(data: bytes) -> bool:
