@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
 from stages.files.room import require_room
 
 # Four channels of 16 bits, once as they are decoded and once as they are handed out.
@@ -49,6 +50,7 @@ def kind_of(data: bytes, name: str = "") -> tuple[str, str]:
 
 def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     """Return the image as (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; None if it is damaged."""
+    require_opencv()
     import cv2
 
     size = promised_size(data)
@@ -90,6 +92,7 @@ def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
 
 def encoded_png(image: NDArray[np.uint8]) -> bytes:
     """Return an RGB or RGBA image as a PNG file."""
+    require_opencv()
     import cv2
 
     code = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
 from stages.errors import InputError
 from stages.files.exr import exr_size, read_exr
 from stages.files.image_bytes import (
@@ -112,6 +113,7 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     InputError
         If it does not decode or holds other than 8 bits a channel; `source` is named.
     """
+    require_opencv()
     import cv2
 
     image = _decoded(data, source)
@@ -185,6 +187,7 @@ def _require_possible(size: tuple[int, int], source: Path | str) -> None:
 
 
 def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
+    require_opencv()
     import cv2
 
     if is_cut_short(data):

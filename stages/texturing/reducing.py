@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
 from stages.surface.color import pixels_of
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, signed_areas
@@ -48,6 +49,7 @@ def reduced(mesh: Mesh, texel_size: float, finer: float) -> Mesh:
 
 def _averaged(pixels: NDArray[np.uint8], texels: float) -> NDArray[np.uint8]:
     """Return an image of as many pixels as `texels` squared, or one."""
+    require_opencv()
     import cv2
 
     share = texels / math.sqrt(pixels.shape[0] * pixels.shape[1])
