@@ -35,5 +35,5 @@ def read_scan(folder: Path, params: ScanParams, out: Output, *, complete: bool =
     for warning in scan.warnings:
         out.warn(as_typed(warning))
     skipped = [{"frame": one.name, "reason": one.reason} for one in scan.skipped]
-    tell_skipped(out, "the reader", {"frames_skipped": skipped})
+    tell_skipped(out, "the reader", skipped)
     return scan

@@ -1,17 +1,15 @@
-"""Frames that could not be used, told of."""
+"""Frames that could not be used, told of by commands of one stage; a run has them among its warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cli.output import Output
+from pipeline.skipped import said_of_skipped
 
 
-def tell_skipped(out: Output, who: str, figures: Mapping[str, Any]) -> None:
-    """Warn of frames that could not be used: how many, and why the first of them."""
-    skipped = figures.get("frames_skipped")
+def tell_skipped(out: Output, who: str, skipped: Sequence[Mapping[str, Any]]) -> None:
+    """Warn of frames that could not be used, if there are any."""
     if skipped:
-        first = skipped[0]
-        count = f"{len(skipped)} frame{'s' * (len(skipped) != 1)}"
-        out.warn(f"{who} left out {count}; the first is {first['frame']}: {first['reason']}")
+        out.warn(f"{who}: {said_of_skipped(skipped)}")

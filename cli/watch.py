@@ -9,7 +9,6 @@ from typing import Any
 
 from cli.options import as_typed
 from cli.output import Output
-from cli.skipped import tell_skipped
 from pipeline.events import (
     Event,
     Events,
@@ -20,7 +19,6 @@ from pipeline.events import (
     Waiting,
     Warned,
 )
-from pipeline.skipped import said_of_skipped
 from stages.printing import at_most
 from stages.progress import Progress
 from stages.simplification.methods import METHODS
@@ -60,15 +58,8 @@ class _Watcher:
         self._bar = ExitStack()
         self._update: Progress | None = None
         self._bar_stage = ""
-        self._stages: tuple[str, ...] = ()
-        # Of stages, told at the next event: frames that were skipped are told when the stage has finished.
-        self._warned: list[str] = []
 
     def __call__(self, event: Event) -> None:
-        if isinstance(event, StageFinished) and event.figures.get("frames_skipped"):
-            said = f"{event.stage}: {said_of_skipped(event.figures['frames_skipped'])}"
-            self._warned = [text for text in self._warned if text != said]
-        self._tell_warned()
         match event:
             case RunStarted():
                 self._started(event)
@@ -81,33 +72,19 @@ class _Watcher:
             case StageFinished():
                 self.close()
                 self._out.remark(line_of(event))
-                tell_skipped(self._out, event.stage, event.figures)
             case Warned():
-                self._warned.append(event.text)
-                if event.text.partition(": ")[0] not in self._stages:
-                    self._tell_warned()
+                self.close()
+                self._out.warn(as_typed(event.text))
             case Waiting():
-                self._close_bar()
+                self.close()
                 self._out.remark(event.text)
 
     def close(self) -> None:
-        """Take the bar away, and tell what is left to tell."""
-        self._tell_warned()
-        self._close_bar()
-
-    def _tell_warned(self) -> None:
-        if self._warned:
-            self._close_bar()
-        for text in self._warned:
-            self._out.warn(as_typed(text))
-        self._warned = []
-
-    def _close_bar(self) -> None:
+        """Take the bar away."""
         self._bar.close()
         self._update, self._bar_stage = None, ""
 
     def _started(self, event: RunStarted) -> None:
-        self._stages = event.stages
         self.close()
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:

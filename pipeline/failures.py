@@ -6,7 +6,7 @@ import contextlib
 import errno
 from collections.abc import Iterator
 
-from stages.errors import StageError
+from stages.errors import StageError, is_lack_of_memory
 
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
 _ADVICE = "free some space, or keep the cache elsewhere (SCANLOOM_CACHE)"
@@ -22,10 +22,12 @@ def explained(what: str) -> Iterator[None]:
         if isinstance(error.__cause__, OSError) and error.__cause__.errno in _FULL:
             raise StageError(f"{what}: {_reason(error.__cause__)}.") from error
         raise
-    except OSError as error:
-        raise StageError(f"{what}: {_reason(error)}.") from error
-    except MemoryError as error:
-        raise StageError(f"{what}: the memory is used up.") from error
+    except Exception as error:
+        if is_lack_of_memory(error):
+            raise StageError(f"{what}: the memory is used up.") from error
+        if isinstance(error, OSError):
+            raise StageError(f"{what}: {_reason(error)}.") from error
+        raise
 
 
 def _reason(error: OSError) -> str:

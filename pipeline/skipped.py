@@ -1,4 +1,4 @@
-"""What is said of frames that a stage skipped."""
+"""What is said of frames that could not be used."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 
 def said_of_skipped(skipped: Sequence[Mapping[str, Any]]) -> str:
-    """Return the warning that stands among a stage's figures: how many frames, and why the first of them."""
+    """Return the warning: how many frames were left out, and why the first of them."""
     first = skipped[0]
-    return f"{len(skipped)} frames were skipped; the first, {first['frame']}: {first['reason']}"
+    count = f"{len(skipped)} frame{'s' * (len(skipped) != 1)}"
+    return f"left out {count}; the first is {first['frame']}: {first['reason']}"

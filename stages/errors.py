@@ -6,9 +6,12 @@ import errno
 import re
 from pathlib import Path
 
-# What the system's loader says of a library it has no room for, and Python of a thread. The loader says
-# "cannot allocate memory in static TLS block" where it lacks something else.
-_NO_ROOM = re.compile("failed to map segment|cannot allocate memory$|can't start new thread", re.IGNORECASE)
+# What the system's loader says of a library it has no room for, Python of a thread, and Open3D of an array.
+# The loader says "cannot allocate memory in static TLS block" where it lacks something else.
+_NO_ROOM = re.compile(
+    "failed to map segment|cannot allocate memory$|can't start new thread|malloc failed|unable to allocate ",
+    re.IGNORECASE,
+)
 # OpenCV's own number for it, StsNoMem.
 _OPENCV_NO_MEMORY = -4
 

@@ -36,5 +36,5 @@ def depth(
     measure = stages.views_depth if source.is_views else stages.depth_scan
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, measure(source, params, progress), len(source.frames))
-    tell_skipped(out, "depth", figures)
+    tell_skipped(out, "depth", figures["frames_skipped"])
     out.result({"output": str(target), **figures})

@@ -51,5 +51,5 @@ def fuse(
         fused = stages.fuse(source, params, progress=progress)
     write_file(target, fused.mesh, out)
     figures = fused.figures()
-    tell_skipped(out, "fuse", figures)
+    tell_skipped(out, "fuse", figures["frames_skipped"])
     out.result({"output": str(target), **figures})

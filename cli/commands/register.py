@@ -46,7 +46,7 @@ def register(
     require_complete(source, folder, posed=False)
     with new_folder(target) as draft, out.progress("register", "frames") as progress:
         figures = write(draft, stages.register(source, params, progress=progress))
-    tell_skipped(out, "register", figures)
+    tell_skipped(out, "register", figures["frames_skipped"])
     out.warn_of(figures)
     for sentence in unmet(figures):
         out.unmet(sentence)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -105,31 +105,17 @@ def run(
     config = replace(config, scan=replace(config.scan, **scan_options))
     chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
     require_writable(target)
+    how: dict[str, Any] = {
+        "until": until,
+        "force": tuple(force or ()),
+        "cache_dir": cache,
+        "overwrite": overwrite,
+    }
     if dry_run:
-        _tell_dry_run(
-            foresee(
-                scan,
-                target,
-                config,
-                until=until,
-                force=tuple(force or ()),
-                cache_dir=cache,
-                overwrite=overwrite,
-            ),
-            out,
-        )
+        _tell_dry_run(foresee(scan, target, config, **how), out)
         return
     with watching(out) as events:
-        result = run_pipeline(
-            scan,
-            target,
-            config,
-            until=until,
-            force=tuple(force or ()),
-            cache_dir=cache,
-            overwrite=overwrite,
-            events=events,
-        )
+        result = run_pipeline(scan, target, config, **how, events=events)
     for sentence in result.unmet:
         out.unmet(sentence)
     out.result(result.figures(), _summary(result))

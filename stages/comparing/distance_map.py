@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stages._opencv import require_opencv
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 
@@ -29,6 +30,7 @@ def distance_map(mesh: Mesh, other: Surface, full_scale: float | None = None) ->
     -------
     The painted mesh, and `full_scale` as it was used.
     """
+    require_opencv()
     import cv2
 
     distances = other.closest(mesh.vertices).distances

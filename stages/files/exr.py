@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import content_of, opened, said_of
+from stages.files.room import require_room
 
 _HEADER_BYTES = 1 << 19
 _START = b"v/1\x01"
@@ -26,6 +27,8 @@ _START = b"v/1\x01"
 _UNREAD = 0x200 | 0x800 | 0x1000
 # Rows of pixels a chunk, by compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB.
 _ROWS = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
+# Of the largest kind of number, once as it is decoded and once as it is handed out.
+_NUMBER_BYTES = 8
 # What depth is called, the surest first; a lone channel may have any name.
 _NAMES = ("Z", "Depth.Z", "depth.Z", "depth", "Depth", "D", "Y", "V")
 # The library reports faults of a file with print(), which has one destination for all threads.
@@ -81,6 +84,7 @@ def read_exr(path: Path) -> NDArray[Any]:
             file = OpenEXR.File(str(path), separate_channels=True)
         channels = {name: channel.pixels for name, channel in file.channels().items()}
     except (RuntimeError, ValueError, IndexError, MemoryError) as error:
+        require_room(_NUMBER_BYTES * header.width * header.height * header.channels)
         raise InputError("the image does not decode; it is damaged.", path) from error
     depth = _depth_of(channels)
     if depth is None:

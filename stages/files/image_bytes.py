@@ -11,6 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
+from stages.files.room import require_room
+
+# Four channels of 16 bits, once as they are decoded and once as they are handed out.
+_PIXEL_BYTES = 16
 # No camera in use makes larger images; a header that promises more is damaged or hostile.
 MAX_PIXELS = 1 << 27
 # Textures are put together from many images: 16384 texels a side.
@@ -45,6 +50,7 @@ def kind_of(data: bytes, name: str = "") -> tuple[str, str]:
 
 def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     """Return the image as (h, w, 3) RGB or (h, w, 4) RGBA uint8, top row first; None if it is damaged."""
+    require_opencv()
     import cv2
 
     size = promised_size(data)
@@ -57,6 +63,7 @@ def decoded_image(data: bytes) -> NDArray[np.uint8] | None:
     except cv2.error:
         image = None
     if image is None:
+        require_room_for(size)
         return _decoded_by_pillow(data)
     if image.dtype == np.uint16:
         image = np.rint(image / 257).astype(np.uint8)
@@ -85,6 +92,7 @@ def _decoded_by_pillow(data: bytes) -> NDArray[np.uint8] | None:
 
 def encoded_png(image: NDArray[np.uint8]) -> bytes:
     """Return an RGB or RGBA image as a PNG file."""
+    require_opencv()
     import cv2
 
     code = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
@@ -103,6 +111,15 @@ def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 def is_possible(size: tuple[int, int], most: int = MAX_PIXELS) -> bool:
     """Return whether an image of (width, height) pixels is one, and no larger than cameras make them."""
     return size[0] > 0 and size[1] > 0 and size[0] * size[1] <= most
+
+
+def require_room_for(size: tuple[int, int] | None) -> None:
+    """Raise MemoryError where an image of this size does not decode for want of memory.
+
+    OpenCV keeps that to itself.
+    """
+    width, height = size or (0, 0)
+    require_room(_PIXEL_BYTES * width * height)
 
 
 def is_cut_short(data: bytes) -> bool:

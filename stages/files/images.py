@@ -12,14 +12,23 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
 from stages.errors import InputError
 from stages.files.exr import exr_size, read_exr
-from stages.files.image_bytes import MAX_PIXELS, PNG_START, is_cut_short, is_possible, promised_size
+from stages.files.image_bytes import (
+    MAX_PIXELS,
+    PNG_START,
+    is_cut_short,
+    is_possible,
+    promised_size,
+    require_room_for,
+)
 from stages.files.opening import content_of, opened, require_regular, said_of
+from stages.files.room import require_room
 
 # Enough of a file to hold its size; a JPEG may carry up to 64 kB blocks (EXIF, colour profile) before it.
 _HEADER_BYTES = 1 << 19
-# What numpy raises for damaged headers, which it parses as Python.
+# What numpy raises for damaged headers, which it parses as Python: MemoryError for signs upon signs.
 _NPY_FAULTS = (
     OSError,
     ValueError,
@@ -74,6 +83,7 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
             # Mapped, not read: a header that promises more than the file holds then fails at once.
             raw: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
         except _NPY_FAULTS as error:
+            require_room(path.stat().st_size if path.is_file() else 0)
             raise InputError(f"the depth map cannot be read ({error}).", path) from error
     elif path.suffix.lower() == ".exr":
         raw = read_exr(path)
@@ -103,6 +113,7 @@ def decode_color(data: bytes, source: Path | str) -> NDArray[np.uint8]:
     InputError
         If it does not decode or holds other than 8 bits a channel; `source` is named.
     """
+    require_opencv()
     import cv2
 
     image = _decoded(data, source)
@@ -176,6 +187,7 @@ def _require_possible(size: tuple[int, int], source: Path | str) -> None:
 
 
 def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
+    require_opencv()
     import cv2
 
     if is_cut_short(data):
@@ -188,5 +200,6 @@ def _decoded(data: bytes, source: Path | str) -> NDArray[Any]:
     except cv2.error:
         image = None
     if image is None:
+        require_room_for(size)
         raise InputError("the image does not decode; it is damaged or of an unknown format.", source)
     return np.asarray(image)

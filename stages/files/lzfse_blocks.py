@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 
 from stages.errors import InputError
+from stages.files.room import require_room
 
 # An encoder fills blocks of tens of kilobytes; thousands of small ones are made to swell.
 _SMALLEST_BLOCK = 1 << 12
@@ -32,6 +33,7 @@ def decompress(data: bytes, size: int, source: str) -> bytes:
     try:
         raw = bytes(lzfse.decompress(data))
     except (lzfse.error, ValueError, MemoryError) as error:
+        require_room(2 * size)
         raise InputError("the LZFSE data is damaged or cut short.", source) from error
     if len(raw) != size:
         raise InputError("the LZFSE data is damaged or cut short.", source)

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
 from stages.errors import InputError
 from stages.files.replacing import replacing
 from stages.params import former_keyword
@@ -80,6 +81,7 @@ def write_png(path: Path, image: ColorImage) -> None:
     StageError
         If the file cannot be written.
     """
+    require_opencv()
     import cv2
 
     _, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))

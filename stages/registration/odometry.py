@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
+from stages.errors import is_lack_of_memory
 from stages.registration.view import View
 from stages.scans.scan import Pose
 
@@ -91,7 +92,9 @@ def _align(
             odometry.Method.PointToPlane,
             loss,
         )
-    except RuntimeError:
+    except RuntimeError as error:
+        if is_lack_of_memory(error):
+            raise
         # Open3D raises where no pixel meets the other surface, or the system cannot be solved.
         return None
     pose = found.transformation.numpy().astype(np.float64)

@@ -9,6 +9,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
+from stages._blas import require_buffers
+
 # More threads than this wait for memory, and hold that many images.
 _MOST_WORKERS = 8
 
@@ -32,6 +34,7 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
     threads : workers; `work` must release the GIL (as OpenCV and file reading do) for them to help.
     ahead : the bound on memory, in results.
     """
+    require_buffers(threads + 1)
     rest = iter(items)
     pool = ThreadPoolExecutor(threads, thread_name_prefix="read-ahead")
     pending: deque[Future[R]] = deque()

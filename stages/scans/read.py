@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from stages._blas import require_buffers
+from stages._opencv import require_opencv
 from stages.errors import InputError, UsageError
 from stages.scans.layouts.refused import Refused, refused
 from stages.scans.params import ScanParams
@@ -32,6 +34,8 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     InputError
         If the folder is of no known layout, or something a scan needs is missing or wrong.
     """
+    require_buffers(1)
+    require_opencv()
     folder = Path(folder)
     options = options or ScanParams()
     layout = next((one for one in LAYOUTS if one.name == options.layout), None)

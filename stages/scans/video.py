@@ -12,10 +12,13 @@ import numpy as np
 from stages.errors import InputError
 from stages.files.image_bytes import MAX_PIXELS
 from stages.files.opening import opened
+from stages.files.room import require_room
 from stages.scans.scan import ColorImage
 
 # The last frames stay in memory: threads ask for neighbours in an order of their own.
 _KEPT_BYTES = 1 << 27
+# A decoder keeps up to 16 pictures that others refer to, and some on their way.
+_PICTURES = 20
 # How MP4 and QuickTime begin. FFmpeg knows playlists, too, and would open what they name.
 _STARTS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 
@@ -86,6 +89,8 @@ class Video:
                 self._kept.popitem(last=False)
 
     def _ended(self, number: int) -> InputError:
+        """Return what to raise, unless it was memory that ended."""
+        require_room(_PICTURES * 3 * self.width * self.height)
         return InputError(
             f"frame {number} is not there: the video ends or is damaged after {self._end} frames.", self.path
         )
@@ -103,6 +108,7 @@ class Video:
         self._capture: Any = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         self._next = 0
         if not self._capture.isOpened():
+            require_room()
             raise InputError(
                 "the video does not open; it is damaged or was cut short. Copy it again.", self.path
             )

@@ -16,7 +16,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from stages.errors import InputError, UsageError
+from stages._blas import require_buffers
+from stages.errors import InputError, UsageError, is_lack_of_memory
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.surface.convert import as_mesh, to_trimesh
@@ -42,6 +43,7 @@ def read_mesh(path: Path | str) -> Mesh:
         If the file is missing, of an unknown format, damaged, or holds no triangles; one sentence with the
         name of the file.
     """
+    require_buffers(1)
     path = Path(path)
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
@@ -125,9 +127,9 @@ def _read_with_trimesh(path: Path, extension: str) -> Mesh:
         with _quiet():
             scene = trimesh.load_scene(io.BytesIO(data), file_type=extension[1:], process=False)
             parts = [_placed(scene, node) for node in scene.graph.nodes_geometry]
-    except MemoryError:
-        raise InputError("promises more data than fits in memory; it is damaged.", path) from None
     except Exception as error:  # trimesh's readers raise whatever the first bad value leads to
+        if is_lack_of_memory(error):
+            raise
         raise InputError(
             f"cannot be read as {extension[1:].upper()}: it is empty, damaged or cut short; "
             "get a whole copy of it.",

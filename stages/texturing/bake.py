@@ -32,11 +32,12 @@ from stages.surface.topology import areas, require_area
 from stages.texturing.atlas import Atlas, unwrap
 from stages.texturing.facing import FacingColors
 from stages.texturing.filling import filled_up
+from stages.texturing.reducing import reduced
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 _MIN_SIZE = 64
 # Of the image, that charts fill; used to choose its size.
@@ -195,7 +196,10 @@ def bake(
     require_area(reference, "original")
     if not has_color(reference):
         raise MeshError("has neither vertex colours nor a texture; there is nothing to bake.", "original")
-    detail = _detail(reference) * _stretch(given, reference)
+    stretch = _stretch(given, reference)
+    finest = max(params.texel_size or 0.0, _side(given) / params.max_size)
+    shown = reduced(reference, finest / stretch, _MOST_SAMPLES / _SAMPLES_PER_DETAIL)
+    detail = _detail(shown) * stretch
     size = _image_size(given, params.texel_size or detail, params.max_size)
     padding = params.padding or max(_LEAST_PADDING, size // _SIDE_PER_PADDING)
     atlas = unwrap(given, size, padding, progress)
@@ -203,11 +207,14 @@ def bake(
     samples = params.samples or min(math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail), _MOST_SAMPLES)
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
-    colors_of = FacingColors(surface, given, texel_size)
+    colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
     image, coverage, turned = _image(atlas, samples, colors_of, progress)
     mesh = _textured(given, atlas, image)
     if _is_transparent(reference):
         mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
+    if shown is not reference:
+        note = f"bake left out: detail of the original's images that {size} × {size} texels cannot show."
+        mesh = mesh.with_(notes=(*mesh.notes, note))
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
     assert error is not None
     return Baked(
@@ -244,7 +251,7 @@ def _detail(original: Mesh) -> float:
     if texture is not None:
         images = [pixels_of(material) for material in texture.materials]
         # The last one stands for triangles without a material.
-        texels_of = np.array([*(0 if image is None else image[..., 0].size for image in images), 0])
+        texels_of = np.array([*(_texel_count(image) for image in images), 0])
         texels = np.abs(signed_areas(texture.uvs)) * texels_of[texture.material_ids]
         on_image = texels > 0
         # Where most of the surface has a texture, that is what there is to keep.
@@ -255,6 +262,12 @@ def _detail(original: Mesh) -> float:
     return max(_DETAIL_OF_EDGE * float(lengths.mean()), least)
 
 
+def _texel_count(image: NDArray[np.uint8] | None) -> int:
+    """Return how many texels show a detail: a single one has none, however often it is repeated."""
+    count = 0 if image is None else image.shape[0] * image.shape[1]
+    return count if count > 1 else 0
+
+
 def _stretch(light: Mesh, original: Mesh) -> float:
     """Return how much larger the original's details are on the light mesh: 1 where both show one surface."""
     light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
@@ -262,11 +275,16 @@ def _stretch(light: Mesh, original: Mesh) -> float:
 
 
 def _image_size(mesh: Mesh, texel_size: float, max_size: int) -> int:
-    wanted = math.sqrt(areas(mesh.vertices, mesh.triangles).sum() / _FILLED) / texel_size
+    wanted = _side(mesh) / texel_size
     size = _MIN_SIZE
     while size < min(wanted, max_size):
         size *= 2
     return size
+
+
+def _side(mesh: Mesh) -> float:
+    """Return how long, in metres, the side of an image is that shows all of a mesh."""
+    return math.sqrt(areas(mesh.vertices, mesh.triangles).sum() / _FILLED)
 
 
 def _texel_size(mesh: Mesh, atlas: Atlas) -> float:

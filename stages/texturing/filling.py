@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stages._opencv import require_opencv
+
 
 def filled_up(image: NDArray[np.float32], filled: NDArray[np.bool_], padding: int) -> NDArray[np.uint8]:
     """Fill the gaps: near charts with the colour of the nearest texel, beyond with means that grow softer."""
+    require_opencv()
     import cv2
 
     # Labels number the filled texels; each texel gets that of the nearest.

@@ -9,11 +9,14 @@ from tests.campaign.container_damage import CONTAINERS
 from tests.campaign.json_damage import damaged_json
 from tests.campaign.text_damage import damaged_text
 
+# A part repeated a thousand times, of which a part is: a gigabyte, for which a case has no room.
+_LARGEST = 1 << 26
+
 
 def damaged(data: bytes, draw: random.Random) -> bytes:
     """Return the content of a file with one to three damages, most of them within its structure."""
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
-        data = _once(data, draw) if data else damaged_bytes(data, draw)
+        data = (_once(data, draw) if data else damaged_bytes(data, draw))[:_LARGEST]
     return data
 
 

@@ -32,6 +32,9 @@ _PIECE = "kernels/src/certify/piece.rs"
 _REFINE = "kernels/src/certify/refine.rs"
 _DECIDE = "kernels/src/certify/decide.rs"
 _COVER = "kernels/src/certify/cover.rs"
+_ENGINE = "kernels/src/collapse/engine.rs"
+_PLACEMENT = "kernels/src/quadrics/placement.rs"
+_QEM = "kernels/src/quadric/qem.rs"
 
 MUTANTS: dict[str, Mutant] = {
     "bridge": Mutant(
@@ -88,7 +91,7 @@ MUTANTS: dict[str, Mutant] = {
         _DECIDE,
         "if !outcome.bound.within(goal.at_most) {",
         "if !outcome.bound.within(goal.at_most) && seen.pieces == 0 {",
-        "no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it",
+        "a_part_that_is_not_proven_keeps_the_whole_from_being_proven",
     ),
     "cover-limit": Mutant(
         "the quick proof keeps the slack within the limit",
@@ -96,5 +99,75 @@ MUTANTS: dict[str, Mutant] = {
         "let most = limit.shape - against.slack;",
         "let most = 2.0 * limit.shape - against.slack;",
         "no_point_of_a_triangle_said_to_stay_within_a_limit_passes_it",
+    ),
+    "fold": Mutant(
+        "no triangle turns over",
+        _LEGALITY,
+        "if cosine < least * (old_area2 * new_area2).sqrt() {",
+        "if cosine < -2.0 * (old_area2 * new_area2).sqrt() {",
+        "no_triangle_turns_over",
+    ),
+    "needle": Mutant(
+        "no triangle becomes a line",
+        _LEGALITY,
+        "if new_area2 <= least2 * new_side2 * new_side2",
+        "if new_area2 < 0.0 * new_side2",
+        "no_triangle_becomes_a_line",
+    ),
+    "fold-asked": Mutant(
+        "every proposal is asked whether it folds a triangle",
+        _ENGINE,
+        "keeps_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;",
+        "let _ = keeps_triangles(&self.star, &proposal.point);",
+        "no_triangle_turns_over",
+    ),
+    "both-locked": Mutant(
+        "an edge between two locked vertices does not collapse",
+        _ENGINE,
+        "if self.star.end_stays == [true, true] {",
+        "if self.star.end_stays == [true, true] && self.attempts == 0 {",
+        "fixed_vertices_stay_bit_for_bit",
+    ),
+    "locked-survives": Mutant(
+        "of an edge with one locked end the locked one survives",
+        _QEM,
+        "[_, true] => 1,",
+        "[_, true] => 0,",
+        "fixed_vertices_stay_bit_for_bit",
+    ),
+    "locked-place": Mutant(
+        "an edge with a locked end becomes that end, attributes included",
+        _QEM,
+        "position(|&v| mesh.lock(v) == Lock::Locked);",
+        "position(|&v| mesh.lock(v) == Lock::Rim);",
+        "fixed_vertices_stay_bit_for_bit",
+    ),
+    "merge-order": Mutant(
+        "priorities never fall from one merge to the next",
+        _ENGINE,
+        "|last| last.priority.max(priority));",
+        "|_| priority);",
+        "priorities_of_merges_never_fall",
+    ),
+    "best-place": Mutant(
+        "a vertex goes where the error is least, not to the middle",
+        _PLACEMENT,
+        "const TETHER: f64 = 1e-9;",
+        "const TETHER: f64 = 1e-1;",
+        "the_best_place_is_where_the_planes_meet",
+    ),
+    "tether": Mutant(
+        "where many places are as good, a vertex goes to that nearest the middle of its edge",
+        _PLACEMENT,
+        "together.minimum(&midpoint(ends[0], ends[1]), TETHER)",
+        "together.minimum(ends[0], TETHER)",
+        "on_a_plane_the_best_place_is_above_the_middle",
+    ),
+    "shorter-first": Mutant(
+        "of edges that cost nothing the shorter goes first",
+        _PLACEMENT,
+        "const SHORTER_FIRST: f64 = 1e-10;",
+        "const SHORTER_FIRST: f64 = -1e-10;",
+        "of_edges_that_cost_nothing_the_shorter_goes_first",
     ),
 }

@@ -89,3 +89,11 @@ def test_the_same_seed_gives_the_same_damage(monkeypatch: pytest.MonkeyPatch) ->
         some = [damaged(data, random.Random(seed)) for seed in range(50)]
         assert some == [damaged(data, random.Random(seed)) for seed in range(50)]
         assert len(set(some)) > 20
+
+
+def test_damage_upon_damage_makes_no_file_of_a_gigabyte(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT))
+    from tests.campaign import damage
+
+    monkeypatch.setattr(damage, "_once", lambda data, _: 3 * data)
+    assert all(len(damage.damaged(bytes(1 << 25), random.Random(seed))) <= 1 << 26 for seed in range(5))

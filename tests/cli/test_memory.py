@@ -14,6 +14,7 @@ from cli.app import run_command
 from stages.surface.formats.ply import write_ply
 from tests.made.coloured_meshes import sheet
 
+SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 COMMANDS = {
     "quadric": "simplify mesh.ply out.ply --method quadric --ratio 0.1",
     "jia01": "simplify mesh.ply out.ply --method jia01 --ratio 0.3",
@@ -28,13 +29,21 @@ COMMANDS = {
     "patches": "patches mesh.ply out.ply",
     "bake": "bake mesh.ply light.ply out.glb",
     "replay": "replay made.npz out.ply --ratio 0.5",
+    "render": "render mesh.ply out.png",
+    "inspect": "inspect rgbd --picture out.png",
+    "fuse": "fuse rgbd out.ply --voxel-size 0.01",
+    "register": "register rgbd registered-{} --every 4",
+    "depth": "depth stereo depth-{}",
+    "run": "run rgbd -o run-{} --set fuse.voxel_size=0.02",
 }
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A mesh, a light one, the record of that, and a normal mesh."""
+    """Both samples, a mesh, a light one, the record of that, and a normal mesh."""
     folder = tmp_path_factory.mktemp("memory")
+    for sample in ("rgbd", "stereo"):
+        (folder / sample).symlink_to(SAMPLES / sample)
     write_ply(folder / "mesh.ply", sheet(60))
     files = {
         name: str(folder / name) for name in ("mesh.ply", "light.ply", "made.npz", "made.snm", "made.ply")

@@ -132,6 +132,10 @@ def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code
         ImportError("libx.so: failed to map segment from shared object"),
         ImportError("libx.so: cannot create shared object descriptor: Cannot allocate memory"),
         RuntimeError("can't start new thread"),
+        RuntimeError("[Open3D Error] (void* Malloc(size_t)) MemoryManagerCPU.cpp:20: CPU malloc failed"),
+        RuntimeError(
+            "[Open3D Error] VoxelBlockGridImpl.h:1423: Unable to allocate assistance mesh structure"
+        ),
     ],
 )
 def test_a_lack_of_memory_is_explained(error: Exception) -> None:

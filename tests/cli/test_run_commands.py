@@ -117,7 +117,7 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
     ran = scanloom(*words)
     assert ran.exit_code == 0, ran.stderr
     assert re.search(
-        r"^warning: fuse left out 1 frame; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
+        r"^warning: fuse: left out 1 frame; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
     )
     # Said once.
     assert ran.stderr.count("depth-3.png") == 1

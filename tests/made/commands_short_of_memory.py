@@ -2,6 +2,7 @@
 
 `python -m tests.made.commands_short_of_memory WORDS…` runs a command line, and writes the exit code and the
 output of each run as JSON, by how much the process was allowed to grow. Libraries are imported before.
+"{}" in a word stands for the number of the run, whose results then are no other's.
 """
 
 from __future__ import annotations
@@ -10,9 +11,14 @@ import json
 import os
 import sys
 
+import numpy as np
+
 from cli.app import run_command
 from stages._open3d import open3d
 from tests.made.short_of_memory import limit
+
+# Large enough for all threads to be at it.
+_FACTOR = np.eye(400)
 
 
 def ran(words: list[str], spare: int) -> tuple[int, str]:
@@ -24,6 +30,8 @@ def ran(words: list[str], spare: int) -> tuple[int, str]:
         os.dup2(writing, 2)
         code = 99
         try:
+            # OpenBLAS begins its threads again after a fork; a command has them from its imports.
+            np.dot(_FACTOR, _FACTOR)
             limit(spare)
             code = run_command(words)
             sys.stdout.flush()
@@ -47,7 +55,8 @@ def main() -> None:
     open3d()
     words = sys.argv[1:]
     megabytes = (400, 200, 150, 120, 100, 80, 60, 40, 20, 10, 5, 4, 3, 2, 0)
-    sys.stdout.write(json.dumps({f"{m} MiB": ran(words, m << 20) for m in megabytes}))
+    ends = {f"{m} MiB": ran([word.format(m) for word in words], m << 20) for m in megabytes}
+    sys.stdout.write(json.dumps(ends))
 
 
 if __name__ == "__main__":

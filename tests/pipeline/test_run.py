@@ -292,7 +292,7 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
         [skipped] = result.stages[0].figures["frames_skipped"]
         assert "0003" in skipped["reason"]
         [warned] = [event.text for event in events if isinstance(event, Warned)]
-        assert warned.startswith("fuse: 1 frames were skipped; the first, ")
+        assert warned.startswith("fuse: left out 1 frame; the first is ")
 
 
 def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):

@@ -1,4 +1,4 @@
-"""Memory that cannot be had: every kernel says so, and the process goes on."""
+"""Memory that cannot be had: every kernel and every reader says so, and the process goes on."""
 
 from __future__ import annotations
 
@@ -6,10 +6,15 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from stages import _kernels
+from stages.surface.mesh_files import write_mesh
+from tests.made.coloured_meshes import sheet
 from tests.made.short_of_memory import DONE, MEMORY
 
 # Squares along the sides of the sheet that each works on: as many as a second or two of work allow.
@@ -35,18 +40,55 @@ def test_every_kernel_is_here() -> None:
     assert set(SIDES) == {name for name in _kernels.__all__ if name.islower()}
 
 
+# A file of each kind, of a size that takes some memory to read.
+FILES = ("rgb.png", "rgb.jpg", "z.exr", "z.npy", "z.png", "m.ply", "m.obj", "m.off", "m.stl", "m.glb")
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("kernel", SIDES)
 def test_too_little_memory_is_an_error_and_no_abort(kernel: str) -> None:
-    # One arena: glibc otherwise reserves 64 MiB for a thread, and most of these sheets find room in it.
+    ends = ends_of("short_of_memory", kernel, str(SIDES[kernel]))
+    assert {end for how in ends.values() for end in how.values()} <= {DONE, MEMORY}, ends
+    assert ends["falling"]["0 MiB"] == MEMORY
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_does_not_fit_is_not_called_damaged(name: str, tmp_path: Path) -> None:
+    write_file(tmp_path / name)
+    ends = ends_of("readers_short_of_memory", str(tmp_path / name))
+    assert set(ends.values()) <= {DONE, MEMORY}, ends
+    assert (ends["800 MiB"], ends["0 MiB"]) == (DONE, MEMORY)
+
+
+def ends_of(module: str, *words: str) -> dict[str, Any]:
+    # One arena: glibc otherwise reserves 64 MiB for a thread, and much of what is read here finds room in it.
     run = subprocess.run(
-        [sys.executable, "-m", "tests.made.short_of_memory", kernel, str(SIDES[kernel])],
+        [sys.executable, "-m", f"tests.made.{module}", *words],
         env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
         stdout=subprocess.PIPE,
         text=True,
         check=True,
     )
-    ends = json.loads(run.stdout)
-    assert {end for how in ends.values() for end in how.values()} <= {DONE, MEMORY}, ends
-    assert ends["falling"]["0 MiB"] == MEMORY
+    ends: dict[str, Any] = json.loads(run.stdout)
+    return ends
+
+
+def write_file(path: Path) -> None:
+    import cv2
+    import OpenEXR
+
+    side = 2500
+    if path.stem == "m":
+        write_mesh(path, sheet(100))
+    elif path.suffix == ".npy":
+        np.save(path, np.ones((side, side), np.float32))
+    elif path.suffix == ".exr":
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        with OpenEXR.File(header, {"Z": np.ones((side, side), np.float32)}) as file:
+            file.write(str(path))
+    else:
+        shape, dtype = ((side, side), np.uint16) if path.stem == "z" else ((side, side, 3), np.uint8)
+        assert cv2.imwrite(str(path), np.ones(shape, dtype))

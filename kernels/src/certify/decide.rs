@@ -122,3 +122,40 @@ fn halves(against: &Against<'_>, part: &Part, seen: &mut Outcome) -> [Part; 2] {
         half
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::piece::Wanted;
+    use super::super::surface::Surface;
+    use super::*;
+    use crate::base::progress::Control;
+
+    /// Small triangles under the corners of a large one and under its middle: what was looked at is near, nothing else is.
+    #[test]
+    fn a_part_that_is_not_proven_keeps_the_whole_from_being_proven() {
+        let large = [[0.0, 0.0, 0.0], [12.0, 0.0, 0.0], [0.0, 12.0, 0.0]];
+        let places = [large[0], large[1], large[2], [4.0, 4.0, 0.0]];
+        let around = |[x, y, z]: [f64; 3]| [[x - 0.1, y - 0.1, z], [x + 0.1, y - 0.1, z], [x, y + 0.2, z]];
+        let points: Vec<[f64; 3]> = places.into_iter().flat_map(around).collect();
+        let triangles: Vec<[u32; 3]> = (0..4).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        let target = Surface::new(&points, &triangles, 1).unwrap();
+        let against = Against {
+            target: &target,
+            slack: 1e-6,
+            color_range: 0.0,
+            with_color: false,
+            wanted: Wanted::None,
+        };
+        let corners = large.map(|at| Corner { at, color: [0.0; 3], reach: 0.0 });
+        let near = large.map(|at| target.nearest(&at, 0).slot);
+        let limit = Deviation { shape: 0.5, color: f64::INFINITY };
+        let found = |pieces| {
+            let (goal, control) = (Goal::decision(limit, pieces), Control::default());
+            let (scratch, progress) = (&mut Scratch::default(), &mut Progress::new(&control));
+            decide(&against, corners, near, Deviation::default(), &goal, scratch, progress).unwrap()
+        };
+        let open = found(1);
+        assert!(open.attained.within(limit) && !open.bound.within(limit), "{open:?}");
+        assert!(!found(100).attained.within(limit));
+    }
+}

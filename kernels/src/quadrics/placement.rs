@@ -21,3 +21,44 @@ pub fn best_place<const K: usize>(together: &Quadric<K>, ends: [&Vec3; 2]) -> (V
 pub fn shorter_first(area: f64, ends: [&Vec3; 2]) -> f64 {
     SHORTER_FIRST * area * distance2(ends[0], ends[1])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three triangles in the planes x = 1, y = 2 and z = 3.
+    #[test]
+    fn the_best_place_is_where_the_planes_meet() {
+        let mut together = Quadric::<0>::default();
+        for axis in 0..3 {
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            let corner = |along: f64, across: f64| {
+                let mut p = [1.0, 2.0, 3.0];
+                p[next] += along;
+                p[last] += across;
+                p
+            };
+            let corners = [corner(5.0, 5.0), corner(6.0, 5.0), corner(5.0, 7.0)];
+            together.add(&Quadric::of_triangle(corners.each_ref(), 1.0));
+        }
+        let (place, error) = best_place(&together, [&[0.0, 0.0, 0.0], &[1.0, 1.0, 2.0]]);
+        assert!(distance2(&place, &[1.0, 2.0, 3.0]) < 1e-12, "{place:?}");
+        assert!(error < 1e-6, "{error}");
+    }
+
+    #[test]
+    fn on_a_plane_the_best_place_is_above_the_middle() {
+        let corners = [[0.0, 0.0, 1.0], [4.0, 0.0, 1.0], [0.0, 4.0, 1.0]];
+        let plane = Quadric::<0>::of_triangle(corners.each_ref(), 1.0);
+        let (place, _) = best_place(&plane, [&[8.0, 1.0, 0.0], &[10.0, 3.0, 0.0]]);
+        assert!(distance2(&place, &[9.0, 2.0, 1.0]) < 1e-12, "{place:?}");
+    }
+
+    #[test]
+    fn of_edges_that_cost_nothing_the_shorter_goes_first() {
+        let from = [0.0; 3];
+        assert!(
+            shorter_first(2.0, [&from, &[1.0, 0.0, 0.0]]) < shorter_first(2.0, [&from, &[0.0, 1.1, 0.0]])
+        );
+    }
+}

@@ -1,7 +1,7 @@
 //! The engine carries other measures than JIA01: here the shortest edge first, half-edge, with locked vertices.
 
-use crate::common::{coloured, gallery, sheet};
-use scanloom_kernels::base::geometry::distance2;
+use crate::common::{Noise, coloured, gallery, sheet};
+use scanloom_kernels::base::geometry::{cross, distance2, sub};
 use scanloom_kernels::base::ids::{EdgeId, TriangleId, VertexId};
 use scanloom_kernels::collapse::engine::{Collapsed, Engine, Measure, Proposal, Refusal, Step};
 use scanloom_kernels::mesh::star::Star;
@@ -130,4 +130,53 @@ fn commit_sees_which_triangles_vanished_and_moved() {
     covered.sort_unstable();
     covered.dedup();
     assert_eq!(covered, (0..triangles.len() as u32).collect::<Vec<_>>());
+}
+
+/// Twice the height above the paper's plane of what a flat mesh turns up, for each of its triangles.
+fn turned_up(mesh: &Mesh<3>) -> impl Iterator<Item = f64> + '_ {
+    mesh.connectivity.triangles().map(|t| {
+        let [a, b, c] = mesh.connectivity.corners(t).map(|v| mesh.point(v));
+        cross(&sub(b, a), &sub(c, a))[2]
+    })
+}
+
+/// Collapse all that a flat sheet allows; every triangle shows its upper side after each step.
+fn require_upper_sides(points: &[[f64; 3]], triangles: &[[u32; 3]]) {
+    let mut engine = engine(points, triangles, &[]);
+    assert!(turned_up(engine.mesh()).all(|up| up > 0.0));
+    loop {
+        match engine.step() {
+            Step::Finished => break,
+            Step::Refused(..) => {}
+            Step::Collapsed(_) => assert!(turned_up(engine.mesh()).all(|up| up > 0.0)),
+        }
+    }
+    assert!(engine.merges().len() > triangles.len() / 4);
+}
+
+#[test]
+fn no_triangle_turns_over() {
+    let (mut points, triangles) = sheet(14, 14);
+    let mut noise = Noise(21);
+    for p in &mut points {
+        *p = [p[0] + 0.4 * (noise.next() - 0.5), p[1] + 0.4 * (noise.next() - 0.5), 0.0];
+    }
+    require_upper_sides(&points, &triangles);
+}
+
+/// Corners of this sheet stand in rows: many a collapse would put three of them on one line.
+#[test]
+fn no_triangle_becomes_a_line() {
+    let (points, triangles) = sheet(14, 14);
+    require_upper_sides(&points, &triangles);
+}
+
+#[test]
+fn priorities_of_merges_never_fall() {
+    let (points, triangles) = sheet(14, 14);
+    let points = coloured::<3>(&points, 0.4, 5);
+    let mut engine = engine(&points, &triangles, &[]);
+    while engine.step() != Step::Finished {}
+    assert!(engine.merges().len() > 100);
+    assert!(engine.merges().windows(2).all(|pair| pair[0].priority <= pair[1].priority));
 }

@@ -139,8 +139,9 @@ fn what_is_wrong_is_named_whatever_the_cut() {
 #[test]
 fn fixed_vertices_stay_bit_for_bit() {
     let (points, triangles) = wavy(40, 30);
-    let locked: Vec<bool> = (0..points.len()).map(|v| v % 17 == 0).collect();
-    for region in [150, REGION_TRIANGLES] {
+    // One by one, and two with an edge between them.
+    for (locks, region) in [(1, 150), (1, REGION_TRIANGLES), (2, 150), (2, REGION_TRIANGLES)] {
+        let locked: Vec<bool> = (0..points.len()).map(|v| v % 17 < locks).collect();
         let goal = Goal { triangles: 200, region, ..GOAL };
         let result = compact(simplified(&points, &triangles, locked.clone(), goal).unwrap());
         let left: Vec<u32> = result.vertex_source.iter().copied().filter(|&v| locked[v as usize]).collect();

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files.opening import opened
 from stages.files.replacing import replacing
+from stages.files.room import require_room
 from stages.files.zip_archives import is_bounded
 
 Arrays = dict[str, NDArray[Any]]
@@ -111,6 +112,7 @@ def _require_true_size(content: IO[bytes], size: int) -> None:
     try:
         shape, _, dtype = read_header(content)
     except MemoryError as error:
+        require_room()
         # What Python says of brackets in brackets in brackets; the lines themselves are short.
         raise ValueError from error
     # An empty array, too, could be said to have more rows than anybody has room for.

@@ -79,8 +79,6 @@ def read_gltf(path: Path | str) -> Mesh:
         gltf = read_container(path)
         with np.errstate(all="ignore"):  # what is not finite is refused, or left out, where it ends up
             return _read_scene(gltf)
-    except MemoryError:
-        raise InputError("promises more data than fits in memory; it is damaged.", path) from None
     # What a look-up in a damaged description leads to.
     except (
         KeyError,
@@ -171,7 +169,9 @@ def _part(reading: _Reading, primitive: Tree, matrix: Floats, node: int, name: s
     triangles = _triangles(gltf, primitive, mode, len(vertices))
     reading.corners += triangles.size + len(vertices)
     if reading.corners > _MOST_CORNERS:
-        raise MemoryError
+        raise InputError(
+            f"places more than {_MOST_CORNERS:,} corners and vertices; it is damaged.", gltf.path
+        )
     vertices, triangles, normal_matrix = _placed(vertices, triangles, matrix)
     colors = _colors(reading, attributes, len(vertices))
     material, placement = reading.materials.number(primitive.get("material"), with_colors=colors is not None)

@@ -271,6 +271,37 @@ def test_tiny_triangles_beside_large_ones_need_no_large_image():
     assert bake(soup, soup).size <= 512
 
 
+def textured(mesh: Mesh, image: np.ndarray, repeats: float) -> Mesh:
+    """A mesh over the unit square under an image that is repeated so often to each side."""
+    uvs = repeats * mesh.vertices[mesh.triangles][..., :2]
+    material_ids = np.zeros(len(mesh.triangles), np.int32)
+    return mesh.with_(colors=None, texture=Texture(uvs, material_ids, (Material(image=Image(given=image)),)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("repeats", [5e3, 1e15])
+def test_an_image_that_is_repeated_without_end_becomes_its_mean(repeats):
+    """It got 16 million texels, each of 16 samples, that showed noise."""
+    image = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    original = textured(square(), image, repeats)
+    baked = bake(square(), original)
+    assert baked.size < 512
+    triangles, weights, _ = inside(baked.mesh)
+    assert np.abs(color_at(baked.mesh, triangles, weights) - image.mean(axis=(0, 1))).max() < 1
+    (note,) = baked.mesh.notes
+    assert f"images that {baked.size} × {baked.size} texels cannot show" in note
+
+
+def test_details_that_are_too_fine_are_averaged():
+    """Stripes of a texel, of which three lie within one that is baked: each showed some of them only."""
+    image = np.zeros((512, 512, 3), np.uint8)
+    image[:, ::2] = 200
+    baked = bake(square(), textured(square(), image, 1.0), max_size=64)
+    triangles, weights, _ = inside(baked.mesh)
+    assert color_at(baked.mesh, triangles, weights) == pytest.approx(100, abs=20)
+    assert baked.mesh.notes
+
+
 def test_a_caller_can_stop_it():
     def stop(*_):
         raise KeyboardInterrupt

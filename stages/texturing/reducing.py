@@ -1,0 +1,57 @@
+"""Images of an original, made no finer than the image that is baked can show.
+
+A texture that is repeated thousands of times would otherwise ask for the largest image and the most samples,
+and each texel would get the colour of a few places in it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._opencv import require_opencv
+from stages.surface.color import pixels_of
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Image, signed_areas
+from stages.surface.topology import areas
+
+
+def reduced(mesh: Mesh, texel_size: float, finer: float) -> Mesh:
+    """Return a mesh without images more than `finer` times as fine as `texel_size`, metres on the mesh.
+
+    Such an image is averaged until it is as coarse as that; one that is repeated within it becomes its mean.
+    """
+    texture = mesh.texture
+    if texture is None:
+        return mesh
+    spread = np.abs(signed_areas(texture.uvs))
+    area = np.where(spread > 0, areas(mesh.vertices, mesh.triangles), 0.0)
+    materials = list(texture.materials)
+    # By material, the first for triangles without one.
+    of_materials = partial(np.bincount, texture.material_ids + 1, minlength=len(materials) + 1)
+    sums = zip(of_materials(weights=area)[1:], of_materials(weights=spread)[1:], strict=True)
+    for number, (its_area, its_spread) in enumerate(sums):
+        pixels = pixels_of(materials[number])
+        if pixels is None or not (its_area > 0 and its_spread > 0):
+            continue
+        # Along a side of the image as it lies on the mesh.
+        texels = math.sqrt(its_area / its_spread) / texel_size
+        if math.sqrt(pixels.shape[0] * pixels.shape[1]) > finer * texels:
+            materials[number] = replace(materials[number], image=Image(given=_averaged(pixels, texels)))
+    if all(new is old for new, old in zip(materials, texture.materials, strict=True)):
+        return mesh
+    return mesh.with_(texture=replace(texture, materials=tuple(materials)))
+
+
+def _averaged(pixels: NDArray[np.uint8], texels: float) -> NDArray[np.uint8]:
+    """Return an image of as many pixels as `texels` squared, or one."""
+    require_opencv()
+    import cv2
+
+    share = texels / math.sqrt(pixels.shape[0] * pixels.shape[1])
+    height, width = (max(int(share * size), 1) for size in pixels.shape[:2])
+    return np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,0 +1,42 @@
+"""The reader of a file with less and less memory, each time in a process of its own.
+
+`python -m tests.made.readers_short_of_memory FILE` writes as JSON how each run ended, by how much the process
+was allowed to grow; see `short_of_memory`.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from stages.files.images import read_raw_depth, read_stored
+from stages.surface.mesh_files import EXTENSIONS, read_mesh
+from tests.made.short_of_memory import Call, ended
+
+
+def call_of(file: Path) -> Call:
+    if file.suffix in EXTENSIONS:
+        return partial(read_mesh, file)
+    return partial(read_raw_depth if file.suffix in (".npy", ".exr") else read_stored, file)
+
+
+def main() -> None:
+    # What readers import where they use it.
+    import cv2  # noqa: F401
+    import OpenEXR  # noqa: F401
+    import scipy.sparse  # noqa: F401
+    import trimesh.exchange.load  # noqa: F401
+
+    # OpenBLAS begins its threads again after a fork; a command has them from its imports.
+    np.dot(np.eye(400), np.eye(400))
+    call = call_of(Path(sys.argv[1]))
+    megabytes = (800, 100, 80, 60, 50, 40, 30, 20, 15, 10, 5, 2, 1, 0)
+    sys.stdout.write(json.dumps({f"{m} MiB": ended(call, spare=m << 20) for m in megabytes}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""Room for the buffers of OpenBLAS is asked for before it is needed."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+LACKING = """
+import numpy
+from stages import _blas
+from tests.made.short_of_memory import limit
+limit(30 << 20)
+try:
+    _blas.require_buffers(4)
+except MemoryError:
+    print("memory")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
+def test_no_room_for_a_buffer_is_an_error_and_no_end_of_the_process():
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    run = subprocess.run([sys.executable, "-c", LACKING], env=environment, capture_output=True, text=True)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "memory\n", "")

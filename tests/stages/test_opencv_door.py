@@ -1,0 +1,28 @@
+"""OpenCV is not imported where there is no room for it: its import crashes there."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+LACKING = """
+import numpy
+from stages.files.image_bytes import encoded_png
+from tests.made.short_of_memory import limit
+limit({spare} << 20)
+try:
+    encoded_png(numpy.zeros((4, 4, 3), numpy.uint8))
+except MemoryError:
+    print("memory")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
+@pytest.mark.parametrize("spare", [300, 200, 100])
+def test_no_room_for_opencv_is_an_error_and_no_crash(spare):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    words = [sys.executable, "-c", LACKING.format(spare=spare)]
+    run = subprocess.run(words, env=environment, capture_output=True, text=True)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "memory\n", "")
