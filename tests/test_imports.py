@@ -24,6 +24,7 @@ IMPORTED_AS = {
     "opencv-contrib-python-headless": "cv2",
     "openexr": "OpenEXR",
     "pillow": "PIL",
+    "scikit-image": "skimage",
     "pyyaml": "yaml",
     "libusb-package": "libusb_package",
 }

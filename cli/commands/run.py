@@ -86,11 +86,12 @@ def run(
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
 
-    OUT then holds fused.ply, clean.ply, simplified.ply, textured.glb (the simplified mesh with what the photos
-    show), report.json and pictures. A second run does only what has changed since. --hold-out 10 keeps every
-    tenth frame from all stages and tells how near the result comes to it. With --set bake.enabled=true it also holds baked.glb: the simplified mesh with a
-    texture that shows all colour. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all
-    its levels, and remeshed.snm.
+    OUT then holds fused.ply, clean.ply, simplified.ply, textured.glb (the simplified mesh with what the
+    photos show), report.json and pictures. A second run does only what has changed since. --hold-out 10
+    keeps every tenth frame from all stages and tells how near the result comes to it. With --set
+    bake.enabled=true OUT also holds baked.glb: the simplified mesh with a texture that shows all colour of
+    the clean one. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all its levels, and
+    remeshed.snm.
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """

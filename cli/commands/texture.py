@@ -62,5 +62,5 @@ def texture(
         with new_folder(maps) as draft:
             write_maps(draft, textured)
     figures = textured.figures()
-    tell_skipped(out, "texture", figures)
+    tell_skipped(out, "texture", figures["frames_skipped"])
     out.result({"output": str(target), **figures})

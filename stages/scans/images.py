@@ -18,7 +18,6 @@ from stages.files.images import decode_color, file_bytes, read_raw_depth, read_s
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, scaled
 from stages.scans.undistortion import undistorted
 
-
 # By how much an image may be wider or narrower than its camera says, of its height: rounding of its size.
 _SAME_SHAPE = 0.02
 

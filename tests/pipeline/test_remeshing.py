@@ -30,7 +30,7 @@ QUICK = (
     "remesh.levels=2",
 )
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply"]
+PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply", "textured.glb"]
 OWN = ["levels", "remeshed.ply", "remeshed.snm"]
 
 
