@@ -47,6 +47,9 @@ from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import read_ply, write_ply
 from stages.texturing.bake import bake
 
+# The folder of what adjust found; where nothing is better there is none.
+_ADJUSTED = "adjusted"
+
 
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
@@ -72,7 +75,11 @@ def _adjust(job: Job) -> Mapping[str, Any]:
         # What fuse refuses, and is no matter of centimetres; what is only suspected, it tells.
         require_poses(scan)
     found = adjust(scan, job.config.adjust, progress=job.progress)
-    return from_folder(adjusting.write(job.folder, found), scan.folder)
+    if found.accepted:
+        beside = job.folder / _ADJUSTED
+        beside.mkdir()
+        adjusting.write(beside, found)
+    return from_folder(found.figures(), scan.folder)
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
@@ -164,7 +171,7 @@ def _placed(scan: Scan, job: Job) -> Scan:
     """Return the scan with the poses that were found, and made better, if they were."""
     if "posed" in job.inputs:
         scan = registering.placed(scan, job.inputs["posed"])
-    return adjusting.placed(scan, job.inputs["adjusted"]) if "adjusted" in job.inputs else scan
+    return adjusting.placed(scan, job.inputs["adjusted"] / _ADJUSTED) if "adjusted" in job.inputs else scan
 
 
 def _scan(job: Job) -> Scan:
@@ -266,7 +273,7 @@ STAGES: tuple[Stage, ...] = (
         make=_adjust,
         versions=_of_adjust,
         libraries=_OPENCV | {"scipy": _version("scipy")},
-        results=("adjusted/",),
+        results=(f"{_ADJUSTED}/",),
         cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6),
     ),
     Stage(

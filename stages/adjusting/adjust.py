@@ -17,7 +17,7 @@ from stages.adjusting.look import Look, look, usable, view_or_none
 from stages.adjusting.matching import match
 from stages.adjusting.partners import overlaps, partners
 from stages.adjusting.resection import expected, placed
-from stages.adjusting.view import View, color_camera
+from stages.adjusting.view import BLACK, OVER_EXPOSED, View, color_camera
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, table
 from stages.progress import Progress, silent
@@ -410,10 +410,12 @@ def _as_given(
 
 def _said_of(skipped: Sequence[SkippedFrame]) -> str:
     """Return the end of a sentence that tells of frames that cannot be used; empty without any."""
-    if not skipped:
-        return ""
-    one = skipped[0]
-    return f"; {counted(len(skipped), 'frame')} cannot be used (the first, {one.name}: {one.reason})"
+    said = ""
+    for what in (BLACK, OVER_EXPOSED):
+        count = sum(one.reason == f"its colour image is {what}" for one in skipped)
+        said += f"; {counted(count, 'colour image')} {what}" if count else ""
+        skipped = [one for one in skipped if one.reason != f"its colour image is {what}"]
+    return said + (f"; {counted(len(skipped), 'frame')} cannot be read" if skipped else "")
 
 
 def _in_px(transfer: Transfer) -> dict[str, float]:

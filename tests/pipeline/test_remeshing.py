@@ -117,7 +117,7 @@ def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
     run(scan, out, quick("remesh.enabled=true"))
     finer = run(scan, out, quick("remesh.enabled=true", "remesh.levels=3"))
     assert ran(finer) == ["remesh", "report"]
-    assert "levels 2 → 3" in finer.stages[3].reason
+    assert "levels 2 → 3" in finer.stages[4].reason
     run(scan, out, quick("remesh.enabled=true"))
     assert ran(run(scan, out, quick("remesh.enabled=true", "remesh.threads=1"))) == []
     assert not (out / "levels" / "level_3.ply").exists()
