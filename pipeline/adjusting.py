@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.adjusting.adjust import Adjusted
+from stages.adjusting.adjusted import Adjusted
 from stages.fusion.posed_depth import rigid_pose
 from stages.scans.formats.trajectories import write_tum
 from stages.scans.scan import Camera, Frame, Scan

@@ -21,7 +21,7 @@ _HELD_OUT = 5
 # The colour camera begins as given, and as one that sees more (colour cameras of RGB-D sensors often do).
 _ZOOMS = (1.0, 0.9)
 # Points that are enough to choose by; turns of looking depth up and steps between.
-_FEW, _TURNS, _STEPS = 3000, 6, 3
+_FEW, _TURNS, _STEPS = 1500, 4, 3
 # A colour camera of its own must leave less than this share of the error that nine tenths of the points stay
 # below: a wrong lens is off most at the border of the image.
 _BETTER_CAMERA, _MOST = 0.8, 90

@@ -12,7 +12,7 @@ from stages.adjusting.lens import OPENCV
 from stages.errors import InputError
 from stages.registration.sift import keypoints
 from stages.scans.images import read_color, read_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
 # Wider images are made smaller; transfer errors are in pixels of what is looked at.
 WIDEST = 960
@@ -98,6 +98,14 @@ def read_view(frame: Frame) -> View:
         depth_lens=np.array([given.fx, given.fy, given.cx, given.cy]) / step,
         is_plain=is_plain,
     )
+
+
+def view_or_none(frame: Frame) -> View | SkippedFrame:
+    """Return what is read of a frame, or why it cannot be used."""
+    try:
+        return read_view(frame)
+    except InputError as error:
+        return SkippedFrame(frame.name, str(error).removeprefix(f"frame {frame.name}: ").rstrip("."))
 
 
 def _as_taken(frame: Frame) -> ColorImage | None:
