@@ -15,8 +15,8 @@ from stages.adjusting.view import View, view_or_none
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose, SkippedFrame
 
-# Frames that are looked at, each with the farthest one that has so much of it before it.
-_LOOKS, _OVERLAP = 8, 0.7
+# Frames that are looked at, each with the middle one of those that have so much of it before them.
+_LOOKS, _OVERLAP = 8, 0.8
 # Fewer matches tell nothing; where fewer of them are near each other, poses and depth do not belong together.
 _LEAST, _LEAST_NEAR = 60, 0.5
 
@@ -86,7 +86,8 @@ def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
             shares = overlap_of(views[places[n]], poses[n], poses)
             shares[n] = 0
             enough = np.flatnonzero(shares >= _OVERLAP)
-            wanted[n] = int(enough[np.argmin(shares[enough])] if len(enough) else np.argmax(shares))
+            order = enough[np.argsort(shares[enough], kind="stable")]
+            wanted[n] = int(order[len(order) // 2] if len(order) else np.argmax(shares))
     others = sorted({places[n] for n in wanted.values()} - set(views))
     views |= _read(frames, others, skipped)
     order = sorted(views)
