@@ -86,8 +86,8 @@ def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
             shares = overlap_of(views[places[n]], poses[n], poses)
             shares[n] = 0
             enough = np.flatnonzero(shares >= _OVERLAP)
-            order = enough[np.argsort(shares[enough], kind="stable")]
-            wanted[n] = int(order[len(order) // 2] if len(order) else np.argmax(shares))
+            enough = enough[np.argsort(shares[enough], kind="stable")]
+            wanted[n] = int(enough[len(enough) // 2] if len(enough) else np.argmax(shares))
     others = sorted({places[n] for n in wanted.values()} - set(views))
     views |= _read(frames, others, skipped)
     order = sorted(views)

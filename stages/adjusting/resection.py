@@ -82,16 +82,8 @@ def _placed(
     if len(points) < _LEAST:
         return None
     count = len(points)
-    problem = Problem(
-        tracks=Tracks(np.zeros(count, np.intp), np.arange(count), here, np.zeros(0, np.intp)),
-        normals=np.zeros((count, 3)),
-        depths=np.zeros(count),
-        deviations=np.ones(count),
-        given=one.poses,
-        pose_prior=pose_prior,
-        frees_camera=False,
-        width=view.size[0],
-    )
+    tracks = Tracks(np.zeros(count, np.intp), np.arange(count), here, np.zeros(0, np.intp))
+    problem = Problem.of(tracks, one.poses, pose_prior)
     state = State(one, points, np.zeros(FREE))
     still = np.zeros_like(points)
     for _ in range(_STEPS):
