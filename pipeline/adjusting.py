@@ -1,8 +1,8 @@
 """Leave what adjustment found as files, and give it to the frames it is of.
 
-trajectory.tum   a pose a line, camera-to-world, of the frames that were adjusted
-cameras.json     the same as matrices by the frame's place in the scan; the colour camera, if it was adjusted;
-                 whether it is used, and why
+trajectory.tum   a pose a line, camera-to-world, of all frames that have one: as given where it was not adjusted
+cameras.json     those that were adjusted, as matrices by the frame's place in the scan; the colour camera, if it
+                 was adjusted; whether it is used, and why
 
 Where what was found is not better there is no trajectory, and frames stay as they are.
 """
@@ -29,8 +29,9 @@ def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
     """Write the files into an empty folder; return figures."""
     poses = {place: rigid_pose(found.frames[place]) for place in found.places}
     if poses:
-        times = [_time(place, found.frames[place]) for place in poses]
-        write_tum(folder / "trajectory.tum", times, list(poses.values()))
+        posed = {place: one for place, one in enumerate(found.frames) if one.world_from_camera is not None}
+        times = [_time(place, frame) for place, frame in posed.items()]
+        write_tum(folder / "trajectory.tum", times, [rigid_pose(frame) for frame in posed.values()])
     camera, apart = _color_camera(found)
     document = {
         "accepted": found.accepted,

@@ -137,11 +137,11 @@ class Problem:
         """Return it with the depth that views measure where they now see the points."""
         planes = Planes.met(views, self.tracks.view, _seen(state, self.tracks), 1.0)
         other = self.surfaces.couples[self.surfaces.couple, 1]
-        meetings = Planes.met(views, other, self._across(state)[0], _MEETING)
+        meetings = Planes.met(views, other, self.across(state)[0], _MEETING)
         return replace(self, planes=planes, meetings=meetings)
 
-    def _across(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the points of surfaces (k, 3) in the axes of the other views, and the turns (k, 3, 3) there."""
+    def across(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the points of surfaces (k, 3) in the axes of the other views, and the turns (k, 3, 3)."""
         first, other = self.surfaces.couples.T
         poses = state.cameras.poses
         moves = (inverted_all(poses[other]) @ poses[first])[self.surfaces.couple]
@@ -150,7 +150,7 @@ class Problem:
     def cost(self, state: State) -> float:
         """Return half the robust sum of squares."""
         pixel, depth, poses, camera = self._residuals(state)
-        meeting = self.meetings.behind(self._across(state)[0])
+        meeting = self.meetings.behind(self.across(state)[0])
         return float(
             _huber(np.hypot(*pixel.T), _HUBER).sum()
             + _huber(np.abs(depth), _HUBER_DEPTH).sum()
@@ -218,7 +218,7 @@ class Problem:
         )
 
     def _met(self, state: State) -> Met:
-        points, turns = self._across(state)
+        points, turns = self.across(state)
         behind = self.meetings.behind(points)
         rows, root = self.meetings.rows(behind)
         rows = rows * root[:, None]
