@@ -1,8 +1,8 @@
 """Leave what adjustment found as files, and give it to the frames it is of.
 
-adjusted/trajectory.tum   a pose a line, camera-to-world, of the frames that were adjusted
-adjusted/cameras.json     the same as matrices by the frame's place in the scan; the colour camera, if it was
-                          adjusted; whether it is used, and why
+trajectory.tum   a pose a line, camera-to-world, of all frames that have one: as given where not adjusted
+cameras.json     those that were adjusted, as matrices by the frame's place in the scan; the colour camera,
+                 if it was adjusted; whether it is used, and why
 
 Where what was found is not better there is no trajectory, and frames stay as they are.
 """
@@ -17,22 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from stages.adjusting.adjust import Adjusted
+from stages.adjusting.adjusted import Adjusted
 from stages.fusion.posed_depth import rigid_pose
 from stages.scans.formats.trajectories import write_tum
 from stages.scans.scan import Camera, Frame, Scan
 
-_FOLDER, _FILE = "adjusted", "cameras.json"
+_FILE = "cameras.json"
 
 
 def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
     """Write the files into an empty folder; return figures."""
-    beside = folder / _FOLDER
-    beside.mkdir()
     poses = {place: rigid_pose(found.frames[place]) for place in found.places}
     if poses:
-        times = [_time(place, found.frames[place]) for place in poses]
-        write_tum(beside / "trajectory.tum", times, list(poses.values()))
+        posed = {place: one for place, one in enumerate(found.frames) if one.world_from_camera is not None}
+        times = [_time(place, frame) for place, frame in posed.items()]
+        write_tum(folder / "trajectory.tum", times, [rigid_pose(frame) for frame in posed.values()])
     camera, apart = _color_camera(found)
     document = {
         "accepted": found.accepted,
@@ -41,13 +40,15 @@ def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
         "color_from_depth": apart,
         "poses": {str(place): pose.tolist() for place, pose in poses.items()},
     }
-    (beside / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return found.figures()
 
 
 def placed(scan: Scan, folder: Path) -> Scan:
-    """Return a scan with the poses and the colour camera that were found for its frames."""
-    found = json.loads((folder / _FOLDER / _FILE).read_text(encoding="utf-8"))
+    """Return a scan with the poses and the colour camera that were found for its frames, if any were."""
+    if not (folder / _FILE).exists():
+        return scan
+    found = json.loads((folder / _FILE).read_text(encoding="utf-8"))
     frames = [_placed(frame, found["poses"].get(str(place))) for place, frame in enumerate(scan.frames)]
     if found["color_camera"] is not None:
         camera, apart = Camera(**_as_tuple(found["color_camera"])), np.array(found["color_from_depth"])

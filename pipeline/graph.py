@@ -53,6 +53,9 @@ from stages.surface.mesh_files import read_mesh
 from stages.texturing.bake import bake
 from stages.texturing.texture import texture
 
+# The folder of what adjust found; where nothing is better there is none.
+_ADJUSTED = "adjusted"
+
 
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
@@ -78,7 +81,11 @@ def _adjust(job: Job) -> Mapping[str, Any]:
         # What fuse refuses, and is no matter of centimetres; what is only suspected, it tells.
         require_poses(scan)
     found = adjust(scan, job.config.adjust, progress=job.progress)
-    return from_folder(adjusting.write(job.folder, found), scan.folder)
+    if found.accepted:
+        beside = job.folder / _ADJUSTED
+        beside.mkdir()
+        adjusting.write(beside, found)
+    return from_folder(found.figures(), scan.folder)
 
 
 def _fuse(job: Job) -> Mapping[str, Any]:
@@ -189,7 +196,7 @@ def _placed(scan: Scan, job: Job) -> Scan:
     """Return the scan with the poses that were found, and made better, if they were."""
     if "posed" in job.inputs:
         scan = registering.placed(scan, job.inputs["posed"])
-    return adjusting.placed(scan, job.inputs["adjusted"]) if "adjusted" in job.inputs else scan
+    return adjusting.placed(scan, job.inputs["adjusted"] / _ADJUSTED) if "adjusted" in job.inputs else scan
 
 
 def _scan(job: Job) -> Scan:
@@ -294,7 +301,7 @@ STAGES: tuple[Stage, ...] = (
         make=_adjust,
         versions=_of_adjust,
         libraries=_OPENCV | {"scipy": _version("scipy")},
-        results=("adjusted/",),
+        results=(f"{_ADJUSTED}/",),
         cost=Cost(seconds=2, seconds_per_megapixel=1, bytes=200e6, bytes_per_megapixel=6e6),
     ),
     Stage(

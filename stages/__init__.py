@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 # For editors and type checkers; while the program runs, names are fetched from `_NAMES_OF`.
 if TYPE_CHECKING:
-    from stages.adjusting.adjust import Adjusted, AdjustParams, adjust
+    from stages.adjusting.adjust import AdjustParams, adjust
+    from stages.adjusting.adjusted import Adjusted
     from stages.cleaning.clean import Cleaned, CleanParams, clean
     from stages.comparing.certify import Certificate, CertifyParams, certify
     from stages.comparing.compare import CompareParams, Comparison, compare
@@ -53,7 +54,8 @@ if TYPE_CHECKING:
     __version__: str
 
 _NAMES_OF = {
-    "adjusting.adjust": ("Adjusted", "AdjustParams", "adjust"),
+    "adjusting.adjust": ("AdjustParams", "adjust"),
+    "adjusting.adjusted": ("Adjusted",),
     "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),

@@ -28,8 +28,8 @@ def adjust(
 
     Points that several frames show are recognised; poses, points and one colour camera are fitted to where
     they are seen and how deep they are measured. What is not clearly better on points held out is not used.
-    OUTDIR gets adjusted/cameras.json (whether it is used and why, the colour camera, matrices) and, if it is
-    better, adjusted/trajectory.tum (camera-to-world). The scan's own files stay as they are.
+    OUTDIR gets cameras.json (whether it is used and why, the colour camera, matrices) and, if it is better,
+    trajectory.tum (camera-to-world). The scan's own files stay as they are.
 
     Example: scanloom adjust my_scan better
     """

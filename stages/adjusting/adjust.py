@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, TypedDict
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.adjusting.adjusted import Adjusted, Transfer
 from stages.adjusting.bundle import Bundle, bundle
 from stages.adjusting.cameras import Cameras, camera_of, motion_apart
 from stages.adjusting.key_frames import key_frames
-from stages.adjusting.look import Look, look, usable, view_or_none
+from stages.adjusting.look import Look, look, usable
 from stages.adjusting.matching import match
 from stages.adjusting.partners import overlaps, partners
-from stages.adjusting.resection import expected, placed
-from stages.adjusting.view import View, color_camera
+from stages.adjusting.resection import placed_between
+from stages.adjusting.view import BLACK, OVER_EXPOSED, View, color_camera, view_or_none
 from stages.params import check, param, resolve
-from stages.printing import by_figures, counted, table
+from stages.printing import counted
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame
+from stages.scans.scan import Frame, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -35,8 +36,6 @@ _GOOD_PX = 0.5
 _BETTER_SHARE, _BETTER_PX = 0.2, 0.3
 # Views that are adjusted together; of longer scans, frames between them are placed to these.
 _MOST_KEYS = 200
-# Key views that a frame between them is placed to.
-_AROUND = 4
 # Fewer observations leave a view where it was given.
 _LEAST_SEEN = 12
 # A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
@@ -78,89 +77,6 @@ class AdjustKeywords(TypedDict, total=False):
     enabled: bool | None
     camera: bool | None
     pose_deviation: float
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """How far from its match a point lands in another frame, pixels, at most: half, 3/4 and 9/10 of them."""
-
-    median: float
-    p75: float
-    p90: float
-
-    @classmethod
-    def of(cls, errors: NDArray[np.float64]) -> Transfer | None:
-        """Return it for errors (n,); None without any."""
-        return cls(*(float(value) for value in np.percentile(errors, (50, 75, 90)))) if len(errors) else None
-
-
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """Frames of a scan with what was found.
-
-    Attributes
-    ----------
-    frames : all of them, in order; those that were adjusted have another `world_from_camera`, and if
-        `has_camera` another `color_camera` and `color_from_depth`.
-    places : of the frames that were adjusted.
-    accepted : what was found is better, and used; else the frames are as they were.
-    why : the reason, a sentence.
-    has_camera : the colour camera was adjusted, too.
-    before, after : transfer errors of held-out points; of a few couples of frames, and no `after`, where that
-        was enough.
-    key_frames : frames that were adjusted together.
-    points : that three of these or more show.
-    unplaced : frames that keep the pose that was given.
-    skipped : frames that cannot be used, and why.
-    camera_before, camera_after : of the first frame's colour image.
-    moved_mm, moved_deg : the median and the largest change of a pose.
-    warnings : what is odd.
-    seconds : of the work.
-    """
-
-    frames: tuple[Frame, ...]
-    places: tuple[int, ...]
-    accepted: bool
-    why: str
-    has_camera: bool
-    before: Transfer | None
-    after: Transfer | None
-    key_frames: int
-    points: int
-    unplaced: int
-    skipped: tuple[SkippedFrame, ...]
-    camera_before: Camera | None
-    camera_after: Camera | None
-    moved_mm: tuple[float, float]
-    moved_deg: tuple[float, float]
-    warnings: tuple[str, ...]
-    seconds: float
-
-    __repr__ = by_figures
-    _repr_html_ = table
-
-    def figures(self) -> dict[str, Any]:
-        """Return what a report says of it, as JSON values."""
-        return {
-            "accepted": self.accepted,
-            "why": self.why,
-            "frames": len(self.frames),
-            "frames_adjusted": len(self.places),
-            "frames_unplaced": self.unplaced,
-            "frames_unusable": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
-            "key_frames": self.key_frames,
-            "points": self.points,
-            "transfer_before": self.before and _in_px(self.before),
-            "transfer_after": self.after and _in_px(self.after),
-            "color_camera_adjusted": self.has_camera,
-            "color_camera_before": self.camera_before and asdict(self.camera_before),
-            "color_camera_after": self.camera_after and asdict(self.camera_after),
-            "moved_median_mm": self.moved_mm[0],
-            "moved_most_mm": self.moved_mm[1],
-            "turned_median_deg": self.moved_deg[0],
-            "turned_most_deg": self.moved_deg[1],
-            "warnings": list(self.warnings),
-        }
 
 
 def adjust(
@@ -256,7 +172,12 @@ def _adjusted(
         if count >= _LEAST_SEEN
     }
     between = sorted(set(places) - set(chosen))
-    found_poses |= _between(frames, between, views, given, made, prior, skipped, steps)
+    for place, pose in placed_between(frames, between, views, given, made.cameras, prior):
+        if isinstance(pose, SkippedFrame):
+            skipped.append(pose)
+        elif pose is not None:
+            found_poses[place] = pose
+        steps.done(1)
     steps.end()
     result = list(frames)
     for place in places:
@@ -313,50 +234,6 @@ def _judged(before: Transfer | None, after: Transfer | None) -> tuple[bool, str]
     return False, f"{told}: not better by {_BETTER_SHARE:.0%} and {_BETTER_PX} px"
 
 
-def _between(
-    frames: Sequence[Frame],
-    places: Sequence[int],
-    views: dict[int, View],
-    given: Cameras,
-    made: Bundle,
-    prior: NDArray[np.float64],
-    skipped: list[SkippedFrame],
-    steps: _Steps,
-) -> dict[int, NDArray[np.float64]]:
-    """Return the poses of frames between key frames, of those that can be placed."""
-    keys = np.array(list(views))
-    key_views = list(views.values())
-    threads = workers()
-
-    def place_one(place: int) -> NDArray[np.float64] | SkippedFrame | None:
-        view = view_or_none(frames[place])
-        if isinstance(view, SkippedFrame):
-            return view
-        around = np.sort(np.argsort(np.abs(keys - place), kind="stable")[:_AROUND])
-        nearest = int(np.argmin(np.abs(keys - place)))
-        alone = Cameras.given([frames[place]], [view.lens])
-        start = Cameras(
-            expected(alone.poses[0], given.poses[nearest], made.cameras.poses[nearest])[None],
-            made.cameras.lenses[nearest : nearest + 1],
-            made.cameras.color_from_depth[nearest : nearest + 1],
-        )
-        near = Cameras(
-            made.cameras.poses[around], made.cameras.lenses[around], made.cameras.color_from_depth[around]
-        )
-        return placed(view, start, [key_views[n] for n in around], near, prior)
-
-    poses = {}
-    for place, pose in zip(
-        places, read_ahead(place_one, places, threads=threads, ahead=threads + 2), strict=True
-    ):
-        if isinstance(pose, SkippedFrame):
-            skipped.append(pose)
-        elif pose is not None:
-            poses[place] = pose
-        steps.done(1)
-    return poses
-
-
 def _with(
     frame: Frame,
     pose: NDArray[np.float64] | None,
@@ -410,14 +287,12 @@ def _as_given(
 
 def _said_of(skipped: Sequence[SkippedFrame]) -> str:
     """Return the end of a sentence that tells of frames that cannot be used; empty without any."""
-    if not skipped:
-        return ""
-    one = skipped[0]
-    return f"; {counted(len(skipped), 'frame')} cannot be used (the first, {one.name}: {one.reason})"
-
-
-def _in_px(transfer: Transfer) -> dict[str, float]:
-    return {f"{name}_px": value for name, value in asdict(transfer).items()}
+    said = ""
+    for what in (BLACK, OVER_EXPOSED):
+        count = sum(one.reason == f"its colour image is {what}" for one in skipped)
+        said += f"; {counted(count, 'colour image')} {what}" if count else ""
+        skipped = [one for one in skipped if one.reason != f"its colour image is {what}"]
+    return said + (f"; {counted(len(skipped), 'frame')} cannot be read" if skipped else "")
 
 
 class _Steps:

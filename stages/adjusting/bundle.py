@@ -13,6 +13,7 @@ from stages.adjusting.lifting import in_world, lifted
 from stages.adjusting.matching import GAP_SHARE, Matches, errors, gaps
 from stages.adjusting.problem import Problem, State
 from stages.adjusting.solve import solve
+from stages.adjusting.surfaces import Surfaces
 from stages.adjusting.tracks import Tracks, tracks
 from stages.adjusting.view import View
 
@@ -21,7 +22,7 @@ _HELD_OUT = 5
 # The colour camera begins as given, and as one that sees more (colour cameras of RGB-D sensors often do).
 _ZOOMS = (1.0, 0.9)
 # Points that are enough to choose by; turns of looking depth up and steps between.
-_FEW, _TURNS, _STEPS = 3000, 6, 3
+_FEW, _TURNS, _STEPS = 1500, 4, 3
 # A colour camera of its own must leave less than this share of the error that nine tenths of the points stay
 # below: a wrong lens is off most at the border of the image.
 _BETTER_CAMERA, _MOST = 0.8, 90
@@ -80,8 +81,10 @@ def bundle(
     of_held[np.flatnonzero(near)] = np.where(joined.matched >= 0, held[joined.matched], False)
     judged = found.take(of_held)
 
+    surfaces = Surfaces.of(views, np.unique(found.couples, axis=0))
+
     def fitted(start: Cameras, train: Tracks, frees_camera: bool) -> Cameras:
-        return solved(views, given, start, train, pose_prior, frees_camera)
+        return solved(views, given, start, train, surfaces, pose_prior, frees_camera)
 
     def off(cameras: Cameras) -> NDArray[np.float64]:
         return errors(views, cameras, judged)
@@ -137,6 +140,7 @@ def solved(
     given: Cameras,
     start: Cameras,
     train: Tracks,
+    surfaces: Surfaces,
     pose_prior: NDArray[np.float64],
     frees_camera: bool,
 ) -> Cameras:
@@ -156,14 +160,11 @@ def solved(
     )
     train = train.of(counts > 0)
     state = State(start, means[counts > 0], np.zeros(FREE))
-    nothing = np.zeros(len(train.view))
-    problem = Problem(
-        tracks=train,
-        normals=np.zeros((len(train.view), 3)),
-        depths=nothing,
-        deviations=nothing,
-        given=given.poses,
-        pose_prior=pose_prior,
+    problem = Problem.of(
+        train,
+        given.poses,
+        pose_prior,
+        surfaces=surfaces,
         frees_camera=frees_camera,
         width=views[0].size[0],
     )

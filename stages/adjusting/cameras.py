@@ -14,6 +14,7 @@ from stages.scans.scan import Camera, Frame, Pose, scaled
 # What is free in a colour camera: log of the focal length, centre (x, y, pixels), k1, and its place (x, y, z,
 # metres, then a turn, radians).
 FREE = 10
+_RIGID_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class Cameras:
         """Return the cameras of frames with poses, as the scan gives them."""
         here = np.eye(4)
         return cls(
-            np.stack([here if one.world_from_camera is None else one.world_from_camera for one in frames]),
+            np.stack([_orthonormal(one.world_from_camera) for one in frames]),
             np.stack(lenses),
             np.stack([here if one.color_from_depth is None else one.color_from_depth for one in frames]),
         )
@@ -60,6 +61,23 @@ class Cameras:
         lenses[:, :2] *= np.exp(camera[0])
         lenses[:, 2:5] += camera[1:4]
         return Cameras(self.poses @ motion(poses), lenses, motion(camera[None, 4:]) @ self.color_from_depth)
+
+
+def is_rigid(pose: Pose | None) -> bool:
+    """Say whether there is a pose that is nearly a rotation and a shift, as text of few digits gives it."""
+    if pose is None or not np.isfinite(pose).all():
+        return False
+    turn = np.asarray(pose, np.float64)[:3, :3]
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() < _RIGID_TOLERANCE and np.linalg.det(turn) > 0)
+
+
+def _orthonormal(pose: Pose | None) -> Pose:
+    if pose is None:
+        return np.eye(4)
+    left, _, right = np.linalg.svd(pose[:3, :3])
+    result = np.array(pose, np.float64)
+    result[:3, :3] = left @ right
+    return result
 
 
 def motion(steps: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,18 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.adjusting.cameras import Cameras
+from stages.adjusting.cameras import Cameras, is_rigid
 from stages.adjusting.matching import GAP_SHARE, errors, gaps, match
 from stages.adjusting.partners import overlap_of
-from stages.adjusting.view import View, read_view
-from stages.errors import InputError
+from stages.adjusting.view import View, view_or_none
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose, SkippedFrame
 
-# Frames that are looked at, each with the farthest one that has so much of it before it.
-_LOOKS, _OVERLAP = 8, 0.7
+# Frames that are looked at, each with the middle one of those that have so much of it before them.
+_LOOKS, _OVERLAP = 8, 0.8
 # Fewer matches tell nothing; where fewer of them are near each other, poses and depth do not belong together.
-_LEAST, _LEAST_NEAR = 60, 0.3
+_LEAST, _LEAST_NEAR = 60, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +70,7 @@ def usable(frames: Sequence[Frame]) -> list[int]:
     return [
         place
         for place, frame in enumerate(frames)
-        if frame.color is not None
-        and frame.depth is not None
-        and frame.world_from_camera is not None
-        and np.isfinite(frame.world_from_camera).all()
+        if frame.color is not None and frame.depth is not None and is_rigid(frame.world_from_camera)
     ]
 
 
@@ -90,7 +86,8 @@ def look(frames: Sequence[Frame], places: Sequence[int]) -> Look:
             shares = overlap_of(views[places[n]], poses[n], poses)
             shares[n] = 0
             enough = np.flatnonzero(shares >= _OVERLAP)
-            wanted[n] = int(enough[np.argmin(shares[enough])] if len(enough) else np.argmax(shares))
+            enough = enough[np.argsort(shares[enough], kind="stable")]
+            wanted[n] = int(enough[len(enough) // 2] if len(enough) else np.argmax(shares))
     others = sorted({places[n] for n in wanted.values()} - set(views))
     views |= _read(frames, others, skipped)
     order = sorted(views)
@@ -127,14 +124,6 @@ def _read(frames: Sequence[Frame], places: Sequence[int], skipped: list[SkippedF
         else:
             skipped.append(view)
     return views
-
-
-def view_or_none(frame: Frame) -> View | SkippedFrame:
-    """Return what is read of a frame, or why it cannot be used."""
-    try:
-        return read_view(frame)
-    except InputError as error:
-        return SkippedFrame(frame.name, str(error).removeprefix(f"frame {frame.name}: ").rstrip("."))
 
 
 def _pose(frame: Frame) -> Pose:

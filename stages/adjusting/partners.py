@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.adjusting.cameras import Cameras, inverted_all
+from stages.adjusting.surfaces import points_of
 from stages.adjusting.view import View
 from stages.scans.scan import Pose
 
@@ -47,7 +48,7 @@ def overlap_of(view: View, pose: Pose, poses: NDArray[np.float64]) -> NDArray[np
 
     Where it looks another way by more than 60 degrees, that is nothing.
     """
-    points = _points(view)
+    points = points_of(view, _CELLS)
     if not len(points):
         return np.zeros(len(poses))
     back = inverted_all(poses) @ pose
@@ -57,15 +58,3 @@ def overlap_of(view: View, pose: Pose, poses: NDArray[np.float64]) -> NDArray[np
     inside = ((places > 0) & (places < view.depth.shape[::-1])).all(axis=-1)
     alike = back[:, 2, 2] > np.cos(np.radians(_ANGLE))
     return np.asarray(inside.mean(axis=1) * alike)
-
-
-def _points(view: View) -> NDArray[np.float64]:
-    """Return points of a view's depth from all over it, in its axes."""
-    height, width = view.depth.shape
-    rows, columns = np.mgrid[0:_CELLS, 0:_CELLS]
-    rows = ((rows.ravel() + 0.5) * height / _CELLS).astype(int)
-    columns = ((columns.ravel() + 0.5) * width / _CELLS).astype(int)
-    z = view.depth[rows, columns].astype(np.float64)
-    fx, fy, cx, cy = view.depth_lens
-    points = np.stack([(columns - cx) / fx * z, (rows - cy) / fy * z, z], axis=1)
-    return np.asarray(points[z > 0])

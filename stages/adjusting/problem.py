@@ -1,7 +1,7 @@
 """Bundle adjustment stated: what points, poses and the colour camera are held to, and how that changes.
 
-Residuals are in standard deviations: where a view sees a point, how deep it measures it, and how far poses
-and camera are from what was given.
+Residuals are in standard deviations: where a view sees a point, how deep it measures it, how far surfaces of
+two views are apart, and how far poses and camera are from what was given.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import FREE, Cameras, carried, inverted_all, skew, steps_of
 from stages.adjusting.lens import derivatives
 from stages.adjusting.lifting import planes_at
+from stages.adjusting.surfaces import Surfaces
 from stages.adjusting.tracks import Tracks
 from stages.adjusting.view import View
 
@@ -23,6 +24,8 @@ _PIXEL, _HUBER, _HUBER_DEPTH = 1.0, 2.0, 2.0
 # Depth is off by 3 mm at 0.5 m and 6 mm at 2 m; farther than so many deviations it is of something else.
 _DEPTH_M, _DEPTH_PER_M = 0.0028, 0.0008
 _OTHER_THING = 12.0
+# Errors of depth go together over a surface: a point of it tells less, as if it were off so much more.
+_MEETING = 1.5
 # What the given colour camera may be off: a share of the focal length, of the width, k1, metres, radians.
 _CAMERA_PRIOR = np.array([0.05, 0.005, 0.005, 0.05, *[0.015] * 3, *[np.radians(0.5)] * 3])
 
@@ -50,14 +53,55 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class Planes:
+    """Planes that views measure where they see n points, see `planes_at`.
+
+    Attributes
+    ----------
+    normals : (n, 3).
+    depths, deviations : (n,) metres; a depth of 0 where the point is not held to a plane.
+    """
+
+    normals: NDArray[np.float64]
+    depths: NDArray[np.float64]
+    deviations: NDArray[np.float64]
+
+    @classmethod
+    def none(cls, count: int) -> Planes:
+        """Return planes that hold no point."""
+        return cls(np.zeros((count, 3)), np.zeros(count), np.ones(count))
+
+    @classmethod
+    def met(
+        cls, views: Sequence[View], view: NDArray[np.intp], points: NDArray[np.float64], share: float
+    ) -> Planes:
+        """Return those of points of the views' own axes; `share` is of what depth is usually off."""
+        normals, depths, slopes = planes_at(views, view, points)
+        deviations = share * np.hypot(deviation(depths), slopes)
+        off = np.abs((normals * points).sum(axis=1) - depths) > _OTHER_THING * deviations
+        return cls(normals, np.where(off, 0, depths), deviations)
+
+    def behind(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far points (n, 3) are behind their planes, standard deviations; 0 if not held to one."""
+        far = (self.normals * points).sum(axis=1) - self.depths
+        return np.asarray(np.where(self.depths > 0, far, 0) / self.deviations)
+
+    def rows(self, behind: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return how that changes with the points, (n, 3), and the (n,) roots of Huber's weights."""
+        weights = np.where(self.depths > 0, _weight(np.abs(behind), _HUBER_DEPTH), 0)
+        return self.normals / self.deviations[:, None], np.sqrt(weights)
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """What is measured, and what was given.
 
     Attributes
     ----------
     tracks : where views see points.
-    normals, depths, deviations : (n, 3), (n,) and (n,) metres, of the plane that the view measures where it
-        sees the point, see `planes_at`; a depth of 0 where the point is not held to it.
+    planes : that the views measure there.
+    surfaces : points of views that lie on what others measure.
+    meetings : the planes of these others.
     given : the poses as they were, (m, 4, 4) world_from_camera.
     pose_prior : (6,) standard deviations of these, metres and radians.
     frees_camera : the colour camera is looked for, too.
@@ -65,28 +109,52 @@ class Problem:
     """
 
     tracks: Tracks
-    normals: NDArray[np.float64]
-    depths: NDArray[np.float64]
-    deviations: NDArray[np.float64]
+    planes: Planes
+    surfaces: Surfaces
+    meetings: Planes
     given: NDArray[np.float64]
     pose_prior: NDArray[np.float64]
     frees_camera: bool
     width: int
 
+    @classmethod
+    def of(
+        cls,
+        tracks: Tracks,
+        given: NDArray[np.float64],
+        pose_prior: NDArray[np.float64],
+        *,
+        surfaces: Surfaces | None = None,
+        frees_camera: bool = False,
+        width: int = 1,
+    ) -> Problem:
+        """Return a problem in which no depth was looked up yet."""
+        surfaces = Surfaces.none() if surfaces is None else surfaces
+        planes, meetings = Planes.none(len(tracks.view)), Planes.none(len(surfaces.couple))
+        return cls(tracks, planes, surfaces, meetings, given, pose_prior, frees_camera, width)
+
     def looked_up(self, views: Sequence[View], state: State) -> Problem:
         """Return it with the depth that views measure where they now see the points."""
-        seen = _seen(state, self.tracks)
-        normals, depths, slopes = planes_at(views, self.tracks.view, seen)
-        deviations = np.hypot(deviation(depths), slopes)
-        off = np.abs((normals * seen).sum(axis=1) - depths) > _OTHER_THING * deviations
-        return replace(self, normals=normals, depths=np.where(off, 0, depths), deviations=deviations)
+        planes = Planes.met(views, self.tracks.view, _seen(state, self.tracks), 1.0)
+        other = self.surfaces.couples[self.surfaces.couple, 1]
+        meetings = Planes.met(views, other, self.across(state)[0], _MEETING)
+        return replace(self, planes=planes, meetings=meetings)
+
+    def across(self, state: State) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the points of surfaces (k, 3) in the axes of the other views, and the turns (k, 3, 3)."""
+        first, other = self.surfaces.couples.T
+        poses = state.cameras.poses
+        moves = (inverted_all(poses[other]) @ poses[first])[self.surfaces.couple]
+        return carried(moves, self.surfaces.points), moves[:, :3, :3]
 
     def cost(self, state: State) -> float:
         """Return half the robust sum of squares."""
         pixel, depth, poses, camera = self._residuals(state)
+        meeting = self.meetings.behind(self.across(state)[0])
         return float(
             _huber(np.hypot(*pixel.T), _HUBER).sum()
             + _huber(np.abs(depth), _HUBER_DEPTH).sum()
+            + _huber(np.abs(meeting), _HUBER_DEPTH).sum()
             + 0.5 * (poses**2).sum()
             + 0.5 * (camera**2).sum()
         )
@@ -103,8 +171,7 @@ class Problem:
         shown = np.where(ahead[:, None], shown, (0, 0, 1))
         pixels, _, _ = derivatives(shown, cameras.lenses[tracks.view])
         pixel = np.where(ahead[:, None], (pixels - tracks.pixels) / _PIXEL, 1e3)
-        behind = (self.normals * seen).sum(axis=1) - self.depths
-        depth = np.where(self.depths > 0, behind, 0) / self.deviations
+        depth = self.planes.behind(seen)
         moved = steps_of(inverted_all(self.given) @ cameras.poses) / self.pose_prior
         return pixel, depth, moved, state.camera / self.camera_prior
 
@@ -126,11 +193,9 @@ class Problem:
         # Rows: two of the pixel, one of the depth. A step of the pose moves the point the other way.
         by_seen = np.empty((count, 3, 3))
         by_seen[:, :2] = by_point @ turned / _PIXEL
-        by_seen[:, 2] = self.normals / self.deviations[:, None]
-        weights = np.empty((count, 3))
-        weights[:, :2] = _weight(np.hypot(*pixel.T), _HUBER)[:, None]
-        weights[:, 2] = np.where(self.depths > 0, _weight(np.abs(depth), _HUBER_DEPTH), 0)
-        root = np.sqrt(weights)
+        root = np.empty((count, 3))
+        root[:, :2] = np.sqrt(_weight(np.hypot(*pixel.T), _HUBER))[:, None]
+        by_seen[:, 2], root[:, 2] = self.planes.rows(depth)
         by_seen *= root[:, :, None]
         by_pose = np.concatenate([-by_seen, by_seen @ skew(seen)], axis=2)
         back = cameras.poses[tracks.view, :3, :3].swapaxes(1, 2)
@@ -141,6 +206,7 @@ class Problem:
             by_camera[:, :2, 7:] = -by_point @ skew(shown) / _PIXEL
             by_camera *= root[:, :, None]
         return Linear(
+            meetings=self._met(state),
             residuals=np.concatenate([pixel, depth[:, None]], axis=1) * root,
             by_pose=by_pose,
             by_camera=by_camera,
@@ -151,6 +217,34 @@ class Problem:
             camera_weights=1 / self.camera_prior**2,
         )
 
+    def _met(self, state: State) -> Met:
+        points, turns = self.across(state)
+        behind = self.meetings.behind(points)
+        rows, root = self.meetings.rows(behind)
+        rows = rows * root[:, None]
+        there = np.einsum("ki,kij->kj", rows, turns)
+        # n · (w × p) = w · (p × n)
+        return Met(
+            residuals=behind * root,
+            by_first=np.concatenate([there, np.cross(self.surfaces.points, there)], axis=1),
+            by_other=-np.concatenate([rows, np.cross(points, rows)], axis=1),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """How far k points of surfaces are off, and how that changes with the poses of both views.
+
+    Attributes
+    ----------
+    residuals : (k,).
+    by_first, by_other : (k, 6).
+    """
+
+    residuals: NDArray[np.float64]
+    by_first: NDArray[np.float64]
+    by_other: NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class Linear:
@@ -158,12 +252,14 @@ class Linear:
 
     Attributes
     ----------
+    meetings : what surfaces add.
     residuals : (n, 3).
     by_pose, by_camera, by_point : (n, 3, 6), (n, 3, 10) and (n, 3, 3), of the residuals.
     poses, camera : (m, 6) and (10,) gradients of what holds these to what was given.
     pose_weights, camera_weights : (6,) and (10,) second derivatives of it.
     """
 
+    meetings: Met
     residuals: NDArray[np.float64]
     by_pose: NDArray[np.float64]
     by_camera: NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +12,52 @@ from stages.adjusting.lifting import in_world, lifted
 from stages.adjusting.matching import match
 from stages.adjusting.problem import Problem, State
 from stages.adjusting.tracks import Tracks
-from stages.adjusting.view import View
+from stages.adjusting.view import View, view_or_none
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Frame, SkippedFrame
 
 # Fewer points do not place a frame; steps; pixels that a point may be off in the end.
 _LEAST, _STEPS, _OFF_PX = 30, 12, 4.0
+# Key views that a frame between them is placed to.
+_AROUND = 4
 
 
-def placed(
+def placed_between(
+    frames: Sequence[Frame],
+    places: Sequence[int],
+    keys: Mapping[int, View],
+    given: Cameras,
+    cameras: Cameras,
+    pose_prior: NDArray[np.float64],
+) -> Iterator[tuple[int, NDArray[np.float64] | SkippedFrame | None]]:
+    """Give the pose of each frame at these places, why it cannot be used, or None if it cannot be placed.
+
+    Parameters
+    ----------
+    keys : the views of key frames by their places.
+    given, cameras : of these, as they were and adjusted.
+    pose_prior : (6,) standard deviations of a given pose, metres and radians.
+    """
+    numbers, views = np.array(list(keys)), list(keys.values())
+
+    def place_one(place: int) -> NDArray[np.float64] | SkippedFrame | None:
+        view = view_or_none(frames[place])
+        if isinstance(view, SkippedFrame):
+            return view
+        order = np.argsort(np.abs(numbers - place), kind="stable")
+        nearest, around = order[:1], np.sort(order[:_AROUND])
+        # It stands to the nearest key frame as before.
+        was = Cameras.given([frames[place]], [view.lens]).poses
+        expected = cameras.poses[nearest] @ inverted_all(given.poses[nearest]) @ was
+        alone = Cameras(expected, cameras.lenses[nearest], cameras.color_from_depth[nearest])
+        near = Cameras(cameras.poses[around], cameras.lenses[around], cameras.color_from_depth[around])
+        return _placed(view, alone, [views[n] for n in around], near, pose_prior)
+
+    threads = workers()
+    yield from zip(places, read_ahead(place_one, places, threads=threads, ahead=threads + 2), strict=True)
+
+
+def _placed(
     view: View,
     one: Cameras,
     keys: Sequence[View],
@@ -43,16 +82,8 @@ def placed(
     if len(points) < _LEAST:
         return None
     count = len(points)
-    problem = Problem(
-        tracks=Tracks(np.zeros(count, np.intp), np.arange(count), here, np.zeros(0, np.intp)),
-        normals=np.zeros((count, 3)),
-        depths=np.zeros(count),
-        deviations=np.ones(count),
-        given=one.poses,
-        pose_prior=pose_prior,
-        frees_camera=False,
-        width=view.size[0],
-    )
+    tracks = Tracks(np.zeros(count, np.intp), np.arange(count), here, np.zeros(0, np.intp))
+    problem = Problem.of(tracks, one.poses, pose_prior)
     state = State(one, points, np.zeros(FREE))
     still = np.zeros_like(points)
     for _ in range(_STEPS):
@@ -64,10 +95,3 @@ def placed(
         state = state.moved(np.linalg.solve(normal, towards)[None], np.zeros(FREE), still)
     near = np.count_nonzero(problem.pixels_off(state) < _OFF_PX)
     return state.cameras.poses[0] if near >= _LEAST else None
-
-
-def expected(
-    given: NDArray[np.float64], keys_given: NDArray[np.float64], keys: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return where a frame is if it stands to the nearest key frame as before, (4, 4)."""
-    return np.asarray(keys @ inverted_all(keys_given[None])[0] @ given)

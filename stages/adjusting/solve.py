@@ -46,6 +46,7 @@ class _Normal:
     problem: Problem
     poses: NDArray[np.float64]
     poses_camera: NDArray[np.float64]
+    poses_apart: NDArray[np.float64]
     camera: NDArray[np.float64]
     points: NDArray[np.float64]
     pose_point: NDArray[np.float64]
@@ -76,15 +77,29 @@ class _Normal:
             total[used] = np.add.reduceat(values[order], starts, axis=0)
             return total
 
+        towards_poses = -of_views(pose_t @ off)[..., 0] - linear.poses
+        poses = of_views(pose_t @ linear.by_pose) + np.diag(linear.pose_weights)
+        surfaces, met = problem.surfaces, linear.meetings
+        first, other = surfaces.couples.T
+        begin = np.searchsorted(surfaces.couple, np.arange(len(first)))
+
+        def of_couples(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            # Points of surfaces stand in the order of their couples.
+            return np.asarray(np.add.reduceat(values, begin, axis=0) if len(begin) else values[:0])
+
+        for which, by in ((first, met.by_first), (other, met.by_other)):
+            np.add.at(poses, which, of_couples(by[:, :, None] * by[:, None, :]))
+            np.add.at(towards_poses, which, -of_couples(by * met.residuals[:, None]))
         return cls(
             problem=problem,
-            poses=of_views(pose_t @ linear.by_pose) + np.diag(linear.pose_weights),
+            poses=poses,
+            poses_apart=of_couples(met.by_first[:, :, None] * met.by_other[:, None, :]),
             poses_camera=of_views(pose_t @ linear.by_camera),
             camera=(camera_t @ linear.by_camera).sum(axis=0) + np.diag(linear.camera_weights),
             points=of_points(point_t @ linear.by_point),
             pose_point=pose_t @ linear.by_point,
             camera_point=of_points(camera_t @ linear.by_point),
-            towards_poses=-of_views(pose_t @ off)[..., 0] - linear.poses,
+            towards_poses=towards_poses,
             towards_camera=-(camera_t @ off).sum(axis=0)[:, 0] - linear.camera,
             towards_points=-of_points(point_t @ off)[..., 0],
         )
@@ -101,6 +116,9 @@ class _Normal:
         reduced = np.zeros((6 * views + FREE,) * 2)
         at = np.arange(6 * views).reshape(views, 6)
         reduced[at[:, :, None], at[:, None, :]] = _damped(self.poses, damping)
+        for (first, other), block in zip(self.problem.surfaces.couples, self.poses_apart, strict=True):
+            reduced[at[first][:, None], at[other]] += block
+            reduced[at[other][:, None], at[first]] += block.T
         reduced[: 6 * views, : 6 * views] -= (bridge @ bridge.T).toarray()
         across = self.poses_camera.reshape(6 * views, FREE) - bridge @ flat.T
         reduced[: 6 * views, 6 * views :], reduced[6 * views :, : 6 * views] = across, across.T

@@ -12,7 +12,7 @@ from stages.adjusting.lens import OPENCV
 from stages.errors import InputError
 from stages.registration.sift import keypoints
 from stages.scans.images import read_color, read_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
 # Wider images are made smaller; transfer errors are in pixels of what is looked at.
 WIDEST = 960
@@ -25,6 +25,7 @@ _CONTRAST = 0.025
 _SMOOTH, _NEIGHBOURS = 0.04, 3
 # A grey image is black or white where its mean is beyond these.
 _DARK, _BRIGHT = 8.0, 247.0
+BLACK, OVER_EXPOSED = "black", "over-exposed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,7 @@ def read_view(frame: Frame) -> View:
         raise InputError("there is no colour image.", f"frame {frame.name}")
     grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
     if not _DARK <= grey.mean() <= _BRIGHT:
-        what = "black" if grey.mean() < _DARK else "over-exposed"
+        what = BLACK if grey.mean() < _DARK else OVER_EXPOSED
         raise InputError(f"its colour image is {what}.", f"frame {frame.name}")
     if grey.shape[1] > WIDEST:
         size = (WIDEST, max(round(grey.shape[0] * WIDEST / grey.shape[1]), 1))
@@ -97,6 +98,14 @@ def read_view(frame: Frame) -> View:
         depth_lens=np.array([given.fx, given.fy, given.cx, given.cy]) / step,
         is_plain=is_plain,
     )
+
+
+def view_or_none(frame: Frame) -> View | SkippedFrame:
+    """Return what is read of a frame, or why it cannot be used."""
+    try:
+        return read_view(frame)
+    except InputError as error:
+        return SkippedFrame(frame.name, str(error).removeprefix(f"frame {frame.name}: ").rstrip("."))
 
 
 def _as_taken(frame: Frame) -> ColorImage | None:

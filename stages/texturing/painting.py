@@ -26,6 +26,7 @@ _DETAILS_POWER, _BLURRED_POWER = 3.0, 1.0
 _DEVIATIONS, _LEVELS = 3.0, 12.0
 # Every so many texels tell how the mesh's own colours go with those painted.
 _EVERY = 7
+_LEAST_TEXELS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +146,13 @@ def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels:
     known, missing = np.flatnonzero(~unseen)[::_EVERY], np.flatnonzero(unseen)
     there, here = own(missing), own(known)
     for k in range(3):
-        gain, bias = 1.0, 0.0
-        if len(known) and np.ptp(here[:, k]) > 0:
-            gain, bias = np.polyfit(here[:, k], colors[known, k], 1)
+        gain, bias = _line(here[:, k], colors[known, k])
         colors[missing, k] = (gain * there[:, k] + bias).clip(0, 255)
+
+
+def _line(a: NDArray[np.float32], b: NDArray[np.float32]) -> tuple[float, float]:
+    """Return the gain and bias that bring levels nearest to others; 1 and 0 where there are too few."""
+    if len(a) < _LEAST_TEXELS or float(a.var()) < 1:
+        return 1.0, 0.0
+    gain = float(np.mean((a - a.mean()) * (b - b.mean())) / a.var())
+    return gain, float(b.mean() - gain * a.mean())

@@ -15,6 +15,7 @@ from stages.errors import UsageError
 
 SCAN = Path(__file__).parents[2] / "samples" / "rgbd"
 QUICK = (
+    "texture.enabled=false",
     "scan.every=3",
     "fuse.voxel_size=0.04",
     "simplify.ratio=0.3",
@@ -45,7 +46,7 @@ def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
     found = foresee(SCAN, tmp_path / "out", config())
     assert list(tmp_path.iterdir()) == []
     assert cached(found) == dict.fromkeys(("adjust", "fuse", "clean", "simplify", "report"), False)
-    assert [one.reason for one in found.stages] == ["first run"] * 4
+    assert [one.reason for one in found.stages] == ["first run"] * 5
     assert {one.expected.basis for one in found.stages if one.expected} == {"estimated"}
     assert found.seconds > 0
     assert found.memory_bytes > BASE_BYTES
@@ -86,7 +87,7 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     out = tmp_path / "out"
     run(SCAN, out, config(), until="clean")
     forced = foresee(SCAN, out, config(), until="clean", force=("fuse",))
-    assert [one.reason for one in forced.stages] == ["forced", "follows fuse, which runs"]
+    assert [one.reason for one in forced.stages] == ["", "forced", "follows fuse, which runs"]
     assert [one.expected.basis for one in forced.stages if one.expected] == ["measured", "scaled"]
     (entry,) = (out / "cache" / "clean").iterdir()
     (entry / "clean.ply").write_bytes(b"ply")
@@ -94,8 +95,8 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     before = traces(tmp_path)
     found = foresee(SCAN, out, config())
     assert traces(tmp_path) == before
-    assert [one.cached for one in found.stages] == [True, False, False, False]
-    assert found.stages[1].reason.startswith("its cached result is damaged: clean.ply")
+    assert [one.cached for one in found.stages] == [True, True, False, False, False]
+    assert found.stages[2].reason.startswith("its cached result is damaged: clean.ply")
     assert found.refused is not None
     assert found.refused.startswith(f"{out / 'simplified.ply'}: no run has placed this")
     assert foresee(SCAN, out, config(), overwrite=True).refused is None

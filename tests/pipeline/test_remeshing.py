@@ -23,6 +23,7 @@ from stages.surface.formats.ply import read_ply
 pytestmark = pytest.mark.slow
 
 QUICK = (
+    "texture.enabled=false",
     "fuse.voxel_size=0.03",
     "report.viewpoints=1",
     "report.width=64",
@@ -30,7 +31,7 @@ QUICK = (
     "remesh.levels=2",
 )
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply", "textured.glb"]
+PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply"]
 OWN = ["levels", "remeshed.ply", "remeshed.snm"]
 
 
@@ -117,7 +118,7 @@ def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
     run(scan, out, quick("remesh.enabled=true"))
     finer = run(scan, out, quick("remesh.enabled=true", "remesh.levels=3"))
     assert ran(finer) == ["remesh", "report"]
-    assert "levels 2 → 3" in finer.stages[3].reason
+    assert "levels 2 → 3" in finer.stages[4].reason
     run(scan, out, quick("remesh.enabled=true"))
     assert ran(run(scan, out, quick("remesh.enabled=true", "remesh.threads=1"))) == []
     assert not (out / "levels" / "level_3.ply").exists()

@@ -137,8 +137,10 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     events = []
     result = run(rgbd, out, quick(), events=events.append)
     assert snapshot(rgbd) == before, "the scan is only read"
-    assert events[0] == RunStarted("plain-rgbd", 6, (), ("adjust", "fuse", "clean", "simplify", "report"))
-    assert ran(result) == ["adjust", "fuse", "clean", "simplify", "report"]
+    assert events[0] == RunStarted(
+        "plain-rgbd", 6, (), ("adjust", "fuse", "clean", "simplify", "texture", "report")
+    )
+    assert ran(result) == ["adjust", "fuse", "clean", "simplify", "texture", "report"]
     assert names(out) == PLAIN
 
     report = json.loads((out / "report.json").read_text())
@@ -146,7 +148,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     assert result.figures()["out"] == str(out)
     assert report["schema"] == SCHEMA
     assert report["scan"] == {"layout": "plain-rgbd", "frames": 6, "frames_skipped": [], "warnings": []}
-    assert list(report["stages"]) == ["adjust", "fuse", "clean", "simplify", "report"]
+    assert list(report["stages"]) == ["adjust", "fuse", "clean", "simplify", "texture", "report"]
     for stage in report["stages"].values():
         assert stage["cached"] is False
         assert stage["reason"] == "first run"
@@ -181,10 +183,10 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
     )
     started = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[True, True, True, True] set()"
+    assert done.stdout.strip() == "[True, True, True, True, True, True] set()"
     assert time.perf_counter() - started < 10
     report = json.loads((out / "report.json").read_text())
-    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 4
+    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 6
     assert report["mesh"]["triangles"] > 0
 
 
@@ -192,8 +194,8 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
 @pytest.mark.parametrize(
     ("assignment", "expected"),
     [
-        ("fuse.voxel_size=0.03", ["fuse", "clean", "simplify", "report"]),
-        ("simplify.ratio=0.5", ["simplify", "report"]),
+        ("fuse.voxel_size=0.03", ["fuse", "clean", "simplify", "texture", "report"]),
+        ("simplify.ratio=0.5", ["simplify", "texture", "report"]),
         ("compare.seed=1", ["report"]),
         ("report.width=80", ["report"]),
         ("fuse.memory=3000", []),
@@ -289,7 +291,7 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
         result = run(
             rgbd, tmp_path / "out", quick("fuse.max_bad_share=0.5"), until="fuse", events=events.append
         )
-        [skipped] = result.stages[0].figures["frames_skipped"]
+        [skipped] = result.stages[1].figures["frames_skipped"]
         assert "0003" in skipped["reason"]
         [warned] = [event.text for event in events if isinstance(event, Warned)]
         assert warned.startswith("fuse: left out 1 frame; the first is ")
@@ -304,13 +306,13 @@ def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
     again = run(moved_to, tmp_path / "out", options, until="fuse")
     assert ran(again) == [], "a moved scan is the same scan"
     for result in (first, again):
-        [skipped] = result.stages[0].figures["frames_skipped"]
+        [skipped] = result.stages[1].figures["frames_skipped"]
         assert skipped["reason"].startswith("depth/0003.png: "), "not where it stood once"
     (moved_to / "depth" / "0003.png").rename(moved_to / "depth" / "third.png")
     listed = moved_to / "scan.json"
     listed.write_text(listed.read_text().replace("depth/0003.png", "depth/third.png"))
     renamed = run(moved_to, tmp_path / "out", options, until="fuse")
-    [skipped] = renamed.stages[0].figures["frames_skipped"]
+    [skipped] = renamed.stages[1].figures["frames_skipped"]
     assert skipped["reason"].startswith("depth/third.png: ")
 
 
@@ -434,7 +436,7 @@ def test_a_file_that_no_run_has_placed_is_not_replaced(rgbd, tmp_path):
     # Said before any work.
     assert not list((out / "cache").glob("fuse/*"))
     (out / "fused.ply").unlink()
-    assert ran(run(rgbd, out, quick(), until="fuse")) == ["fuse"]
+    assert ran(run(rgbd, out, quick(), until="fuse")) == ["adjust", "fuse"]
     with pytest.raises(InputError, match=r"simplified\.ply"):
         run(rgbd, out, quick())
     assert (out / "simplified.ply").read_bytes() == (out / "notes.txt").read_bytes() == b"mine"
@@ -447,7 +449,7 @@ def test_a_folder_without_its_cache_still_knows_its_own_files(rgbd, tmp_path):
     out = tmp_path / "out"
     run(rgbd, out, quick(), until="clean")
     shutil.rmtree(out / "cache")
-    assert ran(run(rgbd, out, quick("fuse.voxel_size=0.08"), until="fuse")) == ["fuse"]
+    assert ran(run(rgbd, out, quick("fuse.voxel_size=0.08"), until="fuse")) == ["adjust", "fuse"]
     # What does not follow from it any more has gone, as ever.
     assert names(out) == ["fused.ply", "report.json"]
     shutil.rmtree(out / "cache")

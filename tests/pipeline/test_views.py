@@ -55,7 +55,14 @@ def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) ->
     config = Config().set(QUICK)
     result = run(folder, tmp_path / "out", config)
 
-    assert [stage.stage for stage in result.stages] == ["depth", "fuse", "clean", "simplify", "report"]
+    assert [stage.stage for stage in result.stages] == [
+        "depth",
+        "fuse",
+        "clean",
+        "simplify",
+        "texture",
+        "report",
+    ]
     assert result.report["stages"]["depth"]["figures"]["frames_used"] == 7
     vertices = read_ply(tmp_path / "out" / "clean.ply").vertices
     to_ball = np.abs(np.linalg.norm(vertices, axis=1) - posed_scene.RADIUS)

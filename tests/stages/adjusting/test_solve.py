@@ -10,6 +10,7 @@ from stages.adjusting.bundle import solved
 from stages.adjusting.cameras import FREE, Cameras, motion, motion_apart, steps_of
 from stages.adjusting.lifting import lifted
 from stages.adjusting.problem import Problem, State
+from stages.adjusting.surfaces import Surfaces
 
 PRIOR = np.array([0.02] * 3 + [np.radians(0.6)] * 3)
 
@@ -19,10 +20,14 @@ def scene() -> Made:
     return made()
 
 
+def meeting(scene: Made) -> Surfaces:
+    couples = [(a, b) for a in range(len(scene.views)) for b in (a - 1, a + 1) if 0 <= b < len(scene.views)]
+    return Surfaces.of(scene.views, np.array(couples))
+
+
 def problem(scene: Made, given: np.ndarray) -> Problem:
-    count = len(scene.tracks.view)
-    empty = np.zeros(count)
-    return Problem(scene.tracks, np.zeros((count, 3)), empty, empty, given, PRIOR, True, 320)
+    surfaces = meeting(scene)
+    return Problem.of(scene.tracks, given, PRIOR, surfaces=surfaces, frees_camera=True, width=320)
 
 
 def off(one: Cameras, other: Cameras) -> np.ndarray:
@@ -57,12 +62,14 @@ def test_the_gradient_is_that_of_the_cost(scene):
     start = disturbed(scene, rng)
     state = State(start, scene.points + 0.003 * rng.normal(size=scene.points.shape), np.zeros(FREE))
     stated = problem(scene, scene.cameras.poses).looked_up(scene.views, state)
-    assert (stated.depths > 0).mean() > 0.9
+    assert (stated.planes.depths > 0).mean() > 0.9
+    assert (stated.meetings.depths > 0).mean() > 0.5
     linear = stated.linear(state)
     views, count = len(scene.views), len(scene.points)
     weighed = linear.residuals[:, :, None]
     by = (linear.by_pose * weighed, linear.by_camera * weighed, linear.by_point * weighed)
     poses, camera, points = (one.sum(axis=1) for one in by)
+    met, couple = linear.meetings, stated.surfaces.couples[stated.surfaces.couple]
     for name, direction in {
         "poses": (rng.normal(size=(views, 6)), np.zeros(FREE), np.zeros((count, 3))),
         "camera": (np.zeros((views, 6)), rng.normal(size=FREE), np.zeros((count, 3))),
@@ -75,6 +82,8 @@ def test_the_gradient_is_that_of_the_cost(scene):
         told = (
             (poses * direction[0][scene.tracks.view]).sum()
             + (linear.poses * direction[0]).sum()
+            + (met.residuals[:, None] * met.by_first * direction[0][couple[:, 0]]).sum()
+            + (met.residuals[:, None] * met.by_other * direction[0][couple[:, 1]]).sum()
             + camera.sum(axis=0) @ direction[1]
             + linear.camera @ direction[1]
             + (points * direction[2][scene.tracks.point]).sum()
@@ -89,7 +98,7 @@ def test_poses_and_camera_come_back(scene):
         lenses=np.stack([view.lens for view in scene.views]),
         color_from_depth=np.tile(np.eye(4), (len(scene.views), 1, 1)),
     )
-    found = solved(scene.views, given, given, scene.tracks, PRIOR, frees_camera=True)
+    found = solved(scene.views, given, given, scene.tracks, meeting(scene), PRIOR, frees_camera=True)
     before, after = off(scene.cameras, given), off(scene.cameras, found)
     assert np.median(after[:, 0]) < 0.4 * np.median(before[:, 0])
     assert np.median(after[:, 1]) < 0.4 * np.median(before[:, 1])
@@ -99,9 +108,25 @@ def test_poses_and_camera_come_back(scene):
     assert np.abs(found.lenses - found.lenses[0]).max() == 0, "there is one camera"
 
 
+def test_surfaces_alone_bring_poses_together(scene):
+    start = disturbed(scene, np.random.default_rng(6))
+    nothing = scene.tracks.of(np.arange(scene.tracks.count) < 1)
+    found = solved(scene.views, start, start, nothing, meeting(scene), 50 * PRIOR, frees_camera=False)
+    gaps = []
+    for cameras in (start, found):
+        surfaces = meeting(scene)
+        state = State(cameras, np.zeros((1, 3)), np.zeros(FREE))
+        stated = Problem.of(nothing, cameras.poses, PRIOR, surfaces=surfaces).looked_up(scene.views, state)
+        held = stated.meetings.depths > 0
+        assert held.mean() > 0.5
+        behind = stated.meetings.behind(stated.across(state)[0])
+        gaps.append(np.median(np.abs(behind[held])))
+    assert gaps[1] < 0.3 * gaps[0]
+
+
 def test_a_camera_that_is_given_stays(scene):
     start = disturbed(scene, np.random.default_rng(5))
-    found = solved(scene.views, start, start, scene.tracks, PRIOR, frees_camera=False)
+    found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, frees_camera=False)
     np.testing.assert_array_equal(found.lenses, start.lenses)
     np.testing.assert_array_equal(found.color_from_depth, start.color_from_depth)
     assert np.median(off(scene.cameras, found)[:, 1]) < 0.1 * np.median(off(scene.cameras, start)[:, 1])
