@@ -64,5 +64,4 @@ def _flow(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.flo
     import cv2
 
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    search.setFinestScale(0)
     return np.asarray(search.calc(before, after, np.zeros((*before.shape, 2), np.float32)), np.float32)

@@ -1,0 +1,58 @@
+"""Photos that nothing was made from: what they tell of a mesh, also where their pose is not quite right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed import paint, photo, photos, pose, wall
+
+from stages.comparing.left_out import left_out
+from stages.surface.mesh import Mesh
+from stages.texturing.texture import texture
+
+
+@pytest.fixture(scope="module")
+def painted() -> Mesh:
+    return texture(wall(), photos(12), format="png").mesh
+
+
+def test_a_good_texture_comes_near_and_a_grey_wall_does_not(painted):
+    held_out = [photo(0, pose(0.5, 0.5)), photo(1, pose(0.4, 0.55, turn=8))]
+    good = left_out(painted, held_out).figures()
+    assert good["photos"] == 2
+    assert good["psnr_raw_db"] > 30
+    assert good["ssim"] > 0.93
+    assert good["sharpness"] == pytest.approx(1, abs=0.15)
+    assert good["coverage_share"] > 0.9
+    grey = left_out(wall(colors=np.full((13 * 13, 3), 128, np.uint8)), held_out).figures()
+    assert grey["psnr_affine_db"] < 18
+    assert grey["sharpness"] < 0.1
+
+
+def test_a_photo_whose_pose_is_off_is_placed(painted):
+    frame = photo(0, pose(0.5, 0.5))
+    off = replace(frame, world_from_camera=pose(0.53, 0.49))
+    found = left_out(painted, [off])
+    assert found.scores[0].placed
+    assert found.scores[0].affine > 26
+    assert found.pictures["worst"].shape == (120, 320, 3)
+
+
+def test_brightness_counts_only_raw(painted):
+    frame = photo(0, pose(0.5, 0.5))
+    darker = replace(frame, color=(np.asarray(frame.color) * 0.6).astype(np.uint8))
+    (score,) = left_out(painted, [darker]).scores
+    assert score.affine > score.raw + 8
+
+
+def test_what_cannot_be_judged_is_named(painted):
+    lost = replace(photo(0, pose(0.5, 0.5)), world_from_camera=None)
+    away = photo(1, pose(40.0, 0.5))
+    found = left_out(painted, [lost, away, replace(lost, color=None)])
+    assert [one.reason.split(": ")[-1] for one in found.skipped] == [
+        "there is no camera pose.",
+        "its photo does not show the mesh.",
+        "there is no colour image.",
+    ]
+    assert found.figures()["psnr_raw_db"] is None
+    assert paint(np.array(0.5), np.array(0.5)).shape == (3,)

@@ -1,0 +1,94 @@
+"""The kernels of texturing against independent ones: what a camera sees, what several threads find."""
+
+import numpy as np
+import pytest
+import trimesh
+from coloured_meshes import ball, of_trimesh
+from photographed import CAMERA, paint, photos, pose, wall
+
+from stages import _kernels
+from stages.scans.formats.trajectories import inverted
+from stages.surface.raycasting import Surface
+from stages.texturing.exposure import no_exposure
+from stages.texturing.photos import photos_of
+from stages.texturing.seams import seam_ratio
+from stages.texturing.texture import _vertex_normals
+from stages.texturing.views import kernel_camera, see
+
+
+def camera(place: np.ndarray) -> tuple:
+    return kernel_camera(CAMERA, inverted(place))
+
+
+@pytest.mark.parametrize("shape", ["ball", "room"])
+def test_a_camera_sees_what_rays_meet(shape):
+    # From outside a ball, and from inside a room whose walls reach behind the camera.
+    mesh = ball() if shape == "ball" else of_trimesh(trimesh.creation.box((3, 2, 4)))
+    place = pose(0.1, 0.05, z=-2.5) if shape == "ball" else pose(0.3, -0.2, z=0.4, turn=40)
+    depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, camera(place), near=1e-3)
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
+    x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
+    rays = np.stack([x, y, np.ones(x.shape)], axis=-1).reshape(-1, 3) @ place[:3, :3].T
+    hits = Surface(mesh).cast(place[:3, 3], rays.astype(np.float32))
+    expected = np.full(rows.size, np.inf)
+    expected[hits.rays] = hits.distances
+    seen = np.isfinite(depth.ravel())
+    # Rounding may part the two at the pixels of an outline.
+    assert np.mean(seen != np.isfinite(expected)) < 2e-3
+    both = seen & np.isfinite(expected)
+    assert both.any()
+    off = np.abs(depth.ravel()[both] - expected[both])
+    assert np.quantile(off, 0.995) < 1e-4
+    same = np.full(rows.size, -1)
+    same[hits.rays] = hits.triangles
+    assert np.mean(same[both] == triangles.ravel()[both]) > 0.99
+
+
+def test_threads_change_nothing():
+    mesh, frames = wall(), photos(5)
+    of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 100)
+    shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
+    found = []
+    for threads in (1, 2, 5):
+        points = _kernels.SurfacePoints(
+            mesh.vertices, _vertex_normals(mesh), mesh.triangles, of, shares, kept=3
+        )
+        one = photos_of(frames, lambda done, total: None)
+        see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
+        blended = points.blend(blurred=1, details=3, deviations=3, levels=12, wanted_threads=threads)
+        found.append([*points.samples(), *points.seen(), *blended])
+    for others in found[1:]:
+        assert all(np.array_equal(a, b) for a, b in zip(found[0], others, strict=True))
+
+
+def test_the_best_views_come_first_and_show_the_paint():
+    mesh, frames = wall(), photos(8)
+    of = np.arange(len(mesh.triangles), dtype=np.uint32)
+    shares = np.full((len(of), 3), 1 / 3, np.float32)
+    points = _kernels.SurfacePoints(mesh.vertices, _vertex_normals(mesh), mesh.triangles, of, shares, kept=4)
+    one = photos_of(frames, lambda done, total: None)
+    see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
+    views, colors, scores = points.samples()
+    assert (np.diff(scores, axis=1) <= 0).all()
+    assert ((views >= 0) == (scores > 0)).all()
+    middles = mesh.vertices[mesh.triangles].mean(axis=1)
+    inner = (np.abs(middles[:, :2] - 0.5) < 0.3).all(axis=1)
+    truth = paint(middles[:, 0], middles[:, 1])
+    off = np.abs(colors[inner].astype(float) - truth[inner, None]).max(axis=2)
+    assert np.median(off[views[inner] >= 0]) < 2
+    density, seen = points.seen()
+    assert np.median(density[inner]) == pytest.approx(CAMERA.fx / 0.8, rel=0.1)
+    assert seen[inner].min() >= 1
+
+
+def test_a_seam_is_seen_in_the_ratio():
+    rng = np.random.default_rng(1)
+    image = (120 + 3 * rng.standard_normal((64, 64, 3))).astype(np.float32)
+    labels = np.zeros((64, 64), np.int32)
+    labels[:, 32:] = 1
+    labels = np.tile(labels, (1, 4))
+    image = np.tile(image, (1, 4, 1))
+    assert seam_ratio([image], [labels]) == pytest.approx(1, abs=0.1)
+    stepped = image + 20 * (labels[..., None] == 1)
+    assert seam_ratio([stepped.astype(np.float32)], [labels]) > 2
+    assert seam_ratio([image], [np.zeros_like(labels)]) is None

@@ -1,0 +1,123 @@
+"""Layouts of any surface: no texel twice, room around each chart, as fine as is wanted."""
+
+import numpy as np
+import pytest
+import trimesh
+from coloured_meshes import of_trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stages import _kernels
+from stages.progress import silent
+from stages.surface.mesh import Mesh
+from stages.surface.rasterize import covered
+from stages.surface.texture import signed_areas
+from stages.surface.topology import areas
+from stages.texturing.pages import Pages, laid_out, texels_of
+
+MESHES = {
+    "box": of_trimesh(trimesh.creation.box()),
+    "ball": of_trimesh(trimesh.creation.icosphere(subdivisions=4)),
+    "torus": of_trimesh(trimesh.creation.torus(1.0, 0.3)),
+    "capsule": of_trimesh(trimesh.creation.capsule()),
+}
+
+
+def soup(seed: int, count: int) -> Mesh:
+    """Triangles of any size anywhere, some of them joined, some without area."""
+    rng = np.random.default_rng(seed)
+    vertices = rng.uniform(-1, 1, (count, 3)) * rng.choice([0.01, 0.3, 2.0], (count, 1))
+    return Mesh(vertices, rng.integers(0, count, (2 * count, 3)).astype(np.int32))
+
+
+def pages_of(mesh: Mesh, density: float = 40.0, *, max_side: int = 512, padding: int = 3) -> Pages:
+    wanted = np.full(len(mesh.triangles), density, np.float32)
+    return laid_out(mesh, wanted, max_side=max_side, max_texels=1e7, padding=padding, progress=silent)
+
+
+def require_sound(mesh: Mesh, pages: Pages) -> None:
+    has_area = pages.pages >= 0
+    assert (pages.charts >= 0).tolist() == has_area.tolist()
+    for page, (width, height) in enumerate(pages.sizes):
+        here = np.flatnonzero(pages.pages == page)
+        corners = pages.corners[here]
+        room = pages.padding - 1e-6
+        assert corners.min() >= room
+        assert (corners.max(axis=(0, 1)) <= (width - room, height - room)).all()
+        found = covered(corners, (0, height), width)
+        texels = found.rows * width + found.columns
+        assert len(np.unique(texels)) == len(texels), "a texel lies in two triangles"
+        # Between texels of two charts there is twice the padding.
+        owner = np.full((height, width), -1)
+        owner.ravel()[texels] = pages.charts[here][found.triangles]
+        reach = pages.padding
+        for axis in (0, 1):
+            for step in range(1, 2 * reach + 1):
+                a, b = (np.take(owner, range(*ends), axis) for ends in _ends(owner.shape[axis], step))
+                assert not ((a >= 0) & (b >= 0) & (a != b)).any(), f"charts {step} texels apart"
+
+
+def _ends(size: int, step: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (0, size - step), (step, size)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_surfaces_are_laid_out_soundly(name):
+    mesh = MESHES[name]
+    pages = pages_of(mesh)
+    require_sound(mesh, pages)
+    # Seen along its normal a triangle loses at most 1 − cos 66° of its length in one direction.
+    share = np.abs(signed_areas(pages.corners)) / (areas(mesh.vertices, mesh.triangles) * 40.0**2)
+    assert share.max() <= 1 + 1e-6
+    assert share.min() >= 0.4 - 1e-6
+    assert np.median(share) > 0.8
+    # No triangle is turned over.
+    assert len(np.unique(np.sign(signed_areas(pages.corners)))) == 1
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 60))
+@settings(max_examples=25, deadline=None)
+def test_any_triangles_are_laid_out_soundly(seed, count):
+    mesh = soup(seed, count)
+    if areas(mesh.vertices, mesh.triangles).sum() > 0:
+        require_sound(mesh, pages_of(mesh, 30.0))
+
+
+def test_large_surfaces_need_several_images():
+    pages = pages_of(MESHES["ball"], 60.0, max_side=128)
+    assert len(pages.sizes) > 1
+    require_sound(MESHES["ball"], pages)
+
+
+def test_the_same_mesh_gives_the_same_layout():
+    first, second = (pages_of(MESHES["torus"]) for _ in range(2))
+    assert np.array_equal(first.corners, second.corners)
+    assert first.sizes == second.sizes
+
+
+def test_texels_are_those_that_triangles_cover_and_those_beside():
+    pages = pages_of(MESHES["capsule"])
+    (size,) = pages.sizes
+    found = texels_of(pages, 0)
+    inside = covered(pages.corners, (0, size[1]), size[0])
+    expected = dict(
+        zip((inside.rows * size[0] + inside.columns).tolist(), inside.triangles.tolist(), strict=True)
+    )
+    given_ = dict(zip(found.pixels.tolist(), found.triangles.tolist(), strict=True))
+    assert {pixel: given_[pixel] for pixel in expected} == expected
+    assert len(given_) == len(found.pixels) > len(expected)
+    assert found.shares.min() >= 0
+    assert found.shares.sum(axis=1) == pytest.approx(1, abs=1e-5)
+    assert (np.diff(found.triangles.astype(np.int64)) >= 0).all()
+
+
+def test_wrong_arrays_are_refused():
+    mesh = MESHES["box"]
+    with pytest.raises(ValueError, match="one value for each triangle"):
+        _kernels.lay_out(
+            mesh.vertices, mesh.triangles, np.ones(3, np.float32), side=64, padding=2, progress=silent
+        )
+    with pytest.raises(ValueError, match="no room"):
+        _kernels.lay_out(
+            mesh.vertices, mesh.triangles, np.ones(12, np.float32), side=4, padding=2, progress=silent
+        )
