@@ -581,7 +581,14 @@ class NormalMesh:
     @property
     def damage(self) -> str | None: ...
     @property
-    def folded(self) -> int: ...
+    def folded(self) -> list[int]:
+        """Triangles of each level that are turned over or have no area; empty after decoding."""
+    @property
+    def tolerance(self) -> float | None:
+        """Of the file, in diagonals; None after decoding."""
+    @property
+    def tolerance_source(self) -> str | None:
+        """What says so: given, distance, noise, bound or precision; None after decoding."""
     @property
     def data(self) -> bytes: ...
     @property
@@ -622,7 +629,7 @@ def remesh(
     max_error: float,
     butterfly: bool,
     relaxations: int,
-    tolerance: float,
+    tolerance: float | None,
     color_tolerance: float,
     threads: int,
     progress: Callable[[int, int], object],

@@ -54,6 +54,8 @@ def remesh(
 
     Where IN is no manifold it is split into sheets.
 
+    Example: scanloom remesh clean.ply normal.ply --save normal.snm
+
     Example: scanloom remesh clean.ply normal.ply --save normal.snm --tolerance 1e-4
 
     Example: scanloom remesh clean.ply normal.ply --base-triangles 400 --levels 5 --scheme butterfly

@@ -27,7 +27,7 @@ pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
         max_error: 0.0,
         scheme: Scheme::Linear,
         relaxations: 1,
-        tolerance: 1e-4,
+        tolerance: Some(1e-4),
         color_tolerance: 2.0,
         threads: 1,
     };

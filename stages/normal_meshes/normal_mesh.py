@@ -66,12 +66,17 @@ class NormalMesh:
     confidence : for each level (n,) float64 as far as vertices carry any, else None.
     promised : refinements the file was made with; there may be fewer here.
     damage : what is wrong with the rest of the file, or None.
-    folded : triangles of the finest level that are turned over or have no area.
     data : the file, up to the end of the finest level here.
     level_ends : bytes of the file up to the end of each level.
     base_source : (n,) int32, the vertex of the input that each vertex of the base mesh was; None if decoded.
     triangle_source : for each level (n,) int32, the triangle of the input that each vertex lies on; None if
         decoded.
+    folded_by_level : for each level the triangles that are turned against the surface or have no area; empty
+        if decoded.
+    tolerance : how far rounding may take a vertex from the surface, over the diagonal of the input's box;
+        None if decoded.
+    tolerance_m : the same in metres.
+    tolerance_source : where the tolerance comes from, in plain words; None if decoded.
     max_distances_m : for each level the largest distance found between it and the input; empty if `max_error`
         was not given.
     warnings : what a person should know of the result, in plain sentences.
@@ -82,11 +87,14 @@ class NormalMesh:
     confidence: tuple[NDArray[np.float64], ...] | None
     promised: int
     damage: str | None
-    folded: int
     data: bytes
     level_ends: tuple[int, ...]
     base_source: NDArray[np.int32] | None = None
     triangle_source: tuple[NDArray[np.int32], ...] | None = None
+    folded_by_level: tuple[int, ...] = ()
+    tolerance: float | None = None
+    tolerance_m: float | None = None
+    tolerance_source: str | None = None
     max_distances_m: tuple[float, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -99,6 +107,11 @@ class NormalMesh:
         return self.levels[0]
 
     @property
+    def folded(self) -> int:
+        """Triangles of the finest level that are turned against the surface or have no area; 0 if decoded."""
+        return self.folded_by_level[-1] if self.folded_by_level else 0
+
+    @property
     def mesh(self) -> Mesh:
         """The finest level."""
         return self.levels[-1]
@@ -108,6 +121,11 @@ class NormalMesh:
         by_level = [self._level_figures(level) for level in range(len(self.levels))]
         exceptions = sum(offsets.count(EXCEPTION) for offsets in self.offsets)
         inside = exceptions + sum(offsets.count(SCALAR) for offsets in self.offsets)
+        rounding = {
+            "tolerance": self.tolerance,
+            "tolerance_m": self.tolerance_m,
+            "tolerance_source": self.tolerance_source,
+        }
         return {
             "triangles": len(self.mesh.triangles),
             "vertices": len(self.mesh.vertices),
@@ -117,6 +135,7 @@ class NormalMesh:
             "exceptions": exceptions,
             "exceptions_share": exceptions / inside if inside else 0.0,
             "folded_triangles": self.folded,
+            **{name: value for name, value in rounding.items() if value is not None},
             "file_bytes": len(self.data),
             "bits_per_vertex": 8 * len(self.data) / len(self.mesh.vertices),
             "by_level": by_level,
@@ -139,6 +158,8 @@ class NormalMesh:
                 "exceptions": offsets.count(EXCEPTION),
                 "boundary_vertices": offsets.count(BOUNDARY),
             }
+        if level < len(self.folded_by_level):
+            figures["folded_triangles"] = self.folded_by_level[level]
         if level < len(self.max_distances_m):
             figures["max_distance_m"] = self.max_distances_m[level]
         return figures
@@ -253,7 +274,6 @@ def normal_mesh_of(found: _kernels.NormalMesh, level_notes: tuple[str, ...], **k
         confidence=confidence or None,
         promised=found.promised,
         damage=found.damage,
-        folded=found.folded,
         data=found.data,
         level_ends=tuple(found.level_ends),
         **known,

@@ -26,13 +26,22 @@ from stages.surface.topology import require_area
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5
 
 # Of a base that is made without saying how many levels it will get.
 _MOST_LEVELS = 4
+
+# What the kernel says of where a tolerance comes from, in plain words.
+_TOLERANCE_SOURCES = {
+    "given": "given",
+    "distance": "from how far the finest level is from the mesh anyway",
+    "noise": "from the mesh's own noise",
+    "bound": "from max_error",
+    "precision": "the precision of 32-bit floats, as the finest level is as good as exact",
+}
 
 _HOW_FAR = "How far"
 _HOW = "How"
@@ -100,10 +109,12 @@ class RemeshParams:
         high=256,
         invalidates=False,
     )
-    tolerance: float = param(
-        5e-8,
+    tolerance: float | None = param(
+        None,
         "How far rounding may take a vertex from the surface of the input, as a share of the bounding box's "
-        "diagonal. The default is the precision of 32-bit floats; 1e-4 to 1e-3 make small files.",
+        "diagonal. Default: from the mesh, about a third of the RMS distance of the finest level from it, or "
+        "half of it where the mesh's own noise hides that; never more than a sixteenth of max_error, nor "
+        "finer than the precision of 32-bit floats, 5e-8.",
         group=_FILE,
         low=1e-9,
         high=0.01,
@@ -138,7 +149,7 @@ class RemeshKeywords(TypedDict, total=False):
     scheme: str
     relaxations: int
     threads: int | None
-    tolerance: float
+    tolerance: float | None
     color_tolerance: float
 
 
@@ -218,6 +229,8 @@ def remesh(
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=triangle_source,
         max_distances_m=tuple(found.reached),
+        folded_by_level=tuple(found.folded),
+        **_tolerance(found, traced.mesh),
         warnings=tuple(_warnings(found, params, wanted, split)),
     )
 
@@ -272,6 +285,18 @@ def _confidence(values: ArrayLike | None, count: int) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
+def _tolerance(found: _kernels.NormalMesh, mesh: Mesh) -> dict[str, float | str]:
+    """Return the tolerance of the result, over the diagonal and in metres, and where it comes from."""
+    if found.tolerance is None or found.tolerance_source is None:
+        return {}
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.triangles)], axis=0)))
+    return {
+        "tolerance": found.tolerance,
+        "tolerance_m": found.tolerance * diagonal,
+        "tolerance_source": _TOLERANCE_SOURCES[found.tolerance_source],
+    }
+
+
 def _left_out(mesh: Mesh) -> tuple[str, ...]:
     has_normals = mesh.normals is not None or mesh.corner_normals is not None
     lost = {"normals": has_normals or None, "parts": mesh.part_ids}
@@ -296,7 +321,11 @@ def _warnings(
             "holes and handles, which all stay, or could not be refined well with fewer. "
             f"The finest level has {len(found.triangles(found.levels)):,}; fewer levels have fewer."
         )
-    if found.folded:
-        yield f"{found.folded:,} triangles of the finest level are turned over or have no area."
+    if sum(found.folded):
+        finest = found.folded[-1]
+        yield (
+            f"{sum(found.folded):,} triangles of all levels, {finest:,} of the finest, are turned against "
+            "the surface or have no area."
+        )
     if params.max_error is not None and found.reached and found.reached[-1] > params.max_error:
         yield too_far(found.reached[-1], params.max_error)

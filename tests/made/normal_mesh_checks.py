@@ -14,6 +14,8 @@ from stages.surface.topology import topology
 
 # So that made meshes of some thousand triangles are remeshed in no time.
 SMALL = {"levels": 2, "base_triangles": 120}
+# As exact as 32-bit floats, where a test asks whether something is on the surface.
+EXACT = {**SMALL, "tolerance": 5e-8}
 
 
 def diagonal(mesh: Mesh) -> float:
@@ -35,6 +37,7 @@ def assert_sound(found: NormalMesh, mesh: Mesh, within: float = 1e-6) -> None:
         assert topology(level).degenerate == 0
         assert_same_topology(level, mesh)
     assert found.folded == 0
+    assert sum(found.folded_by_level) == 0
     finest = found.mesh
     middles = finest.vertices[finest.triangles].mean(axis=1)
     there = facing[surface.closest(middles).triangles]

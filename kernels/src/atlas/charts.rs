@@ -188,7 +188,12 @@ impl Charts {
         }
         let axis = unit(&sum);
         let scale = texels / area;
-        let flat = best_turn(members, growth, &axis, scale);
+        let mut flat = best_turn(members, growth, &axis, scale);
+        // A triangle may be larger than an image, and densities differ within a chart.
+        let longest = flat.iter().flatten().flatten().fold(0.0, |a: f64, &b| a.max(b));
+        if longest > growth.side {
+            flat.iter_mut().flatten().flatten().for_each(|x| *x *= growth.side / longest);
+        }
         let mut bitmap = Bitmap::around(&flat);
         let number = self.count as u32;
         for (&t, corners) in members.iter().zip(&flat) {

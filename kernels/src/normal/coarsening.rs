@@ -2,6 +2,7 @@
 
 use super::base_mesh::{Base, Chain};
 use super::half_edge::{HalfEdge, Rule};
+use super::needles;
 use super::parameters::Parameter;
 use super::surface::Surface;
 use crate::base::errors::KernelError;
@@ -60,7 +61,8 @@ pub fn coarse<'a>(
     let unit = size.powi(4);
     measure.limit = CHEAP * unit;
     let coarse = Coarse { mesh, measure, unit, target };
-    coarse.collapsed(target.triangles.saturating_mul(CAREFUL), progress)
+    let wanted = target.triangles.saturating_mul(CAREFUL);
+    coarse.collapsed(wanted, progress)?.without_needles().collapsed(wanted, progress)
 }
 
 impl Coarse<'_> {
@@ -86,7 +88,13 @@ impl Coarse<'_> {
                 self = self.collapsed(wanted, progress)?;
             }
         }
+        self = self.without_needles();
         Ok(described(&self.mesh, &self.measure, number))
+    }
+
+    fn without_needles(mut self) -> Self {
+        needles::remove(&mut self.mesh, &mut self.measure, CHEAP * self.unit);
+        self
     }
 
     fn collapsed(self, triangles: usize, progress: &mut Progress) -> Result<Self, KernelError> {

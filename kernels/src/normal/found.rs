@@ -10,4 +10,6 @@ pub struct Found {
     pub offset: Offset,
     pub point: Vec3,
     pub place: Place,
+    /// How far along its chain, of a vertex on the boundary.
+    pub along: f64,
 }

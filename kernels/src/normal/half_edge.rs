@@ -8,7 +8,7 @@
 use super::associated::{Chains, TriangleSets};
 use super::parameters::Parameters;
 use super::surface::Surface;
-use super::unfold::soundness;
+use super::unfold::{against_surface, soundness};
 use crate::base::geometry::{Vec3, add_scaled, area, cross, distance2, dot, midpoint, norm2, sub, unit};
 use crate::base::ids::{EdgeId, HalfedgeId, VertexId};
 use crate::collapse::engine::{Collapsed, Measure, Proposal};
@@ -24,6 +24,8 @@ const EVENNESS: f64 = 1e-6;
 const BOUNDARY: f64 = 1.0;
 /// A triangle turns away where the cosine between it and the surface at a corner is below this.
 const LEAST_COSINE: f64 = 0.2;
+/// Where it is above this at all corners, nobody asks whether the triangle is turned over.
+const SURE: f64 = 0.7;
 /// How much dearer that makes a collapse, and how much one triangle that cannot be refined does.
 const TURNED: f64 = 4.0;
 const UNFIT: f64 = 4.0;
@@ -108,6 +110,18 @@ impl<'a> HalfEdge<'a> {
         self.importance.copy_from_slice(importance);
     }
 
+    /// Unit normals of the input at vertices.
+    pub fn normals(&self, vertices: [VertexId; 3]) -> [&Vec3; 3] {
+        vertices.map(|v| &self.surface.normals()[v.index()])
+    }
+
+    /// Whether an edge may collapse into one of its ends for no more than `limit`, whatever its triangles add.
+    pub fn allows(&self, mesh: &Mesh<3>, star: &Star<3>, survivor: usize, limit: f64) -> bool {
+        let together = self.together(star.ends);
+        together.error(&star.end_points[survivor]) <= self.error2 * together.area
+            && self.cost(mesh, star.edge, star.ends, survivor) <= limit
+    }
+
     fn together(&self, ends: [VertexId; 2]) -> Quadric<0> {
         self.quadrics[ends[0].index()].sum(&self.quadrics[ends[1].index()])
     }
@@ -152,7 +166,15 @@ impl<'a> HalfEdge<'a> {
             worst = worst.min(new);
             let normal = cross(&sub(from, point), &sub(to, point));
             let bound = LEAST_COSINE * norm2(&normal).sqrt();
-            if [end, wing.from, wing.to].iter().any(|v| dot(&normals[v.index()], &normal) < bound) {
+            let corners = [end, wing.from, wing.to].map(|v| &normals[v.index()]);
+            let least = corners.iter().map(|n| dot(n, &normal)).fold(f64::INFINITY, f64::min);
+            if least < SURE / LEAST_COSINE * bound
+                && self.turns_over([point, from, to], corners)
+                && !self.turns_over([&star.end_points[wing.end], from, to], corners)
+            {
+                return None;
+            }
+            if least < bound {
                 if self.strict {
                     return None;
                 }
@@ -174,6 +196,11 @@ impl<'a> HalfEdge<'a> {
             }
         }
         Some(factor * cost.max(LEFT * left)).filter(|full| *full <= limit)
+    }
+
+    /// Whether a triangle looks away from the surface at its corners or next to its middle.
+    fn turns_over(&self, points: [&Vec3; 3], normals: [&Vec3; 3]) -> bool {
+        against_surface(self.surface, points, normals, [], None, 0.0) <= 0.0
     }
 
     /// What [`left_by_refinement`] says of a triangle, weighed.
@@ -295,7 +322,7 @@ fn left_by_refinement(surface: &Surface, corners: [&Vec3; 3], at: [&Vec3; 3]) ->
 }
 
 /// 4√3 · area over the sum of the squared sides: 1 for equal sides, 0 for a needle.
-fn quality(a: &Vec3, b: &Vec3, c: &Vec3) -> f64 {
+pub fn quality(a: &Vec3, b: &Vec3, c: &Vec3) -> f64 {
     let sides2 = distance2(a, b) + distance2(b, c) + distance2(c, a);
     if sides2 > 0.0 { 4.0 * 3f64.sqrt() * area([a, b, c]) / sides2 } else { 0.0 }
 }

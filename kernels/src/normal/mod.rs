@@ -2,13 +2,14 @@
 //!
 //! | module | what |
 //! | --- | --- |
-//! | [`base_mesh`], [`coarsening`], [`half_edge`] | the base mesh; how it is found; what a half-edge collapse costs |
+//! | [`base_mesh`], [`coarsening`], [`half_edge`], [`needles`] | the base mesh; how it is found; what a half-edge collapse costs; needles that stay otherwise |
 //! | [`associated`], [`parameters`] | what base triangles stand for; where the input lies on them |
 //! | [`domain`] | the base as a domain: points seen from any of its triangles |
 //! | [`predict`], [`grid`], [`level`] | the step from level to level, for encoder and decoder |
 //! | [`surface`], [`rim`], [`place`], [`found`], [`unfold`] | where new vertices go: inside, on the boundary, and so that nothing folds |
 //! | [`carried`] | colours and confidence |
 //! | [`distance`], [`importance`] | how far off a level is, and what the next trial makes of it |
+//! | [`noise`], [`tolerance`] | how rough the input is by itself, and how exact a file has to be |
 //! | [`remesh`], [`decode`] | from a mesh to a file and its levels, and back |
 
 pub mod associated;
@@ -23,10 +24,13 @@ pub mod grid;
 pub mod half_edge;
 pub mod importance;
 pub mod level;
+pub mod needles;
+pub mod noise;
 pub mod parameters;
 pub mod place;
 pub mod predict;
 pub mod remesh;
 pub mod rim;
 pub mod surface;
+pub mod tolerance;
 pub mod unfold;

@@ -72,32 +72,50 @@ fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 }
 
 impl Search<'_> {
-    /// All new vertices, and the boundary they make.
-    pub fn refine(&self) -> (Vec<Found>, Rim) {
+    /// All new vertices.
+    pub fn refine(&self) -> Vec<Found> {
+        let nowhere = Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] };
+        let nothing = Found { offset: Offset::Scalar(0), point: [0.0; 3], place: nowhere, along: 0.0 };
+        let mut found = vec![nothing; self.level.topology.edges.len()];
+        fill(&mut found, self.original.threads, |edge| match self.span(edge) {
+            Some(span) => {
+                let (along, place) = self.original.rims.nearest(&span, &self.predicted.points[edge]);
+                Found { along, ..self.vector(edge, place) }
+            }
+            None if self.level.topology.is_boundary_edge(edge) => nothing,
+            None => self.inside(edge),
+        });
+        found
+    }
+
+    /// The boundary that new vertices make.
+    pub fn rim(&self, found: &[Found]) -> Rim {
         let topology = &self.level.topology;
         let mut rim = Vec::with_capacity(2 * self.placed.rim.len());
-        let mut on_rim = vec![];
-        for (edge, ends) in topology.edges.iter().enumerate().filter(|(e, _)| topology.is_boundary_edge(*e)) {
-            let Ok(known) = self.placed.rim.binary_search_by_key(ends, |(ends, _)| *ends) else { continue };
-            let span = self.placed.rim[known].1;
-            let (at, place) = self.original.rims.nearest(&span, &self.predicted.points[edge]);
-            let middle = (topology.vertices + edge) as u32;
-            rim.push(([ends[0], middle], Span { to: at, ..span }));
-            rim.push(([middle, ends[1]], Span { from: at, ..span }));
-            on_rim.push((edge, place));
+        for (edge, ends) in topology.edges.iter().enumerate() {
+            let Some(span) = self.span(edge) else { continue };
+            let (middle, along) = ((topology.vertices + edge) as u32, found[edge].along);
+            rim.push(([ends[0], middle], Span { to: along, ..span }));
+            rim.push(([middle, ends[1]], Span { from: along, ..span }));
         }
         rim.sort_unstable_by_key(|(ends, _)| *ends);
+        rim
+    }
 
-        let nowhere = Place { slot: 0, barycentric: [0.0; 3], point: [0.0; 3] };
-        let nothing = Found { offset: Offset::Scalar(0), point: [0.0; 3], place: nowhere };
-        let mut found = vec![nothing; topology.edges.len()];
-        fill(&mut found, self.original.threads, |edge| {
-            if topology.is_boundary_edge(edge) { nothing } else { self.inside(edge) }
-        });
-        for (edge, place) in on_rim {
-            found[edge] = self.vector(edge, place);
-        }
-        (found, rim)
+    /// The part of a chain that an edge stands for; none inside.
+    fn span(&self, edge: usize) -> Option<Span> {
+        let topology = &self.level.topology;
+        let (rim, ends) = (&self.placed.rim, &topology.edges[edge]);
+        let known =
+            if topology.is_boundary_edge(edge) { rim.binary_search_by_key(ends, |r| r.0).ok() } else { None };
+        known.map(|known| rim[known].1)
+    }
+
+    /// The new vertex of a boundary edge at a share of its part of the chain; none inside.
+    pub fn on_rim(&self, edge: usize, share: f64) -> Option<Found> {
+        let span = self.span(edge)?;
+        let along = span.from + share * (span.to - span.from);
+        Some(Found { along, ..self.vector(edge, self.original.rims.at(span.chain, along)) })
     }
 
     fn inside(&self, edge: usize) -> Found {
@@ -136,7 +154,7 @@ impl Search<'_> {
         let normal = &self.predicted.frames[edge][0];
         let (distance, place) = self.original.surface.pierced(from, normal, reach, LEAST_COSINE, accept)?;
         let offset = kind(self.steps.scalar(distance));
-        Some(Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place })
+        Some(Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place, along: 0.0 })
     }
 
     /// The vertex of an edge at a place that no scalar leads to.
@@ -147,7 +165,7 @@ impl Search<'_> {
             Offset::Vector([0, 0, 0]) if !self.level.topology.is_boundary_edge(edge) => Offset::Scalar(0),
             offset => offset,
         };
-        Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place }
+        Found { offset, point: self.steps.apply(self.predicted, edge, &offset), place, along: 0.0 }
     }
 
     /// The place of the surface where the vertex of an edge is expected.

@@ -9,11 +9,13 @@ use super::found::Found;
 use super::grid::{ROUNDED_OFF, Steps, on_grid};
 use super::importance::{insist, weigh};
 use super::level::Level;
+use super::noise::noise;
 use super::place::{Original, Placed, Search};
 use super::predict::Predicted;
 use super::rim::Rims;
 use super::surface::{Place, Surface};
-use super::unfold::unfold;
+use super::tolerance::{FINEST, MOST_DOUBLINGS, Source, Tolerance, doublings};
+use super::unfold::{unfold, unsound_in_base};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, around, diagonal, sub};
 use crate::base::progress::Progress;
@@ -24,8 +26,17 @@ use crate::subdivision::contents::{self, Header, Refinement, Scheme};
 
 /// Bases that are tried; the one whose finest level comes closest is taken.
 const TRIALS: u64 = 4;
-/// Bases that are tried beyond that where triangles turn over.
-const MENDS: u64 = 1;
+/// Bases that are tried beyond that at most, as long as triangles turn over.
+const MENDS: u64 = 2;
+/// Tolerances that are tried where nobody gives one, and how many doublings are taken back from one to the next.
+const ROUNDINGS: u64 = 4;
+const TAKEN_BACK: u32 = 2;
+/// All that is tried, at most.
+const PASSES: u64 = TRIALS + MENDS + ROUNDINGS;
+/// By how much rounding may take the finest level farther off at most: its share of that is a third.
+const LOSS: f64 = 1.15;
+/// So many unsound triangles count as twice the distance.
+const DOUBLING: f64 = 10.0;
 /// Levels at most where their number is not given.
 const MOST_LEVELS: u8 = 4;
 /// Steps of a level in those of the next finer one: what is wrong early spreads far.
@@ -48,8 +59,9 @@ pub struct Settings {
     pub max_error: f64,
     pub scheme: Scheme,
     pub relaxations: u8,
-    /// How far quantisation may take a vertex from the surface, in diagonals of the bounding box.
-    pub tolerance: f64,
+    /// How far quantisation may take a vertex from the surface, in diagonals of the bounding box. If not given, it follows
+    /// from the mesh.
+    pub tolerance: Option<f64>,
     /// How far it may take a level of colour.
     pub color_tolerance: f64,
     pub threads: usize,
@@ -68,10 +80,11 @@ pub struct Origin {
     pub base_source: Vec<u32>,
     /// The triangle of the input that each vertex of the finest level lies on; coarser levels have the first of them.
     pub triangles: Vec<u32>,
-    /// Triangles of the finest level that look away from the surface or are needles.
-    pub unsound: usize,
+    /// Triangles of each level that look away from the surface or are needles.
+    pub unsound: Vec<usize>,
     /// Largest distance of each level from the input, if that was asked for.
     pub reached: Vec<f64>,
+    pub tolerance: Tolerance,
 }
 
 #[derive(Clone, Debug)]
@@ -87,8 +100,24 @@ pub struct NormalMesh {
     pub origin: Option<Origin>,
 }
 
-/// Whether triangles are unsound, how many levels there are, and how far off the last is: less is better.
+/// Whether triangles are unsound, how many levels there are, and how far off the last is, times what unsound triangles
+/// count: less is better.
 type Rank = (bool, usize, f64);
+
+/// What was made of a base.
+struct Trial {
+    rank: Rank,
+    /// Of the finest level from the input.
+    mean_square: f64,
+    base: Ordered,
+    made: NormalMesh,
+}
+
+fn rank(made: &NormalMesh, last: &Distance) -> Rank {
+    let unsound = made.unsound();
+    let dearer = 1.0 + unsound as f64 / DOUBLING;
+    (unsound > 0, made.levels.len(), dearer * dearer * last.mean_square)
+}
 
 /// The input as the search needs it.
 struct Input<'a> {
@@ -129,14 +158,13 @@ pub fn remesh(
 
     let mut importance = vec![1.0; input.points.len()];
     let coarse = coarse(mesh, &input.surface, settings.target, progress)?;
-    let mut best: Option<(Rank, contents::Base, NormalMesh)> = None;
+    let mut best: Option<Trial> = None;
+    let each = each(settings);
     for trial in 0..TRIALS + MENDS {
-        if trial >= TRIALS && best.as_ref().is_some_and(|(rank, ..)| !rank.0) {
+        if trial >= TRIALS && best.as_ref().is_some_and(|best| !best.rank.0) {
             break;
         }
-        // In levels, the base among them.
-        let each = u64::from(settings.levels.unwrap_or(MOST_LEVELS)) + 1;
-        let progress = &mut progress.part(trial * each, (TRIALS + MENDS) * each);
+        let progress = &mut progress.part(trial * each, PASSES * each);
         progress.tell(0, each)?;
         let base = coarse.clone().base(&importance, &input.slots, progress)?;
         if settings.levels.is_none() && settings.max_error <= 0.0 && trial == 0 {
@@ -144,35 +172,104 @@ pub fn remesh(
         }
         let base = in_order(base, &input, &header)?;
         let (made, last, unsound) = levels_of(&input, &base, header, settings, progress)?;
-        let rank = (!unsound.is_empty(), made.levels.len(), last.mean_square);
-        let Ordered { base, contents } = base;
-        if best.as_ref().is_none_or(|(least, ..)| rank < *least) {
-            best = Some((rank, contents, made));
+        weigh(&mut importance, &input.points, input.triangles, &base.base, &last.from_input);
+        insist(&mut importance, &base.base, &unsound);
+        let rank = rank(&made, &last);
+        if best.as_ref().is_none_or(|best| rank < best.rank) {
+            best = Some(Trial { rank, mean_square: last.mean_square, base, made });
         }
         if last.mean_square == 0.0 {
             break;
         }
-        weigh(&mut importance, &input.points, input.triangles, &base, &last.from_input);
-        insist(&mut importance, &base, &unsound);
     }
-    let (_, contents, mut made) = best.ok_or(KernelError::Interrupted)?;
+    let best = best.ok_or(KernelError::Interrupted)?;
+    let Trial { base, mut made, .. } = rounded(best, &input, settings, progress)?;
     if let Some(origin) = &mut made.origin {
         origin.triangles.iter_mut().for_each(|t| *t = source[*t as usize]);
     }
-    (made.file, made.ends) = written(&made.header, &contents, &made.levels, &made.steps, progress)?;
+    (made.file, made.ends) = written(&made.header, &base.contents, &made.levels, &made.steps, progress)?;
     Ok(made)
+}
+
+/// What one pass is counted as: its levels, the base among them.
+fn each(settings: &Settings) -> u64 {
+    u64::from(settings.levels.unwrap_or(MOST_LEVELS)) + 1
+}
+
+/// The best of all trials once more, as coarse as does no harm, if nobody says how exact it should be.
+fn rounded(
+    best: Trial,
+    input: &Input<'_>,
+    settings: &Settings,
+    progress: &mut Progress,
+) -> Result<Trial, KernelError> {
+    let (header, unsound) = (best.made.header, best.made.unsound());
+    let (mut doublings, source) = match settings.tolerance {
+        Some(_) => (0, Source::Given),
+        None => {
+            let size = diagonal(&around(input.triangles.iter().flatten().map(|&v| input.points[v as usize])));
+            let noise = noise(&input.points, input.triangles, input.surface.normals());
+            doublings(best.mean_square.sqrt() / size, noise / size, settings.max_error / size)
+        }
+    };
+    for attempt in 0..ROUNDINGS {
+        if doublings == 0 {
+            break;
+        }
+        let each = each(settings);
+        let progress = &mut progress.part((TRIALS + MENDS + attempt) * each, PASSES * each);
+        progress.tell(0, each)?;
+        let header = coarser(&header, doublings);
+        let base = in_order(best.base.base.clone(), input, &header)?;
+        let (mut made, last, _) = levels_of(input, &base, header, settings, progress)?;
+        let rank = rank(&made, &last);
+        let reaches = |made: &NormalMesh| {
+            let reached = made.origin.as_ref().and_then(|origin| origin.reached.last());
+            reached.is_none_or(|reached| *reached <= settings.max_error)
+        };
+        let is_near = last.mean_square <= LOSS * LOSS * best.mean_square.max(f64::from(header.step).powi(2));
+        if made.unsound() <= unsound && is_near && reaches(&made) >= reaches(&best.made) {
+            if let (Some(origin), None) = (&mut made.origin, settings.tolerance) {
+                origin.tolerance = Tolerance::doubled(doublings, source);
+            }
+            return Ok(Trial { rank, mean_square: last.mean_square, base, made });
+        }
+        doublings = doublings.saturating_sub(TAKEN_BACK);
+    }
+    Ok(best)
+}
+
+/// The same with steps doubled so often, and the same origin.
+fn coarser(header: &Header, doublings: u32) -> Header {
+    let factor = (1u32 << doublings) as f32;
+    Header {
+        origin: header.origin.map(|k| k >> doublings),
+        grid: factor * header.grid,
+        step: factor * header.step,
+        ..*header
+    }
+}
+
+impl NormalMesh {
+    /// Triangles of all levels that are not sound, as far as that is known.
+    pub fn unsound(&self) -> usize {
+        self.origin.as_ref().map_or(0, |origin| origin.unsound.iter().sum())
+    }
 }
 
 fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Result<Header, KernelError> {
     let size = diagonal(&bounds);
-    let step = round_down(settings.tolerance * size / ROUNDED_OFF);
+    let step = round_down(settings.tolerance.unwrap_or(FINEST) * size / ROUNDED_OFF);
     let grid = 0.5 * step;
     if !grid.is_normal() || !step.is_normal() || size / f64::from(grid) > MOST_GRID_POINTS {
         return Err(KernelError::Extent { diagonal: size });
     }
     let farthest = bounds.iter().flatten().fold(0.0f64, |most, x| most.max(x.abs()));
     let far = farthest > FAR * size || farthest / f64::from(grid) > MOST_GRID_POINTS;
-    let origin = if far { bounds[0].map(|x| (x / f64::from(grid)).round() as i64) } else { [0; 3] };
+    // On the coarsest grid that may follow from this one.
+    let cells = if settings.tolerance.is_some() { 1 } else { 1i64 << MOST_DOUBLINGS };
+    let near = |x: f64| cells * (x / f64::from(grid) / cells as f64).round() as i64;
+    let origin = if far { bounds[0].map(near) } else { [0; 3] };
     Ok(Header {
         scheme: settings.scheme,
         relaxations: settings.relaxations,
@@ -250,7 +347,8 @@ fn levels_of(
         parameters: base.vertex_source.iter().map(|&v| base.parameters[v as usize]).collect(),
         rim,
     };
-    let (mut unsound, mut faulty) = (vec![], vec![]);
+    let mut faulty = unsound_in_base(&first, &placed, surface, settings.threads);
+    let mut unsound = vec![faulty.len()];
     let (mut levels, mut steps, mut reached) = (vec![first], vec![], vec![]);
     let mut last = None;
     while let Some(level) = levels.last() {
@@ -281,11 +379,13 @@ fn levels_of(
             predicted: &predicted,
             steps: &step,
         };
-        let (mut found, rim) = search.refine();
+        let mut found = search.refine();
         progress.check()?;
-        unsound = unfold(&search, &mut found);
+        let turned = unfold(&search, &mut found);
         progress.check()?;
-        faulty.extend(unsound.iter().map(|t| t >> (2 * number)));
+        unsound.push(turned.len());
+        faulty.extend(turned.iter().map(|t| t >> (2 * number)));
+        let rim = search.rim(&found);
         let parameters: Vec<_> =
             found.iter().enumerate().map(|(edge, f)| search.parameter(edge, &f.place)).collect();
         placed.parameters.extend(parameters);
@@ -307,11 +407,13 @@ fn levels_of(
         let header = Header { levels: steps.len() as u8, ..header };
         return levels_of(input, ordered, header, settings, progress);
     }
+    let source = if settings.tolerance.is_some() { Source::Given } else { Source::Precision };
     let origin = Some(Origin {
         base_source: base.vertex_source.clone(),
         triangles: placed.places.iter().map(|place| surface.triangle(place.slot)).collect(),
-        unsound: unsound.len(),
+        unsound,
         reached,
+        tolerance: Tolerance { relative: settings.tolerance.unwrap_or(FINEST), source },
     });
     Ok((NormalMesh { header, levels, steps, file: vec![], ends: vec![], origin }, last, faulty))
 }

@@ -88,9 +88,13 @@ impl Rims {
         (at, line.place(piece, t))
     }
 
-    /// Where the chain starts.
-    pub fn start(&self, chain: u32) -> Place {
-        self.chains[chain as usize].place(0, 0.0)
+    /// The place so far along a chain.
+    pub fn at(&self, chain: u32, along: f64) -> Place {
+        let line = &self.chains[chain as usize];
+        let piece = line.lengths.partition_point(|&l| l <= along).clamp(1, line.sides.len()) - 1;
+        let [start, end] = [line.lengths[piece], line.lengths[piece + 1]];
+        let share = if end > start { ((along - start) / (end - start)).clamp(0.0, 1.0) } else { 0.0 };
+        line.place(piece, share)
     }
 }
 

@@ -91,6 +91,20 @@ impl Surface {
         dot(&normal, direction) > least * (norm2(&normal) * norm2(direction)).sqrt()
     }
 
+    /// The cosine between a direction and the triangle of a slot; 1 where that one is itself turned against the surface
+    /// around it.
+    pub fn facing(&self, slot: u32, direction: &Vec3) -> f64 {
+        let [a, b, c] = &self.corners[slot as usize];
+        let normal = cross(&sub(b, a), &sub(c, a));
+        let [u, v, w] = self.vertices(slot).map(|v| &self.normals[v as usize]);
+        let around: Vec3 = std::array::from_fn(|i| u[i] + v[i] + w[i]);
+        if dot(&normal, &around) <= 0.0 {
+            return 1.0;
+        }
+        let lengths = (norm2(&normal) * norm2(direction)).sqrt();
+        if lengths > 0.0 { dot(&normal, direction) / lengths } else { 1.0 }
+    }
+
     /// Where the line through `p` along the unit vector `n` pierces triangles that look along it, nearest to `p` and no
     /// farther than `reach`, where `accept` agrees; with the distance along the line.
     pub fn pierced(

@@ -1,14 +1,19 @@
 //! No triangle of a level may turn over, or be a needle.
 //!
-//! Turned over is a triangle that looks away both from the surface at its corners and from the triangle it is a part
-//! of: where the input is crumpled, one of the two is no measure. New vertices of such a triangle are tried at other
-//! places of the surface: on the line from the unrelaxed point, where they are expected, near the mean of their
-//! neighbours and near the middle of their edge. What makes the worst triangle around better is taken. Where the
-//! input is not crumpled and a triangle looks away from the surface alone, only the line is tried: a vector costs more.
+//! Turned over is a triangle that looks away from the surface at its corners, or from the input's triangle next to its
+//! middle. Where the input is crumpled, neither says much: unless the normals at the corners agree, it is enough to look
+//! where the triangle does that it is a part of, and a triangle of the input that is itself turned is not asked. New
+//! vertices of a triangle that is turned are tried at other places of the surface: on the line from the unrelaxed point,
+//! where they are expected, near the mean of their neighbours and near the middle of their edge; on the boundary elsewhere
+//! along it. What makes the worst triangle around better is taken.
 
+use super::distance::middle;
 use super::found::Found;
-use super::place::Search;
+use super::level::Level;
+use super::place::{Placed, Search};
+use super::surface::{Place, Surface};
 use crate::base::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
+use crate::base::parallel::fill;
 use crate::subdivision::topology::NONE;
 
 /// Turns over all triangles that are not sound.
@@ -18,9 +23,10 @@ const LEAST_COSINE: f64 = 0.02;
 /// Least height of a triangle in lengths of its longest side.
 const LEAST_FLATNESS: f64 = 1e-3;
 
-/// Length of the sum of a triangle's three normals below which the surface is crumpled there, and from which it is smooth.
-const COHERENT: f64 = 2.0;
+/// Length of the sum of a triangle's three normals from which the surface is smooth there beyond doubt.
 const SMOOTH: f64 = 2.9;
+/// Where else on a boundary, in shares of its part of the chain.
+const SHARES: [f64; 6] = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2];
 /// Where else to look, in lengths of the edge along it and across.
 const ASIDE: [[f64; 2]; 12] = [
     [0.2, 0.0],
@@ -57,9 +63,51 @@ fn sum(vectors: [&Vec3; 3]) -> Vec3 {
     std::array::from_fn(|i| vectors.iter().map(|v| v[i]).sum())
 }
 
+/// In order, each once.
+fn sorted(mut triangles: Vec<usize>) -> Vec<usize> {
+    triangles.sort_unstable();
+    triangles.dedup();
+    triangles
+}
+
 /// Whether a triangle may stay as it is.
 fn is_sound(soundness: f64) -> bool {
     soundness >= LEAST_COSINE
+}
+
+/// How sound a triangle is by the surface at its corners and next to its middle; no more than needed to tell that it is
+/// not above `enough`. Triangles of the slots `near` may be near; `parent` is the normal of the triangle it is a part of, if it is one.
+pub fn against_surface(
+    surface: &Surface,
+    points: [&Vec3; 3],
+    normals: [&Vec3; 3],
+    near: impl IntoIterator<Item = u32>,
+    parent: Option<&Vec3>,
+    enough: f64,
+) -> f64 {
+    let mut at_corners = soundness(points, normals);
+    if let Some(parent) = parent.filter(|_| norm2(&sum(normals)) < SMOOTH * SMOOTH) {
+        at_corners = at_corners.max(soundness(points, [parent; 3]));
+    }
+    if at_corners <= enough {
+        return at_corners;
+    }
+    let [a, b, c] = points;
+    let (slot, _) = surface.nearest_slot(&middle(&[*a, *b, *c]), near);
+    at_corners.min(surface.facing(slot, &cross(&sub(b, a), &sub(c, a))))
+}
+
+/// The triangles of a base mesh that are not sound.
+pub fn unsound_in_base(level: &Level, placed: &Placed, surface: &Surface, threads: usize) -> Vec<usize> {
+    let normals: Vec<Vec3> = placed.places.iter().map(|place| surface.normal_at(place)).collect();
+    let mut sound = vec![true; level.topology.triangles.len()];
+    fill(&mut sound, threads, |t| {
+        let corners = level.topology.triangles[t].map(|v| v as usize);
+        let (points, normals) = (corners.map(|v| &level.points[v]), corners.map(|v| &normals[v]));
+        let near = corners.map(|v| placed.places[v].slot);
+        is_sound(against_surface(surface, points, normals, near, None, LEAST_COSINE))
+    });
+    (0..sound.len()).filter(|&t| !sound[t]).collect()
 }
 
 /// The next level while it is being mended.
@@ -82,47 +130,64 @@ impl Fine<'_> {
         coarse.get(v as usize).unwrap_or_else(|| &self.found[v as usize - coarse.len()].point)
     }
 
-    /// How sound a child of triangle `t` of the coarse level is: by the surface, or by the triangle too where the
-    /// surface is crumpled, or, if `lenient`, wherever it is not smooth beyond doubt.
-    fn soundness(&self, t: usize, corners: &[u32; 3], lenient: bool) -> f64 {
+    fn place(&self, v: u32) -> &Place {
+        let coarse = &self.search.placed.places;
+        coarse.get(v as usize).unwrap_or_else(|| &self.found[v as usize - coarse.len()].place)
+    }
+
+    /// How sound a child of triangle `t` of the coarse level is, as far as it is above `enough`.
+    fn soundness(&self, t: usize, corners: &[u32; 3], enough: f64) -> f64 {
         let points = corners.map(|v| self.point(v));
         let normals = corners.map(|v| &self.normals[v as usize]);
-        let along_surface = soundness(points, normals);
-        let enough = if lenient { SMOOTH } else { COHERENT };
-        if norm2(&sum(normals)) >= enough * enough {
-            return along_surface;
-        }
-        along_surface.max(soundness(points, [&self.coarse_faces[t]; 3]))
+        let near = corners.map(|v| self.place(v).slot);
+        let surface = self.search.original.surface;
+        against_surface(surface, points, normals, near, Some(&self.coarse_faces[t]), enough)
     }
 
     /// The children of triangle `t` of the coarse level that are not sound.
-    fn unsound(&self, t: usize, lenient: bool) -> usize {
+    fn unsound(&self, t: usize) -> usize {
         let children = self.search.level.topology.children(t);
-        children.iter().filter(|corners| !is_sound(self.soundness(t, corners, lenient))).count()
+        children.iter().filter(|corners| !is_sound(self.soundness(t, corners, LEAST_COSINE))).count()
     }
 
-    /// The worst of the triangles around the new vertex of an edge.
-    fn worst_around(&self, edge: usize, lenient: bool) -> f64 {
+    /// The triangles of the coarse level beside an edge.
+    fn beside(&self, edge: usize) -> impl Iterator<Item = usize> + use<> {
+        let beside = self.search.level.topology.edge_triangles[edge];
+        beside.into_iter().filter(|&t| t != NONE).map(|t| t as usize)
+    }
+
+    /// The worst of the triangles around the new vertex of an edge, as far as it is above `enough`.
+    fn worst_around(&self, edge: usize, enough: f64) -> f64 {
         let v = self.vertex(edge) as u32;
-        let topology = &self.search.level.topology;
-        let beside = topology.edge_triangles[edge].into_iter().filter(|&t| t != NONE).map(|t| t as usize);
-        let around = beside.flat_map(|t| topology.children(t).map(|corners| (t, corners)));
-        let around = around.filter(|(_, corners)| corners.contains(&v));
-        around.map(|(t, corners)| self.soundness(t, &corners, lenient)).fold(f64::INFINITY, f64::min)
+        let mut worst = f64::INFINITY;
+        for t in self.beside(edge) {
+            let children = self.search.level.topology.children(t);
+            for corners in children.iter().filter(|corners| corners.contains(&v)) {
+                worst = worst.min(self.soundness(t, corners, enough));
+                if worst <= enough {
+                    return worst;
+                }
+            }
+        }
+        worst
+    }
+
+    fn put(&mut self, edge: usize, found: Found) {
+        let v = self.vertex(edge);
+        self.found[edge] = found;
+        self.normals[v] = self.search.original.surface.normal_at(&found.place);
     }
 
     /// Put the new vertex of an edge elsewhere if that makes the worst triangle around it better; whether it did.
     fn try_out(&mut self, edge: usize, to: Found, worst: &mut f64) -> bool {
-        let v = self.vertex(edge);
-        let kept = (self.found[edge], self.normals[v]);
-        self.found[edge] = to;
-        self.normals[v] = self.search.original.surface.normal_at(&to.place);
-        let now = self.worst_around(edge, false);
+        let kept = self.found[edge];
+        self.put(edge, to);
+        let now = self.worst_around(edge, *worst + LEAST_GAIN);
         let better = now > *worst + LEAST_GAIN;
         if better {
             *worst = now;
         } else {
-            (self.found[edge], self.normals[v]) = kept;
+            self.put(edge, kept);
         }
         better
     }
@@ -130,13 +195,19 @@ impl Fine<'_> {
     /// Try other places for the new vertex of an edge; whether one is better.
     fn mend(&mut self, edge: usize) -> bool {
         let search = self.search;
-        let mut worst = self.worst_around(edge, false);
-        if search.level.topology.is_boundary_edge(edge) || is_sound(worst) {
+        let mut worst = self.worst_around(edge, f64::NEG_INFINITY);
+        if is_sound(worst) {
             return false;
         }
-        let mut moved = search.unrelaxed(edge).is_some_and(|to| self.try_out(edge, to, &mut worst));
-        // A vector costs more: only where a triangle looks away from all.
-        if is_sound(self.worst_around(edge, true)) {
+        let mut moved = false;
+        if search.level.topology.is_boundary_edge(edge) {
+            for to in SHARES.iter().filter_map(|&share| search.on_rim(edge, share)) {
+                moved |= !is_sound(worst) && self.try_out(edge, to, &mut worst);
+            }
+            return moved;
+        }
+        moved |= search.unrelaxed(edge).is_some_and(|to| self.try_out(edge, to, &mut worst));
+        if is_sound(worst) {
             return moved;
         }
         let frame = &search.predicted.frames[edge];
@@ -150,6 +221,33 @@ impl Fine<'_> {
             moved |= self.try_out(edge, search.vector(edge, place), &mut worst);
         }
         moved
+    }
+
+    /// Mend triangles of the coarse level; returns those of them, of `open` and of their neighbours that stay unsound.
+    fn mended(&mut self, mut open: Vec<usize>, mut changed: Vec<usize>) -> Vec<usize> {
+        let topology = &self.search.level.topology;
+        for _ in 0..TURNS {
+            // What makes one triangle better may turn its neighbour over. Where nothing has changed, nothing will.
+            let mut moved = vec![];
+            for t in sorted(changed) {
+                if self.unsound(t) == 0 {
+                    continue;
+                }
+                for edge in topology.triangle_edges[t] {
+                    if self.mend(edge as usize) {
+                        moved.extend(self.beside(edge as usize));
+                    }
+                }
+            }
+            if moved.is_empty() {
+                break;
+            }
+            open.extend(&moved);
+            changed = moved;
+        }
+        open = sorted(open);
+        open.retain(|&t| self.unsound(t) > 0);
+        open
     }
 
     /// Points near which the new vertex of an edge may do better.
@@ -192,24 +290,9 @@ pub fn unfold(search: &Search<'_>, found: &mut [Found]) -> Vec<usize> {
     };
     let coarse_faces = topology.triangles.iter().map(face).collect();
     let mut fine = Fine { search, found, normals, coarse_faces };
-    let mut open: Vec<usize> = (0..topology.triangles.len()).collect();
-    for _ in 0..TURNS {
-        open.retain(|&t| fine.unsound(t, false) > 0);
-        // What makes one triangle better may turn its neighbour over.
-        let mut beside = vec![];
-        for &t in &open {
-            for edge in topology.triangle_edges[t] {
-                if fine.mend(edge as usize) {
-                    beside.extend(topology.edge_triangles[edge as usize].into_iter().filter(|&t| t != NONE));
-                }
-            }
-        }
-        if beside.is_empty() {
-            break;
-        }
-        open.extend(beside.into_iter().map(|t| t as usize));
-        open.sort_unstable();
-        open.dedup();
-    }
-    open.iter().flat_map(|&t| std::iter::repeat_n(t, fine.unsound(t, true))).collect()
+    let mut counts = vec![0; topology.triangles.len()];
+    fill(&mut counts, search.original.threads, |t| fine.unsound(t));
+    let unsound: Vec<usize> = (0..counts.len()).filter(|&t| counts[t] > 0).collect();
+    let open = fine.mended(unsound.clone(), unsound);
+    open.iter().flat_map(|&t| std::iter::repeat_n(t, fine.unsound(t))).collect()
 }

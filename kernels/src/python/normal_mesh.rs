@@ -18,6 +18,7 @@ use crate::normal::decode::decode;
 use crate::normal::grid::Steps;
 use crate::normal::level::Level;
 use crate::normal::remesh::{NormalMesh as Made, Settings, Step, remesh as make};
+use crate::normal::tolerance::Source;
 use crate::snm::SnmError as DecodeError;
 use crate::subdivision::contents::{Offset, Scheme};
 
@@ -49,8 +50,24 @@ impl NormalMesh {
     }
 
     #[getter]
-    fn folded(&self) -> usize {
-        self.made.origin.as_ref().map_or(0, |origin| origin.unsound)
+    fn folded(&self) -> Vec<usize> {
+        self.made.origin.as_ref().map_or(vec![], |origin| origin.unsound.clone())
+    }
+
+    #[getter]
+    fn tolerance(&self) -> Option<f64> {
+        self.made.origin.as_ref().map(|origin| origin.tolerance.relative)
+    }
+
+    #[getter]
+    fn tolerance_source(&self) -> Option<&'static str> {
+        self.made.origin.as_ref().map(|origin| match origin.tolerance.source {
+            Source::Given => "given",
+            Source::Distance => "distance",
+            Source::Noise => "noise",
+            Source::Bound => "bound",
+            Source::Precision => "precision",
+        })
     }
 
     #[getter]
@@ -205,7 +222,7 @@ pub fn remesh(
     max_error: f64,
     butterfly: bool,
     relaxations: u8,
-    tolerance: f64,
+    tolerance: Option<f64>,
     color_tolerance: f64,
     #[pyo3(from_py_with = threads_from)] threads: usize,
     progress: Py<PyAny>,

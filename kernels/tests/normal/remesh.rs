@@ -55,7 +55,7 @@ fn settings(levels: u8, scheme: Scheme) -> Settings {
         max_error: 0.0,
         scheme,
         relaxations: 1,
-        tolerance: 1e-4,
+        tolerance: Some(1e-4),
         color_tolerance: 2.0,
         threads: 1,
     }
@@ -204,5 +204,5 @@ fn on_a_smooth_surface_scalars_do() {
         }
     }
     assert!(vectors < 10, "{vectors}");
-    assert_eq!(made.origin.map(|origin| origin.unsound), Some(0));
+    assert_eq!(made.unsound(), 0);
 }

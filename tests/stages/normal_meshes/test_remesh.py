@@ -10,7 +10,7 @@ import coloured_meshes
 import numpy as np
 import pytest
 from coloured_meshes import MESHES, assert_same_topology
-from normal_mesh_checks import SMALL, assert_on_triangles, assert_sound, diagonal
+from normal_mesh_checks import EXACT, SMALL, assert_on_triangles, assert_sound, diagonal, normals
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
@@ -33,7 +33,7 @@ made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 def remeshed(make: Callable[[], Mesh], scheme: str = "linear") -> tuple[Mesh, NormalMesh]:
     """Return a made mesh and what remesh makes of it: several tests look at the same one."""
     mesh = make()
-    return mesh, remesh(mesh, scheme=scheme, **SMALL)
+    return mesh, remesh(mesh, scheme=scheme, **EXACT)
 
 
 def on_segments(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
@@ -144,6 +144,53 @@ def angles_of(level: Mesh) -> NDArray[np.float64]:
     return angles
 
 
+# -- folds -----------------------------------------------------------------------------------------------
+
+
+def crumpled_with_islands(scale: float, seed: int) -> Mesh:
+    """Return a noisy sheet with two holes, and three small islands above it and beside."""
+    random, sheet = np.random.default_rng(seed), coloured_meshes.holed()
+    parts = [sheet.vertices + random.normal(scale=scale, size=sheet.vertices.shape)]
+    triangles = [sheet.triangles]
+    for x, y in ((0.3, 0.3), (0.7, 0.62), (1.2, 0.5)):
+        island = coloured_meshes.sheet(6, noise=0.0)
+        there = island.vertices * np.array([0.1, 0.1, 0.3]) + np.array([x, y, 0.3])
+        triangles.append(island.triangles + sum(len(part) for part in parts))
+        parts.append(there + random.normal(scale=scale / 3, size=there.shape))
+    return Mesh(np.concatenate(parts), np.concatenate(triangles).astype(np.int32))
+
+
+def turned_at_levels(mesh: Mesh, found: NormalMesh) -> list[int]:
+    """Count, for each level, triangles that look away from the input's triangle next to their middle.
+
+    Unless that one is itself turned against the surface around it.
+    """
+    surface, facing = Surface(mesh), normals(mesh)
+    around = np.zeros_like(mesh.vertices)
+    for corner in range(3):
+        np.add.at(around, mesh.triangles[:, corner], facing)
+    straight = np.einsum("ij,ij->i", facing, around[mesh.triangles].sum(axis=1)) > 0
+    counts = []
+    for level in found.levels:
+        there = surface.closest(level.vertices[level.triangles].mean(axis=1)).triangles
+        away = np.einsum("ij,ij->i", normals(level), facing[there]) <= 0
+        counts.append(int(np.count_nonzero(away & straight[there])))
+    return counts
+
+
+@pytest.mark.parametrize("size", [{}, {"levels": 2, "base_triangles": 300}], ids=["default", "small"])
+@pytest.mark.parametrize(("scale", "seed"), [(0.003, 0), (0.006, 0)])
+def test_no_triangle_of_any_level_turns_over_on_a_crumpled_open_sheet_with_islands(
+    scale: float, seed: int, size: dict[str, int]
+) -> None:
+    mesh = crumpled_with_islands(scale, seed)
+    found = remesh(mesh, **size)
+    assert turned_at_levels(mesh, found) == [0] * len(found.levels)
+    assert sum(found.folded_by_level) == 0
+    for level in found.levels:
+        assert_same_topology(level, mesh)
+
+
 # -- offsets ---------------------------------------------------------------------------------------------
 
 
@@ -213,6 +260,88 @@ def test_a_coarse_tolerance_makes_a_small_file_and_is_kept() -> None:
     assert bytes_of[1e-5] < 0.8 * bytes_of[1e-7]
 
 
+# -- the tolerance of the mesh itself -----------------------------------------------------------------------
+
+
+def noisy_ball(sigma: float) -> Mesh:
+    """Return a ball whose vertices are off it by so much, along its normals."""
+    ball = coloured_meshes.ball()
+    radii = 1 + sigma * np.random.default_rng(1).standard_normal((len(ball.vertices), 1))
+    return ball.with_(vertices=radii * ball.vertices)
+
+
+def rms(mesh: Mesh, level: Mesh) -> float:
+    """Return the larger RMS distance of both directions, over the diagonal."""
+    found = compare(mesh, level, samples=50_000)
+    return max(found.a_to_b.rms, found.b_to_a.rms) / found.diagonal
+
+
+@pytest.mark.parametrize(
+    "make",
+    [coloured_meshes.ball, coloured_meshes.ring, coloured_meshes.holed, lambda: noisy_ball(1e-3)],
+    ids=["ball", "ring", "holed", "noisy"],
+)
+def test_the_default_tolerance_makes_small_files_and_costs_next_to_nothing(make: Callable[[], Mesh]) -> None:
+    # Colours are not rounded by it.
+    mesh = make().with_(colors=None)
+    exact, default = remesh(mesh, tolerance=5e-8, **SMALL), remesh(mesh, **SMALL)
+    assert default.tolerance is not None
+    assert len(default.data) < 0.5 * len(exact.data)
+    before, after = rms(mesh, exact.mesh), rms(mesh, default.mesh)
+    assert after <= 1.2 * before
+    assert 0.1 * before < default.tolerance < 0.7 * before
+    assert "how far the finest level is" in str(default.tolerance_source)
+
+
+def test_the_rougher_the_input_the_coarser_its_tolerance() -> None:
+    found = [remesh(noisy_ball(sigma), **SMALL).tolerance or 0 for sigma in (0.001, 0.016)]
+    assert found[1] >= 2 * found[0]
+
+
+def test_noise_does_not_hide_more_than_the_finest_level_is_off() -> None:
+    mesh = noisy_ball(0.01)
+    found = remesh(mesh, levels=0, base_triangles=len(mesh.triangles))
+    assert found.tolerance == 5e-8
+
+
+def test_what_is_met_exactly_stays_exact() -> None:
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    sides = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
+    cube = Mesh(corners, np.array([*sides, (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]))
+    found = remesh(cube, levels=2, base_triangles=12)
+    assert found.tolerance == 5e-8
+    assert "32-bit floats" in str(found.tolerance_source)
+
+
+def test_with_an_error_allowed_it_stays_well_below_that() -> None:
+    mesh = coloured_meshes.ring()
+    found = remesh(mesh, levels=1, base_triangles=300, max_error=0.05)
+    free = remesh(mesh, levels=1, base_triangles=300)
+    bound = found.max_distances_m[-1] / 2
+    tight = remesh(mesh, levels=1, base_triangles=300, max_error=bound)
+    assert tight.tolerance_m <= bound / 16
+    assert found.tolerance_m <= 0.05 / 16
+    assert free.max_distances_m == ()
+    assert found.max_distances_m[-1] <= 0.05
+
+
+def test_a_tolerance_that_is_given_is_taken() -> None:
+    found = remesh(coloured_meshes.ring(), tolerance=3e-4, **SMALL)
+    assert (found.tolerance, found.tolerance_source) == (3e-4, "given")
+    assert found.figures()["tolerance_m"] == pytest.approx(3e-4 * diagonal(coloured_meshes.ring()))
+    assert decode(found.data).tolerance is None
+
+
+def test_far_from_the_origin_the_default_is_as_exact() -> None:
+    mesh = coloured_meshes.ball()
+    away = mesh.with_(vertices=mesh.vertices + 1e4)
+    here, there = remesh(mesh, **SMALL), remesh(away, **SMALL)
+    assert there.tolerance == here.tolerance
+    off = Surface(mesh).closest(there.mesh.vertices - 1e4).distances.max()
+    assert off <= 1.01 * there.tolerance_m
+    np.testing.assert_array_equal(decode(there.data).mesh.vertices, there.mesh.vertices)
+
+
 # -- how far ---------------------------------------------------------------------------------------------
 
 
@@ -276,7 +405,8 @@ def test_a_base_that_cannot_get_small_enough_is_told() -> None:
 def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> None:
     mesh = read_mesh(shared_data / "meshes" / name)
     # Of the cow, a coarser base than the paper's leaves out the horns.
-    found = remesh(mesh, levels=2, base_triangles=426) if name == "cow.obj" else remesh(mesh, levels=3)
+    size = {"levels": 2, "base_triangles": 426} if name == "cow.obj" else {"levels": 3}
+    found = remesh(mesh, tolerance=5e-8, **size)
     expected = clean(mesh).mesh if topology(mesh).nonmanifold_vertices else mesh
     surface = Surface(mesh)
     for level in found.levels:
@@ -289,7 +419,7 @@ def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> Non
 
 def test_the_cow_of_the_paper(shared_data: Path) -> None:
     mesh = read_mesh(shared_data / "meshes" / "cow.obj")
-    found = remesh(mesh, levels=2, base_triangles=426)
+    found = remesh(mesh, levels=2, base_triangles=426, tolerance=5e-8)
     assert [len(level.triangles) for level in found.levels] == [426, 1704, 6816]
     assert "1 pinched vertex was split" in found.warnings[0]
     assert found.figures()["exceptions_share"] <= 0.015
@@ -300,7 +430,7 @@ def test_a_scanned_room_after_simplification(shared_data: Path) -> None:
     """The pipeline's case: hundreds of pieces and holes, colours."""
     scan = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
     mesh = simplify(scan, ratio=0.2).mesh
-    found = remesh(mesh, levels=2)
+    found = remesh(mesh, levels=2, tolerance=5e-8)
     for number, level in enumerate(found.levels):
         assert_same_topology(level, mesh)
         assert_on_triangles(level, found.triangle_source[number], mesh)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from coloured_meshes import MESHES
-from normal_mesh_checks import SMALL, assert_sound, diagonal
+from normal_mesh_checks import EXACT, SMALL, assert_sound, diagonal
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
@@ -33,7 +33,7 @@ made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 @pytest.mark.parametrize("tolerance", [0.0, 2.0, 8.0])
 def test_colours_are_those_of_the_surface(make: Callable[[], Mesh], tolerance: float) -> None:
     mesh = make()
-    found = remesh(mesh, color_tolerance=tolerance, **SMALL)
+    found = remesh(mesh, color_tolerance=tolerance, **EXACT)
     for level in found.levels:
         there = interpolated(mesh.colors, mesh, Surface(mesh).closest(level.vertices))
         # Half a level for whole numbers, and a little for which of two triangles a point at an edge is on.
@@ -42,26 +42,26 @@ def test_colours_are_those_of_the_surface(make: Callable[[], Mesh], tolerance: f
 
 def test_a_mesh_without_colours_has_none() -> None:
     mesh = coloured_meshes.ball().with_(colors=None)
-    assert all(level.colors is None for level in remesh(mesh, **SMALL).levels)
+    assert all(level.colors is None for level in remesh(mesh, **EXACT).levels)
 
 
 @made
 def test_confidence_is_carried_with_eight_bits(make: Callable[[], Mesh]) -> None:
     mesh = make()
     confidence = 3 - 2 * mesh.vertices[:, 0] + mesh.vertices[:, 1]
-    found = remesh(mesh, confidence=confidence, **SMALL)
+    found = remesh(mesh, confidence=confidence, **EXACT)
     assert found.confidence is not None
     for level, carried in zip(found.levels, found.confidence, strict=True):
         assert carried.shape == (len(level.vertices),)
         # Linear in space, so it is what the place says, wherever the hit is.
         there = 3 - 2 * level.vertices[:, 0] + level.vertices[:, 1]
         assert np.abs(carried - there).max() <= 0.51 * np.ptp(confidence) / 255
-    assert remesh(mesh, **SMALL).confidence is None
+    assert remesh(mesh, **EXACT).confidence is None
 
 
 def test_confidence_that_is_the_same_everywhere_stays_so() -> None:
     mesh = coloured_meshes.ball()
-    found = remesh(mesh, confidence=np.full(len(mesh.vertices), 0.75), **SMALL)
+    found = remesh(mesh, confidence=np.full(len(mesh.vertices), 0.75), **EXACT)
     for carried in found.confidence:
         np.testing.assert_allclose(carried, 0.75, atol=1e-6)
 
@@ -74,19 +74,19 @@ def test_what_is_not_carried_is_told() -> None:
         texture=Texture(uvs, np.full(len(uvs), -1, np.int32)),
         notes=("read from a file",),
     )
-    found = remesh(loaded, **SMALL)
+    found = remesh(loaded, **EXACT)
     assert found.mesh.texture is None
     assert found.mesh.normals is None
     assert found.mesh.notes[0] == "read from a file"
     assert found.mesh.notes[1].startswith("remesh left out: normals;")
     assert found.mesh.notes[2].startswith("remesh left out: texture;")
-    assert remesh(mesh, **SMALL).mesh.notes == ()
+    assert remesh(mesh, **EXACT).mesh.notes == ()
 
 
 @made
 def test_each_vertex_lies_on_the_triangle_it_names(make: Callable[[], Mesh]) -> None:
     mesh = make()
-    found = remesh(mesh, **SMALL)
+    found = remesh(mesh, **EXACT)
     assert found.triangle_source is not None
     for level, source in zip(found.levels, found.triangle_source, strict=True):
         corners = mesh.vertices[mesh.triangles[source]]
@@ -114,7 +114,7 @@ def two_balls_that_touch() -> Mesh:
 def test_pinched_vertices_are_split_and_the_input_is_still_named() -> None:
     mesh = two_balls_that_touch()
     assert topology(mesh).nonmanifold_vertices == 1
-    found = remesh(mesh, confidence=mesh.vertices[:, 2], levels=2, base_triangles=160)
+    found = remesh(mesh, confidence=mesh.vertices[:, 2], levels=2, base_triangles=160, tolerance=5e-8)
     assert "1 pinched vertex was split" in found.warnings[0]
     assert topology(found.mesh).is_manifold
     assert topology(found.mesh).components == 2
@@ -136,7 +136,7 @@ def test_what_is_no_surface_is_left_out() -> None:
         np.concatenate([extra, mesh.triangles]),
         colors=np.concatenate([mesh.colors, mesh.colors[:2]]),
     )
-    found, plain = remesh(loose, **SMALL), remesh(mesh, **SMALL)
+    found, plain = remesh(loose, **EXACT), remesh(mesh, **EXACT)
     assert found.data == plain.data
     np.testing.assert_array_equal(found.base_source, plain.base_source)
     np.testing.assert_array_equal(found.triangle_source[-1], plain.triangle_source[-1] + 2)
@@ -151,7 +151,7 @@ def test_other_libraries_meshes() -> None:
 def test_the_input_is_not_changed() -> None:
     mesh = two_balls_that_touch()
     copy = Mesh(mesh.vertices.copy(), mesh.triangles.copy(), colors=mesh.colors.copy())
-    remesh(mesh, **SMALL)
+    remesh(mesh, **EXACT)
     for name in ("vertices", "triangles", "colors"):
         np.testing.assert_array_equal(getattr(mesh, name), getattr(copy, name))
 
@@ -167,7 +167,7 @@ def test_equal_input_gives_equal_bytes_on_any_number_of_threads() -> None:
 def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
     mesh = coloured_meshes.ring()
     factor = 2.0**exponent  # a millionth and a million times as large
-    other, here = remesh(mesh.with_(vertices=mesh.vertices * factor), **SMALL), remesh(mesh, **SMALL)
+    other, here = remesh(mesh.with_(vertices=mesh.vertices * factor), **EXACT), remesh(mesh, **EXACT)
     np.testing.assert_array_equal(other.mesh.triangles, here.mesh.triangles)
     np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, atol=1e-6)
 
@@ -175,7 +175,7 @@ def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
 def test_a_mesh_in_map_coordinates() -> None:
     mesh = coloured_meshes.holed()
     far = mesh.with_(vertices=mesh.vertices + np.array((512_000, 5_400_000, 300)))
-    found = remesh(far, **SMALL)
+    found = remesh(far, **EXACT)
     assert_sound(found, far)
 
 
@@ -272,7 +272,7 @@ def test_meshes_of_a_few_triangles(count: int) -> None:
     fan = np.array([[0, 0, 0], [1, 0, 0], [0.8, 0.6, 0.1], [0, 1, 0.2], [-0.8, 0.6, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]], np.int32)[:count]
     mesh = Mesh(fan, triangles)
-    found = remesh(mesh, levels=2)
+    found = remesh(mesh, levels=2, tolerance=5e-8)
     assert topology(found.mesh).is_manifold
     assert Surface(mesh).closest(found.mesh.vertices).distances.max() <= 1e-6 * diagonal(mesh)
 

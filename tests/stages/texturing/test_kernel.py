@@ -7,6 +7,7 @@ from coloured_meshes import ball, of_trimesh
 from photographed import CAMERA, paint, photos, pose, wall
 
 from stages import _kernels
+from stages.progress import silent
 from stages.scans.formats.trajectories import inverted
 from stages.surface.raycasting import Surface
 from stages.texturing.exposure import no_exposure
@@ -53,7 +54,7 @@ def test_threads_change_nothing():
         points = _kernels.SurfacePoints(
             mesh.vertices, _vertex_normals(mesh), mesh.triangles, of, shares, kept=3
         )
-        one = photos_of(frames, lambda done, total: None)
+        one = photos_of(frames, silent)
         see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
         blended = points.blend(blurred=1, details=3, deviations=3, levels=12, wanted_threads=threads)
         found.append([*points.samples(), *points.seen(), *blended])
@@ -66,7 +67,7 @@ def test_the_best_views_come_first_and_show_the_paint():
     of = np.arange(len(mesh.triangles), dtype=np.uint32)
     shares = np.full((len(of), 3), 1 / 3, np.float32)
     points = _kernels.SurfacePoints(mesh.vertices, _vertex_normals(mesh), mesh.triangles, of, shares, kept=4)
-    one = photos_of(frames, lambda done, total: None)
+    one = photos_of(frames, silent)
     see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
     views, colors, scores = points.samples()
     assert (np.diff(scores, axis=1) <= 0).all()
