@@ -38,6 +38,8 @@ _BETTER_SHARE, _BETTER_PX = 0.2, 0.3
 _MOST_KEYS = 200
 # Fewer observations leave a view where it was given.
 _LEAST_SEEN = 12
+# Poses that move by more than so many standard deviations are not the scan's.
+_FAR = 8.0
 # A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
 _TURN_PER_M = float(np.radians(30))
 
@@ -166,6 +168,11 @@ def _adjusted(
     if not better:
         steps.end()
         return _as_given(frames, why, skipped, before, (), began, after)
+    strays = _strays(given, made.cameras, prior)
+    if strays:
+        steps.end()
+        told = (f"not adjusted: {strays}",)
+        return _as_given(frames, strays, skipped, before, told, began, after)
     found_poses = {
         place: pose
         for place, pose, count in zip(keys, made.cameras.poses, made.seen, strict=True)
@@ -202,6 +209,18 @@ def _adjusted(
         moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
         warnings=(),
         seconds=time.perf_counter() - began,
+    )
+
+
+def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
+    """Return why poses cannot have been what was given, as the end of a sentence; empty if they can."""
+    moved = np.array([motion_apart(a, b) for a, b in zip(given.poses, found.poses, strict=True)])
+    metres, degrees = np.median(moved, axis=0)
+    if metres < _FAR * prior[0] and degrees < _FAR * np.degrees(prior[3]):
+        return ""
+    return (
+        f"poses would move by {1000 * metres:.0f} mm and {degrees:.1f}° (median), far more than "
+        "pose_deviation allows: they are of another scan, or taken the wrong way round"
     )
 
 
