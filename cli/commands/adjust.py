@@ -44,6 +44,7 @@ def adjust(
         )
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
-        figures = write(draft, stages.adjust(source, params, progress=progress))
+        found = stages.adjust(source, params, progress=progress)
+        figures = write(draft, found)
     out.warn_of(figures)
-    out.result({"output": str(target), **figures})
+    out.result({"output": str(target), **figures, "seconds": found.seconds})

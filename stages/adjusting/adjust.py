@@ -38,6 +38,8 @@ _BETTER_SHARE, _BETTER_PX = 0.2, 0.3
 _MOST_KEYS = 200
 # Fewer observations leave a view where it was given.
 _LEAST_SEEN = 12
+# Parts that the adjustment itself is told to be done in, at most.
+_PARTS = 4
 # Poses that move by more than so many standard deviations are not the scan's.
 _FAR = 8.0
 # A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
@@ -134,8 +136,8 @@ def _adjusted(
 ) -> Adjusted:
     poses = np.stack([_pose(frames[place]) for place in places])
     chosen = [places[n] for n in key_frames(poses, _MOST_KEYS)]
-    total = len(places) + len(chosen)
-    steps = _Steps(progress, total + total // 4 + 4)
+    matching = len(chosen) // 2
+    steps = _Steps(progress, len(places) + matching + _PARTS)
     skipped: list[SkippedFrame] = []
     views: dict[int, View] = {}
     threads = workers()
@@ -156,7 +158,7 @@ def _adjusted(
         return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
     given = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
     couples = partners(overlaps(key_views, given))
-    found = match(key_views, couples, lambda done, of: steps.at(len(keys) + done * (total // 4) // of))
+    found = match(key_views, couples, lambda done, of: steps.at(len(chosen) + done * matching // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
     frees = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
     made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))

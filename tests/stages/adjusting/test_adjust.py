@@ -53,9 +53,12 @@ def test_exact_poses_are_left_as_they_are(frames):
 @pytest.mark.slow
 def test_disturbed_poses_come_back(frames):
     disturbed = jittered(frames, 0.01, 0.5)
-    found = adjust(disturbed)
+    told: list[tuple[int, int]] = []
+    found = adjust(disturbed, progress=lambda done, total: told.append((done, total)))
     assert found.accepted
     assert not found.has_camera, "the given camera is right"
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert {total for _, total in told} == {told[-1][0]}
     assert found.after.median < 0.3 < 2 < found.before.median
     was, is_now = (np.median(apart(frames, some), axis=0) for some in (disturbed, found.frames))
     assert is_now[0] < 0.2 * was[0]
