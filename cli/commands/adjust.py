@@ -31,6 +31,8 @@ def adjust(
     OUTDIR gets cameras.json (whether it is used and why, the colour camera, matrices) and, if it is better,
     trajectory.tum (camera-to-world). The scan's own files stay as they are.
 
+    `scanloom run` does this on its way, and uses poses and colour camera.
+
     Example: scanloom adjust my_scan better
     """
     from pipeline.adjusting import write
