@@ -267,10 +267,10 @@ def _with(
         frame = replace(frame, world_from_camera=pose)
     if not made.has_camera:
         return frame
-    width, height = views[keys[0]].size
+    first = views[keys[0]]
     return replace(
         frame,
-        color_camera=camera_of(made.cameras.lenses[0], color_camera(frame), width, height),
+        color_camera=camera_of(made.cameras.lenses[0], first.size, first.full_size),
         color_from_depth=made.cameras.color_from_depth[0],
     )
 
