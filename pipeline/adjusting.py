@@ -1,8 +1,8 @@
 """Leave what adjustment found as files, and give it to the frames it is of.
 
-trajectory.tum   a pose a line, camera-to-world, of all frames that have one: as given where not adjusted
-cameras.json     those that were adjusted, as matrices by the frame's place in the scan; the colour camera,
-                 if it was adjusted; whether it is used, and why
+trajectory.tum   a pose a line, camera-to-world, of all frames that have one, as given if not adjusted
+cameras.json     those that were adjusted, as matrices by the frame's place in the scan; the colour camera, if
+                 it was adjusted; whether it is used, and why
 
 Where what was found is not better there is no trajectory, and frames stay as they are.
 """

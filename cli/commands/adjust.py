@@ -31,6 +31,8 @@ def adjust(
     OUTDIR gets cameras.json (whether it is used and why, the colour camera, matrices) and, if it is better,
     trajectory.tum (camera-to-world). The scan's own files stay as they are.
 
+    `scanloom run` does this on its way, and uses poses and colour camera.
+
     Example: scanloom adjust my_scan better
     """
     from pipeline.adjusting import write
@@ -44,6 +46,7 @@ def adjust(
         )
     require_complete(source, folder)
     with new_folder(target) as draft, out.progress("adjust", "steps") as progress:
-        figures = write(draft, stages.adjust(source, params, progress=progress))
+        found = stages.adjust(source, params, progress=progress)
+        figures = write(draft, found)
     out.warn_of(figures)
-    out.result({"output": str(target), **figures})
+    out.result({"output": str(target), **figures, "seconds": found.seconds})

@@ -38,6 +38,10 @@ _BETTER_SHARE, _BETTER_PX = 0.2, 0.3
 _MOST_KEYS = 200
 # Fewer observations leave a view where it was given.
 _LEAST_SEEN = 12
+# Parts that the adjustment itself is told to be done in, at most.
+_PARTS = 4
+# Poses that move by more than so many standard deviations are not the scan's.
+_FAR = 8.0
 # A turn that goes with a shift of a metre in the given poses, radians: 20 mm go with 0.6 degrees.
 _TURN_PER_M = float(np.radians(30))
 
@@ -132,8 +136,8 @@ def _adjusted(
 ) -> Adjusted:
     poses = np.stack([_pose(frames[place]) for place in places])
     chosen = [places[n] for n in key_frames(poses, _MOST_KEYS)]
-    total = len(places) + len(chosen)
-    steps = _Steps(progress, total + total // 4 + 4)
+    matching = len(chosen) // 2
+    steps = _Steps(progress, len(places) + matching + _PARTS)
     skipped: list[SkippedFrame] = []
     views: dict[int, View] = {}
     threads = workers()
@@ -154,7 +158,7 @@ def _adjusted(
         return _as_given(frames, why, skipped, Transfer.of(seen.errors), (), began)
     given = Cameras.given([frames[place] for place in keys], [view.lens for view in key_views])
     couples = partners(overlaps(key_views, given))
-    found = match(key_views, couples, lambda done, of: steps.at(len(keys) + done * (total // 4) // of))
+    found = match(key_views, couples, lambda done, of: steps.at(len(chosen) + done * matching // of))
     prior = params.pose_deviation * np.array([1.0] * 3 + [_TURN_PER_M] * 3)
     frees = params.camera if _share_a_camera([frames[place] for place in places], key_views) else False
     made = bundle(key_views, given, found, prior, frees, lambda: steps.done(1))
@@ -166,6 +170,11 @@ def _adjusted(
     if not better:
         steps.end()
         return _as_given(frames, why, skipped, before, (), began, after)
+    strays = _strays(given, made.cameras, prior)
+    if strays:
+        steps.end()
+        told = (f"not adjusted: {strays}",)
+        return _as_given(frames, strays, skipped, before, told, began, after)
     found_poses = {
         place: pose
         for place, pose, count in zip(keys, made.cameras.poses, made.seen, strict=True)
@@ -202,6 +211,18 @@ def _adjusted(
         moved_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
         warnings=(),
         seconds=time.perf_counter() - began,
+    )
+
+
+def _strays(given: Cameras, found: Cameras, prior: NDArray[np.float64]) -> str:
+    """Return why poses cannot have been what was given, as the end of a sentence; empty if they can."""
+    moved = np.array([motion_apart(a, b) for a, b in zip(given.poses, found.poses, strict=True)])
+    metres, degrees = np.median(moved, axis=0)
+    if metres < _FAR * prior[0] and degrees < _FAR * np.degrees(prior[3]):
+        return ""
+    return (
+        f"poses would move by {1000 * metres:.0f} mm and {degrees:.1f}° (median), far more than "
+        "pose_deviation allows: they are of another scan, or taken the wrong way round"
     )
 
 
@@ -246,10 +267,10 @@ def _with(
         frame = replace(frame, world_from_camera=pose)
     if not made.has_camera:
         return frame
-    width, height = views[keys[0]].size
+    first = views[keys[0]]
     return replace(
         frame,
-        color_camera=camera_of(made.cameras.lenses[0], color_camera(frame), width, height),
+        color_camera=camera_of(made.cameras.lenses[0], first.size, first.full_size),
         color_from_depth=made.cameras.color_from_depth[0],
     )
 

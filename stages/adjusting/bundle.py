@@ -105,6 +105,8 @@ def bundle(
     rest = found.take(~of_held)
     rest = rest.take(np.flatnonzero(errors(views, best, rest) < _WRONG_PX))
     train = tracks(views, _without_held(rest, judged))
+    if not train.count:
+        return None
     best = fitted(best, train, has_camera)
     tell()
     before, after = off(given), off(best)
@@ -158,6 +160,8 @@ def solved(
         )
         / np.maximum(counts, 1)[:, None]
     )
+    if not counts.any():
+        return start
     train = train.of(counts > 0)
     state = State(start, means[counts > 0], np.zeros(FREE))
     problem = Problem.of(

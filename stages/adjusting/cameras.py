@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,13 +130,12 @@ def lens_of(camera: Camera, width: int, height: int) -> NDArray[np.float64]:
     return lens
 
 
-def camera_of(lens: NDArray[np.float64], camera: Camera, width: int, height: int) -> Camera:
-    """Return a camera with this lens, which is of an image of another size; `camera` says its own size."""
+def camera_of(lens: NDArray[np.float64], size: tuple[int, int], full_size: tuple[int, int]) -> Camera:
+    """Return the camera of images (width, height) of a full size, whose lens is of another size."""
     bent = tuple(float(k) for k in lens[4:])
     bent = bent if any(bent[4:]) else bent[:4]
     fx, fy, cx, cy = (float(value) for value in lens[:4])
-    seen = replace(Camera(width, height, fx, fy, cx, cy), distortion=bent if any(bent) else ())
-    return scaled(seen, camera.width, camera.height)
+    return scaled(Camera(*size, fx, fy, cx, cy, bent if any(bent) else ()), *full_size)
 
 
 def motion_apart(one: Pose, other: Pose) -> tuple[float, float]:

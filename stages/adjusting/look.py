@@ -48,7 +48,7 @@ class Look:
     @property
     def is_of_another(self) -> bool:
         """Say whether enough is recognised, and hardly any of it lies where depth and poses say."""
-        return self.matches >= _LEAST and not self.near_share >= _LEAST_NEAR
+        return self.matches >= _LEAST and self.near_share < _LEAST_NEAR
 
     @property
     def trouble(self) -> str:
@@ -57,6 +57,8 @@ class Look:
             return "none of the frames looked at shows anything"
         if self.matches < _LEAST:
             return f"only {self.matches} points are recognised from frame to frame"
+        if np.isnan(self.near_share):
+            return "no depth is measured where points are recognised"
         if self.is_of_another:
             return (
                 f"of {self.matches} points recognised from frame to frame, depth and poses bring only "

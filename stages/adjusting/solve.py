@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from stages.adjusting.cameras import FREE
 from stages.adjusting.problem import Linear, Problem, State
 
-# The first damping, what a good step divides it by, a bad one multiplies it with, and where it is given up.
-_DAMPING, _EASED, _TIGHTENED, _MOST = 1e-4, 5.0, 8.0, 1e6
+# The first damping, what a good step divides it by, a bad one multiplies it with, and where that ends.
+_DAMPING, _EASED, _TIGHTENED, _LEAST, _MOST = 1e-4, 5.0, 8.0, 1e-8, 1e6
 # Steps end where one makes the cost smaller by less than this share.
 _ENOUGH = 1e-4
 # Conjugate gradients solve the reduced system to this share; sums in a fixed order, whatever the threads.
@@ -33,7 +33,7 @@ def solve(problem: Problem, state: State, steps: int) -> State:
         else:
             break
         gain, state, cost = cost - found, tried, found
-        damping /= _EASED
+        damping = max(damping / _EASED, _LEAST)
         if gain < _ENOUGH * cost:
             break
     return state
@@ -107,8 +107,8 @@ class _Normal:
     def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return steps of poses (m, 6), the camera (10,) and points (p, 3)."""
         tracks, views, count = self.problem.tracks, len(self.poses), len(self.points)
-        inverse = np.linalg.inv(_damped(self.points, damping))
-        half = np.linalg.cholesky(inverse)
+        # The inverse of a point's block is half @ half.T.
+        half = np.linalg.inv(np.linalg.cholesky(_damped(self.points, damping))).swapaxes(1, 2)
         bridge = _sparse(self.pose_point @ half[tracks.point], tracks.view, tracks.point, (views, count))
         shared = self.camera_point @ half
         ends = (half.swapaxes(1, 2) @ self.towards_points[..., None]).reshape(-1)

@@ -38,6 +38,7 @@ class View:
     pixels : (n, 2) float32, of recognisable points, in the image that was looked at.
     descriptors : (n, 128) uint8, SIFT's.
     size : (width, height) of that image.
+    full_size : of the image as it is stored.
     depth : (h, w) float32 metres, 0 where it is missing or jumps; a mean of neighbours elsewhere.
     lens : (9,) of the colour camera as given, see `Cameras.lenses`.
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
@@ -48,6 +49,7 @@ class View:
     pixels: NDArray[np.float32]
     descriptors: NDArray[np.uint8]
     size: tuple[int, int]
+    full_size: tuple[int, int]
     depth: DepthImage
     lens: NDArray[np.float64]
     depth_lens: NDArray[np.float64]
@@ -93,6 +95,7 @@ def read_view(frame: Frame) -> View:
         pixels=found.pixels,
         descriptors=found.descriptors,
         size=(width, height),
+        full_size=(color.shape[1], color.shape[0]),
         depth=np.ascontiguousarray(_sound(depth)[::step, ::step]),
         lens=lens_of(camera if is_plain else replace(camera, distortion=(), fisheye=False), width, height),
         depth_lens=np.array([given.fx, given.fy, given.cx, given.cy]) / step,

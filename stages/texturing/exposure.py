@@ -27,6 +27,7 @@ _PRIOR_SAMPLES, _PRIOR_LEVELS = 30.0, 40.0
 _MOST_GAIN = 4.0
 # Of the light in the corners: a weaker vignette averages out, and photos look as people know them.
 _LEAST_VIGNETTE = 0.1
+_NO_VIGNETTE = (1.0, 0.0, 0.0)
 # Fewer samples in other photos than this tell nothing.
 _LEAST_SAMPLES = 50
 
@@ -43,27 +44,27 @@ class Exposure:
 
     gain: Floats
     bias: Floats
-    vignette: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    vignette: tuple[float, float, float] = _NO_VIGNETTE
 
     def corrected(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the image (h, w, 3) as it would be at gain 1, bias 0 and without vignette."""
+        import cv2
+
         if self.is_none:
             return image
         height, width = image.shape[:2]
+        if self.vignette == _NO_VIGNETTE:
+            # The same for every pixel: looked up.
+            levels = (np.arange(256)[None, :, None] - self.bias) / self.gain
+            return np.asarray(cv2.LUT(image, np.rint(levels).clip(0, 255).astype(np.uint8)), np.uint8)
         light = light_at(_radii2(width, height), self.vignette)[..., None]
         levels = (image / light - self.bias) / self.gain
         return np.asarray(np.rint(levels).clip(0, 255), np.uint8)
 
-    def applied(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the image (h, w, 3) of the scene as the photo would show it."""
-        height, width = image.shape[:2]
-        light = light_at(_radii2(width, height), self.vignette)[..., None]
-        return np.asarray(np.rint((image * self.gain + self.bias) * light).clip(0, 255), np.uint8)
-
     @property
     def is_none(self) -> bool:
         """Return whether nothing is to be corrected."""
-        return bool((self.gain == 1).all() and (self.bias == 0).all() and self.vignette == (1.0, 0.0, 0.0))
+        return bool((self.gain == 1).all() and (self.bias == 0).all() and self.vignette == _NO_VIGNETTE)
 
 
 def no_exposure() -> Exposure:
@@ -138,7 +139,7 @@ def _solved(
     point, place = np.nonzero(usable)
     if not len(point):
         none = tuple(no_exposure() for _ in range(count))
-        return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64)), (1.0, 0.0, 0.0)
+        return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64)), _NO_VIGNETTE
     view = views[point, place].astype(np.int64)
     radius2 = radii2[point, place].astype(np.float64)
     level = colors[point, place].astype(np.float64)
@@ -146,7 +147,7 @@ def _solved(
     samples = np.bincount(view, minlength=count)
     known = samples >= _LEAST_SAMPLES
     gain, bias = np.ones((count, 3)), np.zeros((count, 3))
-    vignette = (1.0, 0.0, 0.0)
+    vignette = _NO_VIGNETTE
     weight = np.ones_like(level)
     before = 0.0
     for turn in range(_ROUNDS + 1):

@@ -68,6 +68,7 @@ def _view(number: int, pose: np.ndarray) -> View:
         pixels=np.zeros((0, 2), np.float32),
         descriptors=np.zeros((0, 128), np.uint8),
         size=SIZE,
+        full_size=SIZE,
         depth=depth.astype(np.float32),
         lens=np.array([*DEPTH_LENS, 0, 0, 0, 0, 0]),
         depth_lens=DEPTH_LENS,

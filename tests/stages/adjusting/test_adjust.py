@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from stages import Frame, adjust, read_scan
 from stages.adjusting.cameras import motion, motion_apart
 from stages.adjusting.key_frames import key_frames
+from stages.scans.images import read_color
 
 SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 
@@ -53,9 +55,12 @@ def test_exact_poses_are_left_as_they_are(frames):
 @pytest.mark.slow
 def test_disturbed_poses_come_back(frames):
     disturbed = jittered(frames, 0.01, 0.5)
-    found = adjust(disturbed)
+    told: list[tuple[int, int]] = []
+    found = adjust(disturbed, progress=lambda done, total: told.append((done, total)))
     assert found.accepted
     assert not found.has_camera, "the given camera is right"
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert {total for _, total in told} == {told[-1][0]}
     assert found.after.median < 0.3 < 2 < found.before.median
     was, is_now = (np.median(apart(frames, some), axis=0) for some in (disturbed, found.frames))
     assert is_now[0] < 0.2 * was[0]
@@ -122,6 +127,21 @@ def test_black_frames_are_told(frames):
 def test_over_exposed_frames_are_told(frames):
     white = [replace(frame, color=np.full((240, 320, 3), 255, np.uint8)) for frame in frames[:4]]
     assert "over-exposed" in adjust(white).why
+
+
+def test_frames_without_depth_are_told(frames):
+    bare = [replace(frame, depth=np.zeros((240, 320), np.float32)) for frame in frames[:4]]
+    assert "no depth is measured" in adjust(bare).why
+
+
+@pytest.mark.slow
+def test_the_camera_found_is_of_the_size_of_the_images(frames):
+    some = jittered(frames[:8], 0.01, 0.5, zoom=1.05)
+    large = [replace(one, color=cv2.resize(read_color(one), (1280, 960))) for one in some]
+    found = adjust(large, camera=True)
+    camera = found.frames[0].color_camera
+    assert (camera.width, camera.height) == (1280, 960)
+    assert camera.fx == pytest.approx(4 * frames[0].camera.fx, rel=0.02)
 
 
 @pytest.mark.slow

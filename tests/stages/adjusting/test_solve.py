@@ -124,6 +124,12 @@ def test_surfaces_alone_bring_poses_together(scene):
     assert gaps[1] < 0.3 * gaps[0]
 
 
+def test_points_without_depth_change_nothing(scene):
+    blind = [replace(view, depth=np.zeros_like(view.depth)) for view in scene.views]
+    start = disturbed(scene, np.random.default_rng(7))
+    assert solved(blind, start, start, scene.tracks, Surfaces.none(), PRIOR, frees_camera=True) is start
+
+
 def test_a_camera_that_is_given_stays(scene):
     start = disturbed(scene, np.random.default_rng(5))
     found = solved(scene.views, start, start, scene.tracks, meeting(scene), PRIOR, frees_camera=False)

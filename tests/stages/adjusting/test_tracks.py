@@ -15,6 +15,7 @@ def views(count: int, points: int = 5) -> list[View]:
             pixels=pixels + 100 * number,
             descriptors=np.zeros((points, 128), np.uint8),
             size=(8, 8),
+            full_size=(8, 8),
             depth=np.ones((8, 8), np.float32),
             lens=np.zeros(9),
             depth_lens=np.zeros(4),

@@ -1,0 +1,34 @@
+"""How far colour, depth and poses are apart is told in pixels, with what to do about it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stages import inspect, read_scan
+from stages.adjusting.cameras import motion
+
+SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
+
+
+@pytest.mark.slow
+def test_frames_that_agree_raise_no_warning():
+    found = inspect(read_scan(SAMPLE))
+    assert found.misfit_px < 0.5
+    assert not any("px (median" in text for text in found.warnings)
+
+
+@pytest.mark.slow
+def test_poses_that_are_off_are_told_with_the_way():
+    scan = read_scan(SAMPLE)
+    steps = np.random.default_rng(3).normal(size=(len(scan.frames), 1, 6)) * 0.006
+    frames = [
+        replace(frame, world_from_camera=frame.world_from_camera @ motion(step)[0])
+        for frame, step in zip(scan.frames, steps, strict=True)
+    ]
+    found = inspect(replace(scan, frames=frames))
+    assert found.misfit_px > 2
+    (said,) = (text for text in found.warnings if "scanloom adjust" in text)
+    assert f"off by {found.misfit_px:.1f} px" in said
+    assert f"points that two frames show lie {found.misfit_px:.2g} px apart" in "\n".join(found.lines())
