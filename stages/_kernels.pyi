@@ -410,7 +410,7 @@ class SurfacePoints:
         """Return pixels a metre in the best view (n,), and how many views show each point (n,)."""
 
     def blend(
-        self, *, blurred: float, details: float, deviations: float, levels: float, wanted_threads: int
+        self, *, blurred: int, details: int, deviations: float, levels: float, wanted_threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
         """Return colours (n, 3), the best view (n,), −1 for none, and how many views count (n,)."""
 

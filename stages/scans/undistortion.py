@@ -17,12 +17,12 @@ def undistorted(image: NDArray[Any], camera: Camera, *, smooth: bool, sharp: boo
     Parameters
     ----------
     smooth : interpolate linearly; else the nearest pixel is taken.
-    sharp : interpolate by Lanczos' window of four pixels instead, which keeps details.
+    sharp : interpolate by a cubic instead, which keeps details.
     """
     import cv2
 
     across, down = _undistortion(camera, image.shape[1], image.shape[0])
-    how = cv2.INTER_LANCZOS4 if sharp else cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
+    how = cv2.INTER_CUBIC if sharp else cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
     return cv2.remap(image, across, down, how)
 
 

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 # Texels that are painted at a time: each remembers its best photos.
 _AT_ONCE = 4_000_000
 # Details come from the best photos: their share falls with this power of the score; the rest is a mean.
-_DETAILS_POWER, _BLURRED_POWER = 3.0, 1.0
+_DETAILS_POWER, _BLURRED_POWER = 3, 1
 # Photos that differ from the median by so many deviations, and so many levels, do not count.
 _DEVIATIONS, _LEVELS = 3.0, 12.0
 # Every so many texels tell how the mesh's own colours go with those painted.

@@ -241,8 +241,8 @@ impl SurfacePoints {
     fn blend(
         &self,
         py: Python<'_>,
-        blurred: f32,
-        details: f32,
+        blurred: i32,
+        details: i32,
         deviations: f32,
         levels: f32,
         wanted_threads: usize,

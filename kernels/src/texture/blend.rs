@@ -18,8 +18,8 @@ const PART: usize = 1 << 14;
 #[derive(Clone, Copy, Debug)]
 pub struct Weights {
     /// Powers of the score: for what is blurred, and for the details.
-    pub blurred: f32,
-    pub details: f32,
+    pub blurred: i32,
+    pub details: i32,
     /// Photos that differ from the median by more than so many deviations, and so many levels, do not count.
     pub deviations: f32,
     pub levels: f32,
@@ -91,7 +91,7 @@ impl Weights {
             }
             used += 1;
             let share = sample.score / best;
-            let (low, high) = (agreeing * share.powf(self.blurred), agreeing * share.powf(self.details));
+            let (low, high) = (agreeing * share.powi(self.blurred), agreeing * share.powi(self.details));
             for k in 0..3 {
                 let blurred = f32::from(sample.blurred[k]);
                 base[k] += low * blurred;

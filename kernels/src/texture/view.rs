@@ -53,7 +53,7 @@ pub struct View {
     pub photo: Photo,
     /// The photo without its details.
     pub blurred: Photo,
-    /// The mesh from this camera, and the triangle at each pixel.
+    /// The mesh from where the photo was taken, in any size, and the triangle at each pixel.
     pub mesh: Depths,
     pub triangles: Vec<u32>,
     /// What the frame measured, if it did.
@@ -93,11 +93,16 @@ impl View {
             return None;
         }
         let tangent = ((1.0 - cosine * cosine).max(0.0).sqrt() / cosine).min(MOST_TANGENT);
-        if self.mesh.difference(place, tangent)? < -SAME_DEPTH {
+        // The mesh was drawn from where the photo was taken.
+        if self.mesh.difference(&p, tangent)? < -SAME_DEPTH {
             return None;
         }
         let mut worth = self.worth;
-        match self.measured.as_ref().and_then(|measured| measured.difference(place, tangent)) {
+        match self
+            .measured
+            .as_ref()
+            .and_then(|measured| measured.difference(&measured.camera.in_camera(place), tangent))
+        {
             None if self.measured.is_some() => worth *= UNMEASURED,
             Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
             _ => {}
@@ -148,14 +153,14 @@ fn cell(place: f64, count: usize) -> (usize, f64) {
 }
 
 impl Depths {
-    /// How far behind a point the nearest surface around its pixel is, as a share of its depth: negative where something is
+    /// How far behind a point in camera axes the nearest surface around its pixel is, as a share of its depth: negative where something is
     /// in front. None where nothing is known. A surface of the point's own slope counts as no difference.
-    fn difference(&self, place: &Vec3, tangent: f64) -> Option<f64> {
-        let p = self.camera.in_camera(place);
+    #[inline]
+    fn difference(&self, p: &Vec3, tangent: f64) -> Option<f64> {
         if p[2] <= 0.0 {
             return None;
         }
-        let nearest = f64::from(self.nearest[self.camera.nearest(self.camera.pixel(&p))?]);
+        let nearest = f64::from(self.nearest[self.camera.nearest(self.camera.pixel(p))?]);
         if nearest <= 0.0 || nearest.is_infinite() {
             return None;
         }
