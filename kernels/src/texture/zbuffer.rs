@@ -70,13 +70,17 @@ impl ZBuffer {
         let inverse = [0, 1, 2].map(|i| edges[0][i] * za + edges[1][i] * zb + edges[2][i] * zc);
         let between = |axis: usize, size: usize| {
             let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
-            let high = a[axis].max(b[axis]).max(c[axis]).floor().min(size as f64 - 1.0);
-            if low > high { 1..=0 } else { low as usize..=high as usize }
+            // The one after the last; 0 where all is beyond the first.
+            let end = (a[axis].max(b[axis]).max(c[axis]).floor() + 1.0).clamp(0.0, size as f64);
+            low.min(size as f64) as usize..end as usize
         };
         let columns = between(0, camera.width);
+        if columns.is_empty() {
+            return;
+        }
         for y in between(1, camera.height) {
             // Each edge leaves a part of the row, to one side.
-            let (mut first, mut last) = (*columns.start() as f64, *columns.end() as f64);
+            let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
             for [along, up, rest] in edges {
                 let at = up * y as f64 + rest;
                 if along > 0.0 {

@@ -1,0 +1,126 @@
+"""Photos that were left out, beside what their cameras see of fused, simplified, baked and textured meshes.
+
+    python benches/texture.py SCAN... [--hold-out 10] [--ratio 0.1] [--open3d]
+
+Each scan goes through `scanloom run` without every tenth frame. Prints a Markdown table: PSNR as it is and
+after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
+count, and seconds of the stage that made the colours. Photos are placed against each mesh (see
+`stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with the same
+cameras, on xatlas' charts in one image of 2048²; it takes minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from markdown_tables import print_head, print_row
+
+from pipeline import adjusting, registering
+from pipeline.config import Config
+from pipeline.holding_out import like_neighbours
+from pipeline.run import RunResult, run
+from stages._open3d import open3d
+from stages.comparing.left_out import left_out
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+from stages.scans.scan import Frame, Scan
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Image, Material, Mesh, Texture
+from stages.surface.mesh_files import read_mesh
+from stages.texturing.atlas import unwrap
+from stages.texturing.bake import bake
+from stages.texturing.photos import photo_of
+
+COLUMNS = (
+    "scan",
+    "colours",
+    "raw dB",
+    "affine dB",
+    "SSIM",
+    "sharpness",
+    "covered",
+    "photos",
+    "placed",
+    "seconds",
+)
+_OPEN3D_SIZE = 2048
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scans", type=Path, nargs="+", metavar="SCAN")
+    parser.add_argument("--hold-out", type=int, default=10)
+    parser.add_argument("--ratio", type=float, default=0.1)
+    parser.add_argument("--open3d", action="store_true")
+    options = parser.parse_args()
+    print_head(COLUMNS, words=2)
+    for folder in options.scans:
+        with tempfile.TemporaryDirectory() as out:
+            words = [f"scan.hold_out={options.hold_out}", f"simplify.ratio={options.ratio}"]
+            result = run(folder, out, Config().set(words))
+            scan = read_scan(folder, ScanParams(hold_out=options.hold_out), complete=False)
+            used = _used(scan, result)
+            held_out = like_neighbours(scan.held_out, options.hold_out, scan.frames, used)
+            for name, mesh, seconds in _meshes(Path(out), result, used, options.open3d):
+                _print(folder.name, name, mesh, held_out, seconds)
+
+
+def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
+    """Return the frames as the later stages saw them."""
+    folders = {one.stage: one.folder for one in result.stages}
+    if "register" in folders:
+        scan = registering.placed(scan, folders["register"])
+    if "adjust" in folders:
+        scan = adjusting.placed(scan, folders["adjust"])
+    return scan.frames
+
+
+def _meshes(
+    out: Path, result: RunResult, used: Sequence[Frame], with_open3d: bool
+) -> Iterator[tuple[str, Mesh, float]]:
+    seconds = {one.stage: one.seconds for one in result.stages}
+    clean, light = (read_ply(out / f"{name}.ply") for name in ("clean", "simplified"))
+    yield "fused, of vertices", read_ply(out / "fused.ply"), seconds["fuse"]
+    yield "simplified, of vertices", light, seconds["simplify"]
+    start = time.perf_counter()
+    baked = bake(light, clean).mesh
+    yield "simplified, baked", baked, time.perf_counter() - start
+    if with_open3d:
+        start = time.perf_counter()
+        yield "Open3D project_images_to_albedo", _projected(light, used), time.perf_counter() - start
+    yield "scanloom, texture", read_mesh(out / "textured.glb"), seconds["texture"]
+
+
+def _projected(mesh: Mesh, frames: Sequence[Frame]) -> Mesh:
+    o3d = open3d()
+    atlas = unwrap(mesh, _OPEN3D_SIZE, 8)
+    theirs = o3d.t.geometry.TriangleMesh(
+        o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles)
+    )
+    theirs.triangle.texture_uvs = o3d.core.Tensor(atlas.uvs.astype(np.float32))
+    photos = [photo_of(frame) for frame in frames if frame.color is not None]
+    images = [o3d.t.geometry.Image(o3d.core.Tensor(photo.image)) for photo in photos]
+    cameras = [o3d.core.Tensor(photo.camera.matrix) for photo in photos]
+    poses = [o3d.core.Tensor(photo.camera_from_world) for photo in photos]
+    image = theirs.project_images_to_albedo(images, cameras, poses, tex_size=_OPEN3D_SIZE)
+    pixels = np.ascontiguousarray(image.as_tensor().numpy()[:, :, :3])
+    materials = (Material(name="albedo", image=Image(given=pixels), wrap=("clamp", "clamp")),)
+    ids = np.zeros(len(mesh.triangles), np.int32)
+    return mesh.with_(colors=None, texture=Texture(atlas.uvs, ids, materials))
+
+
+def _print(scan: str, name: str, mesh: Mesh, held_out: Sequence[Frame], seconds: float) -> None:
+    found = left_out(mesh, held_out).figures()
+    cells = [f"{found[f'psnr_{kind}_db']:.2f}" for kind in ("raw", "affine")]
+    cells += [f"{found['ssim']:.3f}", f"{found['sharpness']:.2f}", f"{found['coverage_share']:.2f}"]
+    print_row([scan, name, *cells, str(found["photos"]), str(found["placed"]), f"{seconds:.1f}"])
+
+
+if __name__ == "__main__":
+    main()
