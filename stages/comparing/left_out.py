@@ -146,7 +146,7 @@ class _Seen:
 
 
 def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorImage]:
-    image, camera = read_photo(frame)
+    image, camera, shown = read_photo(frame)
     if frame.world_from_camera is None:
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
@@ -157,6 +157,7 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
             continue
         seen = _seen(surface, camera, pose)
         counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
+        counted = counted if shown is None else counted & shown
         if np.count_nonzero(counted) < _LEAST_PIXELS:
             continue
         score = _score(place, seen.levels, image, counted, placed=pose is not given)

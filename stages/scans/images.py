@@ -58,13 +58,14 @@ def read_pinhole(frame: Frame) -> ColorImage | None:
     return cast(ColorImage, undistorted(image, frame.camera, smooth=True))
 
 
-def read_photo(frame: Frame) -> tuple[ColorImage, Camera]:
+def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | None]:
     """Return a frame's colour image without lens distortion, as sharp as it is, and its pinhole camera.
 
     Returns
     -------
-    (h, w, 3) uint8 RGB at its own size, and the camera for this size: that of the colour image, or, where the
-    frame has none, its own.
+    (h, w, 3) uint8 RGB at its own size; the camera for this size, that of the colour image, or, where the
+    frame has none, its own; and which pixels (h, w) show the scene, not those of the mask, nor beyond the
+    edge of the image as it was taken. None if all do.
 
     Raises
     ------
@@ -81,9 +82,13 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera]:
     if abs(width * known.height / (height * known.width) - 1) > _SAME_SHAPE:
         require_size(image, known, frame.color, frame.name)
     camera = scaled(known, width, height)
+    mask = read_mask(frame)
+    seen = None if mask is None else _in_size(mask, camera)
     if camera.distortion:
         image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True))
-    return image, replace(camera, distortion=(), fisheye=False)
+        whole = np.full((height, width), 255, np.uint8) if seen is None else seen
+        seen = cast("NDArray[np.uint8]", undistorted(whole, camera, smooth=False))
+    return image, replace(camera, distortion=(), fisheye=False), None if seen is None else seen > 0
 
 
 def read_mask(frame: Frame) -> NDArray[np.uint8] | None:

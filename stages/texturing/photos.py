@@ -35,12 +35,14 @@ class Photo:
     image : (h, w, 3) uint8 RGB.
     camera : without distortion, of this size.
     camera_from_world : (4, 4) float64, metres.
+    seen : (h, w) which pixels show the scene, None if all do.
     """
 
     frame: Frame
     image: ColorImage
     camera: Camera
     camera_from_world: Pose
+    seen: NDArray[np.bool_] | None = None
 
 
 def photo_of(frame: Frame) -> Photo:
@@ -53,14 +55,15 @@ def photo_of(frame: Frame) -> Photo:
     """
     if frame.world_from_camera is None:
         raise InputError("there is no camera pose.", f"frame {frame.name}")
-    image, camera = read_photo(frame)
-    cut_off = float(np.mean((image.max(axis=2) < _DARK) | (image.min(axis=2) > _BRIGHT)))
+    image, camera, seen = read_photo(frame)
+    black_or_white = (image.max(axis=2) < _DARK) | (image.min(axis=2) > _BRIGHT)
+    cut_off = float(np.mean(black_or_white if seen is None else black_or_white | ~seen))
     if cut_off > _MOST_CUT_OFF:
         raise InputError(f"{cut_off:.0%} of the photo is black or white.", f"frame {frame.name}")
     pose = inverted(np.asarray(frame.world_from_camera, np.float64))
     if frame.color_camera is not None and frame.color_from_depth is not None:
         pose = np.asarray(frame.color_from_depth, np.float64) @ pose
-    return Photo(frame, image, camera, pose)
+    return Photo(frame, image, camera, pose, seen)
 
 
 @dataclass(frozen=True, eq=False)

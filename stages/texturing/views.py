@@ -83,6 +83,9 @@ def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Sh
     drawn = kernel_camera(_drawing_camera(photo.camera), photo.camera_from_world)
     depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near_of(mesh))
     nearest, reach = _nearest(depth)
+    if photo.seen is not None:
+        # Nothing is known there, and nothing is taken from there.
+        nearest[_border(photo.seen, nearest.shape) > 0] = 0
     measured, measured_reach = _measured(photo.frame)
     return _kernels.View(
         kernel_camera(photo.camera, photo.camera_from_world),
@@ -96,6 +99,16 @@ def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Sh
         warp=shifts,
         worth=worth,
     )
+
+
+def _border(seen: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return what a photo does not show, and a margin around it, in another size."""
+    import cv2
+
+    unseen = cv2.resize((~seen).astype(np.uint8), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    reach = max(round(shape[1] * _MARGIN), 1)
+    # The image's own edge is no border of this kind.
+    return np.asarray(cv2.dilate(unseen, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)), np.uint8)
 
 
 def _drawing_camera(camera: Camera) -> Camera:

@@ -7,6 +7,7 @@ import pytest
 from photographed import CAMERA, brighter, hits, paint, photo, photos, pose, wall
 
 from stages import InputError, MeshError, UsageError
+from stages.scans.images import read_photo
 from stages.scans.scan import Frame, Scan
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
@@ -225,3 +226,18 @@ def test_wrong_words_and_meshes_are_refused():
         texture(wall(), photos(1), max_size=100)
     with pytest.raises(MeshError, match="zero area"):
         texture(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32)), photos(1))
+
+
+def test_what_lies_beyond_the_edge_of_a_distorted_photo_is_not_taken():
+    # A lens that shows less in the corners: without distortion the image has black ones.
+    lens = replace(CAMERA, distortion=(0.45, 0.0, 0.0, 0.0))
+    frames = [replace(frame, color_camera=lens) for frame in photos(12)]
+    image, camera, seen = read_photo(frames[0])
+    assert camera.distortion == ()
+    assert not seen.all()
+    assert np.mean(image[~seen] == 0) > 0.9
+    for frame in frames:
+        assert read_photo(frame)[2] is not None
+    white = [replace(frame, color=np.full_like(np.asarray(frame.color), 200)) for frame in frames]
+    colors, _ = shown(texture(wall(), white, format="png").mesh)
+    assert colors.min() > 195
