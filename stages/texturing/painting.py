@@ -36,7 +36,7 @@ class Painted:
     Attributes
     ----------
     colors : (h, w, 3) float32, levels.
-    filled : (h, w) whether a texel shows the surface.
+    filled : (h, w) whether a texel shows the surface, and has a colour.
     labels : (h, w) int32, the photo that counts most there; -1 where none shows the surface.
     views : (h, w) uint8, photos that count.
     """
@@ -91,7 +91,8 @@ class Painter:
         for texels in _parts(texels_of(self._pages, number)):
             at = texels.pixels
             colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
-            filled[at] = True
+            # What nothing is known of takes on the colours around it.
+            filled[at] = (labels[at] >= 0) | (self._mesh.colors is not None)
         shape = (height, width)
         return Painted(
             colors.reshape(*shape, 3), filled.reshape(shape), labels.reshape(shape), views.reshape(shape)
