@@ -13,7 +13,7 @@ from stages.errors import InputError
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame, Pose, scaled
+from stages.scans.scan import Camera, ColorImage, Frame, Pose, scaled
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts
 from stages.texturing.exposure import Exposure
@@ -76,10 +76,8 @@ def see(
 
 
 def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Shifts | None) -> _kernels.View:
-    import cv2
-
     image = exposure.corrected(photo.image)
-    blurred = cv2.GaussianBlur(image, (0, 0), max(_BLUR * photo.camera.width, 0.5))
+    blurred = _blurred(image, photo.seen)
     drawn = kernel_camera(_drawing_camera(photo.camera), photo.camera_from_world)
     depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near_of(mesh))
     nearest, reach = _nearest(depth)
@@ -90,7 +88,7 @@ def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Sh
     return _kernels.View(
         kernel_camera(photo.camera, photo.camera_from_world),
         image,
-        np.asarray(blurred),
+        blurred,
         drawn,
         nearest,
         triangles,
@@ -101,13 +99,26 @@ def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Sh
     )
 
 
+def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
+    """Return a photo without its details; what it does not show does not count."""
+    import cv2
+
+    spread = max(_BLUR * image.shape[1], 0.5)
+    if seen is None:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), spread), np.uint8)
+    weight = seen.astype(np.float32)
+    total = np.maximum(cv2.GaussianBlur(weight, (0, 0), spread), np.float32(1e-3))
+    sums = cv2.GaussianBlur(image * weight[..., None], (0, 0), spread)
+    return np.asarray(np.rint(sums / total[..., None]).clip(0, 255), np.uint8)
+
+
 def _border(seen: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """Return what a photo does not show, and a margin around it, in another size."""
     import cv2
 
     unseen = cv2.resize((~seen).astype(np.uint8), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
-    reach = max(round(shape[1] * _MARGIN), 1)
-    # The image's own edge is no border of this kind.
+    # Taking the distortion out mixes what lies up to two pixels apart.
+    reach = max(round(shape[1] * _MARGIN), 3)
     return np.asarray(cv2.dilate(unseen, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)), np.uint8)
 
 
