@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
 	@echo
-	@echo "The mesh is demo/rgbd/simplified.ply, the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
+	@echo "The mesh is demo/rgbd/textured.glb (and simplified.ply), the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
 
 check: lint
 	$(BIN)/pytest -n auto --dist worksteal --quiet -m "not slow"

@@ -77,7 +77,7 @@ def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
     if "register" in folders:
         scan = registering.placed(scan, folders["register"])
     if "adjust" in folders:
-        scan = adjusting.placed(scan, folders["adjust"])
+        scan = adjusting.placed(scan, folders["adjust"] / "adjusted")
     return scan.frames
 
 

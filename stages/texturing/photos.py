@@ -16,7 +16,7 @@ from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
 
 # Photos are kept in memory up to so many bytes; others are read again when they are needed.
-_KEPT_BYTES = 400_000_000
+_KEPT_BYTES = 250_000_000
 # Photos taken before and after that one is compared with, and what a blurred one is worth at least.
 _BESIDE = 5
 _LEAST_WORTH = 0.4

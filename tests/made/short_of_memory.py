@@ -56,6 +56,30 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
     return {
         "side_lengths": partial(kernels.side_lengths, mesh.vertices, mesh.triangles, wanted_threads=2),
         "spatial_order": partial(kernels.spatial_order, mesh.vertices, mesh.triangles),
+        "lay_out": partial(
+            kernels.lay_out,
+            mesh.vertices,
+            mesh.triangles,
+            np.full(triangles, 100.0, np.float32),
+            side=512,
+            padding=2,
+            **told,
+        ),
+        "texels": partial(
+            kernels.texels,
+            corners[:, :2].reshape(-1, 3, 2) * 1000,
+            np.zeros(triangles, np.int32),
+            page=0,
+            width=1024,
+            height=1024,
+        ),
+        "zbuffer": partial(
+            kernels.zbuffer,
+            mesh.vertices,
+            mesh.triangles,
+            ((800.0, 800.0, 500.0, 500.0, 1000, 1000), np.eye(4)),
+            near=1e-3,
+        ),
         "weld_sheets": partial(kernels.weld_sheets, sets, mesh.triangles),
         "color_weight": partial(
             kernels.color_weight, *soup, target=triangles // 10, tried=True, wanted_threads=2
