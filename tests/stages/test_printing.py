@@ -83,6 +83,7 @@ def everything():
     comparison = stages.compare(mesh, mesh, samples=1000)
     cleaned = stages.clean(mesh)
     inspected = stages.inspect(scan)
+    fused = stages.fuse(scan, voxel_size=0.02, min_weight=1)
     return [
         mesh,
         textured(),
@@ -96,7 +97,7 @@ def everything():
         far,
         rig,
         Packed(Path("video.mp4"), "frame 3", lambda: np.zeros((1, 1))),
-        stages.fuse(scan, voxel_size=0.02, min_weight=1),
+        fused,
         cleaned,
         cleaned.changes,
         comparison,
@@ -108,6 +109,7 @@ def everything():
         stages.bake(ball(1), mesh, max_size=64),
         registration(),
         stages.adjust(scan),
+        stages.texture(fused.mesh, scan),
         stages.depth(*pair, StereoRig(wide, wide, shifted, rectified=True), disparities=16),
         inspected,
         inspected.path,
