@@ -30,7 +30,7 @@ def judge(
 def like_neighbours(
     held_out: Sequence[Frame], every: int, given: Sequence[Frame], used: Sequence[Frame]
 ) -> list[Frame]:
-    """Return frames moved as those taken just before them were, with their colour camera.
+    """Return frames moved as those taken just after them were, with their colour camera.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.fusion.depth_filter import Surface, surface
 from stages.scans.images import read_color, read_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, scaled
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Pose, pinhole, scaled
 
 # Poses come from text with few digits and from trackers that drift off rotation a little.
 _RIGID_TOLERANCE = 1e-2
@@ -72,7 +72,7 @@ def read_posed_depth(frame: Frame, limits: DepthLimits) -> PosedDepth:
         raise InputError("there is no depth map.", f"frame {frame.name}")
     valid = int(np.count_nonzero(depth))
     depth[(depth < limits.min_depth) | (depth > limits.max_depth)] = 0
-    camera = _pinhole(frame.camera)
+    camera = pinhole(frame.camera)
     seen = surface(depth, camera, max_jump=limits.max_jump, max_angle=limits.max_angle)
     if not seen.depth.any():
         what = "no pixel has a depth" if valid == 0 else "no pixel's depth is within the limits"
@@ -144,8 +144,3 @@ def rigid_pose(frame: Frame) -> Pose:
     if off > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
         raise InputError("the camera pose is not a rotation and a shift.", f"frame {frame.name}")
     return pose
-
-
-def _pinhole(camera: Camera) -> Camera:
-    """Return the camera of the images as they were read: `scans.images` took the distortion out."""
-    return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)

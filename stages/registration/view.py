@@ -13,7 +13,7 @@ from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
 from stages.registration.features import WIDEST, Features, features_of
 from stages.scans.images import read_color, read_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, scaled
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
 # Wider depth maps are taken in blocks of 2, 3, … pixels each way: alignment gains nothing beyond.
 _WIDEST = 400
@@ -73,7 +73,7 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
         features = features_of(grey, camera, depth)
     step = max(-(-frame.camera.width // _WIDEST), 1)
     small = _smaller(depth, step)
-    camera = scaled(_pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
+    camera = scaled(pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
     return View(
         name=frame.name,
         camera=camera,
@@ -97,11 +97,7 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
     size = (width, max(round(color.shape[0] * width / color.shape[1]), 1))
     if size != (color.shape[1], color.shape[0]):
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return color, scaled(_pinhole(frame.camera), *size)
-
-
-def _pinhole(camera: Camera) -> Camera:
-    return Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return color, scaled(pinhole(frame.camera), *size)
 
 
 def _smaller(depth: DepthImage, step: int) -> DepthImage:

@@ -6,7 +6,6 @@ because rectification removes it together with the rotation.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.images import decode_color, file_bytes, read_raw_depth, read_stored, require_raw_depth
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, scaled
+from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from stages.scans.undistortion import undistorted
 
 # By how much an image may be wider or narrower than its camera says, of its height: rounding of its size.
@@ -88,7 +87,7 @@ def read_photo(frame: Frame) -> tuple[ColorImage, Camera, NDArray[np.bool_] | No
         image = cast(ColorImage, undistorted(image, camera, smooth=True, sharp=True))
         whole = np.full((height, width), 255, np.uint8) if seen is None else seen
         seen = cast("NDArray[np.uint8]", undistorted(whole, camera, smooth=False))
-    return image, replace(camera, distortion=(), fisheye=False), None if seen is None else seen > 0
+    return image, pinhole(camera), None if seen is None else seen > 0
 
 
 def read_mask(frame: Frame) -> NDArray[np.uint8] | None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,11 @@ class Camera:
     def matrix(self) -> NDArray[np.float64]:
         """Return the (3, 3) camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], np.float64)
+
+
+def pinhole(camera: Camera) -> Camera:
+    """Return the camera of the same images without lens distortion, as `stages.scans.images` reads them."""
+    return replace(camera, distortion=(), fisheye=False)
 
 
 def scaled(camera: Camera, width: int, height: int) -> Camera:

@@ -17,7 +17,7 @@ import numpy as np
 from stages.errors import InputError
 from stages.scans.images import read_color
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Frame
+from stages.scans.scan import ColorImage, Frame
 
 # Reading more images than this takes longer than a person wants to wait; they are spread over the scan.
 _MOST_FRAMES = 150
@@ -51,14 +51,17 @@ def least_sharp(frames: Sequence[Frame], share: float = 0.05) -> tuple[list[tupl
 
 
 def _sharpness(frame: Frame) -> float | None:
-    import cv2
-
     try:
         color = read_color(frame)
     except InputError:
         return None
-    if color is None:
-        return None
+    return None if color is None else sharpness(color)
+
+
+def sharpness(color: ColorImage) -> float:
+    """Return the sharpness of an image (h, w, 3), in squared levels."""
+    import cv2
+
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     if gray.shape[1] > _WIDTH:
         size = (_WIDTH, max(round(gray.shape[0] * _WIDTH / gray.shape[1]), 1))

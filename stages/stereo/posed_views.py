@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.scans.scan import Camera, Frame, Pose, Scan
+from stages.scans.scan import Camera, Frame, Pose, Scan, pinhole
 
 # No scan is that far from its origin.
 _FARTHEST_M = 1e9
@@ -95,5 +95,4 @@ def _view(frame: Frame, folder: Path | None) -> PosedView:
         raise InputError(
             f"frame {frame.name} stands {np.abs(pose).max():g} m off; its pose is wrong.", folder
         )
-    pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    return PosedView(pinhole, np.asarray(pose, np.float64), 0.0, math.inf)
+    return PosedView(pinhole(camera), np.asarray(pose, np.float64), 0.0, math.inf)

@@ -57,7 +57,7 @@ class Exposure:
             # The same for every pixel: looked up.
             levels = (np.arange(256)[None, :, None] - self.bias) / self.gain
             return np.asarray(cv2.LUT(image, np.rint(levels).clip(0, 255).astype(np.uint8)), np.uint8)
-        light = light_at(_radii2(width, height), self.vignette)[..., None]
+        light = _light_at(_radii2(width, height), self.vignette)[..., None]
         levels = (image / light - self.bias) / self.gain
         return np.asarray(np.rint(levels).clip(0, 255), np.uint8)
 
@@ -117,11 +117,11 @@ def exposures(
     radii2 : (n, k) squared distance from the photo's middle, 1 in its corners.
     count : photos.
     """
-    found, vignette = _solved(views, colors, radii2, count, vignetted=True)
-    lost = 1 - float(light_at(np.ones(1), vignette)[0])
-    return (
-        found if abs(lost) >= _LEAST_VIGNETTE else _solved(views, colors, radii2, count, vignetted=False)[0]
-    )
+    found = _solved(views, colors, radii2, count, vignetted=True)
+    corner = _light_at(np.ones(1), found.photos[0].vignette)[0]
+    if abs(1 - corner) >= _LEAST_VIGNETTE:
+        return found
+    return _solved(views, colors, radii2, count, vignetted=False)
 
 
 def _solved(
@@ -131,7 +131,7 @@ def _solved(
     count: int,
     *,
     vignetted: bool,
-) -> tuple[Exposures, tuple[float, float, float]]:
+) -> Exposures:
     step = max(len(views) // _MOST_POINTS, 1)
     views, colors, radii2 = views[::step], colors[::step], radii2[::step]
     usable = (views >= 0) & (colors.min(axis=2) >= _USABLE[0]) & (colors.max(axis=2) <= _USABLE[1])
@@ -139,7 +139,7 @@ def _solved(
     point, place = np.nonzero(usable)
     if not len(point):
         none = tuple(no_exposure() for _ in range(count))
-        return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64)), _NO_VIGNETTE
+        return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64))
     view = views[point, place].astype(np.int64)
     radius2 = radii2[point, place].astype(np.float64)
     level = colors[point, place].astype(np.float64)
@@ -151,7 +151,7 @@ def _solved(
     weight = np.ones_like(level)
     before = 0.0
     for turn in range(_ROUNDS + 1):
-        light = light_at(radius2, vignette)[:, None]
+        light = _light_at(radius2, vignette)[:, None]
         mean = _means(point, (level / light - bias[view]) / gain[view], weight * gain[view] ** 2)
         shown = gain[view] * mean[point] + bias[view]
         difference = np.abs(level - shown * light)
@@ -162,7 +162,7 @@ def _solved(
         weight = np.minimum(1.0, _HUBER / np.maximum(difference, 1e-9))
         if vignetted:
             vignette = _vignette(shown, level, weight, radius2)
-        level_there = level / light_at(radius2, vignette)[:, None]
+        level_there = level / _light_at(radius2, vignette)[:, None]
         gain, bias = _fitted(view, mean[point], level_there, weight, count)
         gain[~known], bias[~known] = 1.0, 0.0
         if known.any():
@@ -171,14 +171,13 @@ def _solved(
             bias[known] -= bias[known].mean(axis=0)
     largest = difference.max(axis=1)
     each = [largest[view == number] for number in range(count)]
-    found = Exposures(
+    return Exposures(
         photos=tuple(Exposure(gain[i], bias[i], vignette) for i in range(count)),
         before=before,
         after=float(np.median(difference)),
         differences=np.array([float(np.median(one)) if len(one) else 0.0 for one in each]),
         samples=samples,
     )
-    return found, vignette
 
 
 def _vignette(shown: Floats, level: Floats, weight: Floats, radius2: Floats) -> tuple[float, float, float]:
@@ -224,6 +223,6 @@ def _radii2(width: int, height: int) -> Floats:
     return np.asarray((x[None, :] ** 2 + (aspect * y[:, None]) ** 2) / (1 + aspect**2))
 
 
-def light_at(radii2: Floats, vignette: tuple[float, float, float]) -> Floats:
+def _light_at(radii2: Floats, vignette: tuple[float, float, float]) -> Floats:
     """Return the vignette at squared distances from the middle, 1 in the corners."""
     return np.asarray(vignette[0] * (1 + vignette[1] * radii2 + vignette[2] * radii2**2))

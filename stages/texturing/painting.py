@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +54,9 @@ class Painter:
         self._mesh, self._normals, self._pages, self._survey, self._kept = mesh, normals, pages, survey, kept
         # What is painted at once can be painted again without looking for the best photos anew.
         self._remembered: _kernels.SurfacePoints | None = None
-        self.parts = sum(1 for page in range(len(pages.sizes)) for _ in _parts(texels_of(pages, page)))
+        # Found once where there is one image; all of many may not fit into memory.
+        self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
+        self.parts = sum(len(_parts(self._texels(page))) for page in range(len(pages.sizes)))
 
     def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> list[Painted]:
         """Return the images; `progress` is called for each photo and part of the texels."""
@@ -82,13 +84,16 @@ class Painter:
             progress()
         return found
 
+    def _texels(self, page: int) -> Texels:
+        return texels_of(self._pages, page) if self._only is None else self._only
+
     def _page(self, number: int, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> Painted:
         width, height = self._pages.sizes[number]
         colors = np.zeros((height * width, 3), np.float32)
         filled = np.zeros(height * width, np.bool_)
         labels = np.full(height * width, -1, np.int32)
         views = np.zeros(height * width, np.uint8)
-        for texels in _parts(texels_of(self._pages, number)):
+        for texels in _parts(self._texels(number)):
             at = texels.pixels
             colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
             # What nothing is known of takes on the colours around it.
@@ -102,21 +107,12 @@ class Painter:
         self, texels: Texels, shifts: Sequence[Shifts] | None, progress: Callable[[], object]
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
         mesh, survey = self._mesh, self._survey
-        points, again = self._remembered, True
-        if points is None:
-            points, again = (
-                _kernels.SurfacePoints(
-                    mesh.vertices,
-                    self._normals,
-                    mesh.triangles,
-                    texels.triangles,
-                    texels.shares,
-                    kept=self._kept,
-                ),
-                False,
-            )
-            if self.parts == 1:
-                self._remembered = points
+        again = self._remembered is not None
+        points = self._remembered or _kernels.SurfacePoints(
+            mesh.vertices, self._normals, mesh.triangles, texels.triangles, texels.shares, kept=self._kept
+        )
+        if self.parts == 1:
+            self._remembered = points
         see(points, mesh, survey.photos, survey.exposures.photos, shifts, progress, again=again)
         colors, labels, views = points.blend(
             blurred=_BLURRED_POWER,
@@ -129,10 +125,9 @@ class Painter:
         return colors, labels, views
 
 
-def _parts(texels: Texels) -> Iterator[Texels]:
-    for start in range(0, len(texels.pixels), _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
-        yield Texels(texels.pixels[part], texels.triangles[part], texels.shares[part])
+def _parts(texels: Texels) -> list[Texels]:
+    parts = [slice(start, start + _AT_ONCE) for start in range(0, len(texels.pixels), _AT_ONCE)]
+    return [Texels(texels.pixels[part], texels.triangles[part], texels.shares[part]) for part in parts]
 
 
 def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:

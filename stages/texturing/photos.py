@@ -14,6 +14,7 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Camera, ColorImage, Frame, Pose, SkippedFrame
+from stages.scans.sharpness import sharpness
 
 # Photos are kept in memory up to so many bytes; others are read again when they are needed.
 _KEPT_BYTES = 250_000_000
@@ -125,46 +126,39 @@ def photos_of(frames: Sequence[Frame], progress: Progress) -> Photos:
             photo = photo_of(frame)
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
-        return photo, _details(photo)
+        return photo, sharpness(photo.image)
 
     used: list[Frame] = []
     stands: list[tuple[Camera, Pose]] = []
     skipped: list[SkippedFrame] = []
     kept: dict[int, Photo] = {}
-    details: list[float] = []
+    sharpnesses: list[float] = []
     room = _KEPT_BYTES
     found = read_ahead(looked_at, frames, threads=workers(), ahead=workers() + 2)
     for done, (frame, one) in enumerate(zip(frames, found, strict=True), 1):
         if isinstance(one, SkippedFrame):
             skipped.append(one)
         else:
-            photo, detail = one
+            photo, its_sharpness = one
             room -= photo.image.nbytes
             if room >= 0:
                 kept[len(used)] = photo
             used.append(frame)
             stands.append((photo.camera, photo.camera_from_world))
-            details.append(detail)
+            sharpnesses.append(its_sharpness)
         progress(done, len(frames))
     return Photos(
         frames=tuple(used),
         cameras=tuple(camera for camera, _ in stands),
         poses=tuple(pose for _, pose in stands),
-        worths=_worths(np.array(details)),
+        worths=_worths(np.array(sharpnesses)),
         kept=kept,
         skipped=tuple(skipped),
     )
 
 
-def _details(photo: Photo) -> float:
-    """Return the variance of the Laplacian, which blur takes away."""
-    import cv2
-
-    return float(cv2.Laplacian(cv2.cvtColor(photo.image, cv2.COLOR_RGB2GRAY), cv2.CV_32F).var())
-
-
-def _worths(details: NDArray[np.float64]) -> NDArray[np.float64]:
-    around = [details[max(i - _BESIDE, 0) : i + _BESIDE + 1] for i in range(len(details))]
+def _worths(sharpnesses: NDArray[np.float64]) -> NDArray[np.float64]:
+    around = [sharpnesses[max(i - _BESIDE, 0) : i + _BESIDE + 1] for i in range(len(sharpnesses))]
     medians = np.array([np.median(some) for some in around])
-    share = np.divide(details, medians, out=np.ones_like(details), where=medians > 0)
+    share = np.divide(sharpnesses, medians, out=np.ones_like(sharpnesses), where=medians > 0)
     return np.asarray(np.sqrt(share).clip(_LEAST_WORTH, 1.0))

@@ -26,6 +26,7 @@ from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area
+from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.alignment import Shifts
 from stages.texturing.filling import filled_up
 from stages.texturing.pages import Pages, laid_out
@@ -244,7 +245,7 @@ def texture(
         raise InputError(
             f"none of the {len(colored)} photos can be used (frame {first.name}: {first.reason}).", where
         )
-    normals = _vertex_normals(given)
+    normals = vertex_normals(given)
     surveyed = survey(given, normals, photos, params.views, params.exposure, far.photo(0.25))
     pages = laid_out(
         given,
@@ -298,16 +299,6 @@ class _Far:
 
     def nothing(self, done: int, total: int) -> None:  # noqa: ARG002
         self._progress(round(1000 * self._done), 1000)
-
-
-def _vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """Return unit normals (n, 3), the mean of the triangles' by their area; 0 for unused vertices."""
-    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
-    normals = np.cross(b - a, c - a)
-    corners, count = mesh.triangles.T.ravel(), len(mesh.vertices)
-    sums = np.stack([np.bincount(corners, np.tile(n, 3), minlength=count) for n in normals.T], axis=1)
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.asarray(np.divide(sums, length, out=np.zeros_like(sums), where=length > 0))
 
 
 def _typical(shifts: Sequence[Shifts], surveyed: Survey) -> float:

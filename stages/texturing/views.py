@@ -13,7 +13,7 @@ from stages.errors import InputError
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, ColorImage, Frame, Pose, scaled
+from stages.scans.scan import Camera, ColorImage, Frame, Pose, pinhole, scaled
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts
 from stages.texturing.exposure import Exposure
@@ -136,11 +136,9 @@ def _measured(frame: Frame) -> tuple[tuple[KernelCamera, _Map] | None, float]:
         return None, 0.0
     if depth is None or not depth.any():
         return None, 0.0
-    camera = frame.camera
-    pinhole = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     pose = inverted(np.asarray(frame.world_from_camera, np.float64))
     nearest, reach = _nearest(np.where(depth > 0, depth, np.float32(np.inf)))
-    return (kernel_camera(pinhole, pose), nearest), reach
+    return (kernel_camera(pinhole(frame.camera), pose), nearest), reach
 
 
 def _nearest(depth: _Map) -> tuple[_Map, float]:

@@ -10,10 +10,10 @@ from stages import _kernels
 from stages.progress import silent
 from stages.scans.formats.trajectories import inverted
 from stages.surface.raycasting import Surface
+from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.exposure import no_exposure
 from stages.texturing.photos import photos_of
 from stages.texturing.seams import seam_ratio
-from stages.texturing.texture import _vertex_normals
 from stages.texturing.views import kernel_camera, see
 
 
@@ -52,7 +52,7 @@ def test_threads_change_nothing():
     found = []
     for threads in (1, 2, 5):
         points = _kernels.SurfacePoints(
-            mesh.vertices, _vertex_normals(mesh), mesh.triangles, of, shares, kept=3
+            mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=3
         )
         one = photos_of(frames, silent)
         see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
@@ -66,7 +66,7 @@ def test_the_best_views_come_first_and_show_the_paint():
     mesh, frames = wall(), photos(8)
     of = np.arange(len(mesh.triangles), dtype=np.uint32)
     shares = np.full((len(of), 3), 1 / 3, np.float32)
-    points = _kernels.SurfacePoints(mesh.vertices, _vertex_normals(mesh), mesh.triangles, of, shares, kept=4)
+    points = _kernels.SurfacePoints(mesh.vertices, vertex_normals(mesh), mesh.triangles, of, shares, kept=4)
     one = photos_of(frames, silent)
     see(points, mesh, one, [no_exposure()] * len(one), None, lambda: None)
     views, colors, scores = points.samples()
