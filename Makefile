@@ -19,7 +19,9 @@ demo: $(READY)
 check: lint
 	$(BIN)/pytest -n auto --dist worksteal --quiet -m "not slow"
 
-test: lint rust-tests
+# What needs no Python goes on while the kernels are compiled for it, which is one core's work.
+test:
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint rust-tests
 	$(BIN)/pytest -n auto --dist worksteal
 
 # Random damage, kills and meshes for some minutes: make campaign MINUTES=60, with WORDS for its other options.

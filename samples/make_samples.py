@@ -7,13 +7,16 @@ Both scans move along an arc around the corner of a room (scene.py) and see it t
   by about one degree, and both lenses distort. `calibration.toml`, `poses.txt` (left camera to world).
 - rgbd/: 24 frames of 320×240 with registered depth in millimetres, `scan.json` with camera and poses.
 - truth.ply: the surface itself, with the scene's colours at its vertices.
+
+With --tags AprilTags are on floor and walls; with --visitor somebody in a red coat is in every tenth frame of
+rgbd/, at another place each time. Give a folder for these: the sample scans have neither.
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -32,6 +35,7 @@ RIGHT_TURN = np.deg2rad((0.5, -1.2, 0.4))  # rotation vector of the right camera
 BASELINE = 0.12
 DEPTH_CAMERA = Camera(320, 240, 291.0, 291.0, 159.2, 119.6)
 PAIRS, DEPTH_FRAMES = 14, 24
+VISIT = 4  # of every ten frames
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92]
 
 
@@ -95,16 +99,17 @@ def calibration(pair: StereoRig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def make_rgbd(scene: Scene, folder: Path) -> None:
-    """Write the scan of RGB-D frames."""
+def make_rgbd(scene: Scene, folder: Path, visited: Callable[[int], Scene] | None = None) -> None:
+    """Write the scan of RGB-D frames; of `visited` every tenth is taken, by its number."""
     frames = []
     for kind in ("color", "depth"):
         (folder / kind).mkdir(parents=True)
     for i, pose in enumerate(arc(DEPTH_FRAMES, 116, 2.0)):
         rng = np.random.default_rng((SEED, 1, i))
         color, depth = folder / "color" / f"{i:04d}.jpg", folder / "depth" / f"{i:04d}.png"
-        write_image(color, photograph(scene, DEPTH_CAMERA, pose, rng))
-        write_image(depth, measure_depth(scene, DEPTH_CAMERA, pose, rng))
+        shown = visited(i) if visited is not None and i % 10 == VISIT else scene
+        write_image(color, photograph(shown, DEPTH_CAMERA, pose, rng))
+        write_image(depth, measure_depth(shown, DEPTH_CAMERA, pose, rng))
         frames.append(
             Frame(f"{i:04d}", DEPTH_CAMERA, color=color, depth=depth, world_from_camera=np.round(pose, 9))
         )
@@ -123,12 +128,22 @@ def main() -> None:
     """Write everything into the folder given, by default this script's own."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).resolve().parent)
-    folder: Path = parser.parse_args().folder
-    scene = Scene()
-    for name in ("stereo", "rgbd"):
-        shutil.rmtree(folder / name, ignore_errors=True)
-    make_stereo(scene, folder / "stereo")
-    make_rgbd(scene, folder / "rgbd")
+    parser.add_argument("--tags", action="store_true", help="paint AprilTags on floor and walls")
+    parser.add_argument("--visitor", action="store_true", help="have somebody in every tenth RGB-D frame")
+    parser.add_argument("--only", choices=("stereo", "rgbd"), help="make one scan")
+    options = parser.parse_args()
+    folder: Path = options.folder
+    scene = Scene(tags=options.tags)
+
+    def visited(number: int) -> Scene:
+        return Scene(tags=options.tags, visitor=(0.05 * np.cos(number), -0.02 + 0.1 * np.sin(number)))
+
+    if options.only != "rgbd":
+        shutil.rmtree(folder / "stereo", ignore_errors=True)
+        make_stereo(scene, folder / "stereo")
+    if options.only != "stereo":
+        shutil.rmtree(folder / "rgbd", ignore_errors=True)
+        make_rgbd(scene, folder / "rgbd", visited if options.visitor else None)
     write_ply(folder / "truth.ply", scene.mesh)
 
 

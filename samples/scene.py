@@ -18,6 +18,9 @@ from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Paint = Callable[[Floats], Floats]
+# A paint, the two axes of its plane, the middles of tags there, and the number of the first.
+Tagged = Callable[[Paint, tuple[int, int], Floats, int], Paint]
 
 HALF = 0.45  # of the floor's side
 WALL = 0.42  # height
@@ -53,6 +56,13 @@ _LIGHTS = np.array((0.9, -0.5, 1.5)) + 0.16 * np.array(
     [(np.cos(a), np.sin(a), 0.4 * np.sin(2 * a)) for a in np.arange(8) * np.pi / 4]
 )
 _AMBIENT = 0.42
+# Middles of AprilTags (36h11), and their side with the white border, metres.
+_FLOOR_TAGS = np.array(
+    [(-0.35, -0.35), (-0.05, -0.36), (0.3, -0.36), (0.36, 0.1), (0.02, 0.0), (-0.36, -0.02)]
+)
+_LEFT_TAGS = np.array([(-0.3, 0.12), (-0.12, 0.28), (0.06, 0.12), (0.3, 0.3)])
+_BACK_TAGS = np.array([(-0.34, 0.3), (0.33, 0.12), (0.36, 0.3), (-0.1, 0.07)])
+_TAG, _TAG_CELLS = 0.14, 10
 
 
 @dataclass(frozen=True)
@@ -62,19 +72,26 @@ class Part:
     vertices: Floats
     normals: Floats
     triangles: Ints
-    paint: Callable[[Floats], Floats]
+    paint: Paint
 
 
 class Scene:
     """Rays go in; distances, normals and lit colours come out.
+
+    With `tags`, AprilTags are painted on floor and walls. A `visitor` is somebody small in a red coat, who
+    stands at a place (x, y) on the floor.
 
     Attributes
     ----------
     mesh : the true surface, coloured by sampling the procedural colours at its vertices.
     """
 
-    def __init__(self, spacing: float = 0.0091) -> None:
-        self._parts = _parts(spacing)
+    def __init__(
+        self, spacing: float = 0.0091, *, tags: bool = False, visitor: tuple[float, float] | None = None
+    ) -> None:
+        self._parts = _parts(spacing, _with_tags if tags else _without_tags)
+        if visitor is not None:
+            self._parts.append(_visitor(np.array((*visitor, 0.0)), spacing))
         counts = [len(part.vertices) for part in self._parts]
         offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
         vertices = np.concatenate([part.vertices for part in self._parts])
@@ -120,12 +137,15 @@ class Scene:
         return np.asarray((albedo**2.2 * light[:, None]).clip(0, 1) ** (1 / 2.2))
 
 
-def _parts(spacing: float) -> list[Part]:
+def _parts(spacing: float, tagged: Tagged) -> list[Part]:
     x, y, z = np.eye(3)
     corner = np.array((-HALF, HALF, 0.0))
-    floor = _patch(corner - 2 * HALF * y, 2 * HALF * x, 2 * HALF * y, spacing, _paint_floor)
-    left = _patch(corner - 2 * HALF * y, 2 * HALF * y, WALL * z, spacing, _paint_left_wall)
-    back = _patch(corner, 2 * HALF * x, WALL * z, spacing, _paint_back_wall)
+    floor_paint = tagged(_paint_floor, (0, 1), _FLOOR_TAGS, 0)
+    left_paint = tagged(_paint_left_wall, (1, 2), _LEFT_TAGS, len(_FLOOR_TAGS))
+    back_paint = tagged(_paint_back_wall, (0, 2), _BACK_TAGS, len(_FLOOR_TAGS) + len(_LEFT_TAGS))
+    floor = _patch(corner - 2 * HALF * y, 2 * HALF * x, 2 * HALF * y, spacing, floor_paint)
+    left = _patch(corner - 2 * HALF * y, 2 * HALF * y, WALL * z, spacing, left_paint)
+    back = _patch(corner, 2 * HALF * x, WALL * z, spacing, back_paint)
     globe = _swept(
         lambda t: (GLOBE_RADIUS * np.sin(np.pi * t), -GLOBE_RADIUS * np.cos(np.pi * t)),
         GLOBE,
@@ -145,7 +165,42 @@ def _parts(spacing: float) -> list[Part]:
     return [floor, left, back, globe, ring, vase, *_box(spacing)]
 
 
-def _patch(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Callable[[Floats], Floats]) -> Part:
+def _without_tags(paint: Paint, _axes: tuple[int, int], _middles: Floats, _first: int) -> Paint:
+    return paint
+
+
+def _with_tags(paint: Paint, axes: tuple[int, int], middles: Floats, first: int) -> Paint:
+    import cv2
+
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    cells = [
+        np.pad(cv2.aruco.generateImageMarker(family, first + n, _TAG_CELLS - 2), 1, constant_values=255)
+        for n in range(len(middles))
+    ]
+
+    def painted(p: Floats) -> Floats:
+        color = paint(p)
+        for middle, cell in zip(middles, cells, strict=True):
+            column, row = np.floor(((p[:, axes] - middle) * (1, -1) / _TAG + 0.5) * _TAG_CELLS).astype(int).T
+            inside = (column >= 0) & (row >= 0) & (column < _TAG_CELLS) & (row < _TAG_CELLS)
+            color[inside] = 0.05 + 0.85 * cell[row[inside], column[inside], None] / 255
+        return color
+
+    return painted
+
+
+def _visitor(place: Floats, spacing: float) -> Part:
+    def outline(t: Floats) -> tuple[Floats, Floats]:
+        # A coat, and a head on it.
+        height = 0.3 * t
+        coat = 0.05 * np.sqrt(np.clip(1 - (np.minimum(height, 0.22) / 0.24) ** 4, 0, 1))
+        head = np.sqrt(np.clip(0.035**2 - (height - 0.265) ** 2, 0, None))
+        return np.where(t <= 0, 0, np.maximum(np.where(height < 0.23, coat, 0.0), head)), height
+
+    return _swept(outline, place, (0.4, 0.32), spacing * 0.8, lambda p: _paint_visitor(p - place))
+
+
+def _patch(corner: Floats, u: Floats, v: Floats, spacing: float, paint: Paint) -> Part:
     """Return a flat rectangle spanned by u and v, seen from the side of u × v."""
     i, j = (max(2, round(float(np.linalg.norm(side)) / spacing) + 1) for side in (u, v))
     s, t = (
@@ -171,7 +226,7 @@ def _swept(
     center: Floats,
     lengths: tuple[float, float],
     spacing: float,
-    paint: Callable[[Floats], Floats],
+    paint: Paint,
 ) -> Part:
     """Return a surface of revolution about z; `outline` maps 0..1 to radius, height, outside on its right."""
     i, j = (round(length / spacing) + 1 for length in lengths)
@@ -314,3 +369,9 @@ def _paint_box(p: Floats) -> Floats:
     kind = _hash(np.round(q).astype(np.int64), 71)
     spots = _mix(kind > 0, _rgb(232, 96, 120), _rgb(74, 170, 176))
     return np.asarray((_mix(dot, spots, _rgb(222, 206, 176)) + 0.13 * _grain(p, 73)).clip(0.02, 1))
+
+
+def _paint_visitor(q: Floats) -> Floats:
+    buttons = np.sin(q[:, 2] * 2 * np.pi / 0.03) > 0.8
+    coat = _mix(buttons, _rgb(250, 240, 60), _rgb(210, 20, 40))
+    return np.asarray((_mix(q[:, 2] > 0.23, _rgb(236, 188, 160), coat) + 0.05 * _grain(q, 83)).clip(0.02, 1))

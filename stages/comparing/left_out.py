@@ -137,7 +137,7 @@ def left_out(mesh: Mesh, frames: Sequence[Frame], progress: Progress = silent) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class Seen:
     """The mesh from a camera: levels (h, w, 3), whether it is there (h, w), and where (h, w, 3)."""
 
     levels: _Levels
@@ -151,11 +151,11 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     apart = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth, np.float64)
     given = np.asarray(frame.world_from_camera, np.float64) @ inverted(apart)
-    best: tuple[Score, _Seen] | None = None
+    best: tuple[Score, Seen] | None = None
     for pose in (given, _placed(image, camera, given, surface)):
         if pose is None:
             continue
-        seen = _seen(surface, camera, pose)
+        seen = seen_from(surface, camera, pose)
         counted = _counted(seen, replace(frame, world_from_camera=pose @ apart))
         counted = counted if shown is None else counted & shown
         if np.count_nonzero(counted) < _LEAST_PIXELS:
@@ -170,7 +170,8 @@ def _judged(place: int, frame: Frame, surface: Surface) -> tuple[Score, ColorIma
     return score, np.hstack([image, drawn])
 
 
-def _seen(surface: Surface, camera: Camera, pose: Pose) -> _Seen:
+def seen_from(surface: Surface, camera: Camera, pose: Pose) -> Seen:
+    """Return the mesh as a camera without lens distortion sees it from a pose (world_from_camera)."""
     rows, columns = np.mgrid[: camera.height, : camera.width]
     rays = np.stack(
         [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(rows.shape)], 2
@@ -184,10 +185,10 @@ def _seen(surface: Surface, camera: Camera, pose: Pose) -> _Seen:
     corners = surface.mesh.vertices[surface.mesh.triangles[hits.triangles]]
     places[hits.rays] = np.einsum("kc,kcx->kx", hits.weights, corners)
     hit[hits.rays] = True
-    return _Seen(levels.reshape(*rows.shape, 3), hit.reshape(rows.shape), places.reshape(*rows.shape, 3))
+    return Seen(levels.reshape(*rows.shape, 3), hit.reshape(rows.shape), places.reshape(*rows.shape, 3))
 
 
-def _counted(seen: _Seen, frame: Frame) -> NDArray[np.bool_]:
+def _counted(seen: Seen, frame: Frame) -> NDArray[np.bool_]:
     """Return which pixels show what the depth map of the frame shows, too."""
     import cv2
 
@@ -274,7 +275,7 @@ def _placed(image: ColorImage, camera: Camera, pose: Pose, surface: Surface) -> 
     there, described = search.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
     found = None
     for limit in _REPROJECTION:
-        seen = _seen(surface, camera, pose)
+        seen = seen_from(surface, camera, pose)
         drawn = cv2.cvtColor(seen.levels.clip(0, 255).astype(np.uint8), cv2.COLOR_RGB2GRAY)
         inner = cv2.erode(seen.hit.astype(np.uint8), np.ones((5, 5), np.uint8)) * 255
         here, description = search.detectAndCompute(drawn, np.asarray(inner, np.uint8))

@@ -1,0 +1,130 @@
+"""What of a rendered scan must be right in its texture: AprilTags that decode, and nobody who only walked by.
+
+    python benches/rendered_scans.py [--ratio 0.1]
+
+Makes scans with `samples/make_samples.py` and runs the pipeline on them; prints Markdown. "tags": of all tags
+that decode in the photos, how many decode in pictures of `textured.glb` from the same cameras. They are so
+small in the photos that chance is in it: "all in pictures" counts those too that do not decode in the photo,
+"photos moved" how many decode after the photo itself is moved by half a pixel. "visitor": somebody is in
+every tenth frame. The texture from all of them beside that from the same scan without the visitor, on one
+mesh: the share of the surface that differs by more than ten levels in a channel. "whole run": pixels of
+pictures of both runs' results, which have meshes of their own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+from markdown_tables import print_head, print_row
+
+from pipeline.config import Config
+from pipeline.run import run
+from stages.comparing.left_out import seen_from
+from stages.scans.images import read_photo
+from stages.scans.read import read_scan
+from stages.scans.scan import ColorImage
+from stages.surface.color import color_at
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh_files import read_mesh
+from stages.surface.raycasting import Surface
+from stages.surface.topology import areas
+from stages.texturing.texture import texture
+
+SAMPLES = Path(__file__).resolve().parents[1] / "samples"
+MOST_LEVELS, PLACES = 10, 400_000
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--ratio", type=float, default=0.1)
+    ratio = parser.parse_args().ratio
+    with tempfile.TemporaryDirectory() as folder:
+        scans = {name: made(Path(folder) / name, *words) for name, *words in SCANS}
+        results = {name: Path(folder) / f"{name}-out" for name in scans}
+        for name, scan in scans.items():
+            run(scan, results[name], Config().set([f"simplify.ratio={ratio}"]))
+        print_head(["scan", "what", "of", "share"], words=2)
+        wanted, *others = tags(scans["tags"], results["tags"])
+        for name, count in zip(("", ", all in pictures", ", photos moved"), others, strict=True):
+            print_row([f"tags{name}", f"{count} decoded", f"{wanted} in photos", f"{count / wanted:.1%}"])
+        differing, places = painted_over(scans, results["plain"])
+        print_row(["visitor", f"{differing} differ", f"{places} places", f"{differing / places:.2%}"])
+        differing, pixels = seen_over(scans["plain"], results["plain"], results["visitor"])
+        print_row(
+            ["visitor, whole run", f"{differing} differ", f"{pixels} pixels", f"{differing / pixels:.2%}"]
+        )
+
+
+SCANS = (("plain",), ("tags", "--tags"), ("visitor", "--visitor"))
+
+
+def made(folder: Path, *words: str) -> Path:
+    """Make an RGB-D scan; return its folder."""
+    folder.mkdir()
+    script = SAMPLES / "make_samples.py"
+    subprocess.run([sys.executable, str(script), str(folder), "--only", "rgbd", *words], check=True)
+    return folder / "rgbd"
+
+
+def pictures(scan: Path, result: Path) -> list[tuple[ColorImage, ColorImage, np.ndarray]]:
+    """Return each photo, the result from its camera, and where that shows the mesh."""
+    surface = Surface(read_mesh(result / "textured.glb"))
+    found = []
+    for frame in read_scan(scan).frames:
+        photo, camera, _ = read_photo(frame)
+        seen = seen_from(surface, camera, np.asarray(frame.world_from_camera))
+        found.append((photo, np.rint(seen.levels).clip(0, 255).astype(np.uint8), seen.hit))
+    return found
+
+
+def tags(scan: Path, result: Path) -> tuple[int, int, int, int]:
+    """Return how many tags decode in the photos, there and in pictures, in pictures, and in moved photos."""
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    detector = cv2.aruco.ArucoDetector(family)
+
+    def numbers(image: ColorImage) -> set[int]:
+        _, found, _ = detector.detectMarkers(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+        return set() if found is None else {int(number) for number in found.ravel()}
+
+    counts = np.zeros(4, int)
+    move = np.array([[1, 0, 0.5], [0, 1, 0.5]])
+    for photo, drawn, _ in pictures(scan, result):
+        moved = cv2.warpAffine(photo, move, photo.shape[1::-1], flags=cv2.INTER_CUBIC)
+        wanted, found = numbers(photo), numbers(drawn)
+        counts += [len(wanted), len(wanted & found), len(found), len(wanted & numbers(moved))]
+    return counts[0], counts[1], counts[2], counts[3]
+
+
+def painted_over(scans: dict[str, Path], plain: Path) -> tuple[int, int]:
+    """Return places that differ between textures with and without the visitor, of all photos show."""
+    mesh = read_ply(plain / "simplified.ply")
+    found = [texture(mesh, read_scan(scans[name]), format="png").mesh for name in ("visitor", "plain")]
+    rng = np.random.default_rng(0)
+    area = areas(mesh.vertices, mesh.triangles)
+    chosen = rng.choice(len(area), PLACES, p=area / area.sum())
+    weights = rng.dirichlet((1, 1, 1), PLACES)
+    one, other = (color_at(textured, chosen, weights) for textured in found)
+    return int((np.abs(one - other).max(axis=1) > MOST_LEVELS).sum()), PLACES
+
+
+def seen_over(scan: Path, plain: Path, visited: Path) -> tuple[int, int]:
+    """Return pixels that differ between pictures of two results, of all that show both."""
+    differing = pixels = 0
+    for (_, one, hit), (_, other, other_hit) in zip(
+        pictures(scan, plain), pictures(scan, visited), strict=True
+    ):
+        both = hit & other_hit
+        differing += int((np.abs(one.astype(int) - other).max(axis=2)[both] > MOST_LEVELS).sum())
+        pixels += int(both.sum())
+    return differing, pixels
+
+
+if __name__ == "__main__":
+    main()
