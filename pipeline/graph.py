@@ -134,7 +134,7 @@ def _simplify(job: Job) -> Mapping[str, Any]:
 
 
 def _texture(job: Job) -> Mapping[str, Any]:
-    scan = _frames(job)
+    scan: Scan = job.inputs[PHOTOS] if PHOTOS in job.inputs else _frames(job)
     mesh = read_ply(job.inputs["simplified"] / "simplified.ply")
     figures = texturing.make(job.folder, mesh, scan.frames, job.config.texture, job.progress)
     return from_folder(_with_skipped(figures), scan.folder)
@@ -264,6 +264,8 @@ def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]
 
 # Under this name the report reads the frames that were kept from all other stages.
 HELD_OUT = "held_out"
+# And under this one the texture reads other photos than the frames'.
+PHOTOS = "photos"
 
 # What stages read beside the scan: see `pipeline.digest.label_digests`.
 LABELS = ("names", "times")
@@ -339,7 +341,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="texture",
-        reads=("frames", "posed", "adjusted", "simplified", "names"),
+        reads=("frames", "posed", "adjusted", "simplified", "names", PHOTOS),
         writes="textured",
         sections=("texture",),
         make=_texture,
@@ -401,8 +403,12 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
     there = {source_of(scan), *(stage.writes for stage in stages)}
     if scan.held_out:
         there.add(HELD_OUT)
+    has_photos = config.texture.images is not None
     plan = []
     for stage in stages:
+        if stage.name == "texture" and has_photos:
+            plan.append(replace(stage, reads=("simplified", PHOTOS)))
+            continue
         # Frames that the depth stage left are numbered, and have no times.
         labels = LABELS if source_of(scan) in stage.reads else ()
         plan.append(
@@ -433,8 +439,10 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         reasons["adjust"] = why
     if not config.texture.enabled:
         reasons["texture"] = "is switched off; set texture.enabled=true"
-    elif not any(frame.color is not None for frame in scan.frames):
-        reasons["texture"] = "is not a stage of this scan: its frames have no colour"
+    elif config.texture.images is None and not any(frame.color is not None for frame in scan.frames):
+        reasons["texture"] = (
+            "is not a stage of this scan: its frames have no colour; texture.images=FOLDER takes other photos"
+        )
     if not config.bake.enabled:
         reasons["bake"] = "is not enabled; set bake.enabled=true"
     if not config.remesh.enabled:

@@ -101,12 +101,14 @@ class Wanted:
 
     Attributes
     ----------
+    photos : other ones that the texture is made from.
     plan : the stages of the scan.
     planned : the names of those up to the last that is wanted.
     warnings : what is odd about the scan.
     """
 
     scan: Scan
+    photos: Scan | None
     out: Path
     config: Config
     plan: Sequence[Stage]
@@ -150,7 +152,19 @@ def wanted_of(
         first = scan.skipped[0]
         warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
     planned = tuple(names[: names.index(until) + 1])
-    return Wanted(scan, out, config, plan, planned, force, tuple(warnings))
+    photos = _photos(config) if "texture" in planned else None
+    if photos is not None:
+        warnings += (f"texture.images: {text}" for text in photos.warnings)
+    return Wanted(scan, photos, out, config, plan, planned, force, tuple(warnings))
+
+
+def _photos(config: Config) -> Scan | None:
+    """Return the photos that the texture is made from in place of the frames'."""
+    if config.texture.images is None:
+        return None
+    photos = read_scan(config.texture.images, complete=False)
+    require_complete(photos, Path(config.texture.images), posed=True)
+    return photos
 
 
 def cache_folder(out: Path, given: Path | str | None = None) -> Path:
@@ -165,7 +179,7 @@ def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunRe
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()
-    sources = sources_of(scan, lambda done, total: events(StageProgress("scan", done, total)))
+    sources = sources_of(scan, wanted.photos, lambda done, total: events(StageProgress("scan", done, total)))
     with Engine(
         wanted.plan,
         config,

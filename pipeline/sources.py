@@ -6,22 +6,25 @@ from dataclasses import replace
 
 from pipeline.digest import label_digests, scan_digest
 from pipeline.engine import Source
-from pipeline.graph import HELD_OUT, source_of
+from pipeline.graph import HELD_OUT, PHOTOS, source_of
 from stages.progress import Progress, silent
 from stages.scans.scan import Scan
 
 
-def sources_of(scan: Scan, progress: Progress = silent) -> dict[str, Source]:
+def sources_of(scan: Scan, photos: Scan | None = None, progress: Progress = silent) -> dict[str, Source]:
     """Return the sources of a run by the names under which stages read them.
 
     Parameters
     ----------
+    photos : of `texture.images`.
     progress : told of files that are read.
     """
     labels = {name: Source(one, None, {name: one}) for name, one in label_digests(scan).items()}
     found = {source_of(scan): _source(scan, progress), **labels}
     if scan.held_out:
         found[HELD_OUT] = _source(replace(scan, frames=scan.held_out, held_out=()), silent)
+    if photos is not None:
+        found[PHOTOS] = _source(photos, progress)
     return found
 
 

@@ -27,6 +27,13 @@ class TextureSection(TextureParams):
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
     )
+    images: str | None = param(
+        None,
+        "Folder of other photos with poses in the scan's world, in metres (COLMAP, nerfstudio, or any scan): "
+        "their colours are taken, and none of the frames'.",
+        # What is in the folder decides, not its name.
+        invalidates=False,
+    )
 
 
 def make(

@@ -1,0 +1,98 @@
+"""The stage `texture`: photos of another camera in place of the frames' own, and what runs again when."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from photographed import CAMERA, paint, photos
+
+from pipeline.config import Config
+from pipeline.dry_run import foresee
+from pipeline.run import RunResult, run
+from stages import InputError
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Frame
+from stages.surface.color import color_at
+from stages.surface.mesh_files import read_mesh
+
+pytestmark = pytest.mark.slow
+
+
+def grey_scan(folder: Path) -> Path:
+    """A scan of the painted wall whose own images are grey."""
+    frames = []
+    for frame in photos(8):
+        color, depth = folder / "color" / f"{frame.name}.png", folder / "depth" / f"{frame.name}.png"
+        for path, image in (
+            (color, np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8)),
+            (depth, np.rint(np.asarray(frame.depth) * 1000).astype(np.uint16)),
+        ):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        frames.append(
+            Frame(frame.name, CAMERA, color=color, depth=depth, world_from_camera=frame.world_from_camera)
+        )
+    write_scan_json(folder, frames)
+    return folder
+
+
+def other_photos(folder: Path) -> Path:
+    """Photos of the wall as nerfstudio keeps them: y up, looking along −z."""
+    folder.mkdir()
+    listed = []
+    for frame in photos(12):
+        image = np.asarray(frame.color)[:, :, ::-1]
+        (folder / f"{frame.name}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        pose = np.asarray(frame.world_from_camera) @ np.diag([1, -1, -1, 1])
+        listed.append({"file_path": f"{frame.name}.png", "transform_matrix": pose.tolist()})
+    camera = {
+        "w": CAMERA.width,
+        "h": CAMERA.height,
+        "fl_x": CAMERA.fx,
+        "fl_y": CAMERA.fy,
+        "cx": CAMERA.cx + 0.5,
+        "cy": CAMERA.cy + 0.5,
+        "frames": listed,
+    }
+    (folder / "transforms.json").write_text(json.dumps(camera))
+    return folder
+
+
+def config(images: Path) -> Config:
+    return Config().set([f"texture.images={images}", "adjust.enabled=false"])
+
+
+def ran(result: RunResult) -> set[str]:
+    return {one.stage for one in result.stages if not one.cached}
+
+
+def test_photos_of_another_camera_are_taken(tmp_path: Path):
+    scan, images, out = grey_scan(tmp_path / "scan"), other_photos(tmp_path / "photos"), tmp_path / "out"
+    result = run(scan, out, config(images), until="texture")
+    mesh = read_mesh(out / "textured.glb")
+    rng = np.random.default_rng(1)
+    chosen, weights = rng.choice(len(mesh.triangles), 2000), rng.dirichlet((1, 1, 1), 2000)
+    places = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[chosen]])
+    middle = (np.abs(places[:, :2] - 0.5) < 0.25).all(axis=1)
+    off = np.abs(color_at(mesh, chosen, weights) - paint(places[:, 0], places[:, 1]))[middle]
+    assert np.median(off) < 5
+
+    # The folder's place does not matter; what is in it does, to the texture alone.
+    moved = Path(shutil.move(images, tmp_path / "moved"))
+    assert ran(run(scan, out, config(moved), until="texture")) == set()
+    first = moved / "000.png"
+    first.write_bytes(cv2.imencode(".png", cv2.imread(str(first)) // 2)[1].tobytes())
+    foreseen = foresee(scan, out, config(moved), until="texture")
+    assert [one.stage for one in foreseen.stages if not one.cached] == ["texture"]
+    assert ran(run(scan, out, config(moved), until="texture")) == {"texture"}
+    assert "texture" in {one.stage for one in result.stages}
+
+
+def test_photos_without_poses_are_refused(tmp_path: Path):
+    images = tmp_path / "photos"
+    images.mkdir()
+    with pytest.raises(InputError, match="photos"):
+        run(grey_scan(tmp_path / "scan"), tmp_path / "out", config(images), until="texture")
