@@ -164,6 +164,9 @@ def _report(job: Job) -> Mapping[str, Any]:
             pictures, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
+    if "textured" in job.inputs:
+        viewpoints = report.viewpoints_of(meshes["fused"], frames, params)
+        made["pictures"] += texturing.report(pictures, job.inputs["textured"], viewpoints)
     if HELD_OUT in job.inputs:
         made["held_out"], drawn = _held_out(job, pictures, meshes["simplified"])
         made["pictures"] += drawn
@@ -347,7 +350,7 @@ STAGES: tuple[Stage, ...] = (
         make=_texture,
         versions=_of(texture),
         libraries=_KERNELS | _OPENCV,
-        results=(texturing.FILE,),
+        results=(texturing.FILE, f"{texturing.MAPS}/"),
         cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=1e9, bytes_per_megapixel=3e6),
     ),
     Stage(

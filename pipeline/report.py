@@ -30,7 +30,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 
 @with_former_names

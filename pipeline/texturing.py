@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stages.params import param
+from stages.picturing.render import Model, Viewpoint, write_png
 from stages.progress import Progress
 from stages.scans.scan import Frame
 from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import write_mesh
+from stages.surface.mesh_files import read_mesh, write_mesh
+from stages.surface.raycasting import Surface
+from stages.surface.texture import Image
+from stages.texturing.maps import write_maps
 from stages.texturing.texture import TextureParams, texture
 
-FILE = "textured.glb"
+FILE, MAPS = "textured.glb", "texture_maps"
+
+_PHOTOS = "textured-photos.png"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +47,45 @@ class TextureSection(TextureParams):
 def make(
     folder: Path, mesh: Mesh, frames: Sequence[Frame], params: TextureSection, progress: Progress
 ) -> dict[str, Any]:
-    """Write textured.glb and return the figures."""
+    """Write textured.glb and the maps of its images, and return the figures."""
     textured = texture(mesh, frames, params, progress=progress)
     write_mesh(folder / FILE, textured.mesh)
+    (folder / MAPS).mkdir()
+    write_maps(folder / MAPS, textured)
     return textured.figures()
+
+
+def report(folder: Path, textured: Path, chosen: Sequence[Viewpoint]) -> list[str]:
+    """Draw what the stage left, and which photo counts most where, in a colour for each; return the names.
+
+    Parameters
+    ----------
+    folder : for the pictures.
+    textured : what `make` wrote.
+    chosen : where to look from; the photos are drawn from the last.
+    """
+    mesh = read_mesh(textured / FILE)
+    model = Model(Surface(mesh))
+    files = [f"textured-{viewpoint.name}.png" for viewpoint in chosen]
+    for file, viewpoint in zip(files, chosen, strict=True):
+        write_png(folder / file, model.draw(viewpoint, "color"))
+    write_png(folder / _PHOTOS, Model(Surface(_by_photo(mesh, textured / MAPS))).draw(chosen[-1], "color"))
+    return [*files, _PHOTOS]
+
+
+def _by_photo(mesh: Mesh, maps: Path) -> Mesh:
+    """Return the mesh with a colour for each photo; grey where none shows it."""
+    import cv2
+
+    assert mesh.texture is not None
+    materials = []
+    for number, material in enumerate(mesh.texture.materials, 1):
+        photos = cv2.imread(str(maps / f"photo-{number}.png"), cv2.IMREAD_UNCHANGED)
+        # Hues apart by the golden angle: neighbours in time are far apart in colour.
+        hues = (np.arange(65_536) * 110.0) % 180
+        wheel = np.full((1, len(hues), 3), (0, 190, 230), np.uint8)
+        wheel[0, :, 0] = hues
+        palette = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
+        palette[0] = 128
+        materials.append(replace(material, image=Image(given=palette[photos])))
+    return mesh.with_(texture=replace(mesh.texture, materials=tuple(materials)))

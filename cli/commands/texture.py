@@ -38,7 +38,8 @@ def texture(
         typer.Option(
             "--maps",
             metavar="FOLDER",
-            help="New folder for maps of the images: which photo counts most at a texel, and how many count.",
+            help="New folder for maps of the images: which photo counts most at a texel, how many count, how "
+            "obliquely it was taken, and how wide a texel is.",
             show_default=False,
         ),
     ] = None,

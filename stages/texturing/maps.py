@@ -1,8 +1,10 @@
 """What is known of a texture's texels, as images beside it.
 
-photo-1.png   16 bits: the number of the photo that counts most at a texel of image 1; 0 for none
-count-1.png   8 bits: how many photos count there
-photos.json   the frames' names by number, and the texel's size in metres
+photo-1.png      16 bits: the number of the photo that counts most at a texel of image 1; 0 for none
+count-1.png      8 bits: how many photos count there
+obliquity-1.png  8 bits: degrees between the surface's normal and the way to where that photo was taken; 255
+texel-1.png      16 bits: micrometres that a texel is wide on the surface, at most 65,535; 0 for none
+photos.json      the frames' names by number, and the median texel's size in metres
 """
 
 from __future__ import annotations
@@ -11,18 +13,60 @@ import json
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.files.image_bytes import encoded_gray_png
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Texture, signed_areas
+from stages.surface.topology import areas
 from stages.texturing.texture import Textured
+
+_NO_PHOTO = 255
 
 
 def write_maps(folder: Path, textured: Textured) -> None:
     """Write the maps into a folder."""
-    for number, (labels, counts) in enumerate(zip(textured.labels, textured.counts, strict=True), 1):
-        (folder / f"photo-{number}.png").write_bytes(encoded_gray_png((labels + 1).astype(np.uint16)))
-        (folder / f"count-{number}.png").write_bytes(encoded_gray_png(counts))
+    mesh, texture = textured.mesh, textured.mesh.texture
+    assert texture is not None
+    for number, (labels, counts) in enumerate(zip(textured.labels, textured.counts, strict=True)):
+        obliquity, width = _measured(mesh, texture, number, labels, textured.places)
+        maps: dict[str, NDArray[np.uint8] | NDArray[np.uint16]] = {
+            "photo": (labels + 1).astype(np.uint16),
+            "count": counts,
+            "obliquity": obliquity,
+            "texel": width,
+        }
+        for name, image in maps.items():
+            (folder / f"{name}-{number + 1}.png").write_bytes(encoded_gray_png(image))
     document = {
         "photos": {str(number): name for number, name in enumerate(textured.photos, 1)},
         "texel_size_m": textured.texel_size,
     }
     (folder / "photos.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _measured(
+    mesh: Mesh, texture: Texture, number: int, labels: NDArray[np.int32], places: NDArray[np.float64]
+) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """Return at each texel of an image how obliquely its photo was taken, and how wide it is."""
+    height, width = labels.shape
+    corners = (texture.uvs - (0, 1)) * (width, -height)
+    pages = np.where(texture.material_ids == number, 0, -1).astype(np.int32)
+    pixels, triangles, shares = _kernels.texels(corners, pages, page=0, width=width, height=height)
+    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    label = labels.reshape(-1)[pixels]
+    shown = label >= 0
+    of = triangles[shown]
+    points = np.einsum("kc,kcx->kx", shares[shown], mesh.vertices[mesh.triangles[of]])
+    way = places[label[shown]] - points
+    cosines = (way * normals[of]).sum(axis=1) / np.maximum(np.linalg.norm(way, axis=1), 1e-12)
+    obliquity = np.full(labels.size, _NO_PHOTO, np.uint8)
+    obliquity[pixels[shown]] = np.rint(np.degrees(np.arccos(cosines.clip(0, 1)))).astype(np.uint8)
+    flat = np.abs(signed_areas(corners))
+    wide = 1e6 * np.sqrt(areas(mesh.vertices, mesh.triangles) / np.maximum(flat, 1e-12))
+    sizes = np.zeros(labels.size, np.uint16)
+    sizes[pixels] = np.rint(wide.clip(1, 65_535)).astype(np.uint16)[triangles]
+    return obliquity.reshape(labels.shape), sizes.reshape(labels.shape)

@@ -21,6 +21,7 @@ from stages.files.image_bytes import encoded_png
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
+from stages.scans.formats.trajectories import inverted
 from stages.scans.scan import Frame, Scan, SkippedFrame
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
@@ -38,7 +39,7 @@ from stages.texturing.survey import Survey, survey
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -133,6 +134,7 @@ class Textured:
     ----------
     mesh : with texture images, without vertex colours.
     photos : names of the frames that were used.
+    places : (k, 3) metres, where these were taken.
     skipped : those that were not, and why.
     sizes : (width, height) of each image, texels.
     charts : pieces the surface is cut into.
@@ -154,6 +156,7 @@ class Textured:
 
     mesh: Mesh
     photos: tuple[str, ...]
+    places: NDArray[np.float64]
     skipped: tuple[SkippedFrame, ...]
     sizes: tuple[tuple[int, int], ...]
     charts: int
@@ -349,6 +352,7 @@ def _result(
     return Textured(
         mesh=textured,
         photos=tuple(frame.name for frame in surveyed.photos.frames),
+        places=np.stack([inverted(pose)[:3, 3] for pose in surveyed.photos.poses]),
         skipped=surveyed.photos.skipped,
         sizes=pages.sizes,
         charts=int(pages.charts.max()) + 1,

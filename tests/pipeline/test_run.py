@@ -36,7 +36,15 @@ from stages.surface.mesh import Mesh
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 QUICK = ("fuse.voxel_size=0.02", "report.viewpoints=1", "report.width=64", "compare.samples=1000")
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply", "textured.glb"]
+PLAIN = [
+    "clean.ply",
+    "fused.ply",
+    "pictures",
+    "report.json",
+    "simplified.ply",
+    "texture_maps",
+    "textured.glb",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -170,6 +178,8 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
         "clean-overview.png": (48, 64, 3),
         "simplified-overview.png": (48, 64, 3),
         "simplified-triangles.png": (48, 128, 3),
+        "textured-overview.png": (48, 64, 3),
+        "textured-photos.png": (48, 64, 3),
     }
 
 

@@ -1,7 +1,9 @@
 """Texture from photos: the wall shows what the photos show, whatever stands, walks or shines in between."""
 
+import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from photographed import CAMERA, brighter, hits, paint, photo, photos, pose, wall
@@ -175,9 +177,18 @@ def test_every_format_holds_it(name, kind, tmp_path):
 def test_maps_tell_which_photo_counts(tmp_path):
     found = texture(wall(), photos(6))
     write_maps(tmp_path, found)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["count-1.png", "photo-1.png", "photos.json"]
+    maps = {path.stem: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in tmp_path.glob("*.png")}
+    assert set(maps) == {"count-1", "photo-1", "obliquity-1", "texel-1"}
     assert found.labels[0].max() < 6
-    assert found.counts[0][found.labels[0] >= 0].min() >= 1
+    shown = found.labels[0] >= 0
+    assert np.array_equal(maps["photo-1"], found.labels[0] + 1)
+    assert found.counts[0][shown].min() >= 1
+    # No photo is turned by more than 15 degrees, and none shows much beyond 35 degrees to its side.
+    assert maps["obliquity-1"][shown].max() < 60
+    assert (maps["obliquity-1"][~shown] == 255).all()
+    assert np.median(maps["texel-1"][shown]) == pytest.approx(1e6 * found.texel_size, rel=0.05)
+    named = json.loads((tmp_path / "photos.json").read_text())
+    assert named["photos"]["1"] == "000"
 
 
 def test_progress_only_goes_on():
