@@ -1,8 +1,8 @@
 """Leave what adjustment found as files, and give it to the frames it is of.
 
 trajectory.tum   a pose a line, camera-to-world, of all frames that have one, as given if not adjusted
-cameras.json     those that were adjusted, as matrices by the frame's place in the scan; the colour camera, if
-                 it was adjusted; whether it is used, and why
+cameras.json     those that were adjusted, as matrices by the frame's place in the scan, and the names of these;
+                 the colour camera, if it was adjusted; whether it is used, and why (`scan.adjusted` reads it)
 
 Where what was found is not better there is no trajectory, and frames stay as they are.
 """
@@ -38,6 +38,7 @@ def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
         "why": found.why,
         "color_camera": camera,
         "color_from_depth": apart,
+        "names": {str(place): found.frames[place].name for place in poses},
         "poses": {str(place): pose.tolist() for place, pose in poses.items()},
     }
     (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

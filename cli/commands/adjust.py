@@ -31,7 +31,8 @@ def adjust(
     OUTDIR gets cameras.json (whether it is used and why, the colour camera, matrices) and, if it is better,
     trajectory.tum (camera-to-world). The scan's own files stay as they are.
 
-    `scanloom run` does this on its way, and uses poses and colour camera.
+    `scanloom run` does this on its way, and uses poses and colour camera; other commands take both with
+    --adjusted OUTDIR/cameras.json.
 
     Example: scanloom adjust my_scan better
     """

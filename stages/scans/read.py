@@ -13,6 +13,7 @@ from stages._opencv import require_opencv
 from stages.errors import InputError, UsageError
 from stages.scans.layouts.refused import Refused, refused
 from stages.scans.params import ScanParams
+from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
@@ -43,7 +44,11 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         layout = recognise(folder)[0]
     else:
         _require_place(folder, layout.suffixes)
-    scan = _without_lost(_without_absent(_without_still_poses(layout.read(folder, options))), folder)
+    scan = _without_still_poses(layout.read(folder, options))
+    adjusted = options.file("adjusted", folder)
+    if adjusted is not None:
+        scan = with_adjusted(scan, adjusted)
+    scan = _without_lost(_without_absent(scan), folder)
     if options.align_axes:
         scan = aligned(scan, folder)
     warnings = (*scan.warnings, *_time_warnings(scan.frames))

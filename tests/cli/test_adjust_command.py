@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from stages import InputError, ScanParams, read_scan
 from stages.adjusting.cameras import motion
+from stages.scans.scan import Camera
 
 pytestmark = pytest.mark.slow
 
@@ -39,6 +42,56 @@ def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path
     poses = ("--poses", tmp_path / "better" / "trajectory.tum")
     fused = scanloom("fuse", scan, tmp_path / "fused.ply", *poses, "--voxel-size", 0.03, "--json")
     assert fused.exit_code == 0, fused.stderr
+
+    # The same with all that was found; of this scan nothing more is to be gained.
+    found = ("--adjusted", tmp_path / "better" / "cameras.json")
+    again = scanloom("adjust", scan, tmp_path / "again", *found, "--json")
+    assert not again.json["accepted"]
+    assert again.json["transfer_before"]["median_px"] < 0.5
+
+
+def test_a_colour_camera_that_was_found_is_given_to_other_commands(tmp_path: Path) -> None:
+    names = [f"{place:04d}" for place in range(24)]
+    camera = asdict(Camera(320, 240, 300.0, 300.0, 160.0, 120.0, (0.01, 0, 0, 0)))
+    beside = np.eye(4)
+    beside[0, 3] = 0.02
+    document = {
+        "accepted": True,
+        "color_camera": camera,
+        "color_from_depth": beside.tolist(),
+        "names": {"3": names[3]},
+        "poses": {"3": np.eye(4).tolist()},
+    }
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(document))
+    given = read_scan(SAMPLES / "rgbd")
+    scan = read_scan(SAMPLES / "rgbd", ScanParams(adjusted=str(path), first=2))
+    assert np.array_equal(scan.frames[1].world_from_camera, np.eye(4))
+    assert np.array_equal(scan.frames[0].world_from_camera, given.frames[2].world_from_camera)
+    assert {frame.color_camera.fx for frame in scan.frames} == {300.0}
+    assert all(np.array_equal(frame.color_from_depth, beside) for frame in scan.frames)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"accepted": None}, "a cameras.json of `scanloom adjust` is expected"),
+        ({"names": {}}, "lacks the names"),
+        ({"poses": {"3": [[1, 2], [3, 4]]}}, "not a 4x4 matrix"),
+        ({"poses": {"3": np.full((4, 4), np.nan).tolist()}}, "frame 0003"),
+        ({"color_camera": [1]}, "color_camera must be a table"),
+        ({"color_camera": {"width": 3}}, "width and height"),
+        ({"names": {"3": 3}}, "no text"),
+        ({"names": {"3": "another"}}, "it is of another scan"),
+    ],
+)
+def test_a_damaged_file_of_cameras_is_told(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+    document = {"accepted": True, "color_camera": None, "color_from_depth": None}
+    document |= {"names": {"3": "0003"}, "poses": {"3": np.eye(4).tolist()}} | change
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=said):
+        read_scan(SAMPLES / "rgbd", ScanParams(adjusted=str(path)))
 
 
 def test_exact_poses_are_said_to_be(scanloom: Run, tmp_path: Path) -> None:

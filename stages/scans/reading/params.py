@@ -36,6 +36,11 @@ class ReadingParams:
         "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
         "camera-to-world, but for a .traj.",
     )
+    adjusted: str | None = param(
+        None,
+        "A cameras.json of `scanloom adjust`, or of a run's adjusted/: its poses and its colour camera in "
+        "place of the folder's.",
+    )
     depth_scale: float | None = param(
         None,
         "Value of a depth file that is one metre (1000 for millimetres); by default the layout's own.",
@@ -92,7 +97,7 @@ class ReadingParams:
         return Camera(width, height, fx, fy, cx, cy)
 
     def file(self, name: str, folder: Path) -> Path | None:
-        """Return the file that `calibration` or `poses` names: as it stands, or inside the scan folder."""
+        """Return the file that a parameter names: as it stands, or inside the scan folder."""
         value = getattr(self, name)
         if value is None:
             return None

@@ -1,0 +1,79 @@
+"""What `adjust` left of a scan, given to its frames: better poses, and a colour camera.
+
+{
+"accepted": true,                          false: nothing was better, and frames stay as they are
+"color_camera": {"width": 640, "fx": …},   null where the given one stays
+"color_from_depth": [[…], …],              4x4, metres; null likewise
+"names": {"0": "000000", …},               of adjusted frames, by their place in the scan
+"poses": {"0": [[…], …], …}                4x4 world_from_camera, metres, by the same
+}
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import calibration, trajectories
+from stages.scans.scan import Camera, Frame, Pose, Scan
+
+
+def with_adjusted(scan: Scan, path: Path) -> Scan:
+    """Return a scan with what a cameras.json of `adjust` says of its frames, which it knows by their names.
+
+    Raises
+    ------
+    InputError
+        If the file is no such file, or of none of the frames.
+    """
+    document = documents.read_json(path)
+    if not isinstance(document, dict) or not isinstance(document.get("accepted"), bool):
+        raise InputError("a cameras.json of `scanloom adjust` is expected.", path)
+    poses = _poses(document, path)
+    camera = _color_camera(document, path)
+    frames = [_adjusted(frame, poses.get(frame.name), camera) for frame in scan.frames]
+    if poses and not any(frame.name in poses for frame in scan.frames):
+        raise InputError(f"it is of another scan: none of its frames is one of the {len(frames)} here.", path)
+    posed = any(frame.world_from_camera is not None for frame in frames)
+    missing = tuple(what for what in scan.missing if not (posed and what.startswith("poses:")))
+    return replace(scan, frames=frames, missing=missing)
+
+
+def _adjusted(frame: Frame, pose: Pose | None, camera: tuple[Camera, Pose] | None) -> Frame:
+    if pose is not None:
+        frame = replace(frame, world_from_camera=pose)
+    if camera is not None and frame.color is not None and frame.depth is not None:
+        frame = replace(frame, color_camera=camera[0], color_from_depth=camera[1])
+    return frame
+
+
+def _poses(document: dict[str, Any], path: Path) -> dict[str, Pose]:
+    names, poses = document.get("names"), document.get("poses")
+    if not isinstance(names, dict) or not isinstance(poses, dict) or set(names) != set(poses):
+        raise InputError("it lacks the names of its frames; run `scanloom adjust` again.", path)
+    if not all(isinstance(name, str) for name in names.values()):
+        raise InputError("a frame's name is no text.", path)
+    return {names[place]: _pose(poses[place], f"frame {names[place]}", path) for place in poses}
+
+
+def _color_camera(document: dict[str, Any], path: Path) -> tuple[Camera, Pose] | None:
+    table = document.get("color_camera")
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        raise InputError("color_camera must be a table of names and values.", path)
+    width, height = table.get("width"), table.get("height")
+    if not isinstance(width, int) or not isinstance(height, int) or not 0 < width * height <= 1 << 27:
+        raise InputError("color_camera needs its width and height in pixels.", path)
+    camera = calibration.camera_from_table(table, width, height, path)
+    return camera, _pose(document.get("color_from_depth"), "color_from_depth", path)
+
+
+def _pose(value: object, where: str, path: Path) -> Pose:
+    pose = trajectories.rigid(trajectories.matrix_of(value, path, where), path, where)
+    if pose is None:
+        raise InputError(f"{where} is not finite.", path)
+    return pose
