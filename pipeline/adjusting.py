@@ -1,7 +1,7 @@
 """Leave what adjustment found as files, and give it to the frames it is of.
 
 trajectory.tum   a pose a line, camera-to-world, of all frames that have one, as given if not adjusted
-cameras.json     those that were adjusted, as matrices by the frame's place in the scan, and the names of these;
+cameras.json     those that were adjusted, as matrices by the frame's place in the scan, and their names;
                  the colour camera, if it was adjusted; whether it is used, and why (`scan.adjusted` reads it)
 
 Where what was found is not better there is no trajectory, and frames stay as they are.
