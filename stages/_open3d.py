@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
 import re
 import sys
 import warnings
 from typing import Any
 
+import numpy as np
+
 from stages.errors import StageError, is_lack_of_memory
+from stages.files.room import require_room
 
 # The system libraries Open3D links to, and the Debian package that brings each.
 _DEBIAN_PACKAGES = {
@@ -27,9 +31,38 @@ _DEBIAN_PACKAGES = {
 }
 
 
-@functools.cache
+# Of a thread that TBB starts: its stack.
+_THREAD_BYTES = 1 << 24
+
+
 def open3d() -> Any:
-    """Import Open3D (about a second, once a process).
+    """Import Open3D (about a second, once a process), and have its threads started.
+
+    TBB, which it computes with, ends the process where it cannot start them: they start while there is room.
+
+    Raises
+    ------
+    StageError
+        If a system library it needs is absent; the message names the library and its Debian package.
+    MemoryError
+        If there is no room for it.
+    """
+    module = imported()
+    # A process that is forked off has none of them.
+    _start_threads(os.getpid())
+    return module
+
+
+@functools.cache
+def _start_threads(process: int) -> None:  # noqa: ARG001
+    require_room(_THREAD_BYTES * (os.cpu_count() or 1))
+    ones = imported().core.Tensor(np.ones(1 << 16, np.float32))
+    _ = ones + ones
+
+
+@functools.cache
+def imported() -> Any:
+    """Import Open3D without its threads, which processes that are forked off then have to themselves.
 
     Raises
     ------

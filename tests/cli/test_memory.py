@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -55,19 +56,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def runs(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that has imported all that commands import, and runs them."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.made.commands_short_of_memory"],
+        env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        yield process
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("command", COMMANDS)
-def test_too_little_memory_is_a_sentence(command: str, folder: Path) -> None:
-    run = subprocess.run(
-        [sys.executable, "-m", "tests.made.commands_short_of_memory", *COMMANDS[command].split()],
-        env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    ends = json.loads(run.stdout)
+def test_too_little_memory_is_a_sentence(command: str, runs: subprocess.Popen[str]) -> None:
+    assert runs.stdin is not None
+    assert runs.stdout is not None
+    runs.stdin.write(f"{COMMANDS[command]}\n")
+    runs.stdin.flush()
+    ends = json.loads(runs.stdout.readline())
     assert {code for code, _ in ends.values()} <= {0, 1}, ends
     assert ends["0 MiB"][0] == 1
     for code, text in ends.values():

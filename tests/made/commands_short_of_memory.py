@@ -1,8 +1,8 @@
-"""A command with less and less memory, each time in a process of its own.
+"""Commands with less and less memory, each time in a process of its own.
 
-`python -m tests.made.commands_short_of_memory WORDS…` runs a command line, and writes the exit code and the
-output of each run as JSON, by how much the process was allowed to grow. Libraries are imported before.
-"{}" in a word stands for the number of the run, whose results then are no other's.
+`python -m tests.made.commands_short_of_memory` reads command lines, and answers each with a line of JSON: the
+exit code and the output of each run, by how much the process was allowed to grow. Libraries are imported
+before, once. "{}" in a word stands for the number of the run, whose results then are no other's.
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from __future__ import annotations
 import json
 import os
 import sys
+import zlib
 
 import numpy as np
 
 from cli.app import run_command
-from stages._open3d import open3d
+from stages._open3d import imported
 from tests.made.short_of_memory import limit
 
-# Commands that take longer than all others: at every other limit.
-_LONG = ("bake", "compare", "depth", "fuse", "inspect", "register", "render", "run")
+_MEGABYTES = (400, 200, 150, 120, 100, 80, 60, 40, 20, 10, 5, 4, 3, 2)
 # Large enough for all threads to be at it.
 _FACTOR = np.eye(400)
 
@@ -54,13 +54,13 @@ def main() -> None:
     import scipy.spatial  # noqa: F401
     import trimesh  # noqa: F401
 
-    open3d()
-    words = sys.argv[1:]
-    megabytes = (400, 200, 150, 120, 100, 80, 60, 40, 20, 10, 5, 4, 3, 2, 0)
-    if words[0] in _LONG:
-        megabytes = megabytes[::2]
-    ends = {f"{m} MiB": ran([word.format(m) for word in words], m << 20) for m in megabytes}
-    sys.stdout.write(json.dumps(ends))
+    imported()
+    for line in sys.stdin:
+        # Every other limit; which ones differs between commands.
+        limits = (*_MEGABYTES[zlib.crc32(line.encode()) % 2 :: 2], 0)
+        ends = {f"{m} MiB": ran([word.format(m) for word in line.split()], m << 20) for m in limits}
+        sys.stdout.write(f"{json.dumps(ends)}\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":
