@@ -339,8 +339,7 @@ def _result(
         )
         for number, data in enumerate(images, 1)
     )
-    material_ids = np.maximum(pages.pages, 0).astype(np.int32)
-    textured = mesh.with_(colors=None, texture=Texture(pages.uvs, material_ids, materials))
+    textured = mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
     exposures = surveyed.exposures.photos
     gains = np.array([one.gain for one in exposures])
     v = exposures[0].vignette
