@@ -46,6 +46,11 @@ _FILLED = 0.5
 # An image has room for charts beside so many times the padding.
 _SIDES_OF_PADDING = 4
 _MOST_SAMPLES = 4
+# Of all texels, by default: an image whose details are too fine for a few samples is averaged before, which
+# takes far less time and shows the same.
+_ALL_SAMPLES = 16e6
+# An image that is finer by no more than this factor is shown as it is.
+_ALIKE = 1.25
 # Of the mean edge: what is interpolated between vertices has kinks along edges, many of them shorter.
 _DETAIL_OF_EDGE = 0.4
 # An original has no more details than this in a triangle, by its vertex colours: where a few triangles are
@@ -218,7 +223,8 @@ def bake(
     stretch = _stretch(given, reference)
     most = params.max_texels * 1e6 * _FILLED
     finest = max(params.texel_size or 0.0, math.sqrt(_area(given) / most))
-    shown = reduced(reference, finest / stretch, _MOST_SAMPLES / _SAMPLES_PER_DETAIL)
+    finer = max(_most_samples(_area(given) / finest**2) / _SAMPLES_PER_DETAIL, _ALIKE)
+    shown = reduced(reference, finest / stretch, finer)
     detail = _detail(shown) * stretch
     pages = fitted(
         given,
@@ -229,7 +235,8 @@ def bake(
         progress=lambda *_: progress(0, 1),
     )
     texel_size = _texel_size(given, pages)
-    samples = params.samples or min(math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail), _MOST_SAMPLES)
+    enough = math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail)
+    samples = params.samples or min(enough, _most_samples(_area(given) / texel_size**2))
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
     colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
@@ -301,6 +308,11 @@ def _stretch(light: Mesh, original: Mesh) -> float:
     """Return how much larger the original's details are on the light mesh: 1 where both show one surface."""
     light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
     return math.sqrt(light_area / area) if light_area > _MOST_AREA * area else 1.0
+
+
+def _most_samples(texels: float) -> int:
+    """Return how many samples along its side each of so many texels may have."""
+    return max(min(int(math.sqrt(_ALL_SAMPLES / texels)), _MOST_SAMPLES), 1)
 
 
 def _area(mesh: Mesh) -> float:
