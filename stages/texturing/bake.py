@@ -360,13 +360,16 @@ def _painted(
         found = texels_of(pages, number)
         parts = found.parts(_SAMPLES_AT_ONCE // samples**2)
         paint = partial(means, width)
+        ready = 0
         image = np.zeros((height * width, 3), np.float32)
         for part, (colors, away) in zip(
             parts, read_ahead(paint, parts, threads=workers(), ahead=workers() + 1), strict=True
         ):
             image[part.pixels] = colors
             turned += away
-            progress(done + height, rows)
+            # As many rows as texels, of all that show the surface.
+            ready += len(part.pixels)
+            progress(done + height * ready // len(found.pixels), rows)
         shows = np.zeros(height * width, bool)
         shows[found.pixels] = True
         filled += len(found.pixels)

@@ -129,7 +129,10 @@ def fitted(
             return _filled(tried, pages, density, side, room) if density == 1 / texel_size else pages
         if side == max_side:
             break
+        needed = (len(pages.sizes) - 1) * side**2
         side *= 2
+        while side < max_side and side**2 < needed:
+            side *= 2
     if padding is None and sum(width * height for width, height in pages.sizes) > max_texels / _FILLED:
         pages = tried(density, side, _LEAST_PADDING)
     return pages

@@ -38,7 +38,7 @@ from stages.texturing.survey import Survey, survey
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -227,8 +227,7 @@ def texture(
 
     References
     ----------
-    Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010;
-    charts are packed after Lévy, Petitjean, Ray and Maillot 2002.
+    Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010.
     """
     params = resolve(TextureParams, params, changes)
     given = as_mesh(mesh)
