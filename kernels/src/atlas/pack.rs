@@ -95,9 +95,9 @@ pub fn pack(
 }
 
 /// The first place for a shape, on a new page if there is none.
-fn place(pages: &mut Vec<Page>, shape: &Shape, (page, at): Place, side: usize) -> Place {
-    for number in page..pages.len() {
-        if let Some(found) = pages[number].find(shape, if number == page { at } else { [0, 0] }) {
+fn place(pages: &mut Vec<Page>, shape: &Shape, (first, at): Place, side: usize) -> Place {
+    for (number, page) in pages.iter().enumerate().skip(first) {
+        if let Some(found) = page.find(shape, if number == first { at } else { [0, 0] }) {
             return (number, found);
         }
     }
