@@ -212,7 +212,8 @@ def bake(
     Raises
     ------
     MeshError
-        If a mesh is not valid or has no area, or the original has no colours.
+        If a mesh is not valid or has no area, the light mesh is of needles alone, or the original has no
+        colours.
     """
     params = resolve(BakeParams, params, changes)
     given, reference = as_mesh(light, "light mesh"), as_mesh(original, "original")

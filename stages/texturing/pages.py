@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.errors import MeshError
 from stages.progress import Progress
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
@@ -57,7 +58,7 @@ class Pages:
     images: NDArray[np.int32]
     sizes: tuple[tuple[int, int], ...]
     padding: int
-    texels_per_m: NDArray[np.float32]
+    texels_per_m: NDArray[np.floating]
 
     @property
     def uvs(self) -> NDArray[np.float64]:
@@ -113,6 +114,11 @@ def fitted(
     max_side : texels, of an image.
     padding : texels around each chart that are its own, at least; by default as many as images of this size
         need for a few halvings, or as few as are needed at all where there is no room for more.
+
+    Raises
+    ------
+    MeshError
+        If all triangles are needles.
     """
     area = float(areas(mesh.vertices, mesh.triangles).sum())
     density = min(1 / texel_size, math.sqrt(max_texels / area))
@@ -158,16 +164,19 @@ def _filled(
 
 
 def _even(mesh: Mesh, progress: Progress, density: float, side: int, padding: int) -> Pages:
-    return _pages(mesh, np.full(len(mesh.triangles), density, np.float32), side, padding, progress)
+    # In texels: of any unit of length, single precision has room for one a texel.
+    scaled = mesh.with_(vertices=(mesh.vertices - mesh.vertices[mesh.triangles[0, 0]]) * density)
+    found = _pages(scaled, np.ones(len(mesh.triangles), np.float32), side, padding, progress)
+    return replace(found, texels_per_m=np.full(len(mesh.triangles), density))
 
 
 def _pages(mesh: Mesh, density: NDArray[np.float32], side: int, padding: int, progress: Progress) -> Pages:
     found = _kernels.lay_out(
         mesh.vertices, mesh.triangles, density, side=side, padding=padding, progress=progress
     )
-    # A surface of needles alone has no charts.
-    heights = found.heights or [1]
-    sizes = tuple((side, min(-(-height // _ROWS) * _ROWS, side)) for height in heights)
+    if not found.heights:
+        raise MeshError("all its triangles are needles; none can be laid out in an image.", "mesh")
+    sizes = tuple((side, min(-(-height // _ROWS) * _ROWS, side)) for height in found.heights)
     images = found.pages.copy()
     _place_flat(mesh, found.corners, images)
     return Pages(found.corners, found.pages, found.charts, images, sizes, padding, density)

@@ -184,7 +184,7 @@ def test_loose_triangles_fit_with_their_padding():
     assert baked.color.rmse < 0.5
 
 
-@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("size", [1e-45, 1e-6, 1.0, 1e6, 1e50])
 def test_a_triangle_of_any_size_is_baked(size):
     colors = np.uint8([[255, 0, 0], [0, 255, 0], [0, 0, 255]])
     mesh = Mesh(size * np.eye(3), np.array([[0, 1, 2]], np.int32), colors)
@@ -274,6 +274,9 @@ def test_what_is_wrong_is_said():
         bake(square(), square(0.1))
     with pytest.raises(MeshError, match="light mesh"):
         bake((np.zeros((3, 3)), np.array([[0, 1, 2]])), sheet(n=4))
+    needle = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-12, 0]])
+    with pytest.raises(MeshError, match="needles"):
+        bake((needle, np.array([[0, 1, 2]])), sheet(n=4))
     with pytest.raises(UsageError, match="power of two"):
         bake(square(), sheet(n=4), max_size=1000)
     with pytest.raises(UsageError, match="has no room beside it"):
