@@ -24,7 +24,7 @@ COLUMNS = (
     "triangles",
     "vertex colours, dB",
     "baked, dB",
-    "image",
+    "images",
     "charts",
     "coverage",
     "CPU s",
@@ -52,7 +52,12 @@ def main() -> None:
             seconds = time.process_time() - start
             assert baked.vertex_color is not None
             cells = [name, f"{ratio:.0%}", f"{len(light.triangles):,}", f"{baked.vertex_color.psnr:.1f}"]
-            cells += [f"{baked.color.psnr:.1f}", f"{baked.size}", f"{baked.charts}", f"{baked.coverage:.2f}"]
+            cells += [
+                f"{baked.color.psnr:.1f}",
+                " + ".join(f"{w} × {h}" for w, h in baked.sizes),
+                f"{baked.charts}",
+                f"{baked.coverage:.2f}",
+            ]
             print_row([*cells, f"{seconds:.1f}"])
 
 

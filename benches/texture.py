@@ -6,12 +6,13 @@ Each scan goes through `scanloom run` without every tenth frame. Prints a Markdo
 after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
 count, and seconds of the stage that made the colours. Photos are placed against each mesh (see
 `stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with the same
-cameras, on xatlas' charts in one image of 2048²; it takes minutes.
+cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -26,14 +27,16 @@ from pipeline.holding_out import like_neighbours
 from pipeline.run import RunResult, run
 from stages._open3d import open3d
 from stages.comparing.left_out import left_out
+from stages.progress import silent
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Scan
 from stages.surface.formats.ply import read_ply
 from stages.surface.mesh import Image, Material, Mesh, Texture
 from stages.surface.mesh_files import read_mesh
-from stages.texturing.atlas import unwrap
+from stages.surface.topology import areas
 from stages.texturing.bake import bake
+from stages.texturing.pages import Pages, fitted
 from stages.texturing.photos import photo_of
 
 COLUMNS = (
@@ -99,11 +102,11 @@ def _meshes(
 
 def _projected(mesh: Mesh, frames: Sequence[Frame]) -> Mesh:
     o3d = open3d()
-    atlas = unwrap(mesh, _OPEN3D_SIZE, 8)
+    pages = _one_page(mesh)
     theirs = o3d.t.geometry.TriangleMesh(
         o3d.core.Tensor(mesh.vertices.astype(np.float32)), o3d.core.Tensor(mesh.triangles)
     )
-    theirs.triangle.texture_uvs = o3d.core.Tensor(atlas.uvs.astype(np.float32))
+    theirs.triangle.texture_uvs = o3d.core.Tensor(pages.uvs.astype(np.float32))
     photos = [photo_of(frame) for frame in frames if frame.color is not None]
     images = [o3d.t.geometry.Image(o3d.core.Tensor(photo.image)) for photo in photos]
     cameras = [o3d.core.Tensor(photo.camera.matrix) for photo in photos]
@@ -112,7 +115,19 @@ def _projected(mesh: Mesh, frames: Sequence[Frame]) -> Mesh:
     pixels = np.ascontiguousarray(image.as_tensor().numpy()[:, :, :3])
     materials = (Material(name="albedo", image=Image(given=pixels), wrap=("clamp", "clamp")),)
     ids = np.zeros(len(mesh.triangles), np.int32)
-    return mesh.with_(colors=None, texture=Texture(atlas.uvs, ids, materials))
+    return mesh.with_(colors=None, texture=Texture(pages.uvs, ids, materials))
+
+
+def _one_page(mesh: Mesh) -> Pages:
+    """Return the mesh laid out in one image, as fine as fits."""
+    texel_size = math.sqrt(areas(mesh.vertices, mesh.triangles).sum()) / _OPEN3D_SIZE
+    while True:
+        found = fitted(
+            mesh, texel_size, max_side=_OPEN3D_SIZE, max_texels=math.inf, padding=8, progress=silent
+        )
+        if len(found.sizes) == 1:
+            return found
+        texel_size *= 1.1
 
 
 def _print(scan: str, name: str, mesh: Mesh, held_out: Sequence[Frame], seconds: float) -> None:

@@ -360,7 +360,7 @@ STAGES: tuple[Stage, ...] = (
         sections=("bake",),
         make=_bake,
         versions=_of(bake, compare_surfaces),
-        libraries=_OPEN3D | {"xatlas": _version("xatlas")},
+        libraries=_KERNELS | _OPEN3D | _OPENCV,
         results=("baked.glb",),
         cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=300e6),
     ),

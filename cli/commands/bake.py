@@ -34,9 +34,9 @@ def bake(
 ) -> None:
     """Give a light mesh a texture that holds all the colour of its original.
 
-    LIGHT keeps its triangles, and is laid out in an image; every texel gets the colour of the original
-    where it is nearest and faces the same way. GLB holds the image; OBJ and PLY have it in a file beside
-    them.
+    LIGHT keeps its triangles, and is laid out in an image, or in several where one is too small; every
+    texel gets the colour of the original where it is nearest and faces the same way. GLB holds the images;
+    OBJ and PLY have them in files beside them.
 
     Example: scanloom bake light.ply clean.ply light.glb
     """

@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# Pixels at a time: bounds the memory, at some 200 bytes each.
-_STRIP = 1 << 20
-
 
 @dataclass(frozen=True, eq=False)
 class Covered:
@@ -55,39 +52,6 @@ def covered(corners: Floats, rows: tuple[int, int], width: int) -> Covered:
     pixel_row = np.repeat(row, lengths)
     centers = np.stack([column + 0.5, pixel_row + 0.5], axis=1)
     return Covered(pixel_row, column, triangle, _weights(corners, triangle, centers))
-
-
-@dataclass(frozen=True)
-class Overlaps:
-    """What lies on each other.
-
-    Attributes
-    ----------
-    pixels : whose centres lie in several triangles.
-    triangles : all of these but the one that comes first, in ascending order.
-    """
-
-    pixels: int
-    triangles: NDArray[np.int64]
-
-
-def overlaps(corners: Floats, size: int) -> Overlaps:
-    """Find the pixels of a square image that several triangles (m, 3, 2) cover."""
-    pixels, triangles = 0, [np.zeros(0, np.int64)]
-    for rows in strips(size, size):
-        found = covered(corners, rows, size)
-        place = found.rows * size + found.columns
-        order = np.argsort(place, kind="stable")
-        (again,) = np.nonzero(place[order][1:] == place[order][:-1])
-        pixels += len(np.unique(place[order][again]))
-        triangles.append(found.triangles[order][again + 1])
-    return Overlaps(pixels, np.unique(np.concatenate(triangles)))
-
-
-def strips(height: int, width: int) -> list[tuple[int, int]]:
-    """Return ranges of rows that make up an image, a bounded number of pixels at a time."""
-    step = max(_STRIP // width, 1)
-    return [(start, min(start + step, height)) for start in range(0, height, step)]
 
 
 def _between(low: Floats, high: Floats, first: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -9,6 +9,7 @@ that neither bilinear sampling nor smaller copies of the image (mip levels) brin
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -25,27 +26,31 @@ from stages.scans.prefetch import read_ahead, workers
 from stages.surface.color import has_color, pixels_of
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
-from stages.surface.rasterize import covered, strips
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture, signed_areas
 from stages.surface.topology import areas, require_area
-from stages.texturing.atlas import Atlas, unwrap
 from stages.texturing.facing import FacingColors
 from stages.texturing.filling import filled_up
+from stages.texturing.pages import Pages, Texels, fitted, texels_of
 from stages.texturing.reducing import reduced
+from stages.texturing.texel_samples import END, WITHIN, borders, samples_under
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 _MIN_SIZE = 64
-# Of the image, that charts fill; used to choose its size.
+# Of the images, that charts fill.
 _FILLED = 0.5
-_LEAST_PADDING = 2
-# So many texels of an image's side have one texel of padding by default.
-_SIDE_PER_PADDING = 256
+# An image has room for charts beside so many times the padding.
+_SIDES_OF_PADDING = 4
 _MOST_SAMPLES = 4
+# Of all texels, by default: an image whose details are too fine for a few samples is averaged before, which
+# takes far less time and shows the same.
+_ALL_SAMPLES = 16e6
+# An image that is finer by no more than this factor is shown as it is.
+_ALIKE = 1.25
 # Of the mean edge: what is interpolated between vertices has kinks along edges, many of them shorter.
 _DETAIL_OF_EDGE = 0.4
 # An original has no more details than this in a triangle, by its vertex colours: where a few triangles are
@@ -56,8 +61,13 @@ _DETAILS_OF_TRIANGLE = 2000
 _MOST_AREA = 4
 # Samples in a length of one detail of the original, at least. On a scanned banana and a fused room more of
 # them change the error by less than 0.1 dB.
-_SAMPLES_PER_DETAIL = 1.5
+_SAMPLES_PER_DETAIL = 1.6
 _COMPARED = 100_000
+# Levels that what lies beyond the border of a chart may differ from what it shows: a step of colour along an
+# edge, where charts like to end, must not show before it. Beyond the end of the surface there is nothing.
+_MOST_STEP = 24.0
+# Bounds the memory, at some 400 bytes each.
+_SAMPLES_AT_ONCE = 1 << 19
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,20 +76,31 @@ class BakeParams:
 
     texel_size: float | None = param(
         None,
-        "Size of a texel on the surface, at most; the image is the smallest that has room for it, up to "
-        "max_size, and is filled. Default: 0.4 of the original's mean edge, or the size of its own texels.",
+        "Size of a texel on the surface, at most; the image is the smallest that has room for it, and is "
+        "filled. Default: 0.4 of the original's mean edge, or the size of its own texels.",
         unit="m",
         low=0,
         low_open=True,
     )
     max_size: int = param(
-        4096, "Largest side of the image: a power of two.", unit="texels", low=_MIN_SIZE, high=8192
+        4096,
+        "Largest side of an image: a power of two. There are as many images as are needed.",
+        unit="texels",
+        low=_MIN_SIZE,
+        high=8192,
+    )
+    max_texels: float = param(
+        16.0,
+        "Texels of all images together, about; where more were needed, texels are larger.",
+        unit="million texels",
+        low=0.01,
+        high=1000,
     )
     padding: int | None = param(
         None,
         "Texels around each chart that show its colours; between two charts there are twice as many. With 8 "
-        "the image can be halved twice and no colour gets from one chart into another. Default: 1/256 of "
-        "the side, at least 2.",
+        "the image can be halved twice and no colour gets from one chart into another; at most a quarter of "
+        "max_size. Default: 1/256 of the side, or 2 where that leaves no room.",
         unit="texels",
         low=1,
         high=128,
@@ -96,6 +117,10 @@ class BakeParams:
         check(self)
         if self.max_size & (self.max_size - 1):
             raise UsageError(f"max_size is {self.max_size} texels; it must be a power of two.")
+        if _SIDES_OF_PADDING * (self.padding or 0) > self.max_size:
+            raise UsageError(
+                f"padding is {self.padding} texels; an image of {self.max_size} has no room beside it."
+            )
 
 
 class BakeKeywords(TypedDict, total=False):
@@ -103,6 +128,7 @@ class BakeKeywords(TypedDict, total=False):
 
     texel_size: float | None
     max_size: int
+    max_texels: float
     padding: int | None
     samples: int | None
 
@@ -113,10 +139,10 @@ class Baked:
 
     Attributes
     ----------
-    mesh : the light mesh with one texture image, without vertex colours.
-    size : texels, of a side of the image.
+    mesh : the light mesh with texture images, without vertex colours.
+    sizes : (width, height) of each image, texels.
     texel_size : metres, of a texel on the surface, in the mean.
-    coverage : share of the image that shows the surface.
+    coverage : share of the images that shows the surface.
     charts : pieces the surface is cut into.
     padding : texels around each chart that show its colours, at least.
     samples : along each side of a texel.
@@ -126,7 +152,7 @@ class Baked:
     """
 
     mesh: Mesh
-    size: int
+    sizes: tuple[tuple[int, int], ...]
     texel_size: float
     coverage: float
     charts: int
@@ -141,7 +167,7 @@ class Baked:
 
     @property
     def halvings(self) -> int:
-        """Return how often the image can be halved (mip levels) with no colour crossing to another chart."""
+        """Return how often an image can be halved (mip levels) with no colour crossing to another chart."""
         # A bilinear sample of a halved image reaches twice as far as a texel of it is wide.
         return max(int(math.log2(self.padding)) - 1, 0)
 
@@ -149,7 +175,7 @@ class Baked:
         """Return all figures for JSON, units in the names."""
         return {
             "triangles": len(self.mesh.triangles),
-            "image_size_texels": self.size,
+            "images": [list(size) for size in self.sizes],
             "texel_size_m": self.texel_size,
             "texels_per_m": 1 / self.texel_size,
             "coverage": self.coverage,
@@ -181,14 +207,13 @@ def bake(
         texture are replaced.
     original : in the same place, with vertex colours or a texture.
     params : see BakeParams; single ones can be given by name.
-    progress : told of rows of the image.
+    progress : told of rows of the images.
 
     Raises
     ------
     MeshError
-        If a mesh is not valid or has no area, or the original has no colours.
-    StageError
-        If no atlas is found, or its charts do not fit with their padding.
+        If a mesh is not valid or has no area, the light mesh is of needles alone, or the original has no
+        colours.
     """
     params = resolve(BakeParams, params, changes)
     given, reference = as_mesh(light, "light mesh"), as_mesh(original, "original")
@@ -197,45 +222,57 @@ def bake(
     if not has_color(reference):
         raise MeshError("has neither vertex colours nor a texture; there is nothing to bake.", "original")
     stretch = _stretch(given, reference)
-    finest = max(params.texel_size or 0.0, _side(given) / params.max_size)
-    shown = reduced(reference, finest / stretch, _MOST_SAMPLES / _SAMPLES_PER_DETAIL)
+    most = params.max_texels * 1e6 * _FILLED
+    finest = max(params.texel_size or 0.0, math.sqrt(_area(given) / most))
+    finer = max(_most_samples(_area(given) / finest**2) / _SAMPLES_PER_DETAIL, _ALIKE)
+    shown = reduced(reference, finest / stretch, finer)
     detail = _detail(shown) * stretch
-    size = _image_size(given, params.texel_size or detail, params.max_size)
-    padding = params.padding or max(_LEAST_PADDING, size // _SIDE_PER_PADDING)
-    atlas = unwrap(given, size, padding, progress)
-    texel_size = _texel_size(given, atlas)
-    samples = params.samples or min(math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail), _MOST_SAMPLES)
+    pages = fitted(
+        given,
+        params.texel_size or detail,
+        max_side=params.max_size,
+        max_texels=most,
+        padding=params.padding,
+        progress=lambda *_: progress(0, 1),
+    )
+    texel_size = _texel_size(given, pages)
+    enough = math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail)
+    samples = params.samples or min(enough, _most_samples(_area(given) / texel_size**2))
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
     colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
-    image, coverage, turned = _image(atlas, samples, colors_of, progress)
-    mesh = _textured(given, atlas, image)
+    painted = _painted(given, pages, samples, texel_size, colors_of, progress)
+    mesh = _textured(given, pages, painted.images)
     if _is_transparent(reference):
         mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
     if shown is not reference:
-        note = f"bake left out: detail of the original's images that {size} × {size} texels cannot show."
+        sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
+        note = f"bake left out: detail of the original's images that {sizes} texels cannot show."
         mesh = mesh.with_(notes=(*mesh.notes, note))
     error, before = (_color_error(surface, one, box) for one in (mesh, given))
     assert error is not None
     return Baked(
         mesh=mesh,
-        size=size,
+        sizes=pages.sizes,
         texel_size=texel_size,
-        coverage=coverage,
-        charts=int(atlas.charts.max()) + 1,
-        padding=padding,
+        coverage=painted.coverage,
+        charts=int(pages.charts.max()) + 1,
+        padding=pages.padding,
         samples=samples,
-        turned=turned,
+        turned=painted.turned,
         color=error,
         vertex_color=before if given.colors is not None else None,
     )
 
 
-def _textured(mesh: Mesh, atlas: Atlas, image: NDArray[np.uint8]) -> Mesh:
-    """Return the mesh with the image, and without vertex colours: a viewer would multiply the two."""
-    materials = (Material(name="baked", image=Image(name="baked.png", given=image), wrap=("clamp", "clamp")),)
-    material_ids = np.zeros(len(mesh.triangles), np.int32)
-    return mesh.with_(colors=None, texture=Texture(atlas.uvs, material_ids, materials))
+def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]]) -> Mesh:
+    """Return the mesh with the images, and without vertex colours: a viewer would multiply the two."""
+    names = [f"baked-{number}" for number in range(1, len(images) + 1)] if len(images) > 1 else ["baked"]
+    materials = tuple(
+        Material(name=name, image=Image(name=f"{name}.png", given=image), wrap=("clamp", "clamp"))
+        for name, image in zip(names, images, strict=True)
+    )
+    return mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
 
 
 def _is_transparent(mesh: Mesh) -> bool:
@@ -274,22 +311,17 @@ def _stretch(light: Mesh, original: Mesh) -> float:
     return math.sqrt(light_area / area) if light_area > _MOST_AREA * area else 1.0
 
 
-def _image_size(mesh: Mesh, texel_size: float, max_size: int) -> int:
-    wanted = _side(mesh) / texel_size
-    size = _MIN_SIZE
-    while size < min(wanted, max_size):
-        size *= 2
-    return size
+def _most_samples(texels: float) -> int:
+    """Return how many samples along its side each of so many texels may have."""
+    return max(min(int(math.sqrt(_ALL_SAMPLES / texels)), _MOST_SAMPLES), 1)
 
 
-def _side(mesh: Mesh) -> float:
-    """Return how long, in metres, the side of an image is that shows all of a mesh."""
-    return math.sqrt(areas(mesh.vertices, mesh.triangles).sum() / _FILLED)
+def _area(mesh: Mesh) -> float:
+    return float(areas(mesh.vertices, mesh.triangles).sum())
 
 
-def _texel_size(mesh: Mesh, atlas: Atlas) -> float:
-    texels = np.abs(signed_areas(atlas.corners)).sum()
-    return math.sqrt(float(areas(mesh.vertices, mesh.triangles).sum()) / float(texels))
+def _texel_size(mesh: Mesh, pages: Pages) -> float:
+    return math.sqrt(_area(mesh) / float(np.abs(signed_areas(pages.corners)).sum()))
 
 
 def _color_error(original: Surface, mesh: Mesh, box: Floats) -> ColorError | None:
@@ -297,61 +329,51 @@ def _color_error(original: Surface, mesh: Mesh, box: Floats) -> ColorError | Non
 
 
 @dataclass(frozen=True, eq=False)
-class _Strip:
-    """Rows of the image: `filled` texels have a sample on the surface, `turned` samples faced away."""
+class _Painted:
+    """Images full to their edges; the shares of them that charts have, and of samples that faced away."""
 
-    texels: NDArray[np.float32]
-    filled: NDArray[np.bool_]
-    samples: int
-    turned: int
-
-
-def _image(
-    atlas: Atlas, samples: int, colors_of: FacingColors, progress: Progress
-) -> tuple[NDArray[np.uint8], float, float]:
-    """Return the image of an atlas, full to its edges, and two shares.
-
-    That which charts have of it, and that of the samples whose nearest point faced away.
-    """
-    size = atlas.size
-    image = np.zeros((size, size, 3), np.float32)
-    filled = np.zeros((size, size), bool)
-    rows = strips(size, size * samples**2)
-    asked = turned = 0
-    paint = partial(_strip, atlas, samples, colors_of)
-    for (start, end), strip in zip(
-        rows, read_ahead(paint, rows, threads=workers(), ahead=workers() + 1), strict=True
-    ):
-        image[start:end], filled[start:end] = strip.texels, strip.filled
-        asked, turned = asked + strip.samples, turned + strip.turned
-        progress(end, size)
-    _mark_small(atlas, image, filled, colors_of)
-    return filled_up(image, filled, atlas.padding), float(filled.mean()), turned / max(asked, 1)
+    images: list[NDArray[np.uint8]]
+    coverage: float
+    turned: float
 
 
-def _strip(atlas: Atlas, samples: int, colors_of: FacingColors, rows: tuple[int, int]) -> _Strip:
-    fine = (rows[0] * samples, rows[1] * samples)
-    found = covered(atlas.corners * samples, fine, atlas.size * samples)
-    colors, turned = colors_of(found.triangles, found.weights)
-    texels = (found.rows // samples - rows[0]) * atlas.size + found.columns // samples
-    count = (rows[1] - rows[0]) * atlas.size
-    hits = np.bincount(texels, minlength=count)
-    sums = [np.bincount(texels, colors[:, channel], minlength=count) for channel in range(3)]
-    means = np.stack(sums, axis=1) / np.maximum(hits, 1)[:, None]
-    return _Strip(
-        texels=means.reshape(-1, atlas.size, 3).astype(np.float32),
-        filled=(hits > 0).reshape(-1, atlas.size),
-        samples=len(texels),
-        turned=turned,
-    )
+def _painted(
+    mesh: Mesh, pages: Pages, samples: int, texel_size: float, colors_of: FacingColors, progress: Progress
+) -> _Painted:
+    sides = borders(mesh, pages)
 
+    def means(width: int, part: Texels) -> tuple[NDArray[np.float32], int]:
+        triangles, weights = samples_under(mesh, pages, part, width, samples, texel_size)
+        colors, turned = colors_of(triangles, weights)
+        crossed = np.where(weights < 0, sides[triangles], WITHIN).max(axis=1)
+        (beyond,) = np.nonzero(crossed > WITHIN)
+        inside = weights[beyond].clip(0)
+        last, _ = colors_of(triangles[beyond], inside / inside.sum(axis=1, keepdims=True))
+        most = np.where(crossed[beyond] == END, 0.0, _MOST_STEP)[:, None]
+        colors[beyond] = last + (colors[beyond] - last).clip(-most, most)
+        return colors.reshape(len(part.pixels), -1, 3).mean(axis=1).astype(np.float32), turned
 
-def _mark_small(
-    atlas: Atlas, image: NDArray[np.float32], filled: NDArray[np.bool_], colors_of: FacingColors
-) -> None:
-    """Give triangles too small to hold a sample the texel at their middle, where nothing else has it."""
-    column, row = np.floor(atlas.corners.mean(axis=1)).astype(np.int64).clip(0, atlas.size - 1).T
-    (missed,) = np.nonzero((atlas.charts >= 0) & ~filled[row, column])
-    row, column = row[missed], column[missed]
-    image[row, column], _ = colors_of(missed, np.full((len(missed), 3), 1 / 3))
-    filled[row, column] = True
+    rows = sum(height for _, height in pages.sizes)
+    texels = sum(width * height for width, height in pages.sizes)
+    done = filled = turned = 0
+    images = []
+    for number, (width, height) in enumerate(pages.sizes):
+        found = texels_of(pages, number)
+        parts = found.parts(_SAMPLES_AT_ONCE // samples**2)
+        paint = partial(means, width)
+        ready = 0
+        image = np.zeros((height * width, 3), np.float32)
+        for part, (colors, away) in zip(
+            parts, read_ahead(paint, parts, threads=workers(), ahead=workers() + 1), strict=True
+        ):
+            image[part.pixels] = colors
+            turned += away
+            # As many rows as texels, of all that show the surface.
+            ready += len(part.pixels)
+            progress(done + height * ready // len(found.pixels), rows)
+        shows = np.zeros(height * width, bool)
+        shows[found.pixels] = True
+        filled += len(found.pixels)
+        images.append(filled_up(image.reshape(height, width, 3), shows.reshape(height, width), pages.padding))
+        done += height
+    return _Painted(images, filled / texels, turned / max(filled * samples**2, 1))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.errors import MeshError
 from stages.progress import Progress
 from stages.surface.mesh import Mesh
 from stages.surface.topology import areas
@@ -18,6 +21,19 @@ _FILLED = 0.62
 _MIN_SIDE = 64
 # Rows of an image are a multiple of this, so that it can be halved a few times.
 _ROWS = 64
+# Of a square image, what is to be filled at least: no smaller one is tried.
+_LEAST_FILLED = 0.5
+_LEAST_PADDING = 2
+# So many texels of an image's side have one texel of padding by default.
+_SIDE_PER_PADDING = 256
+# An image is full if its charts are as large as this, at least, of the size that does not fit; so often is it
+# tried to fill it.
+_FULL = 0.985
+_FILLINGS = 6
+# Of the density, at least, from one try to the next.
+_GROWTH = 1.04
+# A side has room for a chart if it is longer than so many times the padding.
+_SIDES_OF_PADDING = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +45,8 @@ class Pages:
     corners : (m, 3, 2) float64, x and y in texels from the upper left corner of the image.
     pages : (m,) int32, the image of each triangle; -1 for those without area, which have none.
     charts : (m,) int32, likewise the chart.
+    images : (m,) int32, the image that `corners` lie in: those of a triangle without area are where another
+        triangle has its first corner, in the first image if none has.
     sizes : (width, height) of each image, texels.
     padding : texels around each chart that are its own, at least.
     texels_per_m : of each triangle.
@@ -37,14 +55,15 @@ class Pages:
     corners: NDArray[np.float64]
     pages: NDArray[np.int32]
     charts: NDArray[np.int32]
+    images: NDArray[np.int32]
     sizes: tuple[tuple[int, int], ...]
     padding: int
-    texels_per_m: NDArray[np.float32]
+    texels_per_m: NDArray[np.floating]
 
     @property
     def uvs(self) -> NDArray[np.float64]:
         """Return texture coordinates (m, 3, 2); (0, 0) is the lower left corner of the image."""
-        sizes = np.array([*self.sizes, (1, 1)], np.float64)[self.pages]
+        sizes = np.array(self.sizes, np.float64)[self.images]
         return np.asarray(self.corners * (1, -1) / sizes[:, None] + (0, 1))
 
 
@@ -72,11 +91,106 @@ def laid_out(
     side = _MIN_SIDE
     while side < max_side and side * side < min(wanted, max_texels):
         side *= 2
+    return _pages(mesh, density, side, padding, progress)
+
+
+def fitted(
+    mesh: Mesh,
+    texel_size: float,
+    *,
+    max_side: int,
+    max_texels: float,
+    padding: int | None,
+    progress: Progress,
+) -> Pages:
+    """Lay a mesh out in the smallest square image that has room for it, and fill that.
+
+    Where none has, there are several images, of the largest side. The same mesh gives the same images.
+
+    Parameters
+    ----------
+    texel_size : metres, of a texel on the surface, at most; more where the surface had more than
+        `max_texels`: the image is no larger than these need then.
+    max_side : texels, of an image.
+    padding : texels around each chart that are its own, at least; by default as many as images of this size
+        need for a few halvings, or as few as are needed at all where there is no room for more.
+
+    Raises
+    ------
+    MeshError
+        If all triangles are needles.
+    """
+    area = float(areas(mesh.vertices, mesh.triangles).sum())
+    density = min(1 / texel_size, math.sqrt(max_texels / area))
+    tried = partial(_even, mesh, progress)
+    side = _MIN_SIDE
+    while side < max_side and (
+        _LEAST_FILLED * side**2 < area * density**2 or side <= _SIDES_OF_PADDING * (padding or 0)
+    ):
+        side *= 2
+    while True:
+        room = padding or max(_LEAST_PADDING, side // _SIDE_PER_PADDING)
+        pages = tried(density, side, room)
+        if len(pages.sizes) == 1:
+            return _filled(tried, pages, density, side, room) if density == 1 / texel_size else pages
+        if side == max_side:
+            break
+        needed = (len(pages.sizes) - 1) * side**2
+        side *= 2
+        while side < max_side and side**2 < needed:
+            side *= 2
+    if padding is None and sum(width * height for width, height in pages.sizes) > max_texels / _FILLED:
+        pages = tried(density, side, _LEAST_PADDING)
+    return pages
+
+
+def _filled(
+    tried: Callable[[float, int, int], Pages], pages: Pages, density: float, side: int, padding: int
+) -> Pages:
+    """Return the pages of about the largest density at which one square image has room for all."""
+    too_much = math.inf
+    for _ in range(_FILLINGS):
+        # As if all rows were filled alike.
+        used = float(pages.corners[:, :, 1].max()) + padding
+        following = min(density * math.sqrt(side / used) * _GROWTH, math.sqrt(density * too_much))
+        more = tried(following, side, padding)
+        if len(more.sizes) == 1:
+            pages, density = more, following
+        else:
+            too_much = following
+        if density > _FULL * too_much:
+            break
+    return replace(pages, sizes=((side, side),))
+
+
+def _even(mesh: Mesh, progress: Progress, density: float, side: int, padding: int) -> Pages:
+    # In texels: of any unit of length, single precision has room for one a texel.
+    scaled = mesh.with_(vertices=(mesh.vertices - mesh.vertices[mesh.triangles[0, 0]]) * density)
+    found = _pages(scaled, np.ones(len(mesh.triangles), np.float32), side, padding, progress)
+    return replace(found, texels_per_m=np.full(len(mesh.triangles), density))
+
+
+def _pages(mesh: Mesh, density: NDArray[np.float32], side: int, padding: int, progress: Progress) -> Pages:
     found = _kernels.lay_out(
         mesh.vertices, mesh.triangles, density, side=side, padding=padding, progress=progress
     )
+    if not found.heights:
+        raise MeshError("all its triangles are needles; none can be laid out in an image.", "mesh")
     sizes = tuple((side, min(-(-height // _ROWS) * _ROWS, side)) for height in found.heights)
-    return Pages(found.corners, found.pages, found.charts, sizes, padding, density)
+    images = found.pages.copy()
+    _place_flat(mesh, found.corners, images)
+    return Pages(found.corners, found.pages, found.charts, images, sizes, padding, density)
+
+
+def _place_flat(mesh: Mesh, corners: NDArray[np.float64], images: NDArray[np.int32]) -> None:
+    """Put all corners of triangles without area where another triangle has the first one, if one has."""
+    (flat,) = np.nonzero(images < 0)
+    (others,) = np.nonzero(images >= 0)
+    place, image = np.zeros((len(mesh.vertices), 2)), np.zeros(len(mesh.vertices), np.int32)
+    place[mesh.triangles[others]] = corners[others]
+    image[mesh.triangles[others]] = images[others, None]
+    first = mesh.triangles[flat, 0]
+    corners[flat], images[flat] = place[first, None], image[first]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +207,11 @@ class Texels:
     pixels: NDArray[np.uint32]
     triangles: NDArray[np.uint32]
     shares: NDArray[np.float32]
+
+    def parts(self, count: int) -> list[Texels]:
+        """Return them in parts of at most so many."""
+        rows = [slice(start, start + count) for start in range(0, len(self.pixels), count)]
+        return [Texels(self.pixels[part], self.triangles[part], self.shares[part]) for part in rows]
 
 
 def texels_of(pages: Pages, page: int) -> Texels:

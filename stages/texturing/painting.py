@@ -56,7 +56,7 @@ class Painter:
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
         self._only = texels_of(pages, 0) if len(pages.sizes) == 1 else None
-        self.parts = sum(len(_parts(self._texels(page))) for page in range(len(pages.sizes)))
+        self.parts = sum(len(self._texels(page).parts(_AT_ONCE)) for page in range(len(pages.sizes)))
 
     def paint(self, shifts: Sequence[Shifts] | None, progress: Callable[[], object]) -> list[Painted]:
         """Return the images; `progress` is called for each photo and part of the texels."""
@@ -93,7 +93,7 @@ class Painter:
         filled = np.zeros(height * width, np.bool_)
         labels = np.full(height * width, -1, np.int32)
         views = np.zeros(height * width, np.uint8)
-        for texels in _parts(self._texels(number)):
+        for texels in self._texels(number).parts(_AT_ONCE):
             at = texels.pixels
             colors[at], labels[at], views[at] = self._part(texels, shifts, progress)
             # What nothing is known of takes on the colours around it.
@@ -123,11 +123,6 @@ class Painter:
         )
         _fill_unseen(colors, labels < 0, texels, mesh)
         return colors, labels, views
-
-
-def _parts(texels: Texels) -> list[Texels]:
-    parts = [slice(start, start + _AT_ONCE) for start in range(0, len(texels.pixels), _AT_ONCE)]
-    return [Texels(texels.pixels[part], texels.triangles[part], texels.shares[part]) for part in parts]
 
 
 def _fill_unseen(colors: NDArray[np.float32], unseen: NDArray[np.bool_], texels: Texels, mesh: Mesh) -> None:

@@ -39,7 +39,7 @@ from stages.texturing.survey import Survey, survey
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -230,8 +230,7 @@ def texture(
 
     References
     ----------
-    Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010;
-    charts are packed after Lévy, Petitjean, Ray and Maillot 2002.
+    Blending after Burt and Adelson 1983, shifts after Zhou and Koltun 2014, exposures after Goldman 2010.
     """
     params = resolve(TextureParams, params, changes)
     given = as_mesh(mesh)
@@ -342,8 +341,7 @@ def _result(
         )
         for number, data in enumerate(images, 1)
     )
-    material_ids = np.maximum(pages.pages, 0).astype(np.int32)
-    textured = mesh.with_(colors=None, texture=Texture(pages.uvs, material_ids, materials))
+    textured = mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
     exposures = surveyed.exposures.photos
     gains = np.array([one.gain for one in exposures])
     v = exposures[0].vignette

@@ -2,11 +2,16 @@
 
 use super::texels::spans;
 
-/// Which texels are taken, in rows.
+/// Room that a bitmap which has become too small gets more than it needs, to each side.
+const MARGIN: i64 = 16;
+
+/// Which texels are taken, in rows; grows as is needed, also to the left and upwards.
 #[derive(Debug)]
 pub struct Bitmap {
-    pub width: usize,
-    pub height: usize,
+    /// Of its first texel.
+    origin: [i64; 2],
+    width: usize,
+    height: usize,
     taken: Vec<bool>,
 }
 
@@ -15,21 +20,56 @@ impl Bitmap {
     pub fn around(triangles: &[[[f64; 2]; 3]]) -> Self {
         let size = |k: usize| triangles.iter().flatten().map(|p| p[k]).fold(0.0, f64::max) as usize + 1;
         let (width, height) = (size(0), size(1));
-        Self { width, height, taken: vec![false; width * height] }
+        Self { origin: [0, 0], width, height, taken: vec![false; width * height] }
     }
 
     /// Take the texels whose centres lie in a triangle, unless one is taken.
     pub fn claim(&mut self, corners: &[[f64; 2]; 3]) -> bool {
+        self.hold(corners);
         let mut is_free = true;
-        let each = |bitmap: &mut Self, work: &mut dyn FnMut(&mut [bool])| {
-            for (row, columns) in spans(corners, bitmap.width, bitmap.height) {
-                work(&mut bitmap.taken[row * bitmap.width..][columns]);
-            }
-        };
-        each(self, &mut |texels| is_free &= !texels.contains(&true));
+        self.each(corners, |texels| is_free &= !texels.contains(&true));
         if is_free {
-            each(self, &mut |texels| texels.fill(true));
+            self.each(corners, |texels| texels.fill(true));
         }
         is_free
+    }
+
+    /// Give back what a triangle has claimed.
+    pub fn release(&mut self, corners: &[[f64; 2]; 3]) {
+        self.each(corners, |texels| texels.fill(false));
+    }
+
+    fn each(&mut self, corners: &[[f64; 2]; 3], mut work: impl FnMut(&mut [bool])) {
+        let [x, y] = self.origin.map(|place| place as f64);
+        for (row, columns) in spans(&corners.map(|p| [p[0] - x, p[1] - y]), self.width, self.height) {
+            work(&mut self.taken[row * self.width..][columns]);
+        }
+    }
+
+    /// Make room for a triangle.
+    fn hold(&mut self, corners: &[[f64; 2]; 3]) {
+        let end = [self.origin[0] + self.width as i64, self.origin[1] + self.height as i64];
+        let mut room = [self.origin, end];
+        for k in 0..2 {
+            let low = corners.iter().map(|p| p[k].floor() as i64).min().unwrap_or(0);
+            let high = corners.iter().map(|p| p[k].floor() as i64 + 1).max().unwrap_or(0);
+            if low < room[0][k] {
+                room[0][k] = low - MARGIN;
+            }
+            if high > room[1][k] {
+                room[1][k] = high + MARGIN + (high - room[0][k]) / 4;
+            }
+        }
+        if room == [self.origin, end] {
+            return;
+        }
+        let size = [0, 1].map(|k| (room[1][k] - room[0][k]) as usize);
+        let mut taken = vec![false; size[0] * size[1]];
+        let shift = [0, 1].map(|k| (self.origin[k] - room[0][k]) as usize);
+        for row in 0..self.height {
+            let before = &self.taken[row * self.width..][..self.width];
+            taken[(row + shift[1]) * size[0] + shift[0]..][..self.width].copy_from_slice(before);
+        }
+        *self = Self { origin: room[0], width: size[0], height: size[1], taken };
     }
 }

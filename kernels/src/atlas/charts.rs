@@ -2,11 +2,12 @@
 //!
 //! A chart grows from a triangle over those across its border, first those that face as the chart does in the mean. In its
 //! plane no triangle is turned over or very thin; that none lies on another is found out texel by texel, and what does
-//! becomes a chart of its own. Where the photos show more, a chart gets more texels.
+//! becomes a chart of its own. Small charts are then taken up by those around them. Where the photos show more, a chart gets more texels.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
+use super::absorb::absorb;
 use super::bitmap::Bitmap;
 use super::neighbours::{NONE, neighbours};
 use crate::base::errors::KernelError;
@@ -15,11 +16,13 @@ use crate::base::progress::Progress;
 
 /// A triangle may join a chart that faces within this cosine of it, and is thrown out again below the other.
 const JOINS: f64 = 0.72;
-const STAYS: f64 = 0.4;
+pub const STAYS: f64 = 0.4;
 /// Of the cost of a triangle, what remains where two of its sides touch the chart: borders get short.
 const TOUCHING: f64 = 0.4;
 /// Texels a metre within a chart differ by no more than this factor.
-const ALIKE: f64 = 2.5;
+pub const ALIKE: f64 = 2.5;
+/// Charts of fewer texels than a square of so many paddings are taken up by others.
+const SMALL: usize = 6;
 /// Triangles of less area than this share of their longest side's square are flat.
 const FLAT: f64 = 1e-9;
 /// Directions that a chart is turned to, a quarter turn in all, to find the one that takes least room.
@@ -33,6 +36,9 @@ pub struct Charts {
     pub count: usize,
     /// Of each triangle, in texels, from the corner of its chart's box.
     pub corners: Vec<[[f64; 2]; 3]>,
+    /// Of each chart, texels a metre, and the texels it has.
+    pub scales: Vec<f64>,
+    pub bitmaps: Vec<Bitmap>,
 }
 
 #[derive(PartialEq)]
@@ -55,8 +61,8 @@ impl PartialOrd for Candidate {
     }
 }
 
-/// Cut a surface into charts of at most `side` texels in each direction; `density` is the texels a metre that each triangle
-/// should have.
+/// Cut a surface into charts that fit into images of `side` × `side` with `padding` around each; `density` is the texels a
+/// metre that each triangle should have.
 ///
 /// # Errors
 /// As [`Progress::check`].
@@ -65,14 +71,20 @@ pub fn charts(
     triangles: &[[u32; 3]],
     density: &[f32],
     side: usize,
+    padding: usize,
     progress: &mut Progress,
 ) -> Result<Charts, KernelError> {
-    let mut growth = Growth::new(points, triangles, density, side);
+    let mut growth = Growth::new(points, triangles, density, side - 2 * padding - 1);
     let mut seeds: Vec<u32> =
         (0..triangles.len() as u32).filter(|&t| growth.size[t as usize] > 0.0).collect();
     seeds.sort_by(|&a, &b| growth.size[b as usize].total_cmp(&growth.size[a as usize]).then(a.cmp(&b)));
-    let mut charts =
-        Charts { of: vec![NONE; triangles.len()], count: 0, corners: vec![[[0.0; 2]; 3]; triangles.len()] };
+    let mut charts = Charts {
+        of: vec![NONE; triangles.len()],
+        count: 0,
+        corners: vec![[[0.0; 2]; 3]; triangles.len()],
+        scales: vec![],
+        bitmaps: vec![],
+    };
     // Those that were thrown out of a chart are seeds again.
     while !seeds.is_empty() {
         let mut again = vec![];
@@ -86,18 +98,20 @@ pub fn charts(
         }
         seeds = again;
     }
+    let small = (SMALL * padding).pow(2) as f64;
+    absorb(&mut charts, &growth, small, progress)?;
     Ok(charts)
 }
 
-struct Growth<'a> {
-    points: &'a [Vec3],
-    triangles: &'a [[u32; 3]],
-    across: Vec<[u32; 3]>,
+pub struct Growth<'a> {
+    pub points: &'a [Vec3],
+    pub triangles: &'a [[u32; 3]],
+    pub across: Vec<[u32; 3]>,
     normals: Vec<Vec3>,
     /// Area, 0 for none.
-    size: Vec<f64>,
-    density: &'a [f32],
-    side: f64,
+    pub size: Vec<f64>,
+    pub density: &'a [f32],
+    pub side: f64,
     /// The seed of the chart a triangle was last refused or taken by.
     looked: Vec<u32>,
 }
@@ -114,7 +128,7 @@ impl<'a> Growth<'a> {
             normals.push(unit(&normal));
             size.push(if twice > FLAT * longest2 { twice / 2.0 } else { 0.0 });
         }
-        let across = neighbours(triangles);
+        let across = neighbours(triangles, &size);
         let looked = vec![NONE; triangles.len()];
         Self { points, triangles, across, normals, size, density, side: side as f64, looked }
     }
@@ -187,12 +201,13 @@ impl Charts {
             texels += growth.size[t] * f64::from(growth.density[t]);
         }
         let axis = unit(&sum);
-        let scale = texels / area;
+        let mut scale = texels / area;
         let mut flat = best_turn(members, growth, &axis, scale);
         // A triangle may be larger than an image, and densities differ within a chart.
         let longest = flat.iter().flatten().flatten().fold(0.0, |a: f64, &b| a.max(b));
         if longest > growth.side {
             flat.iter_mut().flatten().flatten().for_each(|x| *x *= growth.side / longest);
+            scale *= growth.side / longest;
         }
         let mut bitmap = Bitmap::around(&flat);
         let number = self.count as u32;
@@ -205,6 +220,8 @@ impl Charts {
                 (self.of[t as usize], self.corners[t as usize]) = (number, *corners);
             }
         }
+        self.scales.push(scale);
+        self.bitmaps.push(bitmap);
         self.count += 1;
     }
 }

@@ -1,11 +1,12 @@
-//! Triangles across edges, of any mesh: where more than two share an edge, none is across.
+//! Triangles across edges, of any mesh: where more than two with an area share an edge, none is across.
 
 /// Stands for no triangle.
 pub const NONE: u32 = u32::MAX;
 
-/// The triangle across the edge that begins at each corner.
-pub fn neighbours(triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+/// The triangle across the edge that begins at each corner; `sizes` are areas.
+pub fn neighbours(triangles: &[[u32; 3]], sizes: &[f64]) -> Vec<[u32; 3]> {
     let mut sides: Vec<(u64, u32)> = (0..3 * triangles.len())
+        .filter(|side| sizes[side / 3] > 0.0)
         .map(|side| {
             let (a, b) = (triangles[side / 3][side % 3], triangles[side / 3][(side + 1) % 3]);
             (u64::from(a.min(b)) << 32 | u64::from(a.max(b)), side as u32)

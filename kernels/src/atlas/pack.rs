@@ -1,14 +1,17 @@
-//! Charts in images: each falls as far as it can onto those below it, where least room is lost (Lévy, Petitjean, Ray and
-//! Maillot 2002, "Least squares conformal maps for automatic texture atlas generation", section 4).
+//! Charts in images: the largest first, each turned by quarters to where its middle comes to lie highest, also in the gaps
+//! between those that lie there already.
+
+use std::collections::BTreeMap;
 
 use super::charts::Charts;
 use super::neighbours::NONE;
-use super::texels::spans;
+use super::page::Page;
+use super::shape::{Shape, TURNS, turned};
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 
-/// Of the side, steps at which places for large charts are tried.
-const STEP: usize = 512;
+/// Shapes whose sides differ by less than this factor are looked for a place from where the last one of them lies.
+const ALIKE: f64 = 1.15;
 
 /// Charts in images of one width.
 #[derive(Debug)]
@@ -21,13 +24,8 @@ pub struct Packed {
     pub heights: Vec<usize>,
 }
 
-/// A chart with the room around it, column by column.
-struct Outline {
-    chart: u32,
-    height: usize,
-    /// First row that is taken, and the one after the last; of columns between two that are taken, too.
-    columns: Vec<[u32; 2]>,
-}
+/// A page, and a place on it: column, row.
+type Place = (usize, [usize; 2]);
 
 /// Put charts into images of `side` × `side`, each with `padding` texels around it.
 ///
@@ -39,84 +37,11 @@ pub fn pack(
     padding: usize,
     progress: &mut Progress,
 ) -> Result<Packed, KernelError> {
-    let mut outlines = outlines(charts, padding);
-    outlines.sort_by(|a, b| {
-        b.height.cmp(&a.height).then(b.columns.len().cmp(&a.columns.len())).then(a.chart.cmp(&b.chart))
-    });
-    let mut horizons: Vec<Vec<u32>> = vec![];
-    let mut placed = vec![(u16::MAX, [0.0; 2]); charts.count];
-    for outline in &outlines {
-        progress.check_now_and_then()?;
-        let found = horizons
-            .iter()
-            .enumerate()
-            .find_map(|(page, horizon)| Some((page, fallen(outline, horizon, side)?)));
-        let (page, (x, y)) = match found {
-            Some(found) => found,
-            None => {
-                horizons.push(vec![0; side]);
-                (horizons.len() - 1, (0, 0))
-            }
-        };
-        if page >= usize::from(u16::MAX) {
-            return Err(KernelError::TooManyTriangles { wanted: page as f64, limit: u16::MAX.into() });
-        }
-        for (column, [_, end]) in outline.columns.iter().enumerate() {
-            horizons[page][x + column] = y as u32 + end;
-        }
-        placed[outline.chart as usize] = (page as u16, [(x + padding) as f64, (y + padding) as f64]);
-    }
-    let mut packed = Packed {
-        pages: vec![u16::MAX; charts.of.len()],
-        corners: charts.corners.clone(),
-        heights: horizons.iter().map(|horizon| horizon.iter().copied().max().unwrap_or(0) as usize).collect(),
-    };
+    let mut members: Vec<Vec<u32>> = vec![vec![]; charts.count];
+    let mut sizes = vec![[1usize; 2]; charts.count];
     for (t, &chart) in charts.of.iter().enumerate() {
         if chart != NONE {
-            let (page, [x, y]) = placed[chart as usize];
-            packed.pages[t] = page;
-            packed.corners[t] = charts.corners[t].map(|p| [p[0] + x, p[1] + y]);
-        }
-    }
-    Ok(packed)
-}
-
-/// Where a chart comes to lie on a horizon with least room lost, if it fits.
-fn fallen(outline: &Outline, horizon: &[u32], side: usize) -> Option<(usize, usize)> {
-    let width = outline.columns.len();
-    if width > side {
-        return None;
-    }
-    // The places of a large chart need not be tried one by one.
-    let step = (width / 16).clamp(1, side / STEP.min(side));
-    let mut best = None;
-    let mut least = u64::MAX;
-    for x in (0..=side - width).step_by(step) {
-        let below = &horizon[x..x + width];
-        let rest =
-            below.iter().zip(&outline.columns).map(|(&h, &[first, _])| i64::from(h) - i64::from(first));
-        let y = rest.max().unwrap_or(0).max(0);
-        if y as usize + outline.height > side {
-            continue;
-        }
-        let lost: i64 = below
-            .iter()
-            .zip(&outline.columns)
-            .map(|(&h, &[first, _])| y + i64::from(first) - i64::from(h))
-            .sum();
-        // Lower is better, too, or a few towers grow.
-        let cost = lost as u64 + (y as u64 + outline.height as u64) * width as u64 / 2;
-        if cost < least {
-            (best, least) = (Some((x, y as usize)), cost);
-        }
-    }
-    best
-}
-
-fn outlines(charts: &Charts, padding: usize) -> Vec<Outline> {
-    let mut sizes = vec![[0usize; 2]; charts.count];
-    for (t, &chart) in charts.of.iter().enumerate() {
-        if chart != NONE {
+            members[chart as usize].push(t as u32);
             for p in charts.corners[t] {
                 for k in 0..2 {
                     let size = &mut sizes[chart as usize][k];
@@ -125,48 +50,57 @@ fn outlines(charts: &Charts, padding: usize) -> Vec<Outline> {
             }
         }
     }
-    let mut bare: Vec<Vec<[u32; 2]>> = sizes.iter().map(|[width, _]| vec![[u32::MAX, 0]; *width]).collect();
-    for (t, &chart) in charts.of.iter().enumerate() {
-        if chart == NONE {
-            continue;
-        }
-        let columns = &mut bare[chart as usize];
-        let [width, height] = sizes[chart as usize];
-        let mut take = |column: usize, row: usize| {
-            let [first, end] = &mut columns[column];
-            (*first, *end) = ((*first).min(row as u32), (*end).max(row as u32 + 1));
-        };
-        // Corners too: a triangle may be thinner than a texel.
-        for p in charts.corners[t] {
-            take((p[0] as usize).min(width - 1), (p[1] as usize).min(height - 1));
-        }
-        for (row, span) in spans(&charts.corners[t], width, height) {
-            span.for_each(|column| take(column, row));
-        }
-    }
-    bare.into_iter()
-        .enumerate()
-        .map(|(chart, columns)| padded(chart, &columns, sizes[chart][1], padding))
-        .collect()
-}
-
-/// The outline with so many texels around it, to all sides.
-fn padded(chart: usize, columns: &[[u32; 2]], height: usize, padding: usize) -> Outline {
-    let width = columns.len() + 2 * padding;
-    let mut wide = vec![[u32::MAX, 0u32]; width];
-    for (column, &[first, end]) in columns.iter().enumerate() {
-        if first < end {
-            for slot in &mut wide[column..=column + 2 * padding] {
-                // One row of padding below is where the chart's first row was: all rows move up by it.
-                *slot = [slot[0].min(first), slot[1].max(end + 2 * padding as u32)];
+    let mut order: Vec<usize> = (0..charts.count).collect();
+    order.sort_by_key(|&chart| {
+        let [width, height] = sizes[chart];
+        (std::cmp::Reverse((width.max(height), width.min(height))), chart)
+    });
+    let mut packed = Packed {
+        pages: vec![u16::MAX; charts.of.len()],
+        corners: vec![[[0.0; 2]; 3]; charts.of.len()],
+        heights: vec![],
+    };
+    let mut pages: Vec<Page> = vec![];
+    let mut places = BTreeMap::new();
+    for chart in order {
+        progress.check()?;
+        let flat: Vec<_> = members[chart].iter().map(|&t| charts.corners[t as usize]).collect();
+        let mut best: Option<(Place, Shape, usize)> = None;
+        for turns in 0..TURNS {
+            let (corners, size) = turned(&flat, sizes[chart], turns);
+            let shape = Shape::new(&corners, size, padding);
+            let kind = [shape.width, shape.height].map(|s| (s as f64).log(ALIKE) as u32);
+            let from = places.entry((turns, kind)).or_insert((0, [0, 0]));
+            *from = place(&mut pages, &shape, *from, side);
+            let lowest = |(page, [_, y]): Place, shape: &Shape| (page, 2 * y + shape.height);
+            if best.as_ref().is_none_or(|(at, other, _)| lowest(*from, &shape) < lowest(*at, other)) {
+                best = Some((*from, shape, turns));
             }
         }
-    }
-    // A column that nothing touches lies between others: it is as they are.
-    for column in 0..width {
-        if wide[column][1] == 0 {
-            wide[column] = if column > 0 { wide[column - 1] } else { [0, height as u32] };
+        let Some(((page, at), shape, turns)) = best else { continue };
+        if page >= usize::from(u16::MAX) {
+            return Err(KernelError::TooManyTriangles { wanted: page as f64, limit: u16::MAX.into() });
+        }
+        pages[page].put(&shape, at);
+        let (corners, _) = turned(&flat, sizes[chart], turns);
+        for (&t, corners) in members[chart].iter().zip(corners) {
+            packed.pages[t as usize] = page as u16;
+            packed.corners[t as usize] =
+                corners.map(|p| [p[0] + (at[0] + padding) as f64, p[1] + (at[1] + padding) as f64]);
         }
     }
-    Outline { chart: chart as u32, height: height + 2 * padding, columns: wide }
+    pages.retain(|page| page.height > 0);
+    packed.heights = pages.iter().map(|page| page.height).collect();
+    Ok(packed)
+}
+
+/// The first place for a shape, on a new page if there is none.
+fn place(pages: &mut Vec<Page>, shape: &Shape, (first, at): Place, side: usize) -> Place {
+    for (number, page) in pages.iter().enumerate().skip(first) {
+        if let Some(found) = page.find(shape, if number == first { at } else { [0, 0] }) {
+            return (number, found);
+        }
+    }
+    pages.push(Page::new(side));
+    (pages.len() - 1, [0, 0])
 }

@@ -48,9 +48,10 @@ pub fn lay_out(
         if density.len() != triangles.len() {
             return Err(PyValueError::new_err("density needs one value for each triangle"));
         }
+
         let (charts, packed) = detached(py, Some(&progress), false, |progress| {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            let charts = charts::charts(&points, &triangles, &density, side - 2 * padding - 1, progress)?;
+            let charts = charts::charts(&points, &triangles, &density, side, padding, progress)?;
             let packed = pack::pack(&charts, side, padding, progress)?;
             Ok((charts, packed))
         })?;

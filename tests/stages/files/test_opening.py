@@ -170,8 +170,6 @@ ALLOWED = {
     "stages/scans/ros/db3.py": {"connect"},  # after opened
     "stages/scans/video.py": {"VideoCapture"},  # after opened
     "stages/stereo/kept_maps.py": {"np.load"},  # in a folder of its own
-    "stages/texturing/atlas.py": {"np.load"},  # bytes of its own process
-    "stages/texturing/atlas_worker.py": {"np.load", "open", "fdopen"},  # pipes
     "pipeline/cache.py": {"open"},  # locks and marks of the cache
     "pipeline/files.py": {"open"},  # locks
     "pipeline/adjusting.py": {"read_text"},  # files of an entry, verified

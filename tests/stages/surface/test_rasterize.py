@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from stages.surface.rasterize import covered, overlaps
+from stages.surface.rasterize import covered
 
 
 def fan(count: int = 9, seed: int = 0) -> np.ndarray:
@@ -64,12 +64,3 @@ def test_strips_of_rows_make_the_whole():
     pixels = {(r, c, t) for p in parts for r, c, t in zip(p.rows, p.columns, p.triangles, strict=True)}
     assert pixels == set(zip(whole.rows, whole.columns, whole.triangles, strict=True))
     assert sum(len(part.rows) for part in parts) == len(whole.rows)
-
-
-def test_overlaps_are_counted_and_named():
-    triangles = np.array(
-        [[[0, 0], [8, 0], [0, 8]], [[2, 2], [4, 2], [2, 4]], [[9, 9], [15, 9], [9, 15]]], float
-    )
-    found = overlaps(triangles, 16)
-    assert found.pixels == len(covered(triangles[1:2], (0, 16), 16).rows) > 0
-    assert found.triangles.tolist() == [1]

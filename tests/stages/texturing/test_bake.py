@@ -1,24 +1,14 @@
-import os
-import subprocess
-import sys
-import time
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 import trimesh
 from coloured_meshes import ball, of_trimesh, sheet
 
-import stages.texturing.atlas as atlas_module
-from stages.errors import MeshError, StageError, UsageError
-from stages.progress import silent
+import stages.texturing.bake as bake_module
+from stages.errors import MeshError, UsageError
 from stages.simplification.simplify import simplify
 from stages.surface.color import color_at
 from stages.surface.mesh import Image, Material, Mesh, Texture
-from stages.surface.rasterize import covered, overlaps
-from stages.surface.topology import areas
-from stages.texturing.atlas import unwrap
 from stages.texturing.bake import bake
 from stages.texturing.filling import filled_up
 
@@ -113,41 +103,14 @@ def test_each_side_of_a_thin_sheet_keeps_its_colour():
     assert baked.turned > 0.5
 
 
-def test_charts_have_area_lie_apart_and_keep_their_padding():
-    mesh = of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=24, minor_sections=12))
-    padding = 4
-    atlas = unwrap(mesh, 256, padding)
-    assert atlas.corners.min() >= 0
-    assert atlas.corners.max() <= 256
-    sides = atlas.corners[:, 1:] - atlas.corners[:, :1]
-    texels = np.abs(np.cross(np.pad(sides[:, 0], ((0, 0), (0, 1))), np.pad(sides[:, 1], ((0, 0), (0, 1)))))[
-        :, 2
-    ]
-    share = texels / areas(mesh.vertices, mesh.triangles)
-    assert share.min() > 0.3 * np.median(share)
-    assert overlaps(atlas.corners, 256).pixels == 0
-    found = covered(atlas.corners, (0, 256), 256)
-    chart = np.full((256, 256), -1)
-    chart[found.rows, found.columns] = atlas.charts[found.triangles]
-    assert atlas.charts.max() > 1
-    for number in range(atlas.charts.max() + 1):
-        others = ((chart >= 0) & (chart != number)).astype(np.uint8)
-        if (chart == number).any():
-            assert cv2.distanceTransform(1 - others, cv2.DIST_L2, 5)[chart == number].min() > 2 * padding
-
-
-@pytest.mark.slow
 def test_halved_images_keep_each_charts_colour():
-    light = of_trimesh(trimesh.creation.box()).with_(colors=None)
-    size, padding = 128, 8
-    charts = unwrap(light, size, padding).charts
+    # Squares that share no vertex lie in charts of their own, next to each other.
+    light = joined(*(square(5.0 * number) for number in range(6)))
     palette = np.uint8([[250, 0, 0], [0, 250, 0], [0, 0, 250], [250, 250, 0], [0, 250, 250], [250, 0, 250]])
-    colors = palette[charts % 6]
-    # Each triangle has its own vertices, so that the colours of charts do not mix on the original itself.
-    corners = light.vertices[light.triangles].reshape(-1, 3)
-    original = Mesh(corners, np.arange(36, dtype=np.int32).reshape(-1, 3), np.repeat(colors, 3, axis=0))
-    baked = bake(light, original, padding=padding, max_size=size, texel_size=1e-3)
-    assert baked.size == size
+    original = light.with_(colors=np.repeat(palette, 4, axis=0))
+    baked = bake(light, original, padding=8, texel_size=0.05)
+    assert baked.sizes == ((128, 128),)
+    assert baked.charts == 6
     assert baked.halvings == 2
     pixels = baked.mesh.texture.materials[0].image.pixels
     triangles, weights, _ = inside(baked.mesh)
@@ -155,7 +118,7 @@ def test_halved_images_keep_each_charts_colour():
     for _ in range(baked.halvings + 1):
         halved = Material(image=Image(given=pixels), wrap=("clamp", "clamp"))
         shown = baked.mesh.with_(texture=Texture(texture.uvs, texture.material_ids, (halved,)))
-        assert np.abs(color_at(shown, triangles, weights) - colors[triangles]).max() < 4
+        assert np.abs(color_at(shown, triangles, weights) - palette[triangles // 2]).max() < 4
         pixels = cv2.resize(pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
@@ -178,77 +141,72 @@ def test_the_same_meshes_give_the_same_image():
     np.testing.assert_array_equal(first.images[0].pixels, second.images[0].pixels)
 
 
-def test_triangles_without_area_are_left_out_of_the_atlas():
-    mesh = square()
-    triangles = np.vstack([mesh.triangles, [[0, 0, 1], [1, 1, 1]]]).astype(np.int32)
-    atlas = unwrap(mesh.with_(triangles=triangles), 64, 2)
-    assert (atlas.charts[:2] >= 0).all()
-    assert (atlas.charts[2:] == -1).all()
-    assert np.isfinite(atlas.uvs).all()
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_change_nothing(monkeypatch, threads):
+    original = sheet(n=12)
+    light = simplify(original, ratio=0.2).mesh
+    expected = bake(light, original, samples=2).mesh.texture
+    monkeypatch.setattr(bake_module, "workers", lambda: threads)
+    monkeypatch.setattr(bake_module, "_SAMPLES_AT_ONCE", 500)
+    found = bake(light, original, samples=2).mesh.texture
+    np.testing.assert_array_equal(found.images[0].pixels, expected.images[0].pixels)
 
 
-def test_a_crash_of_the_atlas_library_is_survived(monkeypatch):
-    run, calls = atlas_module._in_own_process, []
-
-    def crash_once(task, *rest):
-        calls.append(task)
-        return run(task, *rest) if len(calls) > 1 else (None, "")
-
-    monkeypatch.setattr(atlas_module, "_in_own_process", crash_once)
-    mesh = of_trimesh(trimesh.creation.icosphere(subdivisions=2))
-    atlas = unwrap(mesh, 128, 2)
-    assert calls == ["chart", "chart", "pack"]
-    # No chart spans two of the six sides then.
-    assert atlas.charts.max() >= 5
-    assert overlaps(atlas.corners, 128).pixels == 0
+def test_where_one_image_is_too_small_there_are_several():
+    original = sheet()
+    light = simplify(original, ratio=0.1).mesh
+    whole, parts = (bake(light, original, texel_size=0.006, max_size=size) for size in (512, 64))
+    assert len(whole.sizes) == 1
+    assert len(parts.sizes) > 4
+    texture = parts.mesh.texture
+    assert [image.pixels.shape[:2] for image in texture.images] == [size[::-1] for size in parts.sizes]
+    names = [f"baked-{number}" for number in range(1, len(parts.sizes) + 1)]
+    assert [material.name for material in texture.materials] == names
+    assert parts.texel_size <= 0.0065
+    assert parts.color.psnr > whole.color.psnr - 2
 
 
-def test_a_worker_that_crashes_is_told_from_one_that_fails(monkeypatch, tmp_path):
-    for name, body, expected in (
-        ("crashes", "import os\nos.abort()\n", (None, "")),
-        ("fails", "raise SystemExit('SomeError: no')\n", (None, "SomeError: no\n")),
-        ("answers", "import sys\nsys.stdout.write('found')\n", (b"found", "")),
-    ):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "atlas_worker.py").write_text(body)
-        monkeypatch.setattr(atlas_module, "__file__", str(tmp_path / name / "atlas.py"))
-        assert atlas_module._in_own_process("chart", bytes(1 << 20), 60.0, silent) == expected
+def test_texels_get_larger_where_there_were_too_many():
+    baked = bake(square(), sheet(n=40), texel_size=1e-5, max_texels=0.02)
+    assert sum(width * height for width, height in baked.sizes) <= 4e4
+    assert baked.texel_size > 0.005
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="looks for the worker in /proc")
-def test_the_worker_ends_with_a_process_that_is_killed_and_no_file_stays(tmp_path):
-    script = (
-        "from coloured_meshes import sheet\n"
-        "from stages.texturing.atlas import unwrap\n"
-        "count = 0\n"
-        "def progress(done, total):\n"
-        "    global count; count += 1\n"
-        "    count == 50 and print('at it', flush=True)\n"
-        "unwrap(sheet(n=300), 1024, 2, progress)\n"
+def test_loose_triangles_fit_with_their_padding():
+    """Each needs its padding: 2,000 of them did not fit into one image."""
+    rng = np.random.default_rng(0)
+    corners = rng.uniform(-1, 1, (2000, 1, 3)) + rng.uniform(-0.05, 0.05, (2000, 3, 3))
+    triangles = np.arange(6000, dtype=np.int32).reshape(-1, 3)
+    soup = Mesh(corners.reshape(-1, 3), triangles, np.full((6000, 3), 90, np.uint8))
+    baked = bake(soup, soup, max_size=64, padding=8)
+    assert baked.charts == 2000
+    assert len(baked.sizes) > 100
+    assert baked.color.rmse < 0.5
+
+
+@pytest.mark.parametrize("size", [1e-45, 1e-6, 1.0, 1e6, 1e50])
+def test_a_triangle_of_any_size_is_baked(size):
+    colors = np.uint8([[255, 0, 0], [0, 255, 0], [0, 0, 255]])
+    mesh = Mesh(size * np.eye(3), np.array([[0, 1, 2]], np.int32), colors)
+    baked = bake(mesh, mesh)
+    assert baked.color.psnr > 40
+    assert baked.sizes == ((64, 64),)
+
+
+def test_what_lies_beyond_a_border_is_found_at_it():
+    """Colours that run on over the edges of a box are right up to each edge, whichever chart shows it."""
+    box = of_trimesh(trimesh.creation.box()).with_(colors=None)
+    fine = of_trimesh(trimesh.creation.box().subdivide().subdivide().subdivide())
+    original = fine.with_(colors=np.uint8(127 + 120 * np.sin(3 * fine.vertices)))
+    baked = bake(box, original, texel_size=0.05)
+    share = np.linspace(0, 1, 50)
+    triangles, weights = (
+        np.repeat(np.arange(12), 50),
+        np.tile(np.stack([share, 1 - share, 0 * share], 1), (12, 1)),
     )
-    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
-    with subprocess.Popen(
-        [sys.executable, "-c", script], stdout=subprocess.PIPE, env=environment, cwd=tmp_path
-    ) as process:
-        assert process.stdout.readline() == b"at it\n"
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        process.kill()
-    assert len(children) == 1
-    for _ in range(200):
-        if not is_running(children[0]):
-            break
-        time.sleep(0.05)
-    assert not is_running(children[0])
-    assert list(tmp_path.iterdir()) == []
-
-
-def is_running(number):
-    try:
-        state = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0]
-    except FileNotFoundError:
-        return False
-    return state != "Z"
+    places = np.einsum("kc,kcx->kx", weights, box.vertices[box.triangles[triangles]])
+    seen = color_at(baked.mesh, triangles, weights)
+    assert np.abs(seen - (127 + 120 * np.sin(3 * places))).mean() < 3
 
 
 @pytest.mark.slow
@@ -258,7 +216,7 @@ def test_an_original_that_is_far_smaller_needs_no_large_image(scale):
     original = ball()
     small = original.with_(vertices=original.vertices * scale)
     baked = bake((np.eye(3), np.array([[0, 1, 2]])), small)
-    assert baked.size <= 512
+    assert max(max(baked.sizes)) <= 512
     assert baked.samples <= 2
 
 
@@ -268,7 +226,7 @@ def test_tiny_triangles_beside_large_ones_need_no_large_image():
     corners = rng.normal(size=(60, 3)) * np.repeat(10.0 ** rng.uniform(-6, 0, 20), 3)[:, None]
     triangles = np.arange(60, dtype=np.int32).reshape(-1, 3)
     soup = Mesh(corners, triangles, np.full((60, 3), 128, np.uint8))
-    assert bake(soup, soup).size <= 512
+    assert max(max(bake(soup, soup).sizes)) <= 512
 
 
 def textured(mesh: Mesh, image: np.ndarray, repeats: float) -> Mesh:
@@ -285,18 +243,19 @@ def test_an_image_that_is_repeated_without_end_becomes_its_mean(repeats):
     image = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
     original = textured(square(), image, repeats)
     baked = bake(square(), original)
-    assert baked.size < 512
+    assert max(max(baked.sizes)) < 512
     triangles, weights, _ = inside(baked.mesh)
     assert np.abs(color_at(baked.mesh, triangles, weights) - image.mean(axis=(0, 1))).max() < 1
     (note,) = baked.mesh.notes
-    assert f"images that {baked.size} × {baked.size} texels cannot show" in note
+    ((width, height),) = baked.sizes
+    assert f"images that {width} × {height} texels cannot show" in note
 
 
 def test_details_that_are_too_fine_are_averaged():
     """Stripes of a texel, of which three lie within one that is baked: each showed some of them only."""
     image = np.zeros((512, 512, 3), np.uint8)
     image[:, ::2] = 200
-    baked = bake(square(), textured(square(), image, 1.0), max_size=64)
+    baked = bake(square(), textured(square(), image, 1.0), max_texels=0.01)
     triangles, weights, _ = inside(baked.mesh)
     assert color_at(baked.mesh, triangles, weights) == pytest.approx(100, abs=20)
     assert baked.mesh.notes
@@ -315,7 +274,10 @@ def test_what_is_wrong_is_said():
         bake(square(), square(0.1))
     with pytest.raises(MeshError, match="light mesh"):
         bake((np.zeros((3, 3)), np.array([[0, 1, 2]])), sheet(n=4))
+    needle = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-12, 0]])
+    with pytest.raises(MeshError, match="needles"):
+        bake((needle, np.array([[0, 1, 2]])), sheet(n=4))
     with pytest.raises(UsageError, match="power of two"):
         bake(square(), sheet(n=4), max_size=1000)
-    with pytest.raises(StageError, match="do not fit"):
-        bake(of_trimesh(trimesh.creation.box()), sheet(n=4), max_size=64, padding=64)
+    with pytest.raises(UsageError, match="has no room beside it"):
+        bake(square(), sheet(n=4), max_size=64, padding=64)

@@ -13,7 +13,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.rasterize import covered
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
-from stages.texturing.pages import Pages, laid_out, texels_of
+from stages.texturing.pages import Pages, fitted, laid_out, texels_of
 
 MESHES = {
     "box": of_trimesh(trimesh.creation.box()),
@@ -87,6 +87,43 @@ def test_large_surfaces_need_several_images():
     pages = pages_of(MESHES["ball"], 60.0, max_side=128)
     assert len(pages.sizes) > 1
     require_sound(pages)
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("padding", [None, 4])
+def test_one_image_is_filled(name, padding):
+    mesh = MESHES[name]
+    area = areas(mesh.vertices, mesh.triangles).sum()
+    texel_size = np.sqrt(area / (0.4 * 256**2))
+    pages = fitted(mesh, texel_size, max_side=512, max_texels=1e6, padding=padding, progress=silent)
+    require_sound(pages)
+    assert pages.sizes == ((256, 256),)
+    assert pages.padding == (padding or 2)
+    assert np.abs(signed_areas(pages.corners)).sum() > 0.4 * 256**2
+
+
+def test_padding_of_its_own_makes_way_where_there_is_no_room():
+    mesh = soup(0, 400)
+    wanted = {"max_side": 512, "max_texels": 2e5, "progress": silent}
+    few, many = (fitted(mesh, 0.05, padding=padding, **wanted) for padding in (None, 20))
+    assert few.padding == 2
+    assert len(many.sizes) > len(few.sizes)
+
+
+def test_triangles_without_area_lie_at_their_neighbours():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [2, 2, 0], [1, 1, 1]], np.int32)
+    pages = pages_of(Mesh(vertices, triangles))
+    assert pages.pages.tolist() == [0, 0, -1, -1]
+    assert pages.images.tolist() == [0, 0, 0, 0]
+    assert (pages.corners[2] == pages.corners[0, 2]).all()
+    assert (pages.corners[3] == pages.corners[0, 1]).all()
+
+
+def test_small_charts_are_taken_up():
+    # A ball of a few texels a triangle falls into far fewer charts than triangles.
+    pages = pages_of(MESHES["ball"], 10.0)
+    assert pages.charts.max() < 40
 
 
 def test_the_same_mesh_gives_the_same_layout():

@@ -1,0 +1,195 @@
+//! Small charts taken up by those around them: each triangle is turned about the edge it shares with another chart, into the
+//! plane of that chart, if it lies on nothing there.
+//!
+//! Around each chart there is room that shows nothing, so that a few large ones keep more of an image than many small ones.
+
+use super::charts::{ALIKE, Charts, Growth, STAYS};
+use super::neighbours::NONE;
+use crate::base::errors::KernelError;
+use crate::base::geometry::{dot, sub};
+use crate::base::progress::Progress;
+
+/// Of rounding, what a triangle may come out larger than it is.
+const ROUNDING: f64 = 1e-9;
+
+/// Take up what charts of fewer texels than `small` hold, where all of it finds a place.
+///
+/// # Errors
+/// As [`Progress::check`].
+pub fn absorb(
+    charts: &mut Charts,
+    growth: &Growth<'_>,
+    small: f64,
+    progress: &mut Progress,
+) -> Result<(), KernelError> {
+    let mut members: Vec<Vec<u32>> = vec![vec![]; charts.scales.len()];
+    let mut texels = vec![0.0; charts.scales.len()];
+    for (t, &chart) in charts.of.iter().enumerate() {
+        if chart != NONE {
+            members[chart as usize].push(t as u32);
+            texels[chart as usize] += growth.size[t] * charts.scales[chart as usize].powi(2);
+        }
+    }
+    let mut order: Vec<usize> =
+        (0..members.len()).filter(|&c| texels[c] < small && !members[c].is_empty()).collect();
+    order.sort_by(|&a, &b| texels[a].total_cmp(&texels[b]).then(a.cmp(&b)));
+    let mut boxes = boxes(charts);
+    for chart in order {
+        progress.check_now_and_then()?;
+        let moved = std::mem::take(&mut members[chart]);
+        if !charts.dissolve(&moved, growth, &mut boxes) {
+            members[chart] = moved;
+            continue;
+        }
+        for t in moved {
+            members[charts.of[t as usize] as usize].push(t);
+        }
+    }
+    charts.tidy();
+    Ok(())
+}
+
+type Area = [[f64; 2]; 2];
+
+fn boxes(charts: &Charts) -> Vec<Area> {
+    let mut boxes = vec![[[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]]; charts.scales.len()];
+    for (t, &chart) in charts.of.iter().enumerate() {
+        if chart != NONE {
+            boxes[chart as usize] = around(&boxes[chart as usize], &charts.corners[t]);
+        }
+    }
+    boxes
+}
+
+fn around(area: &Area, corners: &[[f64; 2]; 3]) -> Area {
+    let [mut low, mut high] = *area;
+    for p in corners {
+        for k in 0..2 {
+            (low[k], high[k]) = (low[k].min(p[k]), high[k].max(p[k]));
+        }
+    }
+    [low, high]
+}
+
+impl Charts {
+    /// Give all triangles of a chart to its neighbours; if one finds no place, all stay.
+    fn dissolve(&mut self, members: &[u32], growth: &Growth<'_>, boxes: &mut [Area]) -> bool {
+        let own = self.of[members[0] as usize];
+        let mut left = members.to_vec();
+        let mut moved: Vec<(u32, [[f64; 2]; 3])> = vec![];
+        loop {
+            let before = left.len();
+            left.retain(|&t| {
+                let kept = self.corners[t as usize];
+                let is_placed = self.attach(t, own, growth, boxes);
+                if is_placed {
+                    moved.push((t, kept));
+                }
+                !is_placed
+            });
+            if left.is_empty() {
+                return true;
+            }
+            if left.len() == before {
+                break;
+            }
+        }
+        for (t, kept) in moved {
+            let host = self.of[t as usize] as usize;
+            self.bitmaps[host].release(&self.corners[t as usize]);
+            (self.of[t as usize], self.corners[t as usize]) = (own, kept);
+        }
+        false
+    }
+
+    /// Turn a triangle into the plane of a chart next to it.
+    fn attach(&mut self, t: u32, own: u32, growth: &Growth<'_>, boxes: &mut [Area]) -> bool {
+        let across = growth.across[t as usize];
+        let hosts = across.map(|n| if n == NONE { NONE } else { self.of[n as usize] });
+        for side in 0..3 {
+            let host = hosts[side];
+            if host == NONE || host == own {
+                continue;
+            }
+            let Some([a, b]) = self.edge(growth, t, side, across[side]) else { continue };
+            let scale = self.scales[host as usize];
+            let ratio = f64::from(growth.density[t as usize]) / scale;
+            if !(1.0 / ALIKE..=ALIKE).contains(&ratio) {
+                continue;
+            }
+            // Where a second side touches the chart, too, the third corner is there already.
+            let next = (side + 1) % 3;
+            let there = (hosts[next] == host)
+                .then(|| self.edge(growth, t, next, across[next]))
+                .flatten()
+                .filter(|other| other[0] == b)
+                .map(|other| other[1]);
+            let turned = growth.turned(t, side, &a, &b, scale);
+            for apex in there.into_iter().chain([turned]) {
+                let mut corners = [[0.0; 2]; 3];
+                (corners[side], corners[next], corners[(side + 2) % 3]) = (a, b, apex);
+                let share = doubled(&corners) / (2.0 * growth.size[t as usize] * scale * scale);
+                let area = around(&boxes[host as usize], &corners);
+                let fits = (0..2).all(|k| area[1][k] - area[0][k].floor() <= growth.side);
+                if (STAYS..=1.0 + ROUNDING).contains(&share)
+                    && fits
+                    && self.bitmaps[host as usize].claim(&corners)
+                {
+                    boxes[host as usize] = area;
+                    (self.of[t as usize], self.corners[t as usize]) = (host, corners);
+                    return true;
+                }
+            }
+        }
+        false
+    }
+
+    /// Where both ends of a side of a triangle lie in the chart of its neighbour, if that runs the same way round.
+    fn edge(&self, growth: &Growth<'_>, t: u32, side: usize, neighbour: u32) -> Option<[[f64; 2]; 2]> {
+        let corners = growth.triangles[t as usize];
+        let (from, to) = (corners[side], corners[(side + 1) % 3]);
+        let other = growth.triangles[neighbour as usize];
+        let k = (0..3).find(|&k| other[k] == to && other[(k + 1) % 3] == from)?;
+        let places = self.corners[neighbour as usize];
+        Some([places[(k + 1) % 3], places[k]])
+    }
+
+    /// Number charts anew, without those that are empty, and bring each to the corner of its box, by whole texels.
+    fn tidy(&mut self) {
+        let boxes = boxes(self);
+        let mut numbers = vec![NONE; boxes.len()];
+        self.count = 0;
+        for (number, area) in numbers.iter_mut().zip(&boxes) {
+            if area[0][0] <= area[1][0] {
+                *number = self.count as u32;
+                self.count += 1;
+            }
+        }
+        for (chart, corners) in self.of.iter_mut().zip(&mut self.corners) {
+            if *chart != NONE {
+                let low = boxes[*chart as usize][0].map(f64::floor);
+                *corners = corners.map(|p| [p[0] - low[0], p[1] - low[1]]);
+                *chart = numbers[*chart as usize];
+            }
+        }
+    }
+}
+
+impl Growth<'_> {
+    /// The third corner of a triangle, one side of which lies in a plane: as high above it as it is.
+    fn turned(&self, t: u32, side: usize, a: &[f64; 2], b: &[f64; 2], scale: f64) -> [f64; 2] {
+        let corners = self.triangles[t as usize];
+        let [from, to, apex] = [0, 1, 2].map(|k| self.points[corners[(side + k) % 3] as usize]);
+        let edge = sub(&to, &from);
+        let length2 = dot(&edge, &edge);
+        let along = dot(&sub(&apex, &from), &edge) / length2;
+        let height = 2.0 * self.size[t as usize] / length2.sqrt() * scale;
+        let d = [b[0] - a[0], b[1] - a[1]];
+        let length = d[0].hypot(d[1]).max(f64::MIN_POSITIVE);
+        [a[0] + along * d[0] - height * d[1] / length, a[1] + along * d[1] + height * d[0] / length]
+    }
+}
+
+fn doubled([a, b, c]: &[[f64; 2]; 3]) -> f64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
