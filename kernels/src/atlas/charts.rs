@@ -2,12 +2,11 @@
 //!
 //! A chart grows from a triangle over those across its border, first those that face as the chart does in the mean. In its
 //! plane no triangle is turned over or very thin; that none lies on another is found out texel by texel, and what does
-//! becomes a chart of its own. Small charts are then taken up by those around them. Where the photos show more, a chart gets more texels.
+//! becomes a chart of its own. Where the photos show more, a chart gets more texels.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
-use super::absorb::absorb;
 use super::bitmap::Bitmap;
 use super::neighbours::{NONE, neighbours};
 use crate::base::errors::KernelError;
@@ -21,8 +20,6 @@ pub const STAYS: f64 = 0.4;
 const TOUCHING: f64 = 0.4;
 /// Texels a metre within a chart differ by no more than this factor.
 pub const ALIKE: f64 = 2.5;
-/// Charts of fewer texels than a square of so many paddings are taken up by others.
-const SMALL: usize = 6;
 /// Triangles of less area than this share of their longest side's square are flat.
 const FLAT: f64 = 1e-9;
 /// Directions that a chart is turned to, a quarter turn in all, to find the one that takes least room.
@@ -61,20 +58,19 @@ impl PartialOrd for Candidate {
     }
 }
 
-/// Cut a surface into charts that fit into images of `side` × `side` with `padding` around each; `density` is the texels a
-/// metre that each triangle should have.
+/// Grow charts over a surface, none wider or higher than `side` texels; `density` is the texels a metre that each triangle
+/// should have.
 ///
 /// # Errors
 /// As [`Progress::check`].
-pub fn charts(
-    points: &[Vec3],
-    triangles: &[[u32; 3]],
-    density: &[f32],
+pub fn grown<'a>(
+    points: &'a [Vec3],
+    triangles: &'a [[u32; 3]],
+    density: &'a [f32],
     side: usize,
-    padding: usize,
     progress: &mut Progress,
-) -> Result<Charts, KernelError> {
-    let mut growth = Growth::new(points, triangles, density, side - 2 * padding - 1);
+) -> Result<(Charts, Growth<'a>), KernelError> {
+    let mut growth = Growth::new(points, triangles, density, side);
     let mut seeds: Vec<u32> =
         (0..triangles.len() as u32).filter(|&t| growth.size[t as usize] > 0.0).collect();
     seeds.sort_by(|&a, &b| growth.size[b as usize].total_cmp(&growth.size[a as usize]).then(a.cmp(&b)));
@@ -98,9 +94,7 @@ pub fn charts(
         }
         seeds = again;
     }
-    let small = (SMALL * padding).pow(2) as f64;
-    absorb(&mut charts, &growth, small, progress)?;
-    Ok(charts)
+    Ok((charts, growth))
 }
 
 pub struct Growth<'a> {

@@ -3,6 +3,7 @@
 //! | file | what |
 //! | --- | --- |
 //! | [`neighbours`] | triangles across edges, of any mesh |
+//! | [`cut`] | a surface cut into charts |
 //! | [`charts`] | pieces of the surface that lie flat, each in a plane |
 //! | [`absorb`] | small charts taken up by those around them |
 //! | [`bitmap`] | the texels of a chart |
@@ -14,6 +15,7 @@
 pub mod absorb;
 pub mod bitmap;
 pub mod charts;
+pub mod cut;
 pub mod neighbours;
 pub mod pack;
 pub mod page;

@@ -11,7 +11,7 @@ use super::arrays::{rows, triangles_from};
 use super::detached::detached;
 use super::guarded::guarded;
 use crate::atlas::neighbours::NONE;
-use crate::atlas::{charts, pack, texels as under};
+use crate::atlas::{cut, pack, texels as under};
 
 /// Texels with their triangles, and the shares of its corners.
 type Found = (Py<PyArray1<u32>>, Py<PyArray1<u32>>, Py<PyArray2<f32>>);
@@ -51,7 +51,7 @@ pub fn lay_out(
 
         let (charts, packed) = detached(py, Some(&progress), false, |progress| {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
-            let charts = charts::charts(&points, &triangles, &density, side, padding, progress)?;
+            let charts = cut::cut(&points, &triangles, &density, side, padding, progress)?;
             let packed = pack::pack(&charts, side, padding, progress)?;
             Ok((charts, packed))
         })?;
