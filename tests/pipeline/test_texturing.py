@@ -62,7 +62,7 @@ def other_photos(folder: Path) -> Path:
 
 
 def config(images: Path) -> Config:
-    return Config().set([f"texture.images={images}", "adjust.enabled=false"])
+    return Config().set([f"texture.images={images}", "adjust.enabled=false", "fuse.voxel_size=0.02"])
 
 
 def ran(result: RunResult) -> set[str]:
