@@ -164,9 +164,10 @@ def main() -> None:
         MODELS["near-cube"].remeshed(near_cube())
         print_models([name for name in MODELS if name in options.mesh], options.data, options.samples)
     if "rates" in options.only:
-        for name in ("horse", "cow"):
+        for name in ("horse", "cow", "face", "sceaux", "kitchen"):
             if name in options.mesh:
-                print_rates(name, clean(MODELS[name].read(options.data)).mesh, options.samples)
+                whole = clean((MODELS | {"kitchen": KITCHEN})[name].read(options.data)).mesh
+                print_rates(name, Mesh(whole.vertices, whole.triangles), options.samples)
     if "colors" in options.only and "kitchen" in options.mesh:
         print_colors(KITCHEN, options.data, options.samples)
     if "growth" in options.only:

@@ -165,6 +165,7 @@ def _remeshed(mesh: Mesh) -> kernels.NormalMesh:
         mesh.colors,
         np.zeros(0),
         mesh.triangles,
+        None,
         levels=3,
         base_triangles=len(mesh.triangles) // 50,
         base_error=0.0,
