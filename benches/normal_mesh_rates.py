@@ -85,8 +85,8 @@ ALONE_SHARES = {
     "horse": np.geomspace(0.005, 0.08, 5),
     "cow": np.geomspace(0.1, 0.95, 9),
     "face": np.geomspace(0.015, 0.16, 8),
-    "sceaux": np.geomspace(0.1, 0.6, 10),
-    "kitchen": np.geomspace(0.04, 0.4, 10),
+    "sceaux": (0.1, 0.149, 0.2, 0.306, 0.4, 0.531),
+    "kitchen": (0.0519, 0.09, 0.1522, 0.22, 0.3112),
 }
 ALONE_TOLERANCES = (2.5e-3, 1.6e-3, 1e-3, 6e-4, 4e-4, 2.5e-4, 1.6e-4)
 

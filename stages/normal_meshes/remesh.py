@@ -67,9 +67,10 @@ class RemeshParams:
     )
     base_triangles: int | None = param(
         None,
-        "Triangles of the base mesh; more are left only where fewer could not be refined. Default, unless "
-        "base_error is given: so many that the finest level has about as many as the input, or more, where "
-        "fewer would be far from it.",
+        "Triangles of the base mesh; more are left only where fewer could not be refined. With levels 0, and "
+        "without base_error and max_error, the base is the mesh simplified to so many, its vertices where "
+        "the file comes nearest to the input. Default, unless base_error is given: so many that the finest "
+        "level has about as many as the input, or more, where fewer would be far from it.",
         group=_HOW_FAR,
         low=1,
     )
@@ -117,9 +118,11 @@ class RemeshParams:
     tolerance: float | None = param(
         None,
         "How far rounding may take a vertex from the surface of the input, as a share of the bounding box's "
-        "diagonal. Default: from the mesh, about a third of the RMS distance of the finest level from it, or "
-        "half of it where the mesh's own noise hides that; never more than a sixteenth of max_error, nor "
-        "finer than the precision of 32-bit floats, 5e-8.",
+        "diagonal; of a base that is the simplified mesh, beside how far that is from it. Default: from the "
+        "mesh, about a third of the RMS distance of the finest level from it, or half of it where the mesh's "
+        "own noise hides that, or three times it for the simplified mesh, which is rounded far better than "
+        "to the tolerance; never more than a sixteenth of max_error, nor finer than the precision of 32-bit "
+        "floats, 5e-8.",
         group=_FILE,
         low=1e-9,
         high=0.01,
@@ -168,7 +171,8 @@ def remesh(
 ) -> NormalMesh:
     """Make a normal mesh: a base mesh of original vertices, refined to lie on the original surface.
 
-    Edges collapse into one of their ends until the base mesh is left. Then each level puts a vertex on every
+    Edges collapse into one of their ends until the base mesh is left; a base that gets no levels is the
+    mesh as `simplify` makes it. Then each level puts a vertex on every
     edge, predicts where it is, and moves it along the normal to the surface: one number a vertex. Where no
     number leads there, and on boundaries, a vector stands instead. What is returned is what `decode` returns
     of its `data`, to the bit: numbers are rounded before they are used.

@@ -47,8 +47,8 @@ const STEP_RATIO: f32 = 0.625;
 const MANTISSA: u32 = 3;
 /// Spacings of the grid in tolerances, where no levels follow: among the points around a vertex one is near enough.
 const GRID_ALONE: f64 = 2.0;
-/// Turns of rounding then: in the second, all vertices know where the others go.
-const ROUNDS: usize = 2;
+/// Turns of rounding then: from the second on, all vertices know where the others go.
+const ROUNDS: usize = 3;
 /// Where no levels follow, so many times the distance is told: rounding leaves a small part of the tolerance.
 const DISTANCE_ALONE: f64 = 9.0;
 /// A mesh farther from the origin than this many diagonals gets one of its own.

@@ -21,7 +21,7 @@ const BIT: f64 = 0.002;
 /// walls on its boundary edges against the square over the edge, and of staying where it is.
 const PLANES: f64 = 0.02;
 const WALLS: f64 = 0.01;
-const STAYING: f64 = 0.003;
+const STAYING: f64 = 3e-5;
 /// Least cosine between a triangle before and after.
 const LEAST_COSINE: f64 = 0.3;
 /// A weight below this lies on the side across.

@@ -43,7 +43,7 @@ fn base_of(points: &[Vec3], triangles: &[[u32; 3]], wanted: usize) -> (Base, Sur
     let control = Control::default();
     let importance = vec![1.0; points.len()];
     let progress = &mut Progress::new(&control);
-    let coarse = coarse(mesh, &surface, target, progress).unwrap();
+    let coarse = coarse(mesh, &surface, target, true, progress).unwrap();
     let made = coarse.base(&importance, &numbers, progress).unwrap();
     (made, surface)
 }

@@ -146,7 +146,7 @@ def test_a_mesh_kept_as_it_is_stays_within_the_tolerance_and_no_triangle_turns(
     assert len(found.mesh.triangles) == len(mesh.triangles)
     away = Surface(mesh).closest(found.mesh.vertices).distances
     assert away.max() <= 1e-3 * diagonal(mesh)
-    assert np.sqrt((away**2).mean()) <= 0.3e-3 * diagonal(mesh)
+    assert np.sqrt((away**2).mean()) <= 0.35e-3 * diagonal(mesh)
     before = normals(Mesh(mesh.vertices[found.base_source], found.mesh.triangles))
     assert (before * normals(found.mesh)).sum(axis=1).min() > 0
 
