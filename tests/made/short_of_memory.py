@@ -151,6 +151,7 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
             **told,
         ),
         "remesh": partial(_remeshed, mesh),
+        "remesh_alone": partial(_remeshed, mesh, levels=0),
     }
 
 
@@ -158,7 +159,7 @@ def _told(_done: int, _total: int) -> None:
     pass
 
 
-def _remeshed(mesh: Mesh) -> kernels.NormalMesh:
+def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
     assert mesh.colors is not None
     return kernels.remesh(
         mesh.vertices,
@@ -166,8 +167,8 @@ def _remeshed(mesh: Mesh) -> kernels.NormalMesh:
         np.zeros(0),
         mesh.triangles,
         None,
-        levels=3,
-        base_triangles=len(mesh.triangles) // 50,
+        levels=levels,
+        base_triangles=len(mesh.triangles) // 50 if levels else len(mesh.triangles),
         base_error=0.0,
         at_any_price=False,
         max_error=0.0,
