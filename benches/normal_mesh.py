@@ -30,6 +30,7 @@ four meshes.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -164,9 +165,10 @@ def main() -> None:
         MODELS["near-cube"].remeshed(near_cube())
         print_models([name for name in MODELS if name in options.mesh], options.data, options.samples)
     if "rates" in options.only:
-        for name in ("horse", "cow"):
+        for name in ("horse", "cow", "face", "sceaux", "kitchen"):
             if name in options.mesh:
-                print_rates(name, clean(MODELS[name].read(options.data)).mesh, options.samples)
+                whole = clean((MODELS | {"kitchen": KITCHEN})[name].read(options.data)).mesh
+                print_rates(name, Mesh(whole.vertices, whole.triangles), options.samples)
     if "colors" in options.only and "kitchen" in options.mesh:
         print_colors(KITCHEN, options.data, options.samples)
     if "growth" in options.only:
@@ -216,7 +218,7 @@ def measured(mesh: Mesh, light: Mesh, samples: int) -> list[str]:
     there, back = (hausdorff(*pair, samples) for pair in ((mesh, light), (light, mesh)))
     lengths = (found.a_to_b.rms, found.b_to_a.rms, found.symmetric.maximum)
     checks = (there["RMS"], back["RMS"], max(there["max"], back["max"]))
-    return [f"{1e5 * length / found.diagonal:.3f}" for length in (*lengths, *checks)]
+    return [cell(1e5 * length / found.diagonal, ".3f") for length in (*lengths, *checks)]
 
 
 def shaped(mesh: Mesh, light: Mesh) -> list[str]:
@@ -248,15 +250,21 @@ def by_level(mesh: Mesh, result: NormalMesh) -> Iterator[list[str]]:
             f"{len(light.triangles):,}",
             f"{np.count_nonzero(kinds == EXCEPTION):,}",
             f"{np.count_nonzero(kinds == BOUNDARY):,}",
-            f"{hausdorff(light, mesh)['max'] / diagonal:.1e}",
+            cell(hausdorff(light, mesh)["max"] / diagonal, ".1e"),
             *shaped(mesh, light),
             *stored(result, level),
         ]
 
 
 def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
-    """Return distances from one surface to the other by PyMeshLab, of its vertices if `samples` is 0."""
-    import pymeshlab
+    """Return distances from one surface to the other by PyMeshLab, of its vertices if `samples` is 0.
+
+    Not a number where it is not installed.
+    """
+    try:
+        import pymeshlab
+    except ImportError:
+        return {"RMS": math.nan, "max": math.nan}
 
     pair = pymeshlab.MeshSet()
     for one in (mesh, other):
@@ -269,6 +277,11 @@ def hausdorff(mesh: Mesh, other: Mesh, samples: int = 0) -> dict[str, float]:
         samplenum=samples or len(mesh.vertices),
     )
     return found
+
+
+def cell(value: float, form: str) -> str:
+    """Return the cell of a number; empty if there is none."""
+    return "" if math.isnan(value) else f"{value:{form}}"
 
 
 def turned(mesh: Mesh, light: Mesh) -> int:

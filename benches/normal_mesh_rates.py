@@ -2,8 +2,8 @@
 
 Part of normal_mesh.py. RMS is the larger of the two directions, over the diagonal of the original's bounding
 box; dB is 20 log10 of its inverse. "with levels" are files of several base sizes and tolerances, cut at every
-level, each decoded and measured. "simplify + snm" is our own `simplify` in a file without levels, which is a
-coded mesh and no more. Of both a table names the smallest that is at least as near, and beside it the
+level, each decoded and measured. "without levels" are files of `remesh(levels=0, base_triangles=…)`, a
+simplified mesh and no more. Of both a table names the smallest that is at least as near, and beside it the
 smallest with levels. "Draco" keeps all vertices. "simplify + Draco" is each simplifier at several sizes, in
 Draco with several bits; its bytes at an RMS lie on the line between the two of its best files next to it.
 "of wanted" is what ours takes over what it is to take at most: above 1 the target is missed.
@@ -27,7 +27,6 @@ from rate_distortion import File, Original, frontier, size_at, smallest
 
 from stages.normal_meshes.normal_mesh import decode
 from stages.normal_meshes.remesh import remesh
-from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh
 
 
@@ -72,10 +71,24 @@ LEVELS = {
         Settings(1000, 2, (4e-3, 2e-3, 1e-3, 5e-4), "linear", 0),
         Settings(2000, 3, (1e-3, 5e-4)),
     ),
+    "face": (
+        Settings(150, 4, (1.2e-3, 5e-4)),
+        Settings(300, 4, (1.2e-3, 5e-4, 2e-4)),
+        Settings(600, 4, (5e-4, 2e-4)),
+    ),
+    # Rough all over: so shows one.
+    "sceaux": (Settings(600, 4, (1.2e-3, 6e-4)),),
+    "kitchen": (),
 }
-# Of simplify + snm: shares of the triangles, and tolerances.
-SNM_SHARES = {"horse": np.geomspace(0.005, 0.08, 5), "cow": np.geomspace(0.1, 0.95, 9)}
-SNM_TOLERANCES = (4e-3, 2.5e-3, 1.6e-3, 1e-3, 6e-4, 4e-4, 2.5e-4, 1.6e-4)
+# Without levels: shares of the triangles, and tolerances.
+ALONE_SHARES = {
+    "horse": np.geomspace(0.005, 0.08, 5),
+    "cow": np.geomspace(0.1, 0.95, 9),
+    "face": np.geomspace(0.015, 0.16, 8),
+    "sceaux": (0.1, 0.149, 0.2, 0.306, 0.4, 0.531),
+    "kitchen": (0.0519, 0.09, 0.1522, 0.22, 0.3112),
+}
+ALONE_TOLERANCES = (2.5e-3, 1.6e-3, 1e-3, 6e-4, 4e-4, 2.5e-4, 1.6e-4)
 
 # Draco's bits where all vertices are kept, and what share of its bytes ours are to take at its RMS.
 ALL_KEPT = {8: 1 / 12, 9: None, 10: 1 / 5, 11: 1 / 3, 12: 1 / 2, 14: None}
@@ -84,7 +97,7 @@ BITS = range(9, 14)
 SHARES = np.geomspace(0.01, 0.9, 14)
 # At most this share of what simplify + Draco takes, at every one of these distances.
 HALF = 1 / 2
-DISTANCES = (60e-5, 30e-5, 18.7e-5, 13.9e-5, 11.1e-5, 6.7e-5, 3.6e-5)
+DISTANCES = (60e-5, 30e-5, 18.7e-5, 14e-5, 13.9e-5, 11.1e-5, 7e-5, 6.7e-5, 3.6e-5)
 # Simplifiers that are of no use here: they are far behind, or the same quadrics again.
 LEFT_OUT = ("VTK", "meshoptimizer", "Open3D legacy", "fast-simplification", "CGAL Garland")
 
@@ -93,8 +106,8 @@ def print_rates(name: str, mesh: Mesh, samples: int) -> None:
     """Print the files worth having, and what the peers' files cost beside them."""
     original = Original(mesh, samples)
     refined = frontier(normal_meshes(name, original))
-    ours = frontier([*refined, *simplified_snm(name, original)])
-    for files, kind in ((refined, "with levels"), (ours, "with levels or simplify + snm")):
+    ours = frontier([*refined, *without_levels(name, original)])
+    for files, kind in ((refined, "with levels"), (ours, "with levels or without")):
         print(f"\n### {name}, {len(mesh.vertices):,} vertices: files {kind}\n")
         print_head(["made of", "bytes", "bits for each original vertex", "RMS ×1e-5", "dB"])
         for file in files:
@@ -128,14 +141,13 @@ def normal_meshes(name: str, original: Original) -> Iterator[File]:
                 yield original.file(end, decode(result.data[:end]).mesh, made)
 
 
-def simplified_snm(name: str, original: Original) -> Iterator[File]:
-    """Simplify to several sizes, and code each in a file without levels with several tolerances."""
-    for share in SNM_SHARES[name]:
-        light = simplify(original.mesh, triangles=int(share * len(original.mesh.triangles))).mesh
-        triangles = len(light.triangles)
-        for tolerance in SNM_TOLERANCES:
-            data = remesh(light, levels=0, base_triangles=triangles, tolerance=tolerance).data
-            made = f"simplify + snm, {triangles:,} triangles, {tolerance:.2g}"
+def without_levels(name: str, original: Original) -> Iterator[File]:
+    """Make files of several sizes without levels, each with several tolerances."""
+    for share in ALONE_SHARES[name]:
+        triangles = int(share * len(original.mesh.triangles))
+        for tolerance in ALONE_TOLERANCES:
+            data = remesh(original.mesh, levels=0, base_triangles=triangles, tolerance=tolerance).data
+            made = f"without levels, {triangles:,} triangles, {tolerance:.2g}"
             yield original.file(len(data), decode(data).mesh, made)
 
 

@@ -621,6 +621,7 @@ def remesh(
     colors: NDArray[np.uint8],
     confidence: NDArray[np.float64],
     triangles: NDArray[np.int32],
+    original: tuple[NDArray[np.float64], NDArray[np.int32]] | None,
     *,
     levels: int | None,
     base_triangles: int,
@@ -634,7 +635,10 @@ def remesh(
     threads: int,
     progress: Callable[[int, int], object],
 ) -> NormalMesh:
-    """Make a normal mesh; `colors` and `confidence` may have no columns and no rows."""
+    """Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
+
+    `original` is the surface of which a simplified mesh without levels was made.
+    """
 
 def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:
     """Decode an `.snm` file up to a level, or all of it with -1."""

@@ -362,7 +362,7 @@ def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
     cube = normal_mesh.near_cube()
     setting = normal_mesh_rates.Settings(68, 2, (1e-3, 1e-4))
     monkeypatch.setattr(normal_mesh_rates, "LEVELS", {"cube": (setting,)})
-    monkeypatch.setattr(normal_mesh_rates, "SNM_SHARES", {"cube": (0.5,)})
+    monkeypatch.setattr(normal_mesh_rates, "ALONE_SHARES", {"cube": (0.5,)})
     original = rates.Original(cube, 2000)
 
     coarse, fine = np.array_split(list(normal_mesh_rates.normal_meshes("cube", original)), 2)
@@ -371,9 +371,9 @@ def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
         assert np.diff([file.size for file in files]).min() > 0
     assert all(a.size < b.size for a, b in zip(coarse, fine, strict=True))
 
-    whole = list(normal_mesh_rates.simplified_snm("cube", original))
-    assert len(whole) == len(normal_mesh_rates.SNM_TOLERANCES)
-    for file, tolerance in zip(whole, normal_mesh_rates.SNM_TOLERANCES, strict=True):
+    whole = list(normal_mesh_rates.without_levels("cube", original))
+    assert len(whole) == len(normal_mesh_rates.ALONE_TOLERANCES)
+    for file, tolerance in zip(whole, normal_mesh_rates.ALONE_TOLERANCES, strict=True):
         assert "198 triangles" in file.made
         # Half a triangulated cube is the cube; only rounding moves it, along three axes.
         assert file.rms < 3**0.5 * tolerance

@@ -32,5 +32,5 @@ pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
         threads: 1,
     };
     let carried = Carried::default();
-    alone(|progress| remesh(&points, &triangles, &carried, &settings, progress)).expect("a manifold")
+    alone(|progress| remesh(&points, &triangles, &carried, None, &settings, progress)).expect("a manifold")
 }

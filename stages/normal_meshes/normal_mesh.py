@@ -68,9 +68,10 @@ class NormalMesh:
     damage : what is wrong with the rest of the file, or None.
     data : the file, up to the end of the finest level here.
     level_ends : bytes of the file up to the end of each level.
-    base_source : (n,) int32, the vertex of the input that each vertex of the base mesh was; None if decoded.
-    triangle_source : for each level (n,) int32, the triangle of the input that each vertex lies on; None if
-        decoded.
+    base_source : (n,) int32, the vertex of the input that each vertex of the base mesh was, or that became
+        part of it where the base is the simplified mesh; None if decoded.
+    triangle_source : for each level (n,) int32, the triangle of the input that each vertex lies on, or is
+        next to; None if decoded.
     folded_by_level : for each level the triangles that are turned against the surface or have no area; empty
         if decoded.
     tolerance : how far rounding may take a vertex from the surface, over the diagonal of the input's box;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,21 +18,26 @@ from stages.params import check, param, resolve
 from stages.progress import Progress, silent
 from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
 from stages.simplification.kernel_input import TEXTURE_LEFT_OUT, attributes_of
+from stages.simplification.simplify import simplify
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.sheets import Sheets
 from stages.surface.topology import require_area
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # A base mesh so many times as large as wanted makes a result that much larger, which a person should know.
 _FAR_FROM_WANTED = 1.5
 
 # Of a base that is made without saying how many levels it will get.
 _MOST_LEVELS = 4
+
+# The precision of 32-bit floats, over the diagonal.
+_FINEST = 5e-8
 
 # What the kernel says of where a tolerance comes from, in plain words.
 _TOLERANCE_SOURCES = {
@@ -62,9 +67,10 @@ class RemeshParams:
     )
     base_triangles: int | None = param(
         None,
-        "Triangles of the base mesh; more are left only where fewer could not be refined. Default, unless "
-        "base_error is given: so many that the finest level has about as many as the input, or more, where "
-        "fewer would be far from it.",
+        "Triangles of the base mesh; more are left only where fewer could not be refined. With levels 0, and "
+        "without base_error and max_error, the base is the mesh simplified to so many, its vertices where "
+        "the file comes nearest to the input. Default, unless base_error is given: so many that the finest "
+        "level has about as many as the input, or more, where fewer would be far from it.",
         group=_HOW_FAR,
         low=1,
     )
@@ -112,9 +118,11 @@ class RemeshParams:
     tolerance: float | None = param(
         None,
         "How far rounding may take a vertex from the surface of the input, as a share of the bounding box's "
-        "diagonal. Default: from the mesh, about a third of the RMS distance of the finest level from it, or "
-        "half of it where the mesh's own noise hides that; never more than a sixteenth of max_error, nor "
-        "finer than the precision of 32-bit floats, 5e-8.",
+        "diagonal; of a base that is the simplified mesh, beside how far that is from it. Default: from the "
+        "mesh, about a third of the RMS distance of the finest level from it, or half of it where the mesh's "
+        "own noise hides that, or three times it for the simplified mesh, which is rounded far better than "
+        "to the tolerance; never more than a sixteenth of max_error, nor finer than the precision of 32-bit "
+        "floats, 5e-8.",
         group=_FILE,
         low=1e-9,
         high=0.01,
@@ -163,7 +171,8 @@ def remesh(
 ) -> NormalMesh:
     """Make a normal mesh: a base mesh of original vertices, refined to lie on the original surface.
 
-    Edges collapse into one of their ends until the base mesh is left. Then each level puts a vertex on every
+    Edges collapse into one of their ends until the base mesh is left; a base that gets no levels is the
+    mesh as `simplify` makes it. Then each level puts a vertex on every
     edge, predicts where it is, and moves it along the normal to the surface: one number a vertex. Where no
     number leads there, and on boundaries, a vector stands instead. What is returned is what `decode` returns
     of its `data`, to the bit: numbers are rounded before they are used.
@@ -209,25 +218,28 @@ def remesh(
     values = _confidence(confidence, len(mesh.vertices))
     require_area(mesh, "mesh")
     wanted = params.wanted_base(len(mesh.triangles))
-    sheets = joined(mesh)
-    traced, notes = _traced(mesh, sheets)
+    _require_resolution(mesh, params)
+    bare = mesh.with_(texture=None, normals=None, corner_normals=None, part_ids=None)
+    start, original = _start(bare, params, progress)
+    sheets = joined(start.mesh)
+    traced, notes = _traced(start, sheets)
     try:
-        found = _remeshed(traced, values, params, wanted, progress)
+        found = _remeshed(traced, original, values, params, wanted, progress)
     except _kernels.InvalidMeshError:
         # Few meshes are no manifold: to look only where a mesh is refused saves the others the time.
-        sheets = sheets_of(mesh)
-        traced, notes = _traced(mesh, sheets)
-        found = _remeshed(traced, values, params, wanted, progress)
-    split = 0 if sheets is None else len(np.unique(sheets.vertex_source[is_split(mesh, sheets)]))
-    triangle_source = tuple(
-        traced.triangle_source[found.hit_triangle(level)].astype(np.int32)
-        for level in range(found.levels + 1)
-    )
+        sheets = sheets_of(start.mesh)
+        traced, notes = _traced(start, sheets)
+        found = _remeshed(traced, original, values, params, wanted, progress)
+    split = 0 if sheets is None else len(np.unique(sheets.vertex_source[is_split(start.mesh, sheets)]))
+    if original is None:
+        hits = [traced.triangle_source[found.hit_triangle(level)] for level in range(found.levels + 1)]
+    else:
+        hits = [_nearest(original, found.vertices(0))]
     return normal_mesh_of(
         found,
-        level_notes=(*mesh.notes, *_left_out(mesh), *notes),
+        level_notes=(*start.mesh.notes, *_left_out(mesh), *notes),
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
-        triangle_source=triangle_source,
+        triangle_source=tuple(triangles.astype(np.int32) for triangles in hits),
         max_distances_m=tuple(found.reached),
         folded_by_level=tuple(found.folded),
         **_tolerance(found, traced.mesh),
@@ -235,8 +247,49 @@ def remesh(
     )
 
 
+def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
+    """Refuse a mesh that is a point beside how far it reaches, as one stray vertex makes it."""
+    corners = mesh.vertices[mesh.triangles]
+    finest = min(params.tolerance or _FINEST, _FINEST) * _diagonal(mesh)
+    lengths = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
+    if np.median(lengths) < finest:
+        away = np.linalg.norm(mesh.vertices - np.median(corners.reshape(-1, 3), axis=0), axis=1)
+        used = np.unique(mesh.triangles)
+        farthest = used[np.argmax(away[used])]
+        raise MeshError(
+            f"most edges are shorter than {finest:.2g} m, which is all that can be told apart in a mesh of "
+            "this size; remove what lies far from the rest: "
+            f"vertex {farthest} is {away[farthest]:.2g} m away.",
+            "mesh",
+        )
+
+
+def _diagonal(mesh: Mesh) -> float:
+    """Return the diagonal of the bounding box of what triangles there are."""
+    return float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.triangles)], axis=0)))
+
+
+def _start(mesh: Mesh, params: RemeshParams, progress: Progress) -> tuple[Traced, Mesh | None]:
+    """Return the mesh that becomes the base mesh; and the input, if that is another one.
+
+    A base that is never refined need not be made of vertices of the input: `simplify` comes nearer.
+    """
+    wanted = params.base_triangles
+    bounds = (params.base_error, params.max_error)
+    if params.levels != 0 or wanted is None or wanted >= len(mesh.triangles) or any(bounds):
+        return Traced.start(mesh), None
+
+    def still(done: int, total: int) -> object:  # noqa: ARG001
+        return progress(0, 1)
+
+    light = simplify(mesh, method="quadric", triangles=wanted, threads=params.threads, progress=still)
+    sources = light.vertex_source.astype(np.int64), light.triangle_source.astype(np.int64)
+    return Traced(light.mesh, *sources), mesh
+
+
 def _remeshed(
     traced: Traced,
+    original: Mesh | None,
     confidence: NDArray[np.float64],
     params: RemeshParams,
     wanted_base: int,
@@ -248,6 +301,7 @@ def _remeshed(
         attributes_of(mesh),
         confidence[traced.vertex_source] if len(confidence) else confidence,
         mesh.triangles,
+        None if original is None else (original.vertices, original.triangles),
         levels=params.levels,
         base_triangles=wanted_base,
         base_error=np.inf if params.base_error is None else params.base_error,
@@ -262,13 +316,19 @@ def _remeshed(
     )
 
 
-def _traced(mesh: Mesh, sheets: Sheets | None) -> tuple[Traced, tuple[str, ...]]:
-    """Return the mesh, or its sheets, with what can be carried; and what copies lose that become one."""
-    bare = mesh.with_(texture=None, normals=None, corner_normals=None, part_ids=None)
+def _nearest(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.integer[Any]]:
+    """Return the triangle that is nearest to each point."""
+    box = bounding_box(mesh)
+    box = np.stack([np.minimum(box[0], points.min(axis=0)), np.maximum(box[1], points.max(axis=0))])
+    return Surface(mesh, box).closest(points).triangles
+
+
+def _traced(start: Traced, sheets: Sheets | None) -> tuple[Traced, tuple[str, ...]]:
+    """Return the mesh, or its sheets; and what copies lose that become one."""
     if sheets is None:
-        return Traced.start(bare), ()
-    apart, notes = in_sheets(bare, sheets)
-    sources = sheets.vertex_source.astype(np.int64), sheets.triangle_source.astype(np.int64)
+        return start, ()
+    apart, notes = in_sheets(start.mesh, sheets)
+    sources = start.vertex_source[sheets.vertex_source], start.triangle_source[sheets.triangle_source]
     return Traced(apart, *sources), notes
 
 
@@ -289,10 +349,9 @@ def _tolerance(found: _kernels.NormalMesh, mesh: Mesh) -> dict[str, float | str]
     """Return the tolerance of the result, over the diagonal and in metres, and where it comes from."""
     if found.tolerance is None or found.tolerance_source is None:
         return {}
-    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices[np.unique(mesh.triangles)], axis=0)))
     return {
         "tolerance": found.tolerance,
-        "tolerance_m": found.tolerance * diagonal,
+        "tolerance_m": found.tolerance * _diagonal(mesh),
         "tolerance_source": _TOLERANCE_SOURCES[found.tolerance_source],
     }
 

@@ -151,6 +151,7 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
             **told,
         ),
         "remesh": partial(_remeshed, mesh),
+        "remesh_alone": partial(_remeshed, mesh, levels=0),
     }
 
 
@@ -158,15 +159,16 @@ def _told(_done: int, _total: int) -> None:
     pass
 
 
-def _remeshed(mesh: Mesh) -> kernels.NormalMesh:
+def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
     assert mesh.colors is not None
     return kernels.remesh(
         mesh.vertices,
         mesh.colors,
         np.zeros(0),
         mesh.triangles,
-        levels=3,
-        base_triangles=len(mesh.triangles) // 50,
+        None,
+        levels=levels,
+        base_triangles=len(mesh.triangles) // 50 if levels else len(mesh.triangles),
         base_error=0.0,
         at_any_price=False,
         max_error=0.0,

@@ -44,9 +44,11 @@ pub struct Coarse<'a> {
     /// Of costs.
     unit: f64,
     target: Target,
+    /// Whether it is the base already, and no levels will come: then needles stay, too.
+    is_base: bool,
 }
 
-/// Collapse as far as no care is needed.
+/// Collapse as far as no care is needed. A mesh that is not `refined` afterwards stays as it is if no triangle has to go.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -54,13 +56,18 @@ pub fn coarse<'a>(
     mesh: Mesh<3>,
     surface: &'a Surface,
     target: Target,
+    refined: bool,
     progress: &mut Progress,
 ) -> Result<Coarse<'a>, KernelError> {
     let mut measure = HalfEdge::new(&mesh, surface, target.error, RULES[0]);
     let size = diagonal(&around(mesh.connectivity.vertices().map(|v| *mesh.point(v))));
     let unit = size.powi(4);
     measure.limit = CHEAP * unit;
-    let coarse = Coarse { mesh, measure, unit, target };
+    let is_base = !refined && mesh.connectivity.triangle_count() <= target.triangles;
+    let coarse = Coarse { mesh, measure, unit, target, is_base };
+    if is_base {
+        return Ok(coarse);
+    }
     let wanted = target.triangles.saturating_mul(CAREFUL);
     coarse.collapsed(wanted, progress)?.without_needles().collapsed(wanted, progress)
 }
@@ -88,7 +95,9 @@ impl Coarse<'_> {
                 self = self.collapsed(wanted, progress)?;
             }
         }
-        self = self.without_needles();
+        if !self.is_base {
+            self = self.without_needles();
+        }
         Ok(described(&self.mesh, &self.measure, number))
     }
 

@@ -6,6 +6,7 @@
 //! | [`associated`], [`parameters`] | what base triangles stand for; where the input lies on them |
 //! | [`domain`] | the base as a domain: points seen from any of its triangles |
 //! | [`predict`], [`grid`], [`level`] | the step from level to level, for encoder and decoder |
+//! | [`rounding`] | where vertices go on the grid if no levels follow |
 //! | [`surface`], [`rim`], [`place`], [`found`], [`unfold`] | where new vertices go: inside, on the boundary, and so that nothing folds |
 //! | [`carried`] | colours and confidence |
 //! | [`distance`], [`importance`] | how far off a level is, and what the next trial makes of it |
@@ -31,6 +32,7 @@ pub mod place;
 pub mod predict;
 pub mod remesh;
 pub mod rim;
+pub mod rounding;
 pub mod surface;
 pub mod tolerance;
 pub mod unfold;

@@ -13,6 +13,7 @@ use super::noise::noise;
 use super::place::{Original, Placed, Search};
 use super::predict::Predicted;
 use super::rim::Rims;
+use super::rounding::{Rounding, Samples};
 use super::surface::{Place, Surface};
 use super::tolerance::{FINEST, MOST_DOUBLINGS, Source, Tolerance, doublings};
 use super::unfold::{unfold, unsound_in_base};
@@ -21,8 +22,9 @@ use crate::base::geometry::{Vec3, around, diagonal, sub};
 use crate::base::progress::Progress;
 use crate::base::reserve::Reserve;
 use crate::mesh::triangle_mesh::Mesh;
-use crate::snm::{Writer, canonical};
+use crate::snm::{Canonical, Writer, canonical, canonical_rounded};
 use crate::subdivision::contents::{self, Header, Refinement, Scheme};
+use crate::subdivision::topology::Topology;
 
 /// Bases that are tried; the one whose finest level comes closest is taken.
 const TRIALS: u64 = 4;
@@ -43,6 +45,12 @@ const MOST_LEVELS: u8 = 4;
 const STEP_RATIO: f32 = 0.625;
 /// Bits of the mantissas of steps: the file is shorter for round numbers.
 const MANTISSA: u32 = 3;
+/// Spacings of the grid in tolerances, where no levels follow: among the points around a vertex one is near enough.
+const GRID_ALONE: f64 = 2.0;
+/// Turns of rounding then: from the second on, all vertices know where the others go.
+const ROUNDS: usize = 3;
+/// Where no levels follow, so many times the distance is told: rounding leaves a small part of the tolerance.
+const DISTANCE_ALONE: f64 = 9.0;
 /// A mesh farther from the origin than this many diagonals gets one of its own.
 const FAR: f64 = 4.0;
 /// Grid points that 32 bits hold with room for the coder's predictions.
@@ -65,6 +73,13 @@ pub struct Settings {
     /// How far it may take a level of colour.
     pub color_tolerance: f64,
     pub threads: usize,
+}
+
+impl Settings {
+    /// Whether the base is all there is.
+    fn is_alone(&self) -> bool {
+        self.levels == Some(0)
+    }
 }
 
 /// How a level was made of the one before.
@@ -128,9 +143,22 @@ struct Input<'a> {
     slots: Vec<u32>,
     /// A place for each vertex: a corner of any triangle that has it.
     places: Vec<Place>,
+    /// Of the surface it stands for, if no levels follow, and the mean square of their distance from it.
+    samples: Samples,
+    apart2: f64,
+    /// Whether that surface is another mesh.
+    is_light: bool,
 }
 
-/// Make the normal mesh of a mesh and what its vertices carry.
+/// The surface that a simplified mesh stands for.
+#[derive(Clone, Copy, Debug)]
+pub struct Simplified<'a> {
+    pub from_points: &'a [Vec3],
+    pub from_triangles: &'a [[u32; 3]],
+}
+
+/// Make the normal mesh of a mesh and what its vertices carry. If it is `simplified` and gets no levels, vertices
+/// are rounded to where they come nearest to the surface it stands for.
 ///
 /// # Errors
 /// As [`Mesh::new`]; [`KernelError::Extent`] if the mesh is too small or too large for the numbers of a file;
@@ -139,6 +167,7 @@ pub fn remesh(
     points: &[Vec3],
     triangles: &[[u32; 3]],
     carried: &Carried,
+    simplified: Option<Simplified<'_>>,
     settings: &Settings,
     progress: &mut Progress,
 ) -> Result<NormalMesh, KernelError> {
@@ -154,10 +183,21 @@ pub fn remesh(
     let slots = surface.slots();
     let source = mesh.triangle_source.clone();
     let places = at_vertices(points.len(), &surface);
-    let input = Input { points, triangles: &proper, carried, surface, slots, places };
+    let samples = match simplified {
+        _ if !settings.is_alone() => Samples::default(),
+        None => Samples::new(&points, &proper, proper.len()),
+        Some(Simplified { from_points, from_triangles }) => {
+            let from: Vec<Vec3> = from_points.iter().map(|p| sub(p, &shift)).collect();
+            Samples::new(&from, from_triangles, proper.len())
+        }
+    };
+    let is_light = simplified.is_some();
+    let apart2 = if is_light { samples.mean_square(&surface, settings.threads) } else { 0.0 };
+    let input =
+        Input { points, triangles: &proper, carried, surface, slots, places, samples, apart2, is_light };
 
     let mut importance = vec![1.0; input.points.len()];
-    let coarse = coarse(mesh, &input.surface, settings.target, progress)?;
+    let coarse = coarse(mesh, &input.surface, settings.target, !settings.is_alone(), progress)?;
     let mut best: Option<Trial> = None;
     let each = each(settings);
     for trial in 0..TRIALS + MENDS {
@@ -170,15 +210,17 @@ pub fn remesh(
         if settings.levels.is_none() && settings.max_error <= 0.0 && trial == 0 {
             header.levels = levels_for(base.triangles.len(), input.triangles.len());
         }
-        let base = in_order(base, &input, &header)?;
+        let base = in_order(base, &input, &header, settings)?;
         let (made, last, unsound) = levels_of(&input, &base, header, settings, progress)?;
         weigh(&mut importance, &input.points, input.triangles, &base.base, &last.from_input);
         insist(&mut importance, &base.base, &unsound);
         let rank = rank(&made, &last);
+        // Then there is no other base.
+        let is_whole = settings.is_alone() && base.base.triangles.len() == proper.len();
         if best.as_ref().is_none_or(|best| rank < best.rank) {
             best = Some(Trial { rank, mean_square: last.mean_square, base, made });
         }
-        if last.mean_square == 0.0 {
+        if last.mean_square == 0.0 || is_whole {
             break;
         }
     }
@@ -204,12 +246,14 @@ fn rounded(
     progress: &mut Progress,
 ) -> Result<Trial, KernelError> {
     let (header, unsound) = (best.made.header, best.made.unsound());
+    let distance2 = best.mean_square + input.apart2;
     let (mut doublings, source) = match settings.tolerance {
         Some(_) => (0, Source::Given),
         None => {
             let size = diagonal(&around(input.triangles.iter().flatten().map(|&v| input.points[v as usize])));
             let noise = noise(&input.points, input.triangles, input.surface.normals());
-            doublings(best.mean_square.sqrt() / size, noise / size, settings.max_error / size)
+            let told = if settings.is_alone() { DISTANCE_ALONE } else { 1.0 };
+            doublings(told * distance2.sqrt() / size, noise / size, settings.max_error / size)
         }
     };
     for attempt in 0..ROUNDINGS {
@@ -220,15 +264,18 @@ fn rounded(
         let progress = &mut progress.part((TRIALS + MENDS + attempt) * each, PASSES * each);
         progress.tell(0, each)?;
         let header = coarser(&header, doublings);
-        let base = in_order(best.base.base.clone(), input, &header)?;
+        let base = in_order(best.base.base.clone(), input, &header, settings)?;
         let (mut made, last, _) = levels_of(input, &base, header, settings, progress)?;
         let rank = rank(&made, &last);
         let reaches = |made: &NormalMesh| {
             let reached = made.origin.as_ref().and_then(|origin| origin.reached.last());
             reached.is_none_or(|reached| *reached <= settings.max_error)
         };
-        let is_near = last.mean_square <= LOSS * LOSS * best.mean_square.max(f64::from(header.step).powi(2));
-        if made.unsound() <= unsound && is_near && reaches(&made) >= reaches(&best.made) {
+        let now2 = last.mean_square + input.apart2;
+        let is_near = now2 <= LOSS * LOSS * distance2.max(f64::from(header.step).powi(2));
+        // Alone, no triangle turns by much against what it was.
+        let is_sound = settings.is_alone() || made.unsound() <= unsound;
+        if is_sound && is_near && reaches(&made) >= reaches(&best.made) {
             if let (Some(origin), None) = (&mut made.origin, settings.tolerance) {
                 origin.tolerance = Tolerance::doubled(doublings, source);
             }
@@ -259,8 +306,9 @@ impl NormalMesh {
 
 fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Result<Header, KernelError> {
     let size = diagonal(&bounds);
-    let step = round_down(settings.tolerance.unwrap_or(FINEST) * size / ROUNDED_OFF);
-    let grid = 0.5 * step;
+    let tolerance = settings.tolerance.unwrap_or(FINEST);
+    let step = round_down(tolerance * size / ROUNDED_OFF);
+    let grid = if settings.is_alone() { round_down(GRID_ALONE * tolerance * size) } else { 0.5 * step };
     if !grid.is_normal() || !step.is_normal() || size / f64::from(grid) > MOST_GRID_POINTS {
         return Err(KernelError::Extent { diagonal: size });
     }
@@ -302,7 +350,12 @@ struct Ordered {
     contents: contents::Base,
 }
 
-fn in_order(base: Base, input: &Input<'_>, header: &Header) -> Result<Ordered, KernelError> {
+fn in_order(
+    base: Base,
+    input: &Input<'_>,
+    header: &Header,
+    settings: &Settings,
+) -> Result<Ordered, KernelError> {
     let positions = base.vertex_source.iter().map(|&v| on_grid(&input.points[v as usize], header)).collect();
     let channels = if header.channels == 0 {
         vec![]
@@ -312,9 +365,38 @@ fn in_order(base: Base, input: &Input<'_>, header: &Header) -> Result<Ordered, K
         channels.map(|c| in_units(&c, &[0.0; 4], header)).collect()
     };
     let contents = contents::Base { positions, triangles: base.triangles.clone(), channels };
-    let ordered = canonical(&contents).map_err(KernelError::from)?;
+    let ordered = if settings.is_alone() {
+        rounded_order(&contents, &base.vertex_source, input, header, settings.threads)?
+    } else {
+        canonical(&contents).map_err(KernelError::from)?
+    };
     let base = base.reordered(&ordered.vertex_source, &ordered.triangle_source, &ordered.base.triangles);
     Ok(Ordered { base, contents: ordered.base })
+}
+
+/// The order of a mesh without levels, its vertices where they come nearest to the surface.
+fn rounded_order(
+    contents: &contents::Base,
+    vertex_source: &[u32],
+    input: &Input<'_>,
+    header: &Header,
+    threads: usize,
+) -> Result<Canonical, KernelError> {
+    let grid = f64::from(header.grid);
+    let exact: Vec<Vec3> =
+        vertex_source.iter().map(|&v| input.points[v as usize].map(|x| x / grid)).collect();
+    let topology = Topology::new(exact.len(), contents.triangles.clone())?;
+    let _reserve = Reserve::for_rows(input.samples.len())?;
+    let samples = input.samples.scaled(1.0 / grid);
+    let tolerance = if input.is_light { None } else { Some(1.0 / GRID_ALONE) };
+    let (mut points, mut ordered) = (exact.clone(), Canonical::default());
+    for _ in 0..ROUNDS {
+        let mut rounding = Rounding::new(&topology, &exact, points, &samples, tolerance, threads);
+        ordered =
+            canonical_rounded(contents, &mut |v, bits| rounding.round(v, bits)).map_err(KernelError::from)?;
+        points = rounding.into_points();
+    }
+    Ok(ordered)
 }
 
 /// What channels differ by from what is expected, in units.
@@ -332,7 +414,7 @@ fn levels_of(
     settings: &Settings,
     progress: &mut Progress,
 ) -> Result<(NormalMesh, Distance, Vec<usize>), KernelError> {
-    let Input { points, triangles, carried, surface, slots, places } = input;
+    let Input { points, triangles, carried, surface, slots, places, .. } = input;
     let Ordered { base, contents } = ordered;
     let first = Level::base(&header, contents)?;
     let rims = Rims::new(&base.chains, |t| triangles[t].map(|v| points[v as usize]), slots);

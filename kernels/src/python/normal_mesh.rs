@@ -6,7 +6,7 @@ use pyo3::exceptions::{PyIndexError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
-use super::arrays::{columns, id_array, triangle_array, triangles_from};
+use super::arrays::{columns, id_array, rows, triangle_array, triangles_from};
 use super::detached::detached;
 use super::guarded::guarded;
 use crate::base::errors::KernelError;
@@ -17,7 +17,7 @@ use crate::normal::coarsening::Target;
 use crate::normal::decode::decode;
 use crate::normal::grid::Steps;
 use crate::normal::level::Level;
-use crate::normal::remesh::{NormalMesh as Made, Settings, Step, remesh as make};
+use crate::normal::remesh::{NormalMesh as Made, Settings, Simplified, Step, remesh as make};
 use crate::normal::tolerance::Source;
 use crate::snm::SnmError as DecodeError;
 use crate::subdivision::contents::{Offset, Scheme};
@@ -206,7 +206,7 @@ impl NormalMesh {
 
 /// Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
 #[pyfunction]
-#[pyo3(signature = (vertices, colors, confidence, triangles, *, levels, base_triangles, base_error, at_any_price,
+#[pyo3(signature = (vertices, colors, confidence, triangles, original, *, levels, base_triangles, base_error, at_any_price,
                     max_error, butterfly, relaxations, tolerance, color_tolerance, threads, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn remesh(
@@ -215,6 +215,7 @@ pub fn remesh(
     colors: PyReadonlyArray2<'_, u8>,
     confidence: PyReadonlyArray1<'_, f64>,
     triangles: PyReadonlyArray2<'_, i32>,
+    original: Option<(PyReadonlyArray2<'_, f64>, PyReadonlyArray2<'_, i32>)>,
     levels: Option<u8>,
     base_triangles: usize,
     base_error: f64,
@@ -261,8 +262,19 @@ pub fn remesh(
             color_tolerance,
             threads,
         };
+        let original = match &original {
+            Some((vertices, triangles)) => {
+                let points = rows(vertices)?;
+                let triangles = triangles_from(triangles, points.len())?;
+                Some((points, triangles))
+            }
+            None => None,
+        };
         let made = detached(py, Some(&progress), false, |progress| {
-            make(&points, &triangles, &carried, &settings, progress)
+            let simplified = original
+                .as_ref()
+                .map(|(points, triangles)| Simplified { from_points: points, from_triangles: triangles });
+            make(&points, &triangles, &carried, simplified, &settings, progress)
         })?;
         Ok(NormalMesh { made, damage: None })
     })

@@ -32,6 +32,9 @@ pub struct Canonical {
     pub triangle_source: Vec<u32>,
 }
 
+/// Says where a vertex of the given mesh goes, from about how many bits a place takes more than the best.
+pub type Round<'a> = &'a mut dyn FnMut(u32, &dyn Fn(&[i32; 3]) -> f64) -> [i32; 3];
+
 /// Renumber vertices and triangles as the coder will meet them, and turn each triangle so that it begins with
 /// the edge at which it is met. Vertices without triangles are left out. The order of a result does not
 /// change again.
@@ -39,9 +42,22 @@ pub struct Canonical {
 /// # Errors
 /// [`SnmError::Mesh`] as [`Connectivity::from_triangles`] says.
 pub fn canonical(base: &Base) -> Result<Canonical, SnmError> {
+    ordered(base, None)
+}
+
+/// The same, with positions that `round` chooses as vertices are met.
+///
+/// # Errors
+/// As [`canonical`].
+pub fn canonical_rounded<'a>(base: &'a Base, round: Round<'a>) -> Result<Canonical, SnmError> {
+    ordered(base, Some(round))
+}
+
+fn ordered<'a>(base: &'a Base, round: Option<Round<'a>>) -> Result<Canonical, SnmError> {
     let channels = if base.channels.is_empty() { 0 } else { 4 };
     let mut rehearsal = Rehearsal;
     let mut walk = Walk::new(&mut rehearsal, Some(Given::new(base)?), channels);
+    walk.round = round;
     walk.run().map_err(|Exhausted| SnmError::Misfit("the base mesh is too large"))?;
     let sources = walk.given.map(|given| (given.vertex_source, given.triangle_source));
     let (vertex_source, triangle_source) = sources.unwrap_or_default();
@@ -62,6 +78,8 @@ pub(super) struct Walk<'a, 'b, C> {
     changed: Vec<u32>,
     lefts: Lefts,
     corners: Corners,
+    /// Where vertices of the mesh that is given go; nothing if they stay.
+    round: Option<Round<'b>>,
 }
 
 impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
@@ -76,6 +94,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
             changed: vec![],
             lefts: Lefts::new(),
             corners: Corners::new(),
+            round: None,
         }
     }
 
@@ -108,7 +127,7 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         for (corner, h) in corners.iter_mut().zip(halfedges) {
             let source = self.given.as_ref().map_or(VertexId::NONE, |given| given.connectivity.origin(h));
             let near = self.region.base.positions.last().copied().unwrap_or_default();
-            let given = self.given.as_ref().map(|given| given.base.positions[source.index()]);
+            let given = self.given_position(source, |_, _| 0.0);
             let position = self.corners.first(self.coder, near, given)?;
             let near = self.region.base.channels.last().copied().unwrap_or_default();
             *corner = self.add_vertex(position, near, source)?;
@@ -233,9 +252,23 @@ impl<'a, 'b, C: Coder> Walk<'a, 'b, C> {
         }
     }
 
+    /// Where a vertex of the mesh that is given goes, if there is one; `bits` says what places take.
+    fn given_position(
+        &mut self,
+        source: VertexId,
+        bits: impl Fn(&Corners, &[i32; 3]) -> f64,
+    ) -> Option<[i32; 3]> {
+        let given = self.given.as_ref()?;
+        let corners = &self.corners;
+        Some(match &mut self.round {
+            Some(round) => round(source.0, &|p| bits(corners, p)),
+            None => given.base.positions[source.index()],
+        })
+    }
+
     /// Code a new vertex at the tip of a triangle; `source` is its number in the mesh that is given.
     fn tip(&mut self, guess: &Guess, source: VertexId) -> Result<u32, Exhausted> {
-        let given = self.given.as_ref().map(|given| given.base.positions[source.index()]);
+        let given = self.given_position(source, |corners, p| corners.bits(guess, p));
         let position = self.corners.tip(self.coder, guess, given)?;
         let mut near = [0; 4];
         if self.channels > 0 {

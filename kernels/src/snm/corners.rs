@@ -26,6 +26,9 @@ const TIPS: [[f32; NEAR]; 3] = [
     [0.01, 0.0, 0.02, 0.0, 0.01, 0.26, 0.01, 0.02, -0.02],
 ];
 
+/// The scale of Student's distribution in mean deviations.
+const NARROWER: f64 = 0.72;
+
 /// Where the tip of a triangle should be.
 pub(super) struct Guess {
     pub frame: Frame,
@@ -131,6 +134,17 @@ impl Corners {
             *deviation = (*deviation + 0.02 * (1.25 * error.abs().min(4.0) - *deviation)).max(1e-3);
         }
         Ok(position)
+    }
+
+    /// About how many bits a place of a tip takes more than the best: those of Student's distribution of three degrees of
+    /// freedom along each axis.
+    pub(super) fn bits(&self, guess: &Guess, p: &[i32; 3]) -> f64 {
+        let local = guess.frame.local(p.map(f64::from));
+        let along = |axis: usize| {
+            let off = (local[axis] - guess.local[axis]) / (NARROWER * self.deviations[axis]);
+            2.0 * f64::from(ln((1.0 + off * off / 3.0) as f32)) * std::f64::consts::LOG2_E
+        };
+        (0..3).map(along).sum()
     }
 
     /// Code the first `count` channels of a vertex, which should be about `near`.

@@ -77,6 +77,6 @@ mod relations;
 mod scalars;
 mod vectors;
 
-pub use base::{Canonical, canonical};
+pub use base::{Canonical, canonical, canonical_rounded};
 pub use container::{Reader, Writer};
 pub use error::SnmError;

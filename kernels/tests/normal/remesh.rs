@@ -43,7 +43,7 @@ fn base_of(points: &[Vec3], triangles: &[[u32; 3]], wanted: usize) -> (Base, Sur
     let control = Control::default();
     let importance = vec![1.0; points.len()];
     let progress = &mut Progress::new(&control);
-    let coarse = coarse(mesh, &surface, target, progress).unwrap();
+    let coarse = coarse(mesh, &surface, target, true, progress).unwrap();
     let made = coarse.base(&importance, &numbers, progress).unwrap();
     (made, surface)
 }
@@ -148,7 +148,8 @@ fn what_is_decoded_is_what_was_made_and_every_beginning_is_a_level() {
     let control = Control::default();
     for scheme in [Scheme::Linear, Scheme::Butterfly] {
         let settings = settings(2, scheme);
-        let made = remesh(&points, &triangles, &carried, &settings, &mut Progress::new(&control)).unwrap();
+        let made =
+            remesh(&points, &triangles, &carried, None, &settings, &mut Progress::new(&control)).unwrap();
         let (back, damage) = decode(&made.file, usize::MAX).unwrap();
         assert_eq!(damage, None);
         assert_eq!(back.levels.len(), 3);
@@ -181,7 +182,7 @@ fn any_number_of_threads_makes_the_same_file() {
     let file = |threads| {
         let settings = Settings { threads, ..settings(2, Scheme::Linear) };
         let progress = &mut Progress::new(&control);
-        remesh(&points, &triangles, &Carried::default(), &settings, progress).unwrap().file
+        remesh(&points, &triangles, &Carried::default(), None, &settings, progress).unwrap().file
     };
     let one = file(1);
     assert_eq!(one, file(2));
@@ -193,8 +194,8 @@ fn on_a_smooth_surface_scalars_do() {
     let (points, triangles) = sheet(30);
     let control = Control::default();
     let progress = &mut Progress::new(&control);
-    let made =
-        remesh(&points, &triangles, &Carried::default(), &settings(3, Scheme::Linear), progress).unwrap();
+    let made = remesh(&points, &triangles, &Carried::default(), None, &settings(3, Scheme::Linear), progress)
+        .unwrap();
     let mut vectors = 0;
     for (level, step) in made.levels.iter().zip(&made.steps) {
         for (edge, offset) in step.refinement.offsets.iter().enumerate() {

@@ -117,6 +117,46 @@ def test_no_level_is_the_base_alone() -> None:
     assert len(found.mesh.triangles) <= 100
 
 
+def test_a_base_that_stays_alone_is_nearer_than_its_simplified_mesh_on_a_grid() -> None:
+    mesh = coloured_meshes.ring()
+    found = remesh(mesh, levels=0, base_triangles=500, tolerance=4e-4)
+    light = simplify(mesh, triangles=500).mesh
+    assert len(found.mesh.triangles) == len(light.triangles)
+    spacing = 2 * 4e-4 * diagonal(light)
+    # The grid that the file has: positions are multiples of it.
+    assert np.abs(found.mesh.vertices / spacing).max() < 1 / 4e-4
+    rounded = Mesh(np.round(light.vertices / spacing) * spacing, light.triangles)
+    exact, ours, nearest = (
+        compare(mesh, one, samples=20_000).symmetric.rms for one in (light, found.mesh, rounded)
+    )
+    assert ours**2 - exact**2 < (nearest**2 - exact**2) / 4
+    assert found.mesh.colors is not None
+    assert found.folded_by_level == (0,)
+    # Sources are in terms of what was given.
+    assert np.linalg.norm(mesh.vertices[found.base_source] - found.mesh.vertices, axis=1).max() < 0.5
+    assert np.array_equal(found.triangle_source[0], Surface(mesh).closest(found.mesh.vertices).triangles)
+
+
+@made
+def test_a_mesh_kept_as_it_is_stays_within_the_tolerance_and_no_triangle_turns(
+    make: Callable[[], Mesh],
+) -> None:
+    mesh = make()
+    found = remesh(mesh, levels=0, base_triangles=len(mesh.triangles), tolerance=1e-3)
+    assert len(found.mesh.triangles) == len(mesh.triangles)
+    away = Surface(mesh).closest(found.mesh.vertices).distances
+    assert away.max() <= 1e-3 * diagonal(mesh)
+    assert np.sqrt((away**2).mean()) <= 0.35e-3 * diagonal(mesh)
+    before = normals(Mesh(mesh.vertices[found.base_source], found.mesh.triangles))
+    assert (before * normals(found.mesh)).sum(axis=1).min() > 0
+
+
+def test_alone_a_file_is_the_same_on_any_number_of_threads() -> None:
+    mesh = coloured_meshes.holed()
+    files = {remesh(mesh, levels=0, base_triangles=300, threads=threads).data for threads in (1, 2, 3)}
+    assert len(files) == 1
+
+
 def test_more_levels_come_nearer() -> None:
     mesh = coloured_meshes.ring()
     found = remesh(mesh, levels=3, base_triangles=120)

@@ -289,3 +289,25 @@ def test_figures_are_plain_numbers() -> None:
     assert sum(one["boundary_vertices"] for one in figures["by_level"]) == len(kinds) - inside > 0
     assert figures["file_bytes"] == figures["by_level"][-1]["file_bytes"] == len(found.data)
     assert figures["bits_per_vertex"] == pytest.approx(8 * len(found.data) / len(found.mesh.vertices))
+
+
+@pytest.mark.parametrize("far", [1e7, 1e9, 1e15])
+def test_a_stray_vertex_beside_which_the_rest_is_a_point_is_told(far: float) -> None:
+    mesh = coloured_meshes.ball()
+    vertices = mesh.vertices.copy()
+    vertices[7] = [far, 0, 0]
+    with pytest.raises(MeshError, match=r"vertex 7 is 1e\+\d\d m away\.$"):
+        remesh(Mesh(vertices, mesh.triangles))
+
+
+def test_alone_a_mesh_that_is_no_manifold_is_split_too() -> None:
+    ball = coloured_meshes.ball()
+    far = ball.vertices + np.array([2 * np.ptp(ball.vertices[:, 0]), 0, 0])
+    first, second = np.argmax(ball.vertices[:, 0]), np.argmin(far[:, 0])
+    far[second] = ball.vertices[first]
+    vertices = np.concatenate([ball.vertices, far])
+    pinched = Mesh(vertices, np.concatenate([ball.triangles, ball.triangles + len(ball.vertices)]))
+    found = remesh(pinched, levels=0, base_triangles=200, tolerance=1e-3)
+    assert topology(found.mesh).is_manifold
+    assert len(found.mesh.triangles) <= 200
+    assert found.base_source.max() < len(vertices)
