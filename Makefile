@@ -48,10 +48,10 @@ $(STUBS_FIT): stages/_kernels.pyi $(READY)
 
 clippy:
 	cd kernels && cargo fmt --check
-	cd kernels && cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
+	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --all-targets --features python,bench -- -D warnings
 
 rust-tests:
-	cd kernels && cargo test --locked --quiet
+	cd kernels && MAKEFLAGS= cargo test --locked --quiet
 
 bench:
 	cd kernels && cargo bench --locked --features bench -- $(BENCH)
