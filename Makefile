@@ -9,7 +9,7 @@ KERNEL_SOURCES := $(shell find kernels/src -name '*.rs') kernels/Cargo.toml kern
 # Tests start hundreds of Pythons: what they compile of our sources is kept, whatever the surroundings say.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo check test campaign bench format lint ruff mypy stubtest clippy rust-tests clean
+.PHONY: demo check test campaign bench format lint python-lint ruff mypy stubtest clippy rust-tests clean
 
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
@@ -21,7 +21,7 @@ check: lint
 
 # What needs no Python goes on while the kernels are compiled for it, which is one core's work.
 test:
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint rust-tests
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target python-lint clippy rust-tests
 	$(BIN)/pytest -n auto --dist worksteal
 
 # Random damage, kills and meshes for some minutes: make campaign MINUTES=60, with WORDS for its other options.
@@ -30,8 +30,10 @@ campaign: $(READY)
 	PYTHONPATH=.:tests/made $(BIN)/python -m tests.campaign --minutes $(MINUTES) $(WORDS)
 
 # Each is one core's work for most of its time, so they run side by side.
-lint: $(READY)
-	@$(MAKE) --no-print-directory --jobs --output-sync=target ruff mypy stubtest clippy
+lint: python-lint clippy
+
+python-lint: $(READY)
+	@$(MAKE) --no-print-directory --jobs --output-sync=target ruff mypy stubtest
 
 ruff:
 	$(BIN)/ruff check .

@@ -43,6 +43,7 @@ from stages.registration.unmet import unmet as not_joined
 from stages.scans.read import read_scan
 from stages.scans.scan import Scan
 from stages.simplification.auto import chosen
+from stages.simplification.methods import METHODS
 from stages.simplification.simplify import simplify
 from stages.simplification.unmet import unmet as not_simplified
 from stages.stereo.depth import depth_scan
@@ -265,6 +266,11 @@ def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]
     return {**_stated(simplify), method.name: method.result_version, **proof}
 
 
+def _of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    # A base that is never refined is a simplified mesh.
+    return {**_stated(remesh, simplify), **{method.name: method.result_version for method in METHODS}}
+
+
 # Under this name the report reads the frames that were kept from all other stages.
 HELD_OUT = "held_out"
 # And under this one the texture reads other photos than the frames'.
@@ -370,7 +376,7 @@ STAGES: tuple[Stage, ...] = (
         writes="remeshed",
         sections=("remesh",),
         make=_remesh,
-        versions=_of(remesh),
+        versions=_of_remesh,
         libraries=_KERNELS,
         results=("remeshed.ply", "remeshed.snm", "levels/"),
         unmet=lambda config, figures: not_close(config.remesh.max_error, figures),

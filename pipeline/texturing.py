@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from stages.files.images import read_stored
 from stages.params import param
 from stages.picturing.render import Model, Viewpoint, write_png
 from stages.progress import Progress
@@ -80,7 +81,7 @@ def _by_photo(mesh: Mesh, maps: Path) -> Mesh:
     assert mesh.texture is not None
     materials = []
     for number, material in enumerate(mesh.texture.materials, 1):
-        photos = cv2.imread(str(maps / f"photo-{number}.png"), cv2.IMREAD_UNCHANGED)
+        photos = read_stored(maps / f"photo-{number}.png")
         # Hues apart by the golden angle: neighbours in time are far apart in colour.
         hues = (np.arange(65_536) * 110.0) % 180
         wheel = np.full((1, len(hues), 3), (0, 190, 230), np.uint8)
