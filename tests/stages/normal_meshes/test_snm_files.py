@@ -27,7 +27,7 @@ from stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
-MANY = 30_000
+MANY = 15_000
 SHARED = (
     "cow.obj",
     "horse.ply",
