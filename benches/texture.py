@@ -1,10 +1,11 @@
 """Photos that were left out, beside what their cameras see of fused, simplified, baked and textured meshes.
 
-    python benches/texture.py SCAN... [--hold-out 10] [--ratio 0.1] [--open3d]
+    python benches/texture.py SCAN... [--hold-out 10] [--ratio 0.1 0.05 ...] [--open3d]
 
 Each scan goes through `scanloom run` without every tenth frame. Prints a Markdown table: PSNR as it is and
 after one gain and bias a channel, SSIM, gradient energy over the photo's, share of the photos' pixels that
-count, and seconds of the stage that made the colours. Photos are placed against each mesh (see
+count, seconds of the stage that made the colours, and the size of the textured mesh. Of several ratios the
+first has all rows, the others that of the texture alone. Photos are placed against each mesh (see
 `stages.comparing.left_out`). With --open3d Open3D's `project_images_to_albedo` is there, too, with the same
 cameras, on `bake`'s charts in one image of 2048²; it takes minutes.
 """
@@ -41,6 +42,7 @@ from stages.texturing.photos import photo_of
 
 COLUMNS = (
     "scan",
+    "ratio",
     "colours",
     "raw dB",
     "affine dB",
@@ -50,6 +52,7 @@ COLUMNS = (
     "photos",
     "placed",
     "seconds",
+    "textured.glb, MB",
 )
 _OPEN3D_SIZE = 2048
 
@@ -59,19 +62,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scans", type=Path, nargs="+", metavar="SCAN")
     parser.add_argument("--hold-out", type=int, default=10)
-    parser.add_argument("--ratio", type=float, default=0.1)
+    parser.add_argument("--ratio", type=float, nargs="+", default=[0.1])
     parser.add_argument("--open3d", action="store_true")
     options = parser.parse_args()
-    print_head(COLUMNS, words=2)
+    print_head(COLUMNS, words=3)
     for folder in options.scans:
         with tempfile.TemporaryDirectory() as out:
-            words = [f"scan.hold_out={options.hold_out}", f"simplify.ratio={options.ratio}"]
-            result = run(folder, out, Config().set(words))
-            scan = read_scan(folder, ScanParams(hold_out=options.hold_out), complete=False)
-            used = _used(scan, result)
-            held_out = like_neighbours(scan.held_out, options.hold_out, scan.frames, used)
-            for name, mesh, seconds in _meshes(Path(out), result, used, options.open3d):
-                _print(folder.name, name, mesh, held_out, seconds)
+            for number, ratio in enumerate(options.ratio):
+                words = [f"scan.hold_out={options.hold_out}", f"simplify.ratio={ratio}"]
+                result = run(folder, out, Config().set(words))
+                scan = read_scan(folder, ScanParams(hold_out=options.hold_out), complete=False)
+                used = _used(scan, result)
+                held_out = like_neighbours(scan.held_out, options.hold_out, scan.frames, used)
+                others = () if number else _others(Path(out), result, used, options.open3d)
+                for name, mesh, seconds in others:
+                    _print([folder.name, f"{ratio:g}", name], mesh, held_out, seconds, "")
+                textured = Path(out) / "textured.glb"
+                seconds = next(one.seconds for one in result.stages if one.stage == "texture")
+                megabytes = f"{textured.stat().st_size / 1e6:.2f}"
+                cells = [folder.name, f"{ratio:g}", "scanloom, texture"]
+                _print(cells, read_mesh(textured), held_out, seconds, megabytes)
 
 
 def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
@@ -84,7 +94,7 @@ def _used(scan: Scan, result: RunResult) -> Sequence[Frame]:
     return scan.frames
 
 
-def _meshes(
+def _others(
     out: Path, result: RunResult, used: Sequence[Frame], with_open3d: bool
 ) -> Iterator[tuple[str, Mesh, float]]:
     seconds = {one.stage: one.seconds for one in result.stages}
@@ -97,7 +107,6 @@ def _meshes(
     if with_open3d:
         start = time.perf_counter()
         yield "Open3D project_images_to_albedo", _projected(light, used), time.perf_counter() - start
-    yield "scanloom, texture", read_mesh(out / "textured.glb"), seconds["texture"]
 
 
 def _projected(mesh: Mesh, frames: Sequence[Frame]) -> Mesh:
@@ -130,11 +139,11 @@ def _one_page(mesh: Mesh) -> Pages:
         texel_size *= 1.1
 
 
-def _print(scan: str, name: str, mesh: Mesh, held_out: Sequence[Frame], seconds: float) -> None:
+def _print(first: list[str], mesh: Mesh, held_out: Sequence[Frame], seconds: float, last: str) -> None:
     found = left_out(mesh, held_out).figures()
     cells = [f"{found[f'psnr_{kind}_db']:.2f}" for kind in ("raw", "affine")]
     cells += [f"{found['ssim']:.3f}", f"{found['sharpness']:.2f}", f"{found['coverage_share']:.2f}"]
-    print_row([scan, name, *cells, str(found["photos"]), str(found["placed"]), f"{seconds:.1f}"])
+    print_row([*first, *cells, str(found["photos"]), str(found["placed"]), f"{seconds:.1f}", last])
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.files.images import read_stored
 from stages.params import param
@@ -24,6 +25,8 @@ from stages.texturing.texture import TextureParams, texture
 FILE, MAPS = "textured.glb", "texture_maps"
 
 _PHOTOS = "textured-photos.png"
+# The golden angle, in half degrees as OpenCV counts hues.
+_GOLDEN = 68.754
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,17 +79,22 @@ def report(folder: Path, textured: Path, chosen: Sequence[Viewpoint]) -> list[st
 
 def _by_photo(mesh: Mesh, maps: Path) -> Mesh:
     """Return the mesh with a colour for each photo; grey where none shows it."""
+    assert mesh.texture is not None
+    palette = _palette()
+    materials = tuple(
+        replace(material, image=Image(given=palette[read_stored(maps / f"photo-{number}.png")]))
+        for number, material in enumerate(mesh.texture.materials, 1)
+    )
+    return mesh.with_(texture=replace(mesh.texture, materials=materials))
+
+
+def _palette() -> NDArray[np.uint8]:
+    """Return a colour for each number that 16 bits hold; grey for 0."""
     import cv2
 
-    assert mesh.texture is not None
-    materials = []
-    for number, material in enumerate(mesh.texture.materials, 1):
-        photos = read_stored(maps / f"photo-{number}.png")
-        # Hues apart by the golden angle: neighbours in time are far apart in colour.
-        hues = (np.arange(65_536) * 110.0) % 180
-        wheel = np.full((1, len(hues), 3), (0, 190, 230), np.uint8)
-        wheel[0, :, 0] = hues
-        palette = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
-        palette[0] = 128
-        materials.append(replace(material, image=Image(given=palette[photos])))
-    return mesh.with_(texture=replace(mesh.texture, materials=tuple(materials)))
+    wheel = np.full((1, 1 << 16, 3), (0, 190, 230), np.uint8)
+    # Hues, of 180, apart by the golden angle: neighbours in time are far apart in colour.
+    wheel[0, :, 0] = np.arange(1 << 16) * _GOLDEN % 180
+    colors = cv2.cvtColor(wheel, cv2.COLOR_HSV2RGB)[0]
+    colors[0] = 128
+    return np.asarray(colors, np.uint8)

@@ -42,10 +42,8 @@ def open3d() -> Any:
 
     Raises
     ------
-    StageError
-        If a system library it needs is absent; the message names the library and its Debian package.
-    MemoryError
-        If there is no room for it.
+    StageError, MemoryError
+        As `imported`; also where there is no room for the threads.
     """
     module = imported()
     # A process that is forked off has none of them.

@@ -48,7 +48,6 @@ pub fn lay_out(
         if density.len() != triangles.len() {
             return Err(PyValueError::new_err("density needs one value for each triangle"));
         }
-
         let (charts, packed) = detached(py, Some(&progress), false, |progress| {
             crate::mesh::connect::check_indices(points.len(), &triangles)?;
             let charts = cut::cut(&points, &triangles, &density, side, padding, progress)?;

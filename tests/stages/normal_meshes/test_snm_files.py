@@ -27,7 +27,7 @@ from stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
-MANY = 15_000
+MANY = 70_000
 SHARED = (
     "cow.obj",
     "horse.ply",
