@@ -12,7 +12,7 @@ use crate::base::geometry::{Vec3, area};
 const MOST: f64 = 16.0;
 
 /// How much more a part counts where triangles turned over.
-const INSISTENCE: f64 = 100.0;
+const INSISTENCE: f64 = 16.0;
 
 /// Make vertices of the input count more on base triangles that could not be refined soundly.
 pub fn insist(importance: &mut [f64], base: &Base, faulty: &[usize]) {

@@ -22,6 +22,8 @@ use crate::subdivision::topology::NONE;
 /// How far a line may reach, in lengths of the edge that is split, and how far a nearest point may be.
 const REACH: f64 = 1.0;
 const NEAR: f64 = 2.0;
+/// How far, if its triangle does not count for the edge.
+const HERE: f64 = 0.5;
 /// How far from where it is expected on the base a line may pierce, in lengths of the edge there.
 const ASTRAY: f64 = 1.5;
 /// Least cosine between a line and the normal of a triangle it pierces.
@@ -130,7 +132,7 @@ impl Search<'_> {
     }
 
     /// The vertex of an edge on the line through where it was predicted.
-    fn scalar(&self, edge: usize) -> Option<Found> {
+    pub fn scalar(&self, edge: usize) -> Option<Found> {
         self.along(edge, &self.predicted.points[edge], Offset::Scalar)
     }
 
@@ -202,6 +204,11 @@ impl Search<'_> {
             let all = self.base_triangles(edge).flat_map(|t| self.original.sets.of(t)).copied();
             surface.nearest_among(p, all)
         })
+    }
+
+    /// The nearest place of the whole surface that looks along `normal`, if it is near.
+    pub fn anywhere(&self, edge: usize, p: &Vec3, normal: &Vec3) -> Option<Place> {
+        self.original.surface.nearest(p, normal, HERE * self.length(edge), LEAST_COSINE, |_| true)
     }
 
     /// The base triangles beside an edge, one or two.

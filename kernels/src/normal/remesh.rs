@@ -28,8 +28,11 @@ use crate::subdivision::topology::Topology;
 
 /// Bases that are tried; the one whose finest level comes closest is taken.
 const TRIALS: u64 = 4;
-/// Bases that are tried beyond that at most, as long as triangles turn over.
-const MENDS: u64 = 2;
+/// Bases that are tried beyond that at most, as long as triangles turn over; where more than a few do, as long as each
+/// leaves no more than this part of them: some surfaces are crumpled all over.
+const MENDS: u64 = 6;
+const FEW: usize = 10;
+const HELPED: f64 = 0.7;
 /// Tolerances that are tried where nobody gives one, and how many doublings are taken back from one to the next.
 const ROUNDINGS: u64 = 4;
 const TAKEN_BACK: u32 = 2;
@@ -37,6 +40,8 @@ const TAKEN_BACK: u32 = 2;
 const PASSES: u64 = TRIALS + MENDS + ROUNDINGS;
 /// By how much rounding may take the finest level farther off at most: its share of that is a third.
 const LOSS: f64 = 1.15;
+/// And by this part of their number more triangles may be unsound.
+const MORE: usize = 10;
 /// So many unsound triangles count as twice the distance.
 const DOUBLING: f64 = 10.0;
 /// Levels at most where their number is not given.
@@ -126,6 +131,11 @@ struct Trial {
     mean_square: f64,
     base: Ordered,
     made: NormalMesh,
+    /// What the base was made with, and base triangles with unsound parts.
+    importance: Vec<f64>,
+    unsound: Vec<usize>,
+    /// How places of its vertices were sought.
+    thorough: bool,
 }
 
 fn rank(made: &NormalMesh, last: &Distance) -> Rank {
@@ -200,9 +210,18 @@ pub fn remesh(
     let coarse = coarse(mesh, &input.surface, settings.target, !settings.is_alone(), progress)?;
     let mut best: Option<Trial> = None;
     let each = each(settings);
+    let mut before = usize::MAX;
     for trial in 0..TRIALS + MENDS {
-        if trial >= TRIALS && best.as_ref().is_some_and(|best| !best.rank.0) {
-            break;
+        let mends = trial >= TRIALS;
+        if let Some(best) = best.as_mut().filter(|_| mends) {
+            let now = best.made.unsound();
+            if now == 0 || now > FEW && now as f64 > HELPED * before as f64 {
+                break;
+            }
+            before = now;
+            // The same base but where triangles turn over.
+            insist(&mut best.importance, &best.base.base, &best.unsound);
+            importance.clone_from(&best.importance);
         }
         let progress = &mut progress.part(trial * each, PASSES * each);
         progress.tell(0, each)?;
@@ -211,14 +230,22 @@ pub fn remesh(
             header.levels = levels_for(base.triangles.len(), input.triangles.len());
         }
         let base = in_order(base, &input, &header, settings)?;
-        let (made, last, unsound) = levels_of(&input, &base, header, settings, progress)?;
+        if best.as_ref().is_some_and(|best| best.thorough && best.base.contents == base.contents) {
+            break;
+        }
+        let care = Care { thorough: mends, most_unsound: usize::MAX };
+        let Some((made, last, unsound)) = levels_of(&input, &base, header, settings, care, progress)? else {
+            break;
+        };
+        let used = importance.clone();
         weigh(&mut importance, &input.points, input.triangles, &base.base, &last.from_input);
         insist(&mut importance, &base.base, &unsound);
         let rank = rank(&made, &last);
         // Then there is no other base.
         let is_whole = settings.is_alone() && base.base.triangles.len() == proper.len();
         if best.as_ref().is_none_or(|best| rank < best.rank) {
-            best = Some(Trial { rank, mean_square: last.mean_square, base, made });
+            let mean_square = last.mean_square;
+            best = Some(Trial { rank, mean_square, base, made, importance: used, unsound, thorough: mends });
         }
         if last.mean_square == 0.0 || is_whole {
             break;
@@ -256,6 +283,9 @@ fn rounded(
             doublings(told * distance2.sqrt() / size, noise / size, settings.max_error / size)
         }
     };
+    // Alone, no triangle turns by much against what it was.
+    let most_unsound = if settings.is_alone() { usize::MAX } else { unsound + unsound / MORE };
+    let care = Care { thorough: best.thorough, most_unsound };
     for attempt in 0..ROUNDINGS {
         if doublings == 0 {
             break;
@@ -265,7 +295,10 @@ fn rounded(
         progress.tell(0, each)?;
         let header = coarser(&header, doublings);
         let base = in_order(best.base.base.clone(), input, &header, settings)?;
-        let (mut made, last, _) = levels_of(input, &base, header, settings, progress)?;
+        let Some((mut made, last, _)) = levels_of(input, &base, header, settings, care, progress)? else {
+            doublings = doublings.saturating_sub(TAKEN_BACK);
+            continue;
+        };
         let rank = rank(&made, &last);
         let reaches = |made: &NormalMesh| {
             let reached = made.origin.as_ref().and_then(|origin| origin.reached.last());
@@ -273,13 +306,11 @@ fn rounded(
         };
         let now2 = last.mean_square + input.apart2;
         let is_near = now2 <= LOSS * LOSS * distance2.max(f64::from(header.step).powi(2));
-        // Alone, no triangle turns by much against what it was.
-        let is_sound = settings.is_alone() || made.unsound() <= unsound;
-        if is_sound && is_near && reaches(&made) >= reaches(&best.made) {
+        if is_near && reaches(&made) >= reaches(&best.made) {
             if let (Some(origin), None) = (&mut made.origin, settings.tolerance) {
                 origin.tolerance = Tolerance::doubled(doublings, source);
             }
-            return Ok(Trial { rank, mean_square: last.mean_square, base, made });
+            return Ok(Trial { rank, mean_square: last.mean_square, base, made, ..best });
         }
         doublings = doublings.saturating_sub(TAKEN_BACK);
     }
@@ -407,13 +438,23 @@ fn in_units(channels: &[f64; 4], expected: &[f64; 4], header: &Header) -> [i32; 
     })
 }
 
+/// How places of vertices are sought, and from how many unsound triangles on nobody wants the result.
+#[derive(Clone, Copy, Debug)]
+struct Care {
+    thorough: bool,
+    most_unsound: usize,
+}
+
+/// The levels over a base, how far the finest is from the input, and base triangles with unsound parts, once for each of
+/// these; nothing if there are too many.
 fn levels_of(
     input: &Input<'_>,
     ordered: &Ordered,
     header: Header,
     settings: &Settings,
+    care: Care,
     progress: &mut Progress,
-) -> Result<(NormalMesh, Distance, Vec<usize>), KernelError> {
+) -> Result<Option<(NormalMesh, Distance, Vec<usize>)>, KernelError> {
     let Input { points, triangles, carried, surface, slots, places, .. } = input;
     let Ordered { base, contents } = ordered;
     let first = Level::base(&header, contents)?;
@@ -429,7 +470,7 @@ fn levels_of(
         parameters: base.vertex_source.iter().map(|&v| base.parameters[v as usize]).collect(),
         rim,
     };
-    let mut faulty = unsound_in_base(&first, &placed, surface, settings.threads);
+    let mut faulty = unsound_in_base(&first, &placed, &base.vertex_source, surface, settings.threads);
     let mut unsound = vec![faulty.len()];
     let (mut levels, mut steps, mut reached) = (vec![first], vec![], vec![]);
     let mut last = None;
@@ -463,9 +504,12 @@ fn levels_of(
         };
         let mut found = search.refine();
         progress.check()?;
-        let turned = unfold(&search, &mut found);
+        let turned = unfold(&search, &mut found, care.thorough);
         progress.check()?;
         unsound.push(turned.len());
+        if unsound.iter().sum::<usize>() > care.most_unsound {
+            return Ok(None);
+        }
         faulty.extend(turned.iter().map(|t| t >> (2 * number)));
         let rim = search.rim(&found);
         let parameters: Vec<_> =
@@ -487,7 +531,7 @@ fn levels_of(
     if steps.len() < usize::from(header.levels) {
         // Steps depend on how many levels there are.
         let header = Header { levels: steps.len() as u8, ..header };
-        return levels_of(input, ordered, header, settings, progress);
+        return levels_of(input, ordered, header, settings, care, progress);
     }
     let source = if settings.tolerance.is_some() { Source::Given } else { Source::Precision };
     let origin = Some(Origin {
@@ -497,7 +541,7 @@ fn levels_of(
         reached,
         tolerance: Tolerance { relative: settings.tolerance.unwrap_or(FINEST), source },
     });
-    Ok((NormalMesh { header, levels, steps, file: vec![], ends: vec![], origin }, last, faulty))
+    Ok(Some((NormalMesh { header, levels, steps, file: vec![], ends: vec![], origin }, last, faulty)))
 }
 
 fn channels_of(

@@ -7,6 +7,10 @@ use crate::mesh::bvh::Bvh;
 
 /// How far outside a triangle, in barycentric coordinates, a line still pierces it: it may not slip through between two.
 const SLACK: f64 = 1e-9;
+/// Squared distances that differ by less of themselves are equal.
+const TIED: f64 = 1e-9;
+/// A coordinate below which a place of a triangle is on its edge.
+const ON_EDGE: f64 = 1e-6;
 
 /// A place on the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +31,8 @@ pub struct Surface {
     /// Vertices in each slot.
     vertices: Vec<[u32; 3]>,
     normals: Vec<Vec3>,
+    /// Whether the triangle in each slot is turned against the surface around it.
+    turned: Vec<bool>,
 }
 
 impl Surface {
@@ -35,7 +41,10 @@ impl Surface {
         let (tree, order) = Bvh::new(triangles.len(), threads, |t| around(of(t).into_iter()));
         let corners = order.iter().map(|&t| of(t as usize)).collect();
         let vertices = order.iter().map(|&t| triangles[t as usize]).collect();
-        Self { tree, order, corners, vertices, normals: vertex_normals(points, triangles) }
+        let normals = vertex_normals(points, triangles);
+        let turned = turned(points, triangles, &normals);
+        let turned = order.iter().map(|&t| turned[t as usize]).collect();
+        Self { tree, order, corners, vertices, normals, turned }
     }
 
     /// Triangles, and slots.
@@ -94,15 +103,31 @@ impl Surface {
     /// The cosine between a direction and the triangle of a slot; 1 where that one is itself turned against the surface
     /// around it.
     pub fn facing(&self, slot: u32, direction: &Vec3) -> f64 {
-        let [a, b, c] = &self.corners[slot as usize];
-        let normal = cross(&sub(b, a), &sub(c, a));
-        let [u, v, w] = self.vertices(slot).map(|v| &self.normals[v as usize]);
-        let around: Vec3 = std::array::from_fn(|i| u[i] + v[i] + w[i]);
-        if dot(&normal, &around) <= 0.0 {
+        if self.turned[slot as usize] {
             return 1.0;
         }
+        let [a, b, c] = &self.corners[slot as usize];
+        let normal = cross(&sub(b, a), &sub(c, a));
         let lengths = (norm2(&normal) * norm2(direction)).sqrt();
         if lengths > 0.0 { dot(&normal, direction) / lengths } else { 1.0 }
+    }
+
+    /// The least of [`Self::facing`] of the triangles nearest to `p`: as near as others are those that share an edge or
+    /// a vertex there.
+    pub fn least_facing(&self, p: &Vec3, direction: &Vec3, near: impl IntoIterator<Item = u32>) -> f64 {
+        let (slot, d2) = self.nearest_slot(p, near);
+        let least = std::cell::Cell::new(self.facing(slot, direction));
+        let (barycentric, _) = nearest_on_triangle(p, self.corners[slot as usize].each_ref());
+        if barycentric.iter().all(|&share| share > ON_EDGE) {
+            return least.get();
+        }
+        self.tree.nearest(p, (slot, d2 * (1.0 + TIED)), |slot| {
+            if triangle_distance2(p, self.corners[slot as usize].each_ref()) <= d2 * (1.0 + TIED) {
+                least.set(least.get().min(self.facing(slot, direction)));
+            }
+            f64::INFINITY
+        });
+        least.get()
     }
 
     /// Where the line through `p` along the unit vector `n` pierces triangles that look along it, nearest to `p` and no
@@ -219,4 +244,27 @@ pub fn vertex_normals(points: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     }
     normals.iter_mut().for_each(|n| *n = unit(n));
     normals
+}
+
+/// Whether each triangle looks against the sum of the normals at its corners, however the triangles around these are
+/// weighed: as on a sphere, all alike, or by their areas.
+fn turned(points: &[Vec3], triangles: &[[u32; 3]], normals: &[Vec3]) -> Vec<bool> {
+    let (mut alike, mut by_area) = (vec![[0.0; 3]; points.len()], vec![[0.0; 3]; points.len()]);
+    let of = |corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|v| &points[v as usize]);
+        cross(&sub(b, a), &sub(c, a))
+    };
+    for corners in triangles {
+        let normal = of(corners);
+        for v in corners.map(|v| v as usize) {
+            alike[v] = add_scaled(&alike[v], 1.0, &unit(&normal));
+            by_area[v] = add_scaled(&by_area[v], 1.0, &normal);
+        }
+    }
+    let against = |corners: &[u32; 3], normals: &[Vec3]| {
+        let normal = of(corners);
+        corners.iter().map(|&v| dot(&normal, &normals[v as usize])).sum::<f64>() <= 0.0
+    };
+    let kinds = [normals, &alike, &by_area];
+    triangles.iter().map(|corners| kinds.iter().all(|normals| against(corners, normals))).collect()
 }

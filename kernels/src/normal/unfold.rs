@@ -5,7 +5,8 @@
 //! where the triangle does that it is a part of, and a triangle of the input that is itself turned is not asked. New
 //! vertices of a triangle that is turned are tried at other places of the surface: on the line from the unrelaxed point,
 //! where they are expected, near the mean of their neighbours and near the middle of their edge; on the boundary elsewhere
-//! along it. What makes the worst triangle around better is taken.
+//! along it. What makes the worst triangle around better is taken. Where that is not enough, a closer search takes what
+//! makes the triangles around better together.
 
 use super::distance::middle;
 use super::found::Found;
@@ -14,10 +15,12 @@ use super::place::{Placed, Search};
 use super::surface::{Place, Surface};
 use crate::base::geometry::{Vec3, add_scaled, cross, distance2, dot, midpoint, norm2, sub, unit};
 use crate::base::parallel::fill;
+use crate::subdivision::contents::Offset;
 use crate::subdivision::topology::NONE;
 
 /// Turns over all triangles that are not sound.
 const TURNS: usize = 12;
+const THOROUGH_TURNS: usize = 4;
 /// Least cosine between a triangle and the surface's mean normal at its corners.
 const LEAST_COSINE: f64 = 0.02;
 /// Least height of a triangle in lengths of its longest side.
@@ -42,6 +45,12 @@ const ASIDE: [[f64; 2]; 12] = [
     [-0.25, 0.25],
     [-0.25, -0.25],
 ];
+/// Where that has not helped, points of a square, closer together towards its middle: how many along a side, and how far
+/// away they are at most.
+const SIDE: usize = 9;
+const ASIDE_AT_MOST: f64 = 0.6;
+/// Shares of a chain that are tried then, less one.
+const FINE_SHARES: usize = 32;
 /// What is not better by this is not better.
 const LEAST_GAIN: f64 = 1e-6;
 
@@ -93,12 +102,31 @@ pub fn against_surface(
         return at_corners;
     }
     let [a, b, c] = points;
-    let (slot, _) = surface.nearest_slot(&middle(&[*a, *b, *c]), near);
-    at_corners.min(surface.facing(slot, &cross(&sub(b, a), &sub(c, a))))
+    let facing = surface.least_facing(&middle(&[*a, *b, *c]), &cross(&sub(b, a), &sub(c, a)), near);
+    at_corners.min(facing)
 }
 
-/// The triangles of a base mesh that are not sound.
-pub fn unsound_in_base(level: &Level, placed: &Placed, surface: &Surface, threads: usize) -> Vec<usize> {
+/// Whether a triangle of these vertices is one of the input, wherever it starts.
+fn is_of_input(
+    surface: &Surface,
+    points: [&Vec3; 3],
+    vertices: [u32; 3],
+    near: impl IntoIterator<Item = u32>,
+) -> bool {
+    let (slot, _) = surface.nearest_slot(&middle(&points.map(|p| *p)), near);
+    let [a, b, c] = surface.vertices(slot);
+    [[a, b, c], [b, c, a], [c, a, b]].contains(&vertices)
+}
+
+/// The triangles of a base mesh that are not sound; `source` are the vertices of the input that its vertices are. What the
+/// input has itself is no fault of the base.
+pub fn unsound_in_base(
+    level: &Level,
+    placed: &Placed,
+    source: &[u32],
+    surface: &Surface,
+    threads: usize,
+) -> Vec<usize> {
     let normals: Vec<Vec3> = placed.places.iter().map(|place| surface.normal_at(place)).collect();
     let mut sound = vec![true; level.topology.triangles.len()];
     fill(&mut sound, threads, |t| {
@@ -106,6 +134,7 @@ pub fn unsound_in_base(level: &Level, placed: &Placed, surface: &Surface, thread
         let (points, normals) = (corners.map(|v| &level.points[v]), corners.map(|v| &normals[v]));
         let near = corners.map(|v| placed.places[v].slot);
         is_sound(against_surface(surface, points, normals, near, None, LEAST_COSINE))
+            || is_of_input(surface, points, corners.map(|v| source[v]), near)
     });
     (0..sound.len()).filter(|&t| !sound[t]).collect()
 }
@@ -223,18 +252,28 @@ impl Fine<'_> {
         moved
     }
 
-    /// Mend triangles of the coarse level; returns those of them, of `open` and of their neighbours that stay unsound.
-    fn mended(&mut self, mut open: Vec<usize>, mut changed: Vec<usize>) -> Vec<usize> {
+    /// Mend triangles of the coarse level by moving vertices of their edges; returns those of them, of `open` and of their
+    /// neighbours that stay unsound.
+    fn mended(
+        &mut self,
+        mut open: Vec<usize>,
+        mut changed: Vec<usize>,
+        turns: usize,
+        mend: fn(&mut Self, usize) -> bool,
+    ) -> Vec<usize> {
         let topology = &self.search.level.topology;
-        for _ in 0..TURNS {
+        for _ in 0..turns {
             // What makes one triangle better may turn its neighbour over. Where nothing has changed, nothing will.
             let mut moved = vec![];
             for t in sorted(changed) {
                 if self.unsound(t) == 0 {
                     continue;
                 }
-                for edge in topology.triangle_edges[t] {
-                    if self.mend(edge as usize) {
+                // A vertex that has a vector already costs no more elsewhere.
+                let mut edges = topology.triangle_edges[t];
+                edges.sort_by_key(|&edge| !matches!(self.found[edge as usize].offset, Offset::Vector(_)));
+                for edge in edges {
+                    if mend(self, edge as usize) {
                         moved.extend(self.beside(edge as usize));
                     }
                 }
@@ -248,6 +287,82 @@ impl Fine<'_> {
         open = sorted(open);
         open.retain(|&t| self.unsound(t) > 0);
         open
+    }
+
+    /// What the triangles around the new vertex of an edge lack to be sound, together.
+    fn lack_around(&self, edge: usize, enough: f64) -> f64 {
+        let v = self.vertex(edge) as u32;
+        let mut lack = 0.0;
+        for t in self.beside(edge) {
+            let children = self.search.level.topology.children(t);
+            for corners in children.iter().filter(|corners| corners.contains(&v)) {
+                lack += (LEAST_COSINE - self.soundness(t, corners, f64::NEG_INFINITY)).max(0.0);
+                if lack >= enough {
+                    return lack;
+                }
+            }
+        }
+        lack
+    }
+
+    /// Put the new vertex of an edge where the triangles around it lack least; whether that is elsewhere.
+    fn search_around(&mut self, edge: usize) -> bool {
+        let search = self.search;
+        let mut lack = self.lack_around(edge, f64::INFINITY);
+        let mut moved = false;
+        let mut try_out = |fine: &mut Self, to: Found| {
+            if lack == 0.0 {
+                return;
+            }
+            let kept = fine.found[edge];
+            fine.put(edge, to);
+            let now = fine.lack_around(edge, lack);
+            if now < lack - LEAST_GAIN {
+                (lack, moved) = (now, true);
+            } else {
+                fine.put(edge, kept);
+            }
+        };
+        if search.level.topology.is_boundary_edge(edge) {
+            let shares = (1..FINE_SHARES).map(|k| k as f64 / FINE_SHARES as f64);
+            shares.filter_map(|share| search.on_rim(edge, share)).for_each(|to| try_out(self, to));
+            return moved;
+        }
+        let [normal, tangent, third] = &search.predicted.frames[edge];
+        let [a, b] = search.level.topology.edges[edge].map(|v| *self.point(v));
+        let (middle, length) = (midpoint(&a, &b), distance2(&a, &b).sqrt());
+        let directions = [self.normals[self.vertex(edge)], *normal];
+        for i in 0..SIDE * SIDE {
+            let [x, y] = [i % SIDE, i / SIDE].map(|k| {
+                let from_middle = 2.0 * k as f64 / (SIDE - 1) as f64 - 1.0;
+                ASIDE_AT_MOST * length * from_middle * from_middle.abs()
+            });
+            let target = add_scaled(&add_scaled(&middle, x, tangent), y, third);
+            for direction in &directions {
+                try_out(self, search.vector(edge, search.nearest(edge, &target, direction)));
+                // Where the sets are thin, another triangle's may do.
+                let anywhere = search.anywhere(edge, &target, direction);
+                anywhere.into_iter().for_each(|place| try_out(self, search.vector(edge, place)));
+            }
+        }
+        moved
+    }
+
+    /// Take back what was not needed in the end: a vertex that a scalar leads to costs less than one with a vector.
+    fn take_back(&mut self, edge: usize) {
+        let search = self.search;
+        let is_vector = matches!(self.found[edge].offset, Offset::Vector(_));
+        if !is_vector || search.level.topology.is_boundary_edge(edge) {
+            return;
+        }
+        let kept = self.found[edge];
+        for to in [search.scalar(edge), search.unrelaxed(edge)].into_iter().flatten() {
+            self.put(edge, to);
+            if self.lack_around(edge, LEAST_GAIN) == 0.0 {
+                return;
+            }
+        }
+        self.put(edge, kept);
     }
 
     /// Points near which the new vertex of an edge may do better.
@@ -279,8 +394,8 @@ impl Fine<'_> {
 }
 
 /// Mend what can be mended; returns the triangles of the level before with children that are not sound, once for each
-/// of these.
-pub fn unfold(search: &Search<'_>, found: &mut [Found]) -> Vec<usize> {
+/// of these. A `thorough` search takes long where the input is crumpled.
+pub fn unfold(search: &Search<'_>, found: &mut [Found], thorough: bool) -> Vec<usize> {
     let (topology, points) = (&search.level.topology, &search.level.points);
     let places = search.placed.places.iter().chain(found.iter().map(|f| &f.place));
     let normals = places.map(|place| search.original.surface.normal_at(place)).collect();
@@ -293,6 +408,10 @@ pub fn unfold(search: &Search<'_>, found: &mut [Found]) -> Vec<usize> {
     let mut counts = vec![0; topology.triangles.len()];
     fill(&mut counts, search.original.threads, |t| fine.unsound(t));
     let unsound: Vec<usize> = (0..counts.len()).filter(|&t| counts[t] > 0).collect();
-    let open = fine.mended(unsound.clone(), unsound);
+    let mut open = fine.mended(unsound.clone(), unsound, TURNS, Fine::mend);
+    if thorough {
+        open = fine.mended(open.clone(), open, THOROUGH_TURNS, Fine::search_around);
+    }
+    (0..topology.edges.len()).for_each(|edge| fine.take_back(edge));
     open.iter().flat_map(|&t| std::iter::repeat_n(t, fine.unsound(t))).collect()
 }

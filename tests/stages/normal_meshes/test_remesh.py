@@ -219,7 +219,7 @@ def turned_at_levels(mesh: Mesh, found: NormalMesh) -> list[int]:
 
 
 @pytest.mark.parametrize("size", [{}, {"levels": 2, "base_triangles": 300}], ids=["default", "small"])
-@pytest.mark.parametrize(("scale", "seed"), [(0.003, 0), (0.006, 0)])
+@pytest.mark.parametrize(("scale", "seed"), [(0.003, 0), (0.003, 1), (0.006, 0), (0.006, 2), (0.006, 4)])
 def test_no_triangle_of_any_level_turns_over_on_a_crumpled_open_sheet_with_islands(
     scale: float, seed: int, size: dict[str, int]
 ) -> None:
