@@ -11,8 +11,9 @@ them open, at a tolerance of 5e-8. Exceptions are new vertices that no scalar ca
 aside, which always have vectors; the papers' counts are beside them. Distances are over the diagonal of the
 original's bounding box: RMS from the original to the result and back, and the largest of both; "check" is the
 same by PyMeshLab's own sampling. "off" is how far the vertices are from the original at most, by PyMeshLab.
-"turned" are triangles that face more than 90° away from the original next to their middle, "flat" those
-without area; "spread" is the standard deviation of edge lengths over their mean. "CPU s" is processor time
+"turned" are triangles that face more than 90° away from the original next to their middle (in brackets: where
+the original is not itself turned against the surface around it), "flat" those without area; "spread" is the
+standard deviation of edge lengths over their mean. "CPU s" is processor time
 from the file to the result, the bytes of the `.snm` included. "bits" are for each vertex of the result.
 
 "rates": see normal_mesh_rates.py.
@@ -229,7 +230,7 @@ def shaped(mesh: Mesh, light: Mesh) -> list[str]:
         f"{np.percentile(angles, 5):.1f}",
         f"{angles.mean():.1f}",
         f"{lengths.std() / lengths.mean():.2f}",
-        f"{turned(mesh, light)}",
+        "{} ({})".format(*turned(mesh, light)),
         f"{topology(light).degenerate}",
     ]
 
@@ -284,11 +285,19 @@ def cell(value: float, form: str) -> str:
     return "" if math.isnan(value) else f"{value:{form}}"
 
 
-def turned(mesh: Mesh, light: Mesh) -> int:
-    """Count triangles that face away, by more than a right angle, from the original next to their middle."""
-    middles = light.vertices[light.triangles].mean(axis=1)
+def turned(mesh: Mesh, light: Mesh) -> tuple[int, int]:
+    """Count triangles that face away, by more than a right angle, from the original next to their middle.
+
+    And those of them where the original is not itself turned against the surface around it.
+    """
+    middles, facing = light.vertices[light.triangles].mean(axis=1), unit_normals(mesh)
     nearest = Surface(mesh, bounding_box(mesh, light)).closest(middles).triangles
-    return int(np.count_nonzero((unit_normals(light) * unit_normals(mesh)[nearest]).sum(axis=1) < 0))
+    away = (unit_normals(light) * facing[nearest]).sum(axis=1) < 0
+    around = np.zeros(mesh.vertices.shape)
+    for corner in mesh.triangles.T:
+        np.add.at(around, corner, facing)
+    straight = (around[mesh.triangles].sum(axis=1) * facing).sum(axis=1) > 0
+    return int(np.count_nonzero(away)), int(np.count_nonzero(away & straight[nearest]))
 
 
 def print_colors(model: Model, data: Path, samples: int) -> None:

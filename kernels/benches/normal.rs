@@ -4,7 +4,9 @@ use criterion::Criterion;
 use scanloom_kernels::base::geometry::Vec3;
 use scanloom_kernels::normal::carried::Carried;
 use scanloom_kernels::normal::coarsening::Target;
-use scanloom_kernels::normal::remesh::{NormalMesh, Settings, remesh};
+use scanloom_kernels::normal::normal_mesh::NormalMesh;
+use scanloom_kernels::normal::remesh::remesh;
+use scanloom_kernels::normal::settings::Settings;
 use scanloom_kernels::subdivision::contents::Scheme;
 
 use crate::common::{Triangles, alone, measure, plain_field};

@@ -2,7 +2,7 @@
 
 use super::grid::Steps;
 use super::level::Level;
-use super::remesh::{NormalMesh, Step};
+use super::normal_mesh::{NormalMesh, Step};
 use crate::base::reserve::Reserve;
 use crate::snm::{Reader, SnmError};
 

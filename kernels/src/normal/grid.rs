@@ -59,3 +59,11 @@ pub fn on_grid(p: &Vec3, header: &Header) -> [i32; 3] {
 pub fn from_grid(k: &[i32; 3], header: &Header) -> Vec3 {
     k.map(|x| f64::from(x) * f64::from(header.grid))
 }
+
+/// What channels differ by from what is expected, in units.
+pub fn in_units(channels: &[f64; 4], expected: &[f64; 4], header: &Header) -> [i32; 4] {
+    std::array::from_fn(|i| {
+        let used = i < usize::from(header.channels);
+        if used { ((channels[i] - expected[i]) / f64::from(header.units[i])).round() as i32 } else { 0 }
+    })
+}

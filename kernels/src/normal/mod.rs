@@ -11,6 +11,8 @@
 //! | [`carried`] | colours and confidence |
 //! | [`distance`], [`importance`] | how far off a level is, and what the next trial makes of it |
 //! | [`noise`], [`tolerance`] | how rough the input is by itself, and how exact a file has to be |
+//! | [`input`], [`ordered`], [`refining`], [`trials`] | what is remeshed; a base in whole numbers; its levels; which base is the best |
+//! | [`settings`], [`header`], [`normal_mesh`] | what is asked for; the steps of a file; what comes out |
 //! | [`remesh`], [`decode`] | from a mesh to a file and its levels, and back |
 
 pub mod associated;
@@ -23,16 +25,23 @@ pub mod domain;
 pub mod found;
 pub mod grid;
 pub mod half_edge;
+pub mod header;
 pub mod importance;
+pub mod input;
 pub mod level;
 pub mod needles;
 pub mod noise;
+pub mod normal_mesh;
+pub mod ordered;
 pub mod parameters;
 pub mod place;
 pub mod predict;
+pub mod refining;
 pub mod remesh;
 pub mod rim;
 pub mod rounding;
+pub mod settings;
 pub mod surface;
 pub mod tolerance;
+pub mod trials;
 pub mod unfold;

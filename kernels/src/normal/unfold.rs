@@ -8,6 +8,8 @@
 //! along it. What makes the worst triangle around better is taken. Where that is not enough, a closer search takes what
 //! makes the triangles around better together.
 
+use std::ops::Add;
+
 use super::distance::middle;
 use super::found::Found;
 use super::level::Level;
@@ -139,6 +141,9 @@ pub fn unsound_in_base(
     (0..sound.len()).filter(|&t| !sound[t]).collect()
 }
 
+/// What two triangles lack: the larger of both, or the sum.
+type Joined = fn(f64, f64) -> f64;
+
 /// The next level while it is being mended.
 struct Fine<'a> {
     search: &'a Search<'a>,
@@ -185,20 +190,24 @@ impl Fine<'_> {
         beside.into_iter().filter(|&t| t != NONE).map(|t| t as usize)
     }
 
-    /// The worst of the triangles around the new vertex of an edge, as far as it is above `enough`.
-    fn worst_around(&self, edge: usize, enough: f64) -> f64 {
+    /// The triangles around the new vertex of an edge, and the ones they are a part of.
+    fn around(&self, edge: usize) -> impl Iterator<Item = (usize, [u32; 3])> {
         let v = self.vertex(edge) as u32;
-        let mut worst = f64::INFINITY;
-        for t in self.beside(edge) {
-            let children = self.search.level.topology.children(t);
-            for corners in children.iter().filter(|corners| corners.contains(&v)) {
-                worst = worst.min(self.soundness(t, corners, enough));
-                if worst <= enough {
-                    return worst;
-                }
+        let children = |t| self.search.level.topology.children(t).into_iter().map(move |child| (t, child));
+        self.beside(edge).flat_map(children).filter(move |(_, child)| child.contains(&v))
+    }
+
+    /// What the triangles around the new vertex of an edge lack to be sound, as far as it is below `most`.
+    fn lack_around(&self, edge: usize, most: f64, joined: Joined) -> f64 {
+        let mut lack = 0.0;
+        for (t, corners) in self.around(edge) {
+            let of_one = LEAST_COSINE - self.soundness(t, &corners, LEAST_COSINE - most);
+            lack = joined(lack, of_one.max(0.0));
+            if lack >= most {
+                break;
             }
         }
-        worst
+        lack
     }
 
     fn put(&mut self, edge: usize, found: Found) {
@@ -207,49 +216,70 @@ impl Fine<'_> {
         self.normals[v] = self.search.original.surface.normal_at(&found.place);
     }
 
-    /// Put the new vertex of an edge elsewhere if that makes the worst triangle around it better; whether it did.
-    fn try_out(&mut self, edge: usize, to: Found, worst: &mut f64) -> bool {
-        let kept = self.found[edge];
-        self.put(edge, to);
-        let now = self.worst_around(edge, *worst + LEAST_GAIN);
-        let better = now > *worst + LEAST_GAIN;
-        if better {
-            *worst = now;
-        } else {
-            self.put(edge, kept);
+    /// Put the new vertex of an edge where the triangles around it lack least, until they lack nothing; whether that is
+    /// elsewhere.
+    fn try_out(&mut self, edge: usize, places: impl IntoIterator<Item = Found>, joined: Joined) -> bool {
+        let mut lack = self.lack_around(edge, f64::INFINITY, joined);
+        let mut moved = false;
+        for to in places {
+            if lack == 0.0 {
+                break;
+            }
+            let kept = self.found[edge];
+            self.put(edge, to);
+            let now = self.lack_around(edge, lack, joined);
+            if now == 0.0 || now < lack - LEAST_GAIN {
+                (lack, moved) = (now, true);
+            } else {
+                self.put(edge, kept);
+            }
         }
-        better
+        moved
     }
 
-    /// Try other places for the new vertex of an edge; whether one is better.
+    /// Try a few places for the new vertex of an edge; whether one is better for the worst triangle around it.
     fn mend(&mut self, edge: usize) -> bool {
         let search = self.search;
-        let mut worst = self.worst_around(edge, f64::NEG_INFINITY);
-        if is_sound(worst) {
-            return false;
-        }
-        let mut moved = false;
         if search.level.topology.is_boundary_edge(edge) {
-            for to in SHARES.iter().filter_map(|&share| search.on_rim(edge, share)) {
-                moved |= !is_sound(worst) && self.try_out(edge, to, &mut worst);
-            }
-            return moved;
+            return self.try_out(
+                edge,
+                SHARES.iter().filter_map(|&share| search.on_rim(edge, share)),
+                f64::max,
+            );
         }
-        moved |= search.unrelaxed(edge).is_some_and(|to| self.try_out(edge, to, &mut worst));
-        if is_sound(worst) {
-            return moved;
-        }
+        let moved = self.try_out(edge, search.unrelaxed(edge), f64::max);
         let frame = &search.predicted.frames[edge];
         let directions = [self.normals[self.vertex(edge)], frame[0]];
         let targets = self.targets(edge, frame);
         let near = targets.iter().flat_map(|p| directions.map(|n| search.nearest(edge, p, &n)));
-        for place in search.expected_place(edge).into_iter().chain(near) {
-            if is_sound(worst) {
-                break;
-            }
-            moved |= self.try_out(edge, search.vector(edge, place), &mut worst);
+        let places = search.expected_place(edge).into_iter().chain(near);
+        self.try_out(edge, places.map(|place| search.vector(edge, place)), f64::max) || moved
+    }
+
+    /// Try many places for the new vertex of an edge; whether one is better for the triangles around it together.
+    fn search_around(&mut self, edge: usize) -> bool {
+        let search = self.search;
+        if search.level.topology.is_boundary_edge(edge) {
+            let shares = (1..FINE_SHARES).map(|k| k as f64 / FINE_SHARES as f64);
+            return self.try_out(edge, shares.filter_map(|share| search.on_rim(edge, share)), f64::add);
         }
-        moved
+        let [normal, tangent, third] = &search.predicted.frames[edge];
+        let [a, b] = search.level.topology.edges[edge].map(|v| *self.point(v));
+        let (middle, length) = (midpoint(&a, &b), distance2(&a, &b).sqrt());
+        let directions = [self.normals[self.vertex(edge)], *normal];
+        let places = (0..SIDE * SIDE).flat_map(|i| {
+            let [x, y] = [i % SIDE, i / SIDE].map(|k| {
+                let from_middle = 2.0 * k as f64 / (SIDE - 1) as f64 - 1.0;
+                ASIDE_AT_MOST * length * from_middle * from_middle.abs()
+            });
+            let target = add_scaled(&add_scaled(&middle, x, tangent), y, third);
+            directions.into_iter().flat_map(move |direction| {
+                // Where the sets are thin, another triangle's may do.
+                let near = std::iter::once_with(move || search.nearest(edge, &target, &direction));
+                near.chain(search.anywhere(edge, &target, &direction))
+            })
+        });
+        self.try_out(edge, places.map(|place| search.vector(edge, place)), f64::add)
     }
 
     /// Mend triangles of the coarse level by moving vertices of their edges; returns those of them, of `open` and of their
@@ -289,65 +319,6 @@ impl Fine<'_> {
         open
     }
 
-    /// What the triangles around the new vertex of an edge lack to be sound, together.
-    fn lack_around(&self, edge: usize, enough: f64) -> f64 {
-        let v = self.vertex(edge) as u32;
-        let mut lack = 0.0;
-        for t in self.beside(edge) {
-            let children = self.search.level.topology.children(t);
-            for corners in children.iter().filter(|corners| corners.contains(&v)) {
-                lack += (LEAST_COSINE - self.soundness(t, corners, f64::NEG_INFINITY)).max(0.0);
-                if lack >= enough {
-                    return lack;
-                }
-            }
-        }
-        lack
-    }
-
-    /// Put the new vertex of an edge where the triangles around it lack least; whether that is elsewhere.
-    fn search_around(&mut self, edge: usize) -> bool {
-        let search = self.search;
-        let mut lack = self.lack_around(edge, f64::INFINITY);
-        let mut moved = false;
-        let mut try_out = |fine: &mut Self, to: Found| {
-            if lack == 0.0 {
-                return;
-            }
-            let kept = fine.found[edge];
-            fine.put(edge, to);
-            let now = fine.lack_around(edge, lack);
-            if now < lack - LEAST_GAIN {
-                (lack, moved) = (now, true);
-            } else {
-                fine.put(edge, kept);
-            }
-        };
-        if search.level.topology.is_boundary_edge(edge) {
-            let shares = (1..FINE_SHARES).map(|k| k as f64 / FINE_SHARES as f64);
-            shares.filter_map(|share| search.on_rim(edge, share)).for_each(|to| try_out(self, to));
-            return moved;
-        }
-        let [normal, tangent, third] = &search.predicted.frames[edge];
-        let [a, b] = search.level.topology.edges[edge].map(|v| *self.point(v));
-        let (middle, length) = (midpoint(&a, &b), distance2(&a, &b).sqrt());
-        let directions = [self.normals[self.vertex(edge)], *normal];
-        for i in 0..SIDE * SIDE {
-            let [x, y] = [i % SIDE, i / SIDE].map(|k| {
-                let from_middle = 2.0 * k as f64 / (SIDE - 1) as f64 - 1.0;
-                ASIDE_AT_MOST * length * from_middle * from_middle.abs()
-            });
-            let target = add_scaled(&add_scaled(&middle, x, tangent), y, third);
-            for direction in &directions {
-                try_out(self, search.vector(edge, search.nearest(edge, &target, direction)));
-                // Where the sets are thin, another triangle's may do.
-                let anywhere = search.anywhere(edge, &target, direction);
-                anywhere.into_iter().for_each(|place| try_out(self, search.vector(edge, place)));
-            }
-        }
-        moved
-    }
-
     /// Take back what was not needed in the end: a vertex that a scalar leads to costs less than one with a vector.
     fn take_back(&mut self, edge: usize) {
         let search = self.search;
@@ -355,10 +326,10 @@ impl Fine<'_> {
         if !is_vector || search.level.topology.is_boundary_edge(edge) {
             return;
         }
-        let kept = self.found[edge];
+        let (kept, lack) = (self.found[edge], self.lack_around(edge, f64::INFINITY, f64::add));
         for to in [search.scalar(edge), search.unrelaxed(edge)].into_iter().flatten() {
             self.put(edge, to);
-            if self.lack_around(edge, LEAST_GAIN) == 0.0 {
+            if self.lack_around(edge, f64::INFINITY, f64::add) <= lack {
                 return;
             }
         }

@@ -440,6 +440,7 @@ def test_a_base_that_cannot_get_small_enough_is_told() -> None:
         "face.obj",
         "camelhead.off",
         "stanford-bunny.obj",
+        "sceaux_mvs_scene_mesh.ply",
     ],
 )
 def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> None:
@@ -447,6 +448,7 @@ def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> Non
     # Of the cow, a coarser base than the paper's leaves out the horns.
     size = {"levels": 2, "base_triangles": 426} if name == "cow.obj" else {"levels": 3}
     found = remesh(mesh, tolerance=5e-8, **size)
+    assert turned_at_levels(mesh, found) == [0] * len(found.levels)
     expected = clean(mesh).mesh if topology(mesh).nonmanifold_vertices else mesh
     surface = Surface(mesh)
     for level in found.levels:

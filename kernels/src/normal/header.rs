@@ -1,0 +1,77 @@
+//! The first lines of a file: the grid of the base, the steps of the levels, and how many there are.
+
+use super::carried::Carried;
+use super::grid::ROUNDED_OFF;
+use super::settings::Settings;
+use super::tolerance::{FINEST, MOST_DOUBLINGS};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{Vec3, diagonal};
+use crate::subdivision::contents::Header;
+
+/// Levels at most where their number is not given.
+pub const MOST_LEVELS: u8 = 4;
+/// Steps of a level in those of the next finer one: what is wrong early spreads far.
+const STEP_RATIO: f32 = 0.625;
+/// Bits of the mantissas of steps: the file is shorter for round numbers.
+const MANTISSA: u32 = 3;
+/// Spacings of the grid in tolerances, where no levels follow: among the points around a vertex one is near enough.
+pub const GRID_ALONE: f64 = 2.0;
+/// A mesh farther from the origin than this many diagonals gets one of its own.
+const FAR: f64 = 4.0;
+/// Grid points that 32 bits hold with room for the coder's predictions.
+const MOST_GRID_POINTS: f64 = (1u32 << 29) as f64;
+
+/// For a mesh within `bounds`, as exact as is asked for, or as can be.
+///
+/// # Errors
+/// [`KernelError::Extent`] if the mesh is too small or too large for the numbers of a file.
+pub fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Result<Header, KernelError> {
+    let size = diagonal(&bounds);
+    let tolerance = settings.tolerance.unwrap_or(FINEST);
+    let step = round_down(tolerance * size / ROUNDED_OFF);
+    let grid = if settings.is_alone() { round_down(GRID_ALONE * tolerance * size) } else { 0.5 * step };
+    if !grid.is_normal() || !step.is_normal() || size / f64::from(grid) > MOST_GRID_POINTS {
+        return Err(KernelError::Extent { diagonal: size });
+    }
+    let farthest = bounds.iter().flatten().fold(0.0f64, |most, x| most.max(x.abs()));
+    let far = farthest > FAR * size || farthest / f64::from(grid) > MOST_GRID_POINTS;
+    // On the coarsest grid that may follow from this one.
+    let cells = if settings.tolerance.is_some() { 1 } else { 1i64 << MOST_DOUBLINGS };
+    let near = |x: f64| cells * (x / f64::from(grid) / cells as f64).round() as i64;
+    let origin = if far { bounds[0].map(near) } else { [0; 3] };
+    Ok(Header {
+        scheme: settings.scheme,
+        relaxations: settings.relaxations,
+        origin,
+        grid,
+        step,
+        step_ratio: STEP_RATIO,
+        channels: carried.channels(),
+        units: carried.units(settings.color_tolerance),
+        levels: settings.levels.unwrap_or(MOST_LEVELS),
+    })
+}
+
+/// Levels after which a base has about as many triangles as are wanted.
+pub fn levels_for(base: usize, triangles: usize) -> u8 {
+    let growth = triangles as f64 / base.max(1) as f64;
+    (1..MOST_LEVELS).find(|&level| growth < 2.0 * 4f64.powi(level.into())).unwrap_or(MOST_LEVELS)
+}
+
+/// A number that is not larger and has a short mantissa.
+fn round_down(x: f64) -> f32 {
+    let near = x as f32;
+    let below = if f64::from(near) > x { near.next_down() } else { near };
+    f32::from_bits(below.to_bits() >> (23 - MANTISSA) << (23 - MANTISSA))
+}
+
+/// The same with steps doubled so often, and the same origin.
+pub fn coarser(header: &Header, doublings: u32) -> Header {
+    let factor = (1u32 << doublings) as f32;
+    Header {
+        origin: header.origin.map(|k| k >> doublings),
+        grid: factor * header.grid,
+        step: factor * header.step,
+        ..*header
+    }
+}
