@@ -25,6 +25,7 @@ from cli.commands import (
     bake,
     cache,
     certify,
+    check,
     clean,
     compare,
     config,
@@ -64,7 +65,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         remesh.remesh,
         decode.decode,
     ),
-    "Look and measure": (patches.patches, compare.compare, certify.certify, render.render),
+    "Look and measure": (check.check, patches.patches, compare.compare, certify.certify, render.render),
 }
 
 

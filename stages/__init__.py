@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stages.adjusting.adjust import AdjustParams, adjust
     from stages.adjusting.adjusted import Adjusted
+    from stages.cleaning.check import Checked, CheckParams, check
     from stages.cleaning.clean import Cleaned, CleanParams, clean
     from stages.comparing.certify import Certificate, CertifyParams, certify
     from stages.comparing.compare import CompareParams, Comparison, compare
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 _NAMES_OF = {
     "adjusting.adjust": ("AdjustParams", "adjust"),
     "adjusting.adjusted": ("Adjusted",),
+    "cleaning.check": ("CheckParams", "Checked", "check"),
     "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
@@ -102,6 +104,8 @@ __all__ = [
     "Camera",
     "Certificate",
     "CertifyParams",
+    "CheckParams",
+    "Checked",
     "CleanParams",
     "Cleaned",
     "CollapseRecord",
@@ -146,6 +150,7 @@ __all__ = [
     "as_mesh",
     "bake",
     "certify",
+    "check",
     "clean",
     "compare",
     "decode",

@@ -33,6 +33,7 @@ __all__ = [
     "color_weight",
     "decode_normal_mesh",
     "fit",
+    "intersecting_triangles",
     "lay_out",
     "planar_patches",
     "remesh",
@@ -564,6 +565,15 @@ def planar_patches(
     progress: Callable[[int, int], object],
 ) -> PlanarPatches:
     """Return the patches alone. Raises InvalidMeshError for a mesh it cannot work on."""
+
+def intersecting_triangles(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    *,
+    wanted_threads: int,
+    progress: Callable[[int, int], object],
+) -> NDArray[np.uint32]:
+    """Return for each triangle one that it meets beyond what both share; 2³² − 1 for none."""
 
 def spatial_order(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]

@@ -114,8 +114,8 @@ def topology(mesh: MeshLike) -> Topology:
         boundary_loops=_loop_count(edges, labels),
         components=pieces - unused,
         nonmanifold_edges=int(np.count_nonzero(edges.count > 2)),
-        nonmanifold_vertices=len(_pinched(proper, labels)),
-        inconsistent_edges=int(np.count_nonzero(_inconsistent(edges))),
+        nonmanifold_vertices=len(pinched(proper, labels)),
+        inconsistent_edges=int(np.count_nonzero(inconsistent(edges))),
         degenerate=int(np.count_nonzero(is_degenerate(mesh.vertices, mesh.triangles))),
         duplicate=int(np.count_nonzero(is_duplicate(edges))),
         unreferenced=int(np.count_nonzero(~referenced)),
@@ -138,13 +138,13 @@ def require_manifold(mesh: MeshLike, where: str = "mesh") -> Mesh:
     edges = edges_of(mesh.triangles, len(mesh.vertices))
     for offending, name in (
         (edges.count > 2, "edges of more than two triangles"),
-        (_inconsistent(edges), "edges whose two triangles are oriented against each other"),
+        (inconsistent(edges), "edges whose two triangles are oriented against each other"),
     ):
         if offending.any():
             _refuse(where, name, edges.ends[offending])
-    pinched = _pinched(mesh.triangles, fans(mesh.triangles, *neighbours(edges, edges.count > 1)))
-    if len(pinched):
-        _refuse(where, "pinched vertices, whose triangles form more than one fan", pinched)
+    singular = pinched(mesh.triangles, fans(mesh.triangles, *neighbours(edges, edges.count > 1)))
+    if len(singular):
+        _refuse(where, "pinched vertices, whose triangles form more than one fan", singular)
     return mesh
 
 
@@ -240,11 +240,12 @@ def is_duplicate(edges: Edges) -> NDArray[np.bool_]:
     return again
 
 
-def _inconsistent(edges: Edges) -> NDArray[np.bool_]:
+def inconsistent(edges: Edges) -> NDArray[np.bool_]:
+    """Return which edges have two triangles that run along them in the same direction."""
     return np.asarray((edges.count == 2) & (edges.forward != 1))
 
 
-def _pinched(triangles: Triangles, labels: Ids) -> Ids:
+def pinched(triangles: Triangles, labels: Ids) -> Ids:
     """Return the vertices whose corners carry more than one label."""
     corners = triangles.reshape(-1)
     vertex_of_fan = np.empty(labels.max(initial=-1) + 1, np.int64)

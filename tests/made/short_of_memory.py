@@ -55,6 +55,9 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
     }
     return {
         "side_lengths": partial(kernels.side_lengths, mesh.vertices, mesh.triangles, wanted_threads=2),
+        "intersecting_triangles": partial(
+            kernels.intersecting_triangles, mesh.vertices, mesh.triangles, wanted_threads=2, **told
+        ),
         "spatial_order": partial(kernels.spatial_order, mesh.vertices, mesh.triangles),
         "lay_out": partial(
             kernels.lay_out,

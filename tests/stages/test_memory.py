@@ -21,6 +21,7 @@ from tests.made.short_of_memory import DONE, MEMORY
 SIDES = {
     "side_lengths": 500,
     "spatial_order": 400,
+    "intersecting_triangles": 200,
     "weld_sheets": 400,
     "color_weight": 150,
     "simplify": 100,

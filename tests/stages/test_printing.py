@@ -104,6 +104,7 @@ def everything():
         comparison.symmetric,
         comparison.color,
         stages.certify(mesh, mesh),
+        stages.check(mesh),
         remeshed,
         remeshed.offsets[0],
         stages.bake(ball(1), mesh, max_size=64),

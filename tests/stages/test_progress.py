@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages import Mesh, ScanParams, certify, planar_patches, read_scan, register, remesh, simplify
+from stages import Mesh, ScanParams, certify, check, planar_patches, read_scan, register, remesh, simplify
 from stages.progress import Progress
 from stages.simplification.methods import METHODS
 
@@ -59,6 +59,7 @@ WORK: dict[str, Callable[[Progress], object]] = {
     "certify within a limit": lambda progress: certify(
         light(), hills(150), max_shape=0.008, progress=progress
     ),
+    "check": lambda progress: check(hills(400), progress=progress),
     "patches": lambda progress: planar_patches(hills(400), progress=progress),
     "register": lambda progress: register(read_scan(SAMPLE, ScanParams(every=3)), progress=progress),
     "remesh": lambda progress: remesh(light(), progress=progress),

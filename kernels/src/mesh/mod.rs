@@ -7,12 +7,14 @@
 //! | [`star`] | the neighbourhood of an edge that a collapse sees |
 //! | [`legality`] | what no collapse may do |
 //! | [`bvh`] | the tree of boxes that searches walk |
+//! | [`intersections`] | triangles that meet elsewhere than the mesh says |
 //! | [`spatial`] | an order in which neighbours in space are neighbours in memory |
 //! | [`validate`] | every invariant of the connectivity, for tests |
 
 pub mod bvh;
 pub mod connect;
 pub mod connectivity;
+pub mod intersections;
 pub mod legality;
 pub mod spatial;
 pub mod star;

@@ -10,6 +10,7 @@ mod color_weight;
 mod detached;
 mod fit;
 mod guarded;
+mod intersections;
 mod jia01;
 mod normal_mesh;
 mod order;
@@ -86,6 +87,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<jia01::BySums>()?;
     module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
     module.add_function(wrap_pyfunction!(jia01::side_lengths, module)?)?;
+    module.add_function(wrap_pyfunction!(intersections::intersecting_triangles, module)?)?;
     module.add_class::<normal_mesh::NormalMesh>()?;
     module.add("SnmError", module.py().get_type::<normal_mesh::SnmError>())?;
     module.add_function(wrap_pyfunction!(normal_mesh::remesh, module)?)?;

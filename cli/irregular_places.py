@@ -1,0 +1,95 @@
+"""The places that `check` finds, as lists and as colours of a mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from cli.mesh_arguments import write_file
+from cli.output import Output
+from stages import Checked, Mesh
+from stages.cleaning.check import CLASSES
+
+SavePlaces = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="JSON file for all places, class by class, with a point of each.",
+        show_default=False,
+    ),
+]
+SavePly = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="PLY file for the mesh with irregular places in colours: triangles, and those at irregular "
+        "edges and vertices. The colours are told.",
+        show_default=False,
+    ),
+]
+
+# Of classes, told apart by hue and by lightness; what is regular is grey. Later ones lie over earlier ones.
+COLORS = {
+    "border_edges": (86, 180, 233),
+    "inconsistent_edges": (0, 114, 178),
+    "thin_triangles": (180, 220, 255),
+    "needles": (240, 228, 66),
+    "caps": (230, 159, 0),
+    "spikes": (204, 121, 167),
+    "sharp_edges": (160, 60, 130),
+    "focal_vertices": (0, 158, 115),
+    "singular_border_triangles": (120, 210, 120),
+    "singular_vertices": (0, 100, 60),
+    "degenerate_triangles": (20, 20, 20),
+    "duplicate_triangles": (90, 60, 30),
+    "nonmanifold_edges": (213, 94, 0),
+    "intersecting_triangles": (200, 0, 0),
+}
+_REGULAR = (190, 190, 190)
+
+
+def place_lists(found: Checked) -> dict[str, Any]:
+    """Return all places of each class by their numbers, and a point of each in metres."""
+    return {
+        name: {
+            "kind": CLASSES[name][0],
+            "treatment": CLASSES[name][1],
+            "places": found.places[name].tolist(),
+            "points_m": found.points[name].tolist(),
+        }
+        for name in CLASSES
+    }
+
+
+def write_coloured(path: Path, mesh: Mesh, found: Checked, out: Output) -> None:
+    """Write a mesh whose triangles have the colour of their class; say which colours those are."""
+    triangles = mesh.triangles
+    colors = np.full((len(triangles), 3), _REGULAR, np.uint8)
+    for name, color in COLORS.items():
+        colors[_triangles_at(found, name)] = color
+        if count := len(found.places[name]):
+            out.remark(f"{path}: {name.replace('_', ' ')} ({count:,}) are rgb{color}")
+    corners = triangles.reshape(-1)
+    apart = Mesh(
+        mesh.vertices[corners],
+        np.arange(len(corners), dtype=np.int32).reshape(-1, 3),
+        colors=np.repeat(colors, 3, axis=0),
+    )
+    write_file(path, apart, out)
+
+
+def _triangles_at(found: Checked, name: str) -> NDArray[np.bool_]:
+    """Return which triangles (m,) are of a class, or have an edge or a vertex of it."""
+    places, kind = found.places[name], CLASSES[name][0]
+    triangles = found.triangles.astype(np.int64)
+    if kind == "triangle":
+        return np.isin(np.arange(len(triangles)), places)
+    if kind == "vertex":
+        return np.isin(triangles, places).any(axis=1)
+    count = triangles.max(initial=0) + 1
+    sides = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2), axis=2)
+    return np.isin(sides[..., 0] * count + sides[..., 1], places[:, 0] * count + places[:, 1]).any(axis=1)
