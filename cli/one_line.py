@@ -13,6 +13,6 @@ _MOST = 2000
 
 
 def one_line(text: str) -> str:
-    r"""Return text as one line, controls written out (a line break as \n), without the middle if it is long."""
+    r"""Return text as one line, controls written out (a line break as \n), without its middle if long."""
     line = _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text.rstrip())
     return line if len(line) <= _MOST else f"{line[: _MOST // 2]} … {line[-_MOST // 2 :]}"
