@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.needles import WithNeedles
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.color import color_at, has_color
@@ -27,7 +28,7 @@ from stages.surface.topology import areas, require_area
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 # A colour error below this (levels) is the rounding of interpolation, not a difference.
 _EQUAL = 1e-4
@@ -185,8 +186,9 @@ def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Compariso
 
     Their boxes hold both meshes, and both have passed `require_area`.
     """
-    forward = _one_way(a.mesh, b, params.samples, (params.seed, 0))
-    backward = _one_way(b.mesh, a, params.samples, (params.seed, 1))
+    box = bounding_box(a.mesh, b.mesh)
+    forward = _one_way(a.mesh, WithNeedles(b, box), params.samples, (params.seed, 0))
+    backward = _one_way(b.mesh, WithNeedles(a, box), params.samples, (params.seed, 1))
     both = forward.merged(backward)
     low, high = bounding_box(a.mesh)
     return Comparison(
@@ -232,7 +234,7 @@ class _Sums:
         return ColorError(math.sqrt(self.color_squared / (3 * self.count)), self.color_maximum)
 
 
-def _one_way(mesh: Mesh, other: Surface, count: int, seed: tuple[int, int]) -> _Sums:
+def _one_way(mesh: Mesh, other: WithNeedles, count: int, seed: tuple[int, int]) -> _Sums:
     rng = np.random.default_rng(seed)
     cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
     colored = has_color(mesh) and has_color(other.mesh)
@@ -249,7 +251,7 @@ def _one_way(mesh: Mesh, other: Surface, count: int, seed: tuple[int, int]) -> _
     )
 
 
-def _at_vertices(mesh: Mesh, other: Surface) -> Iterator[_Sums]:
+def _at_vertices(mesh: Mesh, other: WithNeedles) -> Iterator[_Sums]:
     # A corner of each vertex in use: along a seam of a texture it has several colours, and one is looked at.
     used, corners = np.unique(mesh.triangles, return_index=True)
     colored = has_color(mesh) and has_color(other.mesh)
@@ -260,7 +262,7 @@ def _at_vertices(mesh: Mesh, other: Surface) -> Iterator[_Sums]:
         yield _measured(mesh.vertices[used[rows]], colors, other)
 
 
-def _measured(points: Floats, colors: NDArray[np.floating] | None, other: Surface) -> _Sums:
+def _measured(points: Floats, colors: NDArray[np.floating] | None, other: WithNeedles) -> _Sums:
     nearest = other.closest(points)
     d = nearest.distances
     color_squared, color_maximum = None, 0.0

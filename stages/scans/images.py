@@ -17,6 +17,8 @@ from stages.files.images import decode_color, file_bytes, read_raw_depth, read_s
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Packed, pinhole, scaled
 from stages.scans.undistortion import undistorted
 
+# Nothing is nearer than this (m); what would be is no measurement, and its inverse no number.
+_NEAREST = 1e-6
 # By how much an image may be wider or narrower than its camera says, of its height: rounding of its size.
 _SAME_SHAPE = 0.02
 
@@ -155,7 +157,7 @@ def read_depth(frame: Frame) -> DepthImage | None:
         depth[mask == 0] = 0
     if frame.camera.distortion:
         depth = cast(DepthImage, undistorted(depth, frame.camera, smooth=False))
-    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+    return np.where(np.isfinite(depth) & (depth > _NEAREST), depth, np.float32(0))
 
 
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:

@@ -121,8 +121,8 @@ def _unknown(folder: Path) -> str:
         if inside is not None:
             return f"no scan here, but its folder {child.name}/ looks like one ({inside[0].name}); give that."
     shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
-    known = "".join(f"\n  {one.name}: {one.text}" for one in LAYOUTS)
-    return f"unknown layout. The folder holds {shown}. Layouts that can be read are:{known}"
+    known = ", ".join(one.name for one in LAYOUTS)
+    return f"unknown layout. The folder holds {shown}. Layouts that can be read are {known}; see the README."
 
 
 def _selected(frames: Sequence[Frame], options: ScanParams) -> Sequence[Frame]:

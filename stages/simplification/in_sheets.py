@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages import _kernels
+from stages.simplification.grown_together import grown_together
 from stages.simplification.result import Details, Simplified
 from stages.simplification.seams.similar import may_have_equal, similar_sets
 from stages.simplification.task import Task
@@ -58,7 +59,11 @@ def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]
         most = np.zeros(len(sets))
         np.maximum.at(most, sets, importance)
         importance = most[sets[source]]
-    found = run(replace(task, mesh=mesh, lock=locked[sets[source]] | split, importance=importance))
+    found = _run_apart(
+        replace(task, mesh=mesh, lock=locked[sets[source]] | split, importance=importance),
+        run,
+        may_touch=bool(sheets.touches.any()),
+    )
     return replace(
         found,
         mesh=found.mesh.with_(notes=(*found.mesh.notes, *notes)),
@@ -66,6 +71,20 @@ def run_on(sheets: Sheets, task: Task[P], run: Callable[[Task[P]], Simplified[D]
         triangle_source=sheets.triangle_source[found.triangle_source],
         triangles_before=len(task.mesh.triangles),
     )
+
+
+def _run_apart(task: Task[P], run: Callable[[Task[P]], Simplified[D]], *, may_touch: bool) -> Simplified[D]:
+    """Return what `run` makes of sheets that touch: where they would grow together, all stays as it is."""
+    found = run(task)
+    # It has been told then that all is done; what is done once more does not go back.
+    again = replace(task, progress=lambda _done, total: task.progress(total, total))
+    while may_touch and found.stopped_by != "request":
+        stays = grown_together(task.mesh, found) & ~again.lock
+        if not stays.any():
+            break
+        again = replace(again, lock=again.lock | stays)
+        found = run(again)
+    return found
 
 
 def joined(mesh: Mesh) -> Sheets | None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "Simplified", "SimplifyParams", "simplify"]
 
-RESULT_VERSION = 11
+RESULT_VERSION = 12
 
 
 @overload

@@ -215,7 +215,8 @@ def to_trimesh(mesh: Mesh) -> Trimesh:
         mesh.vertices,
         mesh.triangles,
         vertex_colors=mesh.colors,
-        vertex_normals=mesh.normals,
+        # It asks how long they are at most, which none has an answer to.
+        vertex_normals=mesh.normals if len(mesh.vertices) else None,
         process=False,
     )
 

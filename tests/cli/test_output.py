@@ -13,6 +13,7 @@ import pytest
 import typer
 
 from cli.errors import bug_of, failure_of
+from cli.one_line import one_line
 from cli.output import Output, lines_of, to_json
 from pipeline.schema import SCHEMA
 from stages.errors import InputError, MeshError, StageError, UsageError, is_lack_of_memory
@@ -156,3 +157,10 @@ def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:
     assert "KeyError" in failure.sentence
     assert "--debug" in failure.sentence
     assert "\n" not in failure.sentence
+
+
+def test_a_message_that_quotes_a_long_file_leaves_out_its_middle() -> None:
+    said = one_line(f"mesh.ply: its format is {'{' * 1_000_000!r}; ascii is known.")
+    assert len(said) < 2100
+    assert said.startswith("mesh.ply: its format")
+    assert said.endswith("ascii is known.")

@@ -264,6 +264,9 @@ def test_a_folder_of_no_known_layout_is_told_what_is_known(scanloom: Run, tmp_pa
     ran = scanloom("inspect", tmp_path)
     assert ran.exit_code == 3
     assert ran.stderr.startswith(f"scanloom: {tmp_path}: unknown layout.")
+    # A list of lines, as it was, comes out with its line breaks written out.
+    assert "\\n" not in ran.stderr
+    assert len(ran.stderr) < 1000
     assert "plain-rgbd" in ran.stderr
 
 

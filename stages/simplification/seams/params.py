@@ -33,7 +33,8 @@ class SeamsParams:
     similar_distance: float | None = param(
         None,
         "Vertices closer than this are one. A larger one joins parts that only touch. Default: "
-        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal.",
+        f"{SIMILAR_DISTANCE:g} of the bounding box's diagonal, at most a hundredth of the median side of "
+        "triangles.",
         unit="m",
         low=0,
     )

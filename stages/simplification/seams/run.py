@@ -25,10 +25,13 @@ from stages.surface.raycasting import bounding_box
 from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Triangles worked on at a time: with all that is known of them they fit into the caches.
 REGION_TRIANGLES = 2048
+
+# The default distance of similar vertices is at most this share of the median side of a triangle.
+_SIMILAR_PER_SIDE = 0.01
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +66,7 @@ def simplified(
     origin = 0.5 * low + 0.5 * high
     distance = params.similar_distance
     if distance is None:
-        distance = SIMILAR_DISTANCE * float(np.linalg.norm(high - low))
+        distance = _similar_distance(mesh, float(np.linalg.norm(high - low)))
         sets, positions, apart = joinable_sets(mesh.vertices, mesh.triangles, distance)
         lock = lock | apart
     else:
@@ -119,6 +122,16 @@ def simplified(
         record=record,
     )
     return result, found.provable or 0.0
+
+
+def _similar_distance(mesh: Mesh, diagonal: float) -> float:
+    """Return the distance (m) of copies of a vertex, which one vertex far away does not make larger."""
+    corners = mesh.vertices[mesh.triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    sides = sides[sides > 0]
+    if not len(sides):
+        return 0.0
+    return min(SIMILAR_DISTANCE * diagonal, _SIMILAR_PER_SIDE * float(np.median(sides)))
 
 
 def _record(

@@ -7,7 +7,7 @@ of them are kept as they stand, for writing them back.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -178,7 +178,7 @@ def _map(line: str) -> Map | None:
     return Map(line[:start], line[start:], options)
 
 
-def write_library(path: Path, materials: tuple[Material, ...], names: list[str]) -> None:
+def write_library(path: Path, materials: Sequence[Material], names: list[str]) -> None:
     """Write materials under these names as NAME.mtl beside the OBJ file `path`, and their images."""
     images: dict[int, Image] = {}
     for material in materials:

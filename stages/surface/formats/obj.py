@@ -7,13 +7,14 @@ smoothing are left out; all objects and groups of a file become parts of one mes
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.errors import InputError, MeshError
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.files.text_numbers import parse_numbers, parse_whole_numbers
@@ -22,7 +23,7 @@ from stages.surface.formats.mtl import read_libraries, write_library
 from stages.surface.formats.obj_statements import NO_PART, Statements, sorted_statements, words_of_lines
 from stages.surface.formats.polygons import split_polygons
 from stages.surface.mesh import Mesh, validated
-from stages.surface.texture import Texture
+from stages.surface.texture import Material, Texture
 from stages.surface.welding import same_rows
 
 # What programs write for a material that is none.
@@ -252,10 +253,28 @@ def write_obj(path: Path | str, mesh: Mesh) -> None:
     if texture is not None and texture.materials:
         names = _distinct([material.name for material in texture.materials])
         texts.insert(0, f"mtllib {path.stem}.mtl\n")
-        write_library(path, texture.materials, names)
+        write_library(path, [_plain(texture, number) for number in range(len(names))], names)
     texts += _face_texts(corners, vt, vn, _statements(mesh, names))
     with replacing(path) as part, part.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(texts)
+
+
+def _plain(texture: Texture, number: int) -> Material:
+    """Return a material, that clamps its image as one that repeats it where both look the same.
+
+    So it is where all coordinates are half a texel or more inside, and many programs do not find an image
+    that stands behind an option.
+    """
+    material = texture.materials[number]
+    if material.image is None or material.wrap != ("clamp", "clamp"):
+        return material
+    try:
+        height, width = material.image.pixels.shape[:2]
+    except MeshError:
+        return material
+    texels = texture.uvs[texture.material_ids == number] * (width, height)
+    is_inside = ((texels >= 0.5) & (texels <= (width - 0.5, height - 0.5))).all()
+    return replace(material, wrap=("repeat", "repeat")) if is_inside else material
 
 
 def _numbered(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -45,9 +45,9 @@ def test_images_that_are_not_there_are_none():
 
 def test_depth_in_memory_is_cleaned():
     depth = np.full((24, 32), 1.5, np.float32)
-    depth[0, :3] = (np.nan, np.inf, -1)
+    depth[0, :4] = (np.nan, np.inf, -1, 9e-44)
     read = read_depth(frame(depth=depth))
-    assert read[0, :4].tolist() == [0, 0, 0, 1.5]
+    assert read[0, :5].tolist() == [0, 0, 0, 0, 1.5]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])

@@ -251,3 +251,11 @@ def test_a_material_file_whose_name_has_a_zero_byte_counts_as_missing(tmp_path):
     path = tmp_path / "mesh.obj"
     path.write_bytes(b"mtllib \0.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n")
     assert len(read_mesh(path).triangles) == 1
+
+
+@pytest.mark.parametrize("extension", [".ply", ".obj", ".off", ".stl", ".glb"])
+def test_a_mesh_of_nothing_is_written_in_every_format(tmp_path, extension):
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), normals=np.zeros((0, 3)))
+    write_mesh(tmp_path / f"nothing{extension}", nothing)
+    with pytest.raises(InputError, match="holds no"):
+        read_mesh(tmp_path / f"nothing{extension}")

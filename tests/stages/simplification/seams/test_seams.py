@@ -514,6 +514,19 @@ def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
     assert not light.warnings
 
 
+def test_a_vertex_far_away_does_not_make_all_others_one() -> None:
+    ball = wrapped_ball(8, 10)
+    far = len(ball.vertices)
+    vertices = np.concatenate([ball.vertices, [[4e9, 0, 0]]])
+    triangles = np.concatenate([ball.triangles, np.array([[0, 1, far]], np.int32)])
+    mesh = ball.with_triangles(triangles, np.append(np.arange(len(ball.triangles)), 0)).with_(
+        vertices=vertices
+    )
+    light = simplify(mesh, method="seams", ratio=0.5)
+    assert light.details.similar_distance_m < 0.01
+    assert 0.4 * len(triangles) < len(light.mesh.triangles) <= 0.5 * len(triangles)
+
+
 def test_auto_takes_seams_for_textured_meshes_and_for_its_own_parameters() -> None:
     mesh = wrapped_ball(8, 10)
     assert simplify(mesh, ratio=0.5).method == "seams"

@@ -317,3 +317,14 @@ def test_triangles_written_in_all_forms_keep_their_places(tmp_path):
     assert [named[i] if i >= 0 else None for i in back.texture.material_ids] == [
         "ab"[i] if i >= 0 else None for i in texture.material_ids
     ]
+
+
+@pytest.mark.parametrize(("low", "is_plain"), [(0.125, True), (0.1, False)])
+def test_an_image_is_clamped_in_words_only_where_that_shows(tmp_path, low, is_plain):
+    """Of four texels a side half a one is an eighth; many programs do not find an image behind an option."""
+    uvs = np.array([[[low, 0.125], [0.875, 0.125], [0.875, 0.875]]])
+    image = Image("paint.png", given=np.full((4, 4, 3), 90, np.uint8))
+    texture = Texture(uvs, np.zeros(1, np.int32), (Material("paint", image, wrap=("clamp", "clamp")),))
+    write_obj(tmp_path / "a.obj", Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32), texture=texture))
+    assert ("map_Kd paint.png" in (tmp_path / "a.mtl").read_text()) == is_plain
+    assert ("map_Kd -clamp on paint.png" in (tmp_path / "a.mtl").read_text()) != is_plain

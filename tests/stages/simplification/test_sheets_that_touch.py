@@ -1,0 +1,70 @@
+"""Sheets that touch at a few vertices stay as far apart as they are, whatever becomes of each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from seamed_meshes import edge_counts, overlapping, welded
+
+from stages import Mesh, simplify
+
+SIDES, RINGS = 8, 5
+
+
+def _ball(width: float) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Rings of vertices between two poles; the poles are as far apart whatever the width."""
+    along, around = np.pi * np.arange(1, RINGS + 1) / (RINGS + 1), 2 * np.pi * np.arange(SIDES) / SIDES
+    x, radius = np.repeat(-np.cos(along), SIDES), np.repeat(width * np.sin(along), SIDES)
+    angles = np.tile(around, RINGS)
+    points = np.stack([x, radius * np.cos(angles), radius * np.sin(angles)], axis=1)
+    last = 1 + RINGS * SIDES
+    triangles = []
+    for side in range(SIDES):
+        a, b = 1 + side, 1 + (side + 1) % SIDES
+        triangles.append((0, b, a))
+        for ring in range(RINGS - 1):
+            low, high = ring * SIDES, (ring + 1) * SIDES
+            triangles += [(a + low, b + low, b + high), (a + low, b + high, a + high)]
+        triangles.append((last, a + last - 1 - SIDES, b + last - 1 - SIDES))
+    return np.concatenate([[[-1.0, 0, 0]], points, [[1.0, 0, 0]]]), np.array(triangles, np.int32)
+
+
+def _balls(touching: int) -> Mesh:
+    """Two closed surfaces, one inside the other, with so many vertices in common, none beside another."""
+    outer, triangles = _ball(1.0)
+    inner, _ = _ball(0.6)
+    common = [0, len(outer) - 1, 1 + SIDES * (RINGS // 2)][:touching]
+    inner[common] = outer[common]
+    numbers = np.arange(len(inner), dtype=np.int32) + len(outer)
+    numbers[common] = common
+    return Mesh(np.concatenate([outer, inner]), np.concatenate([triangles, numbers[triangles]]))
+
+
+@pytest.mark.parametrize("touching", [2, 3])
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"method": "quadric", "triangles": 8},
+        {"method": "certified", "max_shape": 2.0},
+        {"method": "jia01", "triangles": 8},
+        {"method": "planar", "max_shape": 1.0, "patch_angle": 80.0, "crease_angle": 80.0},
+    ],
+)
+@pytest.mark.parametrize("is_soup", [False, True])
+def test_no_edge_and_no_triangle_comes_to_be_twice(touching: int, how: dict[str, Any], is_soup: bool) -> None:
+    mesh = _balls(touching)
+    before = welded(mesh)
+    if is_soup:
+        corners = np.arange(3 * len(mesh.triangles), dtype=np.int32).reshape(-1, 3)
+        mesh = Mesh(mesh.vertices[mesh.triangles.reshape(-1)], corners)
+    assert edge_counts(before) == (0, 0)
+    assert overlapping(before) == 0
+
+    light = simplify(mesh, **how).mesh
+
+    assert len(light.triangles) < len(mesh.triangles)
+    assert edge_counts(welded(light)) == (0, 0)
+    assert overlapping(welded(light)) == 0
