@@ -32,6 +32,8 @@ class Config(Sections):
     clean: CleanParams = field(default_factory=CleanParams)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
     texture: TextureSection = field(default_factory=TextureSection)
+    # How the folder of `texture.images` is read, as `scan` says it of the scan's.
+    photos: ScanParams = field(default_factory=ScanParams)
     bake: BakeSection = field(default_factory=BakeSection)
     remesh: RemeshSection = field(default_factory=RemeshSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.

@@ -162,7 +162,7 @@ def _photos(config: Config) -> Scan | None:
     """Return the photos that the texture is made from in place of the frames'."""
     if config.texture.images is None:
         return None
-    photos = read_scan(config.texture.images, complete=False)
+    photos = read_scan(config.texture.images, config.photos, complete=False)
     require_complete(photos, Path(config.texture.images), posed=True)
     return photos
 

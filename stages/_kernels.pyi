@@ -366,21 +366,31 @@ def zbuffer(
     """Return depth and triangle at each pixel of a camera, infinite and −1 where nothing is seen."""
 
 @final
-class View:
-    """A photo with what its camera sees of a mesh, and what it measured."""
+class Photo:
+    """The colours that a camera took; `warp` holds shifts of the photo at the corners of a grid."""
 
     def __new__(
         cls,
         camera: _Camera,
         photo: NDArray[np.uint8],
         blurred: NDArray[np.uint8],
+        *,
+        warp: NDArray[np.float32] | None,
+    ) -> Photo: ...
+
+@final
+class View:
+    """A photo with what its camera sees of a mesh, and what it measured."""
+
+    def __new__(
+        cls,
+        photo: Photo,
         mesh_camera: _Camera,
         mesh_depth: NDArray[np.float32],
         mesh_triangles: NDArray[np.int32],
         *,
         reach: tuple[float, float],
         measured: tuple[_Camera, NDArray[np.float32]] | None,
-        warp: NDArray[np.float32] | None,
         worth: float,
     ) -> View: ...
 
@@ -401,14 +411,14 @@ class SurfacePoints:
     def see(self, view: View, number: int, *, wanted_threads: int) -> None:
         """Look at all points from one more view."""
 
-    def see_again(self, view: View, number: int, *, wanted_threads: int) -> None:
+    def see_again(self, photo: Photo, number: int, *, wanted_threads: int) -> None:
         """Take the colours of a view anew, at the points at which it is one of the best."""
 
     def samples(self) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]:
         """Return views (n, k), the best first, −1 for none; colours (n, k, 3) and scores (n, k)."""
 
-    def seen(self) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-        """Return pixels a metre in the best view (n,), and how many views show each point (n,)."""
+    def density(self) -> NDArray[np.float32]:
+        """Return pixels a metre in the nearest view (n,), 0 where none shows a point."""
 
     def blend(
         self, *, blurred: int, details: int, deviations: float, levels: float, wanted_threads: int

@@ -1,4 +1,4 @@
-"""Read ahead: work on the next items in threads while the caller is busy with this one."""
+"""Work in threads while the caller is busy: on the next items, or on one thing beside another."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ _MOST_WORKERS = 8
 
 T = TypeVar("T")
 R = TypeVar("R")
+S = TypeVar("S")
 
 
 def workers() -> int:
@@ -46,3 +47,15 @@ def read_ahead(work: Callable[[T], R], items: Iterable[T], *, threads: int, ahea
             yield result
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def both(beside: Callable[[], R], here: Callable[[], S]) -> tuple[R, S]:
+    """Return what two pieces of work return, the first done in a thread while the caller does the second.
+
+    An exception of the first is raised once the second has ended.
+    """
+    require_buffers(2)
+    with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
+        one = pool.submit(beside)
+        other = here()
+        return one.result(), other

@@ -37,21 +37,21 @@ def shifts_of(drawn: NDArray[np.uint8], shown: NDArray[np.bool_], photo: NDArray
     import cv2
 
     height, width = shown.shape
-    there = np.where(shown[..., None], drawn, photo)
-    before, after = (np.asarray(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY), np.uint8) for one in (there, photo))
-    flow = _flow(before, after)
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    x, y = x + flow[..., 0], y + flow[..., 1]
-    moved = cv2.remap(after, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    rest = np.abs(moved.astype(np.float32) - before)
+    there, after = (np.asarray(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY), np.uint8) for one in (drawn, photo))
+    before = np.where(shown, there, after)
+    # A plane for each axis: NumPy is slow over a last axis of two.
+    flow = cv2.split(_flow(before, after))
+    x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+    moved = cv2.remap(after, x + flow[0], y + flow[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    rest = cv2.absdiff(moved, before)
     smooth = cv2.GaussianBlur(before.astype(np.float32), (0, 0), 1.0)
     detail = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(smooth, cv2.CV_32F, 0, 1) ** 2
     most = _MOST * width
-    sound = shown & (rest < _ELSE) & (np.abs(flow).max(axis=2) < most)
+    sound = shown & (rest < _ELSE) & (np.abs(flow[0]) < most) & (np.abs(flow[1]) < most)
     weight = np.where(sound, np.minimum(detail, 4e3), 0).astype(np.float32)
     spread = _SMOOTH * width
     total = cv2.GaussianBlur(weight, (0, 0), spread) + np.float32(_PRIOR)
-    mean = cv2.GaussianBlur(weight[..., None] * flow, (0, 0), spread) / total[..., None]
+    mean = cv2.merge([cv2.GaussianBlur(weight * one, (0, 0), spread) / total for one in flow])
     columns = _CELLS + 1
     rows = max(round(_CELLS * height / width), 1) + 1
     across = np.linspace(0, width - 1, columns, dtype=np.float32)

@@ -8,7 +8,8 @@ balance is part of it, since channels are apart.
 
 from __future__ import annotations
 
-from collections.abc import Container
+import functools
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,8 @@ _LEAST_VIGNETTE = 0.1
 _NO_VIGNETTE = (1.0, 0.0, 0.0)
 # Fewer samples in other photos than this tell nothing.
 _LEAST_SAMPLES = 50
+# Of a photo, that are corrected at a time.
+_ROWS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +60,18 @@ class Exposure:
             # The same for every pixel: looked up.
             levels = (np.arange(256)[None, :, None] - self.bias) / self.gain
             return np.asarray(cv2.LUT(image, np.rint(levels).clip(0, 255).astype(np.uint8)), np.uint8)
-        light = _light_at(_radii2(width, height), self.vignette)[..., None]
-        levels = (image / light - self.bias) / self.gain
-        return np.asarray(np.rint(levels).clip(0, 255), np.uint8)
+        # All channels of a row beside each other, a few rows at a time: the memory stays where it is quick.
+        gain, bias = (np.tile(one, width) for one in (self.gain, self.bias))
+        corrected = np.empty_like(image)
+        for start in range(0, height, _ROWS):
+            rows = slice(start, start + _ROWS)
+            light = _light_at(_radii2(width, height, rows), self.vignette).repeat(3, axis=1)
+            levels = image[rows].reshape(light.shape) / light
+            levels -= bias
+            levels /= gain
+            np.rint(levels, out=levels)
+            corrected[rows] = levels.clip(0, 255, out=levels).reshape(corrected[rows].shape)
+        return corrected
 
     @property
     def is_none(self) -> bool:
@@ -142,85 +154,92 @@ def _solved(
         return Exposures(none, 0.0, 0.0, np.zeros(count), np.zeros(count, np.int64))
     view = views[point, place].astype(np.int64)
     radius2 = radii2[point, place].astype(np.float64)
-    level = colors[point, place].astype(np.float64)
+    # An array for each channel: rows of three are slow.
+    levels = [colors[point, place, k].astype(np.float64) for k in range(3)]
     _, point = np.unique(point, return_inverse=True)
     samples = np.bincount(view, minlength=count)
     known = samples >= _LEAST_SAMPLES
     gain, bias = np.ones((count, 3)), np.zeros((count, 3))
     vignette = _NO_VIGNETTE
-    weight = np.ones_like(level)
+    weights = [np.ones_like(radius2)] * 3
     before = 0.0
     for turn in range(_ROUNDS + 1):
-        light = _light_at(radius2, vignette)[:, None]
-        mean = _means(point, (level / light - bias[view]) / gain[view], weight * gain[view] ** 2)
-        shown = gain[view] * mean[point] + bias[view]
-        difference = np.abs(level - shown * light)
+        light = _light_at(radius2, vignette)
+        there = [level / light for level in levels]
+        means = [_mean(point, there[k], weights[k], gain[view, k], bias[view, k])[point] for k in range(3)]
+        shown = [gain[view, k] * means[k] + bias[view, k] for k in range(3)]
+        differences = [np.abs(levels[k] - shown[k] * light) for k in range(3)]
         if turn == 0:
-            before = float(np.median(difference))
+            before = float(np.median(differences))
         if turn == _ROUNDS:
             break
-        weight = np.minimum(1.0, _HUBER / np.maximum(difference, 1e-9))
+        weights = [np.minimum(1.0, _HUBER / np.maximum(one, 1e-9)) for one in differences]
         if vignetted:
-            vignette = _vignette(shown, level, weight, radius2)
-        level_there = level / _light_at(radius2, vignette)[:, None]
-        gain, bias = _fitted(view, mean[point], level_there, weight, count)
+            vignette = _vignette(shown, levels, weights, radius2)
+            light = _light_at(radius2, vignette)
+            there = [level / light for level in levels]
+        for k in range(3):
+            gain[:, k], bias[:, k] = _fitted(view, means[k], there[k], weights[k], count)
         gain[~known], bias[~known] = 1.0, 0.0
         if known.any():
             # Only ratios are seen: the mean stays as it is.
             gain[known] /= np.exp(np.log(gain[known]).mean(axis=0))
             bias[known] -= bias[known].mean(axis=0)
-    largest = difference.max(axis=1)
+    largest = functools.reduce(np.maximum, differences)
     each = [largest[view == number] for number in range(count)]
     return Exposures(
         photos=tuple(Exposure(gain[i], bias[i], vignette) for i in range(count)),
         before=before,
-        after=float(np.median(difference)),
+        after=float(np.median(differences)),
         differences=np.array([float(np.median(one)) if len(one) else 0.0 for one in each]),
         samples=samples,
     )
 
 
-def _vignette(shown: Floats, level: Floats, weight: Floats, radius2: Floats) -> tuple[float, float, float]:
+def _vignette(
+    shown: Sequence[Floats], levels: Sequence[Floats], weights: Sequence[Floats], radius2: Floats
+) -> tuple[float, float, float]:
     """Fit level = shown · (1 + v₁ r² + v₂ r⁴) by least squares, held to 0; then make the mean 1."""
-    rows = [shown * radius2[:, None], shown * radius2[:, None] ** 2]
-    normal = np.array([[float((weight * a * b).sum()) for a in rows] for b in rows])
-    right = np.array([float((weight * a * (level - shown)).sum()) for a in rows])
-    prior = _PRIOR_SAMPLES * _PRIOR_LEVELS**2
-    found = np.linalg.solve(normal + prior * np.eye(2), right)
+    normal = _PRIOR_SAMPLES * _PRIOR_LEVELS**2 * np.eye(2)
+    right = np.zeros(2)
+    for bright, level, weight in zip(shown, levels, weights, strict=True):
+        rows = [bright * radius2, bright * radius2**2]
+        weighted = [weight * row for row in rows]
+        normal += [[float((a * b).sum()) for a in rows] for b in weighted]
+        right += [float((a * (level - bright)).sum()) for a in weighted]
+    found = np.linalg.solve(normal, right)
     # Over a photo r² is 1/3 in the mean, and r⁴ some 1/6: the mean of the light is 1 there.
     return (1 / float(1 + found[0] / 3 + found[1] / 6), float(found[0]), float(found[1]))
 
 
-def _means(index: NDArray[np.int64], values: Floats, weight: Floats) -> Floats:
-    total = [np.asarray(np.bincount(index, weight[:, k]), np.float64) for k in range(3)]
-    sums = [np.bincount(index, weight[:, k] * values[:, k]) for k in range(3)]
-    return np.stack([s / np.maximum(t, 1e-12) for s, t in zip(sums, total, strict=True)], axis=1)
+def _mean(point: NDArray[np.int64], there: Floats, weight: Floats, gain: Floats, bias: Floats) -> Floats:
+    """Return what the samples of each point have in common."""
+    weight = weight * gain**2
+    total = np.bincount(point, weight)
+    return np.asarray(np.bincount(point, weight * ((there - bias) / gain)) / np.maximum(total, 1e-12))
 
 
 def _fitted(
     view: NDArray[np.int64], mean: Floats, level: Floats, weight: Floats, count: int
 ) -> tuple[Floats, Floats]:
-    """Fit level = gain · mean + bias for each photo and channel by least squares, held to 1 and 0."""
-    gain, bias = np.ones((count, 3)), np.zeros((count, 3))
-    for k in range(3):
-        a, y, w = mean[:, k], level[:, k], weight[:, k]
+    """Fit level = gain · mean + bias for each photo by least squares, held to 1 and 0."""
 
-        def total(values: Floats) -> Floats:
-            return np.asarray(np.bincount(view, values, minlength=count), np.float64)
+    def total(values: Floats) -> Floats:
+        return np.asarray(np.bincount(view, values, minlength=count), np.float64)
 
-        n, sa, sy = total(w), total(w * a), total(w * y)
-        middle = np.divide(sa, n, out=np.full(count, 128.0), where=n > 0)
-        saa = total(w * (a - middle[view]) ** 2) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
-        say = total(w * (a - middle[view]) * y) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
-        gain[:, k] = (say / saa).clip(1 / _MOST_GAIN, _MOST_GAIN)
-        bias[:, k] = (sy - gain[:, k] * sa) / (n + _PRIOR_SAMPLES)
-    return gain, bias
+    n, sa, sy = total(weight), total(weight * mean), total(weight * level)
+    middle = np.divide(sa, n, out=np.full(count, 128.0), where=n > 0)
+    off = mean - middle[view]
+    saa = total(weight * off**2) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
+    say = total(weight * off * level) + _PRIOR_SAMPLES * _PRIOR_LEVELS**2
+    gain = (say / saa).clip(1 / _MOST_GAIN, _MOST_GAIN)
+    return gain, (sy - gain * sa) / (n + _PRIOR_SAMPLES)
 
 
-def _radii2(width: int, height: int) -> Floats:
+def _radii2(width: int, height: int, rows: slice) -> Floats:
     x, y = (np.linspace(-1, 1, size) for size in (width, height))
     aspect = height / width
-    return np.asarray((x[None, :] ** 2 + (aspect * y[:, None]) ** 2) / (1 + aspect**2))
+    return np.asarray((x[None, :] ** 2 + (aspect * y[rows, None]) ** 2) / (1 + aspect**2))
 
 
 def _light_at(radii2: Floats, vignette: tuple[float, float, float]) -> Floats:

@@ -12,9 +12,10 @@ from stages import _kernels
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.mesh import Mesh
 from stages.texturing.alignment import Shifts, shifts_of
+from stages.texturing.exposure import Exposure
 from stages.texturing.pages import Pages, Texels, texels_of
-from stages.texturing.survey import Survey
-from stages.texturing.views import kernel_camera, near_of, see
+from stages.texturing.photos import Photos
+from stages.texturing.views import kernel_camera, near_of, see, see_again
 
 Floats = NDArray[np.float64]
 
@@ -50,8 +51,17 @@ class Painted:
 class Painter:
     """Paints all images of a texture, once or again with other shifts."""
 
-    def __init__(self, mesh: Mesh, normals: Floats, pages: Pages, survey: Survey, kept: int) -> None:
-        self._mesh, self._normals, self._pages, self._survey, self._kept = mesh, normals, pages, survey, kept
+    def __init__(
+        self,
+        mesh: Mesh,
+        normals: Floats,
+        pages: Pages,
+        photos: Photos,
+        exposures: Sequence[Exposure],
+        kept: int,
+    ) -> None:
+        self._mesh, self._normals, self._pages, self._kept = mesh, normals, pages, kept
+        self._photos, self._exposures = photos, exposures
         # What is painted at once can be painted again without looking for the best photos anew.
         self._remembered: _kernels.SurfacePoints | None = None
         # Found once where there is one image; all of many may not fit into memory.
@@ -64,7 +74,9 @@ class Painter:
 
     def shifts(self, painted: Sequence[Painted], progress: Callable[[], object]) -> list[Shifts]:
         """Return by how much each photo is off the texture."""
-        mesh, pages, survey = self._mesh, self._pages, self._survey
+        import cv2
+
+        mesh, pages, photos, exposures = self._mesh, self._pages, self._photos, self._exposures
         images = [np.rint(image.colors).clip(1, 255).astype(np.uint8) for image in painted]
         for image, page in zip(images, painted, strict=True):
             image[page.labels < 0] = 0
@@ -72,14 +84,14 @@ class Painter:
         near = near_of(mesh)
 
         def off(number: int) -> Shifts:
-            photo = survey.photos.read(number)
+            photo = photos.read(number)
             camera = kernel_camera(photo.camera, photo.camera_from_world)
             drawn, shown = surface.seen_by(camera, near=near)
-            shown &= drawn.min(axis=2) > 0
-            return shifts_of(drawn, shown, survey.exposures.photos[number].corrected(photo.image))
+            shown &= cv2.inRange(drawn, np.ones(3), np.full(3, 255.0)) > 0
+            return shifts_of(drawn, shown, exposures[number].corrected(photo.image))
 
         found = []
-        for shifts in read_ahead(off, range(len(survey.photos)), threads=workers(), ahead=workers() + 1):
+        for shifts in read_ahead(off, range(len(photos)), threads=workers(), ahead=workers() + 1):
             found.append(shifts)
             progress()
         return found
@@ -106,14 +118,17 @@ class Painter:
     def _part(
         self, texels: Texels, shifts: Sequence[Shifts] | None, progress: Callable[[], object]
     ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]:
-        mesh, survey = self._mesh, self._survey
-        again = self._remembered is not None
-        points = self._remembered or _kernels.SurfacePoints(
-            mesh.vertices, self._normals, mesh.triangles, texels.triangles, texels.shares, kept=self._kept
-        )
+        mesh, photos, exposures = self._mesh, self._photos, self._exposures
+        points = self._remembered
+        if points is not None and shifts is not None:
+            see_again(points, photos, exposures, shifts, progress)
+        else:
+            points = _kernels.SurfacePoints(
+                mesh.vertices, self._normals, mesh.triangles, texels.triangles, texels.shares, kept=self._kept
+            )
+            see(points, mesh, photos, exposures, shifts, progress)
         if self.parts == 1:
             self._remembered = points
-        see(points, mesh, survey.photos, survey.exposures.photos, shifts, progress, again=again)
         colors, labels, views = points.blend(
             blurred=_BLURRED_POWER,
             details=_DETAILS_POWER,

@@ -57,7 +57,7 @@ def photo_of(frame: Frame) -> Photo:
     if frame.world_from_camera is None:
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     image, camera, seen = read_photo(frame)
-    black_or_white = (image.max(axis=2) < _DARK) | (image.min(axis=2) > _BRIGHT)
+    black_or_white = _black_or_white(image)
     cut_off = float(np.mean(black_or_white if seen is None else black_or_white | ~seen))
     if cut_off > _MOST_CUT_OFF:
         raise InputError(f"{cut_off:.0%} of the photo is black or white.", f"frame {frame.name}")
@@ -65,6 +65,14 @@ def photo_of(frame: Frame) -> Photo:
     if frame.color_camera is not None and frame.color_from_depth is not None:
         pose = np.asarray(frame.color_from_depth, np.float64) @ pose
     return Photo(frame, image, camera, pose, seen)
+
+
+def _black_or_white(image: ColorImage) -> NDArray[np.bool_]:
+    import cv2
+
+    black = cv2.inRange(image, np.zeros(3), np.full(3, _DARK - 1.0))
+    white = cv2.inRange(image, np.full(3, _BRIGHT + 1.0), np.full(3, 255.0))
+    return np.asarray(cv2.bitwise_or(black, white) > 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,32 +31,31 @@ _UNSEEN_DENSITY = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """What photos show of a mesh.
+    """What photos show of points all over a mesh.
 
     Attributes
     ----------
-    photos : those that show it, and agree.
-    exposures : theirs.
+    views : (n, k) int32, the photos that show a point best; -1 for none.
+    colors : (n, k, 3) uint8, its levels there.
+    radii2 : (n, k) squared distance from the middle of the photo, 1 in its corners.
     pixels_per_m : (m,) float32, of each triangle in the photo that shows it best; less where none does.
     seen : share of the surface that some photo shows.
     """
 
-    photos: Photos
-    exposures: Exposures
+    views: NDArray[np.int32]
+    colors: NDArray[np.uint8]
+    radii2: NDArray[np.float32]
     pixels_per_m: NDArray[np.float32]
     seen: float
 
 
-def survey(
-    mesh: Mesh, normals: Floats, photos: Photos, kept: int, correct: bool, progress: Callable[[], object]
-) -> Survey:
+def survey(mesh: Mesh, normals: Floats, photos: Photos, kept: int, progress: Callable[[], object]) -> Survey:
     """Look at points all over a mesh with all photos.
 
     Parameters
     ----------
     normals : (n, 3) of the vertices.
     kept : photos that are kept of each point.
-    correct : find how bright photos are; else all count as equal.
     progress : called after each photo.
 
     Raises
@@ -68,13 +67,35 @@ def survey(
     points = _kernels.SurfacePoints(mesh.vertices, normals, mesh.triangles, of, shares, kept=kept)
     see(points, mesh, photos, [no_exposure()] * len(photos), None, progress)
     views, colors, _ = points.samples()
-    radii2 = _radii2(mesh, of, shares, views, photos)
-    found = exposures(views, colors, radii2, len(photos))
-    unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
-    if unseen.all():
+    if (views < 0).all():
         raise InputError(
             f"none of the {len(photos)} photos shows the mesh: do poses and mesh belong together?"
         )
+    best = np.zeros(len(mesh.triangles), np.float32)
+    np.maximum.at(best, of, points.density())
+    area = areas(mesh.vertices, mesh.triangles)
+    is_seen = best > 0
+    middle = float(np.median(best[is_seen]))
+    wanted = np.where(is_seen, np.minimum(best, _MOST_DENSITY * middle), _UNSEEN_DENSITY * middle)
+    return Survey(
+        views=views,
+        colors=colors,
+        radii2=_radii2(mesh, of, shares, views, photos),
+        pixels_per_m=wanted.astype(np.float32),
+        seen=float(area[is_seen].sum() / area.sum()),
+    )
+
+
+def judged(surveyed: Survey, photos: Photos, correct: bool) -> tuple[Photos, Exposures]:
+    """Return the photos that show the mesh, and agree, and how bright each is.
+
+    Parameters
+    ----------
+    correct : find how bright photos are; else all count as equal.
+    """
+    views, colors, radii2 = surveyed.views, surveyed.colors, surveyed.radii2
+    found = exposures(views, colors, radii2, len(photos))
+    unseen = np.bincount(views[views >= 0], minlength=len(photos)) == 0
     wrong = {int(i): "its photo does not show the mesh." for i in np.flatnonzero(unseen)}
     usual = max(float(np.median(found.differences[~unseen])), 1.0)
     off = (found.differences > max(_WRONG_TIMES * usual, _WRONG_LEVELS)) & (found.samples >= _WRONG_POINTS)
@@ -89,19 +110,7 @@ def survey(
         found = exposures(views, colors, radii2, len(photos))
     if not correct:
         found = found.none()
-    density, _ = points.seen()
-    best = np.zeros(len(mesh.triangles), np.float32)
-    np.maximum.at(best, of, density)
-    area = areas(mesh.vertices, mesh.triangles)
-    is_seen = best > 0
-    middle = float(np.median(best[is_seen]))
-    wanted = np.where(is_seen, np.minimum(best, _MOST_DENSITY * middle), _UNSEEN_DENSITY * middle)
-    return Survey(
-        photos=photos.without(wrong),
-        exposures=found.without(wrong),
-        pixels_per_m=wanted.astype(np.float32),
-        seen=float(area[is_seen].sum() / area.sum()),
-    )
+    return photos.without(wrong), found.without(wrong)
 
 
 def _points(mesh: Mesh) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:

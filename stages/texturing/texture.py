@@ -22,6 +22,7 @@ from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.formats.trajectories import inverted
+from stages.scans.prefetch import both
 from stages.scans.scan import Frame, Scan, SkippedFrame
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
@@ -29,12 +30,13 @@ from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area
 from stages.surface.vertex_normals import vertex_normals
 from stages.texturing.alignment import Shifts
+from stages.texturing.exposure import Exposures
 from stages.texturing.filling import filled_up
 from stages.texturing.pages import Pages, laid_out
 from stages.texturing.painting import Painted, Painter
-from stages.texturing.photos import photos_of
+from stages.texturing.photos import Photos, photos_of
 from stages.texturing.seams import seam_ratio
-from stages.texturing.survey import Survey, survey
+from stages.texturing.survey import judged, survey
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -248,16 +250,20 @@ def texture(
             f"none of the {len(colored)} photos can be used (frame {first.name}: {first.reason}).", where
         )
     normals = vertex_normals(given)
-    surveyed = survey(given, normals, photos, params.views, params.exposure, far.photo(0.25))
-    pages = laid_out(
-        given,
-        surveyed.pixels_per_m * np.float32(params.texels_per_pixel),
-        max_side=params.max_size,
-        max_texels=params.max_texels * 1e6,
-        padding=params.padding,
-        progress=far.nothing,
+    surveyed = survey(given, normals, photos, params.views, far.photo(0.25))
+    # The one is a kernel on one core, the other NumPy.
+    (used, exposures), pages = both(
+        lambda: judged(surveyed, photos, params.exposure),
+        lambda: laid_out(
+            given,
+            surveyed.pixels_per_m * np.float32(params.texels_per_pixel),
+            max_side=params.max_size,
+            max_texels=params.max_texels * 1e6,
+            padding=params.padding,
+            progress=far.nothing,
+        ),
     )
-    painter = Painter(given, normals, pages, surveyed, params.views)
+    painter = Painter(given, normals, pages, used, exposures.photos, params.views)
     rounds = 1 + params.rounds
     part = 0.7 / rounds
     painted = painter.paint(None, far.photo(0.25 + part, painter.parts))
@@ -265,13 +271,28 @@ def texture(
     for turn in range(params.rounds):
         shifts = painter.shifts(painted, far.photo(0.25 + part * (turn + 1.3)))
         # The first shifts tell how far off photos are.
-        shift = shift or _typical(shifts, surveyed)
+        shift = shift or _typical(shifts, used)
         if shift < _STILL:
             break
         painted = painter.paint(shifts, far.photo(0.25 + part * (turn + 2), painter.parts))
-    images = [_encoded(one, pages.padding, params) for one in painted]
+    images, seams = both(
+        lambda: [_encoded(one, pages.padding, params) for one in painted],
+        lambda: seam_ratio([one.colors for one in painted], [one.labels for one in painted]),
+    )
     progress(1000, 1000)
-    return _result(given, surveyed, pages, painted, images, shift)
+    found = _Found(used, exposures, surveyed.seen, shift, seams)
+    return _result(given, found, pages, painted, images)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found of photos; see `Textured`."""
+
+    photos: Photos
+    exposures: Exposures
+    seen: float
+    shift: float
+    seams: float | None
 
 
 class _Far:
@@ -303,8 +324,8 @@ class _Far:
         self._progress(round(1000 * self._done), 1000)
 
 
-def _typical(shifts: Sequence[Shifts], surveyed: Survey) -> float:
-    widths = np.array([camera.width for camera in surveyed.photos.cameras])
+def _typical(shifts: Sequence[Shifts], photos: Photos) -> float:
+    widths = np.array([camera.width for camera in photos.cameras])
     return float(np.median(np.array([np.linalg.norm(one, axis=2).mean() for one in shifts]) / widths))
 
 
@@ -326,11 +347,10 @@ def _encoded(painted: Painted, padding: int, params: TextureParams) -> bytes:
 
 def _result(
     mesh: Mesh,
-    surveyed: Survey,
+    found: _Found,
     pages: Pages,
     painted: Sequence[Painted],
     images: Sequence[bytes],
-    shift: float,
 ) -> Textured:
     suffix = {b"\xff\xd8": "jpg", b"\x89P": "png"}.get(images[0][:2], "webp")
     materials = tuple(
@@ -342,46 +362,46 @@ def _result(
         for number, data in enumerate(images, 1)
     )
     textured = mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
-    exposures = surveyed.exposures.photos
+    exposures = found.exposures.photos
     gains = np.array([one.gain for one in exposures])
     v = exposures[0].vignette
     views = np.concatenate([one.views[one.labels >= 0] for one in painted])
     texels = sum(one.filled.size for one in painted)
     return Textured(
         mesh=textured,
-        photos=tuple(frame.name for frame in surveyed.photos.frames),
-        places=np.stack([inverted(pose)[:3, 3] for pose in surveyed.photos.poses]),
-        skipped=surveyed.photos.skipped,
+        photos=tuple(frame.name for frame in found.photos.frames),
+        places=np.stack([inverted(pose)[:3, 3] for pose in found.photos.poses]),
+        skipped=found.photos.skipped,
         sizes=pages.sizes,
         charts=int(pages.charts.max()) + 1,
         filled=sum(int(one.filled.sum()) for one in painted) / texels,
         texel_size=1 / float(np.median(pages.texels_per_m)),
-        seen=surveyed.seen,
+        seen=found.seen,
         views=float(views.mean()) if len(views) else 0.0,
-        difference_before=surveyed.exposures.before,
-        difference_after=surveyed.exposures.after,
+        difference_before=found.exposures.before,
+        difference_after=found.exposures.after,
         gains=(float(gains.min()), float(gains.max())),
         vignette=1 - v[0] * (1 + v[1] + v[2]),
-        shift=shift,
-        seams=seam_ratio([one.colors for one in painted], [one.labels for one in painted]),
+        shift=found.shift,
+        seams=found.seams,
         labels=tuple(one.labels for one in painted),
         counts=tuple(one.views for one in painted),
-        warnings=tuple(_warnings(mesh, surveyed, shift)),
+        warnings=tuple(_warnings(mesh, found)),
     )
 
 
-def _warnings(mesh: Mesh, surveyed: Survey, shift: float) -> Iterator[str]:
-    unseen = 1 - surveyed.seen
+def _warnings(mesh: Mesh, found: _Found) -> Iterator[str]:
+    unseen = 1 - found.seen
     if unseen > _MUCH_UNSEEN:
         colors = "the mesh's own colours" if mesh.colors is not None else "no colours of its own"
         yield f"{unseen:.0%} of the surface is in no photo and has {colors}"
-    if shift > _MUCH_OFF:
+    if found.shift > _MUCH_OFF:
         yield (
-            f"photos are off the mesh by {shift:.1%} of their width in the mean: poses or calibration are "
-            "wrong, and details are blurred; see `scanloom adjust`"
+            f"photos are off the mesh by {found.shift:.1%} of their width in the mean: poses or calibration "
+            "are wrong, and details are blurred; see `scanloom adjust`"
         )
-    if surveyed.exposures.after > _MUCH_DIFFERENCE:
+    if found.exposures.after > _MUCH_DIFFERENCE:
         yield (
-            f"photos differ by {surveyed.exposures.after:.0f} levels in the median where they show the same: "
+            f"photos differ by {found.exposures.after:.0f} levels in the median where they show the same: "
             "poses or calibration are wrong, or things moved"
         )

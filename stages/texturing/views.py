@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from stages.texturing.photos import Photo, Photos
 # Of a kernel's call: focal lengths, centre and size, and the pose.
 KernelCamera = tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]
 _Map = NDArray[np.float32]
+T = TypeVar("T")
 
 # The mesh is drawn at no more pixels than this, whatever the photo has.
 _MOST_DRAWN = 1_500_000
@@ -51,8 +52,6 @@ def see(
     exposures: Sequence[Exposure],
     shifts: Sequence[Shifts] | None,
     progress: Callable[[], object],
-    *,
-    again: bool = False,
 ) -> None:
     """Look at points of a mesh with one photo after another.
 
@@ -60,41 +59,66 @@ def see(
     ----------
     exposures, shifts : of each photo; see `stages.texturing.exposure` and `alignment`.
     progress : called after each photo.
-    again : the points were seen already, and only their colours are taken anew.
     """
+    near = near_of(mesh)
 
     def prepared(number: int) -> _kernels.View:
-        shift = None if shifts is None else shifts[number]
-        worth = float(photos.worths[number])
-        return _view(photos.read(number), mesh, exposures[number], worth, shift)
+        photo = photos.read(number)
+        colors = _colors(photo, exposures[number], None if shifts is None else shifts[number])
+        return _view(photo, colors, float(photos.worths[number]), mesh, near)
 
-    look = points.see_again if again else points.see
-    views = read_ahead(prepared, range(len(photos)), threads=workers(), ahead=workers() + 1)
-    for number, view in enumerate(views):
-        look(view, number, wanted_threads=0)
+    for number, view in enumerate(_each(prepared, photos)):
+        points.see(view, number, wanted_threads=0)
         progress()
 
 
-def _view(photo: Photo, mesh: Mesh, exposure: Exposure, worth: float, shifts: Shifts | None) -> _kernels.View:
+def see_again(
+    points: _kernels.SurfacePoints,
+    photos: Photos,
+    exposures: Sequence[Exposure],
+    shifts: Sequence[Shifts],
+    progress: Callable[[], object],
+) -> None:
+    """Take the colours of points anew, of photos that were shifted; which are best stays as `see` found it.
+
+    Parameters
+    ----------
+    photos, exposures, shifts, progress : as of `see`.
+    """
+
+    def prepared(number: int) -> _kernels.Photo:
+        return _colors(photos.read(number), exposures[number], shifts[number])
+
+    for number, photo in enumerate(_each(prepared, photos)):
+        points.see_again(photo, number, wanted_threads=0)
+        progress()
+
+
+def _each(prepared: Callable[[int], T], photos: Photos) -> Iterator[T]:
+    return read_ahead(prepared, range(len(photos)), threads=workers(), ahead=workers() + 1)
+
+
+def _colors(photo: Photo, exposure: Exposure, shifts: Shifts | None) -> _kernels.Photo:
     image = exposure.corrected(photo.image)
-    blurred = _blurred(image, photo.seen)
+    camera = kernel_camera(photo.camera, photo.camera_from_world)
+    return _kernels.Photo(camera, image, _blurred(image, photo.seen), warp=shifts)
+
+
+def _view(photo: Photo, colors: _kernels.Photo, worth: float, mesh: Mesh, near: float) -> _kernels.View:
     drawn = kernel_camera(_drawing_camera(photo.camera), photo.camera_from_world)
-    depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near_of(mesh))
+    depth, triangles = _kernels.zbuffer(mesh.vertices, mesh.triangles, drawn, near=near)
     nearest, reach = _nearest(depth)
     if photo.seen is not None:
         # Nothing is known there, and nothing is taken from there.
         nearest[_border(photo.seen, nearest.shape) > 0] = 0
     measured, measured_reach = _measured(photo.frame)
     return _kernels.View(
-        kernel_camera(photo.camera, photo.camera_from_world),
-        image,
-        blurred,
+        colors,
         drawn,
         nearest,
         triangles,
         reach=(reach, measured_reach),
         measured=measured,
-        warp=shifts,
         worth=worth,
     )
 
@@ -109,7 +133,8 @@ def _blurred(image: ColorImage, seen: NDArray[np.bool_] | None) -> ColorImage:
     weight = seen.astype(np.float32)
     total = np.maximum(cv2.GaussianBlur(weight, (0, 0), spread), np.float32(1e-3))
     sums = cv2.GaussianBlur(image * weight[..., None], (0, 0), spread)
-    return np.asarray(np.rint(sums / total[..., None]).clip(0, 255), np.uint8)
+    # Rounded as NumPy does, to even, and cut off at 0 and 255.
+    return np.asarray(cv2.divide(sums, cv2.merge([total] * 3), dtype=cv2.CV_8U), np.uint8)
 
 
 def _border(seen: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.uint8]:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from photographed import CAMERA, paint, photos
 
+from pipeline.cache import Cache
 from pipeline.config import Config
 from pipeline.dry_run import foresee
-from pipeline.run import RunResult, run
+from pipeline.run import RunResult, run, wanted_of
 from stages import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.scan import Frame
@@ -89,6 +90,17 @@ def test_photos_of_another_camera_are_taken(tmp_path: Path):
     assert [one.stage for one in foreseen.stages if not one.cached] == ["texture"]
     assert ran(run(scan, out, config(moved), until="texture")) == {"texture"}
     assert "texture" in {one.stage for one in result.stages}
+
+
+def test_photos_are_read_as_their_section_says(tmp_path: Path):
+    scan, images = grey_scan(tmp_path / "scan"), other_photos(tmp_path / "photos")
+    told = config(images).set(["photos.last=5", "photos.intrinsics=200,201,80,60"])
+    cache = Cache(tmp_path / "cache")
+    wanted = wanted_of(scan, tmp_path / "out", told, until="texture", force=(), cache=cache)
+    assert wanted.photos is not None
+    assert [len(wanted.scan.frames), len(wanted.photos.frames)] == [8, 6]
+    assert wanted.photos.frames[0].camera.fy == 201
+    assert wanted.scan.frames[0].camera.fy == CAMERA.fy
 
 
 def test_photos_without_poses_are_refused(tmp_path: Path):

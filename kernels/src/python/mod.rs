@@ -78,6 +78,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<atlas::LaidOut>()?;
     module.add_function(wrap_pyfunction!(atlas::lay_out, module)?)?;
     module.add_function(wrap_pyfunction!(atlas::texels, module)?)?;
+    module.add_class::<texture::Photo>()?;
     module.add_class::<texture::View>()?;
     module.add_class::<texture::SurfacePoints>()?;
     module.add_function(wrap_pyfunction!(texture::zbuffer, module)?)?;

@@ -1,6 +1,6 @@
-//! `stages._kernels.zbuffer`, `View`, `SurfacePoints` and `TexturedSurface`.
+//! `stages._kernels.zbuffer`, `Photo`, `View`, `SurfacePoints` and `TexturedSurface`.
 
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use numpy::ndarray::{Array2, Array3};
 use numpy::{
@@ -18,7 +18,7 @@ use crate::texture::blend::{NO_VIEW, Weights, blend};
 use crate::texture::pinhole::Pinhole;
 use crate::texture::shade::{Textured, shade as shaded};
 use crate::texture::surface_points::SurfacePoints as Points;
-use crate::texture::view::{Depths, Photo, View as Photographed, Warp};
+use crate::texture::view::{Colors, Depths, Photo as Pixels, View as Photographed, Warp};
 use crate::texture::zbuffer::{NOTHING, zbuffer as drawn};
 
 /// fx, fy, cx, cy, width, height; and the (4, 4) matrix that takes the world to the camera.
@@ -78,26 +78,19 @@ pub fn zbuffer(
     })
 }
 
-/// A photo with what its camera sees of the mesh, and what it measured.
+/// The colours that a camera took.
 #[pyclass(frozen, module = "stages._kernels")]
-pub struct View(Photographed);
+pub struct Photo(Arc<Colors>);
 
 #[pymethods]
-impl View {
+impl Photo {
     #[new]
-    #[pyo3(signature = (camera, photo, blurred, mesh_camera, mesh_depth, mesh_triangles, *, reach, measured, warp, worth))]
-    #[allow(clippy::too_many_arguments)]
+    #[pyo3(signature = (camera, photo, blurred, *, warp))]
     fn new(
         camera: Camera<'_>,
         photo: Image<'_>,
         blurred: Image<'_>,
-        mesh_camera: Camera<'_>,
-        mesh_depth: Map<'_>,
-        mesh_triangles: PyReadonlyArray2<'_, i32>,
-        reach: (f64, f64),
-        measured: Option<(Camera<'_>, Map<'_>)>,
         warp: Option<PyReadonlyArray3<'_, f32>>,
-        worth: f32,
     ) -> PyResult<Self> {
         let camera = pinhole(&camera)?;
         let (photo, blurred) = (image(&photo)?, image(&blurred)?);
@@ -106,17 +99,39 @@ impl View {
                 return Err(PyValueError::new_err("a photo is of another size than its camera"));
             }
         }
+        let warp = warp.map(|warp| shifts(&warp)).transpose()?;
+        Ok(Self(Arc::new(Colors { camera, photo, blurred, warp })))
+    }
+}
+
+/// A photo with what its camera sees of the mesh, and what it measured.
+#[pyclass(frozen, module = "stages._kernels")]
+pub struct View(Photographed);
+
+#[pymethods]
+impl View {
+    #[new]
+    #[pyo3(signature = (photo, mesh_camera, mesh_depth, mesh_triangles, *, reach, measured, worth))]
+    fn new(
+        photo: &Photo,
+        mesh_camera: Camera<'_>,
+        mesh_depth: Map<'_>,
+        mesh_triangles: PyReadonlyArray2<'_, i32>,
+        reach: (f64, f64),
+        measured: Option<(Camera<'_>, Map<'_>)>,
+        worth: f32,
+    ) -> PyResult<Self> {
         let mesh = depths(&mesh_camera, &mesh_depth, reach.0)?;
         let triangles: Vec<u32> =
             mesh_triangles.as_array().iter().map(|&t| if t < 0 { NOTHING } else { t as u32 }).collect();
         let measured = measured.map(|(camera, depth)| depths(&camera, &depth, reach.1)).transpose()?;
-        let warp = warp.map(|warp| shifts(&warp)).transpose()?;
-        let place = camera.place();
-        Ok(Self(Photographed { camera, place, photo, blurred, mesh, triangles, measured, warp, worth }))
+        let colors = Arc::clone(&photo.0);
+        let place = colors.camera.place();
+        Ok(Self(Photographed { colors, place, mesh, triangles, measured, worth }))
     }
 }
 
-fn image(image: &Image<'_>) -> PyResult<Photo> {
+fn image(image: &Image<'_>) -> PyResult<Pixels> {
     let pixels = image.as_array();
     let [height, width, channels] = *pixels.shape() else { unreachable!("an array of three dimensions") };
     if channels != 3 || width < 2 || height < 2 {
@@ -127,7 +142,7 @@ fn image(image: &Image<'_>) -> PyResult<Photo> {
     }
     let standard = pixels.as_standard_layout();
     let levels = standard.as_slice().unwrap_or_default().chunks_exact(3);
-    Ok(Photo { width, height, pixels: levels.map(|c| [c[0], c[1], c[2], 0]).collect() })
+    Ok(Pixels { width, height, pixels: levels.map(|c| [c[0], c[1], c[2], 0]).collect() })
 }
 
 fn depths(camera: &Camera<'_>, nearest: &Map<'_>, reach: f64) -> PyResult<Depths> {
@@ -204,11 +219,11 @@ impl SurfacePoints {
     }
 
     /// Take the colours of a view anew, at the points at which it is one of the best.
-    #[pyo3(signature = (view, number, *, wanted_threads))]
-    fn see_again(&self, py: Python<'_>, view: &View, number: u16, wanted_threads: usize) -> PyResult<()> {
+    #[pyo3(signature = (photo, number, *, wanted_threads))]
+    fn see_again(&self, py: Python<'_>, photo: &Photo, number: u16, wanted_threads: usize) -> PyResult<()> {
         guarded(0, || {
             detached(py, None, false, |progress| {
-                self.locked().see_again(&view.0, number, threads(wanted_threads), progress)
+                self.locked().see_again(&photo.0, number, threads(wanted_threads), progress)
             })
         })
     }
@@ -230,10 +245,9 @@ impl SurfacePoints {
         })
     }
 
-    /// Pixels a metre in the best view (n,), and how many views show each point (n,).
-    fn seen(&self, py: Python<'_>) -> (Py<PyArray1<f32>>, Py<PyArray1<u16>>) {
-        let points = self.locked();
-        (PyArray1::from_slice(py, &points.density).unbind(), PyArray1::from_slice(py, &points.seen).unbind())
+    /// Pixels a metre in the nearest view (n,), 0 where none shows a point.
+    fn density(&self, py: Python<'_>) -> Py<PyArray1<f32>> {
+        PyArray1::from_slice(py, &self.locked().density).unbind()
     }
 
     /// Colours (n, 3), the view that counts most (n,), −1 for none, and how many views count (n,).
@@ -277,7 +291,7 @@ pub struct TexturedSurface {
     triangles: Vec<[u32; 3]>,
     corners: Vec<[[f64; 2]; 3]>,
     pages: Vec<u16>,
-    images: Vec<Photo>,
+    images: Vec<Pixels>,
 }
 
 #[pymethods]

@@ -1,6 +1,8 @@
 //! Points of the surface, each with the few photos that show it best.
 
-use super::view::{Seen, View};
+use std::collections::BTreeMap;
+
+use super::view::{Colors, Known, Seen, View};
 use super::zbuffer::NOTHING;
 use crate::base::errors::KernelError;
 use crate::base::geometry::Vec3;
@@ -8,7 +10,10 @@ use crate::base::parallel::each;
 use crate::base::progress::Progress;
 
 /// Points a thread takes at a time, in whole triangles.
-const PART: usize = 1 << 14;
+const PART: u32 = 1 << 14;
+
+/// Some of the triangles, a bit each.
+type Bits = Vec<u64>;
 
 /// A point in one photo.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -35,9 +40,10 @@ pub struct SurfacePoints {
     /// Of each point, the best first.
     samples: Vec<Sample>,
     kept: usize,
-    /// Pixels a metre in the photo that is best, and how many photos show the point.
+    /// The triangles that each view may show.
+    looked_at: BTreeMap<u16, Bits>,
+    /// Pixels a metre in the photo that is nearest; 0 where none shows the point.
     pub density: Vec<f32>,
-    pub seen: Vec<u16>,
 }
 
 impl SurfacePoints {
@@ -58,8 +64,9 @@ impl SurfacePoints {
         samples.try_reserve_exact(points.len() * kept).map_err(|_| KernelError::OutOfMemory)?;
         samples.resize(points.len() * kept, Sample::default());
         let places = points.iter().map(|p| [0, 1, 2].map(|i| (p[i] - origin[i]) as f32)).collect();
-        let (density, seen) = (vec![0.0; points.len()], vec![0; points.len()]);
-        Ok(Self { places, normals, origin, first, triangles, vertices, samples, kept, density, seen })
+        let density = vec![0.0; points.len()];
+        let looked_at = BTreeMap::new();
+        Ok(Self { places, normals, origin, first, triangles, vertices, samples, kept, looked_at, density })
     }
 
     pub fn len(&self) -> usize {
@@ -92,7 +99,16 @@ impl SurfacePoints {
         progress: &Progress,
     ) -> Result<(), KernelError> {
         let looked_at = self.looked_at(view);
-        each(self.parts(&looked_at), threads, |part| part.see(view, number));
+        self.over(&looked_at, threads, |point| {
+            let least = point.samples[point.samples.len() - 1].score;
+            let known = Known { score: least, density: *point.density };
+            let Some(seen) = view.of(&point.place, &point.normal.map(f64::from), &known) else { return };
+            *point.density = point.density.max(seen.density);
+            if seen.score > least {
+                insert(point.samples, &seen, number);
+            }
+        });
+        self.looked_at.insert(number, looked_at);
         progress.check()
     }
 
@@ -102,18 +118,24 @@ impl SurfacePoints {
     /// As [`Progress::check`].
     pub fn see_again(
         &mut self,
-        view: &View,
+        colors: &Colors,
         number: u16,
         threads: usize,
         progress: &Progress,
     ) -> Result<(), KernelError> {
-        let looked_at = self.looked_at(view);
-        each(self.parts(&looked_at), threads, |part| part.see_again(view, number));
+        let looked_at = self.looked_at.remove(&number).unwrap_or_default();
+        self.over(&looked_at, threads, |point| {
+            if let Some(sample) = point.samples.iter_mut().find(|s| s.view == number && s.score > 0.0) {
+                let (color, blurred) = colors.of(&point.place);
+                (sample.color, sample.blurred) = (color.map(level), blurred.map(level));
+            }
+        });
+        self.looked_at.insert(number, looked_at);
         progress.check()
     }
 
     /// Triangles that may be seen: those of some pixel, and their neighbours, which may be smaller than one.
-    fn looked_at(&self, view: &View) -> Vec<bool> {
+    fn looked_at(&self, view: &View) -> Bits {
         let mut near = vec![false; self.vertices];
         let mut last = NOTHING;
         for &triangle in &view.triangles {
@@ -124,40 +146,53 @@ impl SurfacePoints {
             }
             last = triangle;
         }
-        self.triangles.iter().map(|corners| corners.iter().any(|&v| near[v as usize])).collect()
+        let is_near = |corners: &[u32; 3]| corners.iter().any(|&v| near[v as usize]);
+        let word = |some: &[[u32; 3]]| {
+            some.iter().enumerate().fold(0, |word, (i, corners)| word | u64::from(is_near(corners)) << i)
+        };
+        self.triangles.chunks(64).map(word).collect()
     }
 
-    /// The points of such triangles in parts for threads.
-    fn parts(&mut self, looked_at: &[bool]) -> Vec<Part<'_>> {
+    /// Do something at each point of some triangles, on several threads.
+    fn over(&mut self, triangles: &[u64], threads: usize, change: impl Fn(Point<'_>) + Sync) {
         let (origin, kept) = (self.origin, self.kept);
-        let (mut places, mut normals) = (self.places.as_slice(), self.normals.as_slice());
-        let (mut samples, mut density, mut seen) =
-            (self.samples.as_mut_slice(), self.density.as_mut_slice(), self.seen.as_mut_slice());
-        let (mut parts, mut taken) = (vec![], 0);
-        let mut start = 0;
-        let count = looked_at.len();
-        while start < count {
-            // Runs of triangles that are all looked at or all not.
-            let wanted = looked_at[start];
-            let mut end = start + 1;
-            let begin = self.first[start] as usize;
-            while end < count && looked_at[end] == wanted && (self.first[end] as usize - begin) < PART {
-                end += 1;
+        each(self.parts(), threads, |part: Part<'_>| {
+            for (triangle, ends) in (part.start..).zip(part.first.windows(2)) {
+                if triangles.get(triangle / 64).is_none_or(|word| word >> (triangle % 64) & 1 == 0) {
+                    continue;
+                }
+                let [begin, end] = [ends[0], ends[1]].map(|point| (point - part.first[0]) as usize);
+                for i in begin..end {
+                    change(Point {
+                        place: [0, 1, 2].map(|k| origin[k] + f64::from(part.places[i][k])),
+                        normal: &part.normals[i],
+                        samples: &mut part.samples[i * kept..][..kept],
+                        density: &mut part.density[i],
+                    });
+                }
             }
-            let size = self.first[end] as usize - taken;
-            taken += size;
-            let part = Part {
-                origin,
-                kept,
+        });
+    }
+
+    /// All points in parts for threads, whole triangles each.
+    fn parts(&mut self) -> Vec<Part<'_>> {
+        let kept = self.kept;
+        let (mut places, mut normals) = (self.places.as_slice(), self.normals.as_slice());
+        let (mut samples, mut density) = (self.samples.as_mut_slice(), self.density.as_mut_slice());
+        let (mut parts, mut start) = (vec![], 0);
+        while start < self.triangles.len() {
+            let begin = self.first[start];
+            let more = self.first[start + 1..].partition_point(|&point| point - begin < PART);
+            let end = (start + 1 + more).min(self.triangles.len());
+            let size = (self.first[end] - begin) as usize;
+            parts.push(Part {
+                start,
+                first: &self.first[start..=end],
                 places: split(&mut places, size),
                 normals: split(&mut normals, size),
                 samples: split_mut(&mut samples, size * kept),
                 density: split_mut(&mut density, size),
-                seen: split_mut(&mut seen, size),
-            };
-            if wanted && size > 0 {
-                parts.push(part);
-            }
+            });
             start = end;
         }
         parts
@@ -176,45 +211,23 @@ fn split_mut<'a, T>(rest: &mut &'a mut [T], size: usize) -> &'a mut [T] {
     part
 }
 
+/// The points of a few triangles.
 struct Part<'a> {
-    origin: Vec3,
-    kept: usize,
+    /// The first triangle; the first point of each, and the one after the last.
+    start: usize,
+    first: &'a [u32],
     places: &'a [[f32; 3]],
     normals: &'a [[f32; 3]],
     samples: &'a mut [Sample],
     density: &'a mut [f32],
-    seen: &'a mut [u16],
 }
 
-impl Part<'_> {
-    fn place(&self, i: usize) -> Vec3 {
-        [0, 1, 2].map(|k| self.origin[k] + f64::from(self.places[i][k]))
-    }
-
-    fn see(mut self, view: &View, number: u16) {
-        let kept = self.kept;
-        for (i, samples) in std::mem::take(&mut self.samples).chunks_exact_mut(kept).enumerate() {
-            let least = samples[kept - 1].score;
-            let Some(seen) = view.of(&self.place(i), &self.normals[i].map(f64::from), least) else {
-                continue;
-            };
-            self.seen[i] = self.seen[i].saturating_add(1);
-            self.density[i] = self.density[i].max(seen.density);
-            if seen.score > least {
-                insert(samples, &seen, number);
-            }
-        }
-    }
-
-    fn see_again(mut self, view: &View, number: u16) {
-        let kept = self.kept;
-        for (i, samples) in std::mem::take(&mut self.samples).chunks_exact_mut(kept).enumerate() {
-            if let Some(sample) = samples.iter_mut().find(|s| s.view == number && s.score > 0.0) {
-                let (color, blurred) = view.again(&self.place(i));
-                (sample.color, sample.blurred) = (color.map(level), blurred.map(level));
-            }
-        }
-    }
+/// One of them, with what is remembered of it.
+struct Point<'a> {
+    place: Vec3,
+    normal: &'a [f32; 3],
+    samples: &'a mut [Sample],
+    density: &'a mut f32,
 }
 
 /// The nearest whole level.

@@ -1,5 +1,7 @@
 //! A photo with what its camera sees, and the colour of a point of the surface in it.
 
+use std::sync::Arc;
+
 use super::pinhole::Pinhole;
 use crate::base::geometry::{Vec3, dot, norm2, sub};
 
@@ -45,89 +47,24 @@ pub struct Warp {
     pub shifts: Vec<[f32; 2]>,
 }
 
+/// The colours that a camera took.
 #[derive(Debug)]
-pub struct View {
+pub struct Colors {
     pub camera: Pinhole,
-    /// Where it stands.
-    pub place: Vec3,
     pub photo: Photo,
     /// The photo without its details.
     pub blurred: Photo,
-    /// The mesh from where the photo was taken, in any size, and the triangle at each pixel.
-    pub mesh: Depths,
-    pub triangles: Vec<u32>,
-    /// What the frame measured, if it did.
-    pub measured: Option<Depths>,
     pub warp: Option<Warp>,
-    /// How much it is worth beside other photos: blurred ones less.
-    pub worth: f32,
 }
 
-/// A point in a photo; without colours, and of score 0, where the photo is not among the best.
-#[derive(Clone, Copy, Debug)]
-pub struct Seen {
-    pub score: f32,
-    pub color: [f32; 3],
-    pub blurred: [f32; 3],
-    /// Pixels a metre, across the slope.
-    pub density: f32,
-}
-
-impl View {
-    /// How a point of the surface appears, if it does, in front, not hidden, where it was measured, and better than `least`.
-    pub fn of(&self, place: &Vec3, normal: &Vec3, least: f32) -> Option<Seen> {
-        let p = self.camera.in_camera(place);
-        if p[2] <= 0.0 {
-            return None;
-        }
-        let pixel @ [x, y] = self.camera.pixel(&p);
-        let (width, height) = (self.camera.width as f64, self.camera.height as f64);
-        let edge = (x + 0.5).min(y + 0.5).min(width - 0.5 - x).min(height - 0.5 - y);
-        if edge < 1.0 {
-            return None;
-        }
-        let towards = sub(&self.place, place);
-        let distance2 = norm2(&towards);
-        let cosine = dot(&towards, normal) / distance2.sqrt();
-        if cosine < LEAST_COSINE {
-            return None;
-        }
-        let tangent = ((1.0 - cosine * cosine).max(0.0).sqrt() / cosine).min(MOST_TANGENT);
-        // The mesh was drawn from where the photo was taken.
-        if self.mesh.difference(&p, tangent)? < -SAME_DEPTH {
-            return None;
-        }
-        let mut worth = self.worth;
-        match self
-            .measured
-            .as_ref()
-            .and_then(|measured| measured.difference(&measured.camera.in_camera(place), tangent))
-        {
-            None if self.measured.is_some() => worth *= UNMEASURED,
-            Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
-            _ => {}
-        }
-        let fade = (edge / (FADE * width)).min(1.0);
-        let density2 = self.camera.focal[0] * self.camera.focal[1] / distance2;
-        let mut score = (cosine * fade * density2) as f32 * worth * worth;
-        let density = (self.camera.focal[0] / p[2]) as f32;
-        if score <= least {
-            return Some(Seen { score: 0.0, density, color: [0.0; 3], blurred: [0.0; 3] });
-        }
-        let (color, blurred) = self.colors(pixel);
-        if color.iter().any(|level| !(DARK..=BRIGHT).contains(level)) {
-            score *= CUT_OFF;
-        }
-        Some(Seen { score, density, color, blurred })
-    }
-
+impl Colors {
     /// The colours of a point that is known to appear.
-    pub fn again(&self, place: &Vec3) -> ([f32; 3], [f32; 3]) {
-        self.colors(self.camera.pixel(&self.camera.in_camera(place)))
+    pub fn of(&self, place: &Vec3) -> ([f32; 3], [f32; 3]) {
+        self.at(self.camera.pixel(&self.camera.in_camera(place)))
     }
 
     /// The colour at a pixel, and that of the blurred photo.
-    fn colors(&self, pixel: [f64; 2]) -> ([f32; 3], [f32; 3]) {
+    fn at(&self, pixel: [f64; 2]) -> ([f32; 3], [f32; 3]) {
         let place = self.warped(pixel);
         (self.photo.cubic(place), self.blurred.linear(place))
     }
@@ -145,11 +82,97 @@ impl View {
     }
 }
 
+#[derive(Debug)]
+pub struct View {
+    pub colors: Arc<Colors>,
+    /// Where the camera stands.
+    pub place: Vec3,
+    /// The mesh from where the photo was taken, in any size, and the triangle at each pixel.
+    pub mesh: Depths,
+    pub triangles: Vec<u32>,
+    /// What the frame measured, if it did.
+    pub measured: Option<Depths>,
+    /// How much it is worth beside other photos: blurred ones less.
+    pub worth: f32,
+}
+
+/// What is known of a point from other photos: the worst score that is remembered, and the most pixels a metre.
+#[derive(Clone, Copy, Debug)]
+pub struct Known {
+    pub score: f32,
+    pub density: f32,
+}
+
+/// A point in a photo; without colours, and of score 0, where the photo is not among the best.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    pub score: f32,
+    pub color: [f32; 3],
+    pub blurred: [f32; 3],
+    /// Pixels a metre, across the slope.
+    pub density: f32,
+}
+
+impl View {
+    /// How a point of the surface appears, if it does, in front, not hidden, where it was measured, and tells more than is known.
+    pub fn of(&self, place: &Vec3, normal: &Vec3, known: &Known) -> Option<Seen> {
+        let camera = &self.colors.camera;
+        let p = camera.in_camera(place);
+        if p[2] <= 0.0 {
+            return None;
+        }
+        let pixel @ [x, y] = camera.pixel(&p);
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        let edge = (x + 0.5).min(y + 0.5).min(width - 0.5 - x).min(height - 0.5 - y);
+        if edge < 1.0 {
+            return None;
+        }
+        let towards = sub(&self.place, place);
+        let distance2 = norm2(&towards);
+        let cosine = dot(&towards, normal) / distance2.sqrt();
+        if cosine < LEAST_COSINE {
+            return None;
+        }
+        let fade = (edge / (FADE * width)).min(1.0);
+        let density2 = camera.focal[0] * camera.focal[1] / distance2;
+        let value = (cosine * fade * density2) as f32;
+        let density = (camera.focal[0] / p[2]) as f32;
+        if value * self.worth * self.worth <= known.score && density <= known.density {
+            return None;
+        }
+        let tangent = ((1.0 - cosine * cosine).max(0.0).sqrt() / cosine).min(MOST_TANGENT);
+        // The mesh was drawn from where the photo was taken.
+        if self.mesh.difference(&p, tangent)? < -SAME_DEPTH {
+            return None;
+        }
+        let mut worth = self.worth;
+        match self
+            .measured
+            .as_ref()
+            .and_then(|measured| measured.difference(&measured.camera.in_camera(place), tangent))
+        {
+            None if self.measured.is_some() => worth *= UNMEASURED,
+            Some(difference) if difference.abs() > SAME_MEASURED_DEPTH => return None,
+            _ => {}
+        }
+        let mut score = value * worth * worth;
+        if score <= known.score {
+            return Some(Seen { score: 0.0, density, color: [0.0; 3], blurred: [0.0; 3] });
+        }
+        let (color, blurred) = self.colors.at(pixel);
+        if color.iter().any(|level| !(DARK..=BRIGHT).contains(level)) {
+            score *= CUT_OFF;
+        }
+        Some(Seen { score, density, color, blurred })
+    }
+}
+
 /// The cell of a row of `count` values that a place is in, and how far.
 #[inline]
 fn cell(place: f64, count: usize) -> (usize, f64) {
-    let i = (place.max(0.0) as usize).min(count - 2);
-    (i, (place - i as f64).clamp(0.0, 1.0))
+    // Of 32 bits, which processors convert at once.
+    let i = (place.max(0.0) as i32).min(count as i32 - 2);
+    (i as usize, (place - f64::from(i)).clamp(0.0, 1.0))
 }
 
 impl Depths {
@@ -171,26 +194,36 @@ impl Depths {
 }
 
 impl Photo {
-    #[inline]
-    fn at(&self, x: usize, y: usize) -> [f32; 4] {
-        self.pixels[y * self.width + x].map(f32::from)
+    /// Between four pixels.
+    pub fn linear(&self, place: [f64; 2]) -> [f32; 3] {
+        let [red, green, blue, _] = self.of_four(place);
+        [red, green, blue]
     }
 
-    /// Between four pixels.
-    pub fn linear(&self, [x, y]: [f64; 2]) -> [f32; 3] {
+    /// Between sixteen pixels, by Catmull and Rom's cubic, which keeps details that four would blur.
+    pub fn cubic(&self, place: [f64; 2]) -> [f32; 3] {
+        let [red, green, blue, _] = self.of_sixteen(place);
+        [red, green, blue].map(|level| level.clamp(0.0, 255.0))
+    }
+
+    /// Not inlined: where it is seen that the fourth channel is not needed, the three are computed one by one.
+    #[inline(never)]
+    fn of_four(&self, [x, y]: [f64; 2]) -> [f32; 4] {
         let (i, s) = cell(x, self.width);
         let (j, t) = cell(y, self.height);
         let (s, t) = (s as f32, t as f32);
         let mut sum = [0.0; 4];
         for (row, weight) in [(j, 1.0 - t), (j + 1, t)] {
-            add(&mut sum, weight * (1.0 - s), &self.at(i, row));
-            add(&mut sum, weight * s, &self.at(i + 1, row));
+            let pair = &self.pixels[row * self.width + i..][..2];
+            add(&mut sum, weight * (1.0 - s), &pair[0].map(f32::from));
+            add(&mut sum, weight * s, &pair[1].map(f32::from));
         }
-        [sum[0], sum[1], sum[2]]
+        sum
     }
 
-    /// Between sixteen pixels, by Catmull and Rom's cubic, which keeps details that four would blur.
-    pub fn cubic(&self, [x, y]: [f64; 2]) -> [f32; 3] {
+    /// Likewise.
+    #[inline(never)]
+    fn of_sixteen(&self, [x, y]: [f64; 2]) -> [f32; 4] {
         let (i, s) = cell(x, self.width);
         let (j, t) = cell(y, self.height);
         let (along, down) = (catmull_rom(s as f32), catmull_rom(t as f32));
@@ -203,7 +236,7 @@ impl Photo {
                 add(&mut sum, weight * share, &line[column].map(f32::from));
             }
         }
-        [sum[0], sum[1], sum[2]].map(|level| level.clamp(0.0, 255.0))
+        sum
     }
 }
 

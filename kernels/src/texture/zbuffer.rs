@@ -16,22 +16,32 @@ pub struct ZBuffer {
 
 /// Draw a mesh, either side of its triangles; of two at one depth the first is seen. What is nearer than `near` is cut off.
 pub fn zbuffer(points: &[Vec3], triangles: &[[u32; 3]], camera: &Pinhole, near: f64) -> ZBuffer {
+    let corner = |p: Vec3| Corner { pixel: camera.pixel(&p), depth: p[2] };
     let seen: Vec<Vec3> = points.iter().map(|p| camera.in_camera(p)).collect();
+    // Those that are not in front have none that means anything; it is not asked for.
+    let appear: Vec<Corner> = seen.iter().map(|&p| corner(p)).collect();
     let pixels = camera.width * camera.height;
     let mut buffer = ZBuffer { depth: vec![f32::INFINITY; pixels], triangle: vec![NOTHING; pixels] };
     for (number, corners) in triangles.iter().enumerate() {
-        let corners = corners.map(|v| seen[v as usize]);
-        let behind = corners.iter().filter(|p| p[2] < near).count();
+        let drawn = corners.map(|v| appear[v as usize]);
+        let behind = drawn.iter().filter(|p| p.depth < near).count();
         if behind == 0 {
-            buffer.draw(&corners, number as u32, camera);
+            buffer.draw(&drawn, number as u32, camera);
         } else if behind < 3 {
-            let (cut, count) = cut_off(&corners, near);
+            let (cut, count) = cut_off(&corners.map(|v| seen[v as usize]), near);
             for k in 2..count {
-                buffer.draw(&[cut[0], cut[k - 1], cut[k]], number as u32, camera);
+                buffer.draw(&[cut[0], cut[k - 1], cut[k]].map(corner), number as u32, camera);
             }
         }
     }
     buffer
+}
+
+/// Where a corner of a triangle appears, and its depth.
+#[derive(Clone, Copy)]
+struct Corner {
+    pixel: [f64; 2],
+    depth: f64,
 }
 
 /// The part of a triangle beyond `near`: a polygon of so many corners.
@@ -54,31 +64,32 @@ fn cut_off(corners: &[Vec3; 3], near: f64) -> ([Vec3; 4], usize) {
 }
 
 impl ZBuffer {
-    fn draw(&mut self, corners: &[Vec3; 3], number: u32, camera: &Pinhole) {
-        let [a, b, c] = corners.map(|p| camera.pixel(&p));
-        let twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-        if twice == 0.0 || !twice.is_finite() {
-            return;
-        }
-        // The inverse of the depth is linear in the image.
-        let [za, zb, zc] = corners.map(|p| 1.0 / p[2]);
-        let edge = |p: [f64; 2], q: [f64; 2]| {
-            let (along, up) = (-(q[1] - p[1]) / twice, (q[0] - p[0]) / twice);
-            [along, up, -along * p[0] - up * p[1]]
-        };
-        let edges = [edge(b, c), edge(c, a), edge(a, b)];
-        let inverse = [0, 1, 2].map(|i| edges[0][i] * za + edges[1][i] * zb + edges[2][i] * zc);
+    fn draw(&mut self, corners: &[Corner; 3], number: u32, camera: &Pinhole) {
+        let [a, b, c] = corners.map(|corner| corner.pixel);
         let between = |axis: usize, size: usize| {
             let low = a[axis].min(b[axis]).min(c[axis]).ceil().max(0.0);
             // The one after the last; 0 where all is beyond the first.
             let end = (a[axis].max(b[axis]).max(c[axis]).floor() + 1.0).clamp(0.0, size as f64);
             low.min(size as f64) as usize..end as usize
         };
-        let columns = between(0, camera.width);
-        if columns.is_empty() {
+        // Most triangles are elsewhere.
+        let (columns, rows) = (between(0, camera.width), between(1, camera.height));
+        if columns.is_empty() || rows.is_empty() {
             return;
         }
-        for y in between(1, camera.height) {
+        let twice = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        if twice == 0.0 || !twice.is_finite() {
+            return;
+        }
+        // The inverse of the depth is linear in the image.
+        let [za, zb, zc] = corners.map(|corner| 1.0 / corner.depth);
+        let edge = |p: [f64; 2], q: [f64; 2]| {
+            let (along, up) = (-(q[1] - p[1]) / twice, (q[0] - p[0]) / twice);
+            [along, up, -along * p[0] - up * p[1]]
+        };
+        let edges = [edge(b, c), edge(c, a), edge(a, b)];
+        let inverse = [0, 1, 2].map(|i| edges[0][i] * za + edges[1][i] * zb + edges[2][i] * zc);
+        for y in rows {
             // Each edge leaves a part of the row, to one side.
             let (mut first, mut last) = (columns.start as f64, columns.end as f64 - 1.0);
             for [along, up, rest] in edges {
