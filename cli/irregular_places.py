@@ -89,7 +89,8 @@ def _triangles_at(found: Checked, name: str) -> NDArray[np.bool_]:
     if kind == "triangle":
         return np.isin(np.arange(len(triangles)), places)
     if kind == "vertex":
-        return np.isin(triangles, places).any(axis=1)
+        return np.asarray(np.isin(triangles, places).any(axis=1))
     count = triangles.max(initial=0) + 1
     sides = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2), axis=2)
-    return np.isin(sides[..., 0] * count + sides[..., 1], places[:, 0] * count + places[:, 1]).any(axis=1)
+    keys, chosen = sides[..., 0] * count + sides[..., 1], places[:, 0] * count + places[:, 1]
+    return np.asarray(np.isin(keys, chosen).any(axis=1))
