@@ -15,6 +15,9 @@ _NO_ROOM = re.compile(
 # OpenCV's own number for it, StsNoMem.
 _OPENCV_NO_MEMORY = -4
 
+# The folder of our own modules, which have no such error.
+_OURS = Path(__file__).parents[1]
+
 
 class ScanloomError(Exception):
     """A failure with one plain sentence for the person who reads it."""
@@ -56,6 +59,9 @@ def is_lack_of_memory(error: BaseException) -> bool:
         return error.errno == errno.ENOMEM
     if type(error).__module__ == "cv2":
         return getattr(error, "code", 0) == _OPENCV_NO_MEMORY
+    if isinstance(error, SyntaxError):
+        # Python's parser, which runs where no compiled modules are kept, takes it for an error in the text.
+        return error.filename is not None and _OURS in Path(error.filename).parents
     if isinstance(error, (ImportError, RuntimeError)):
         return _NO_ROOM.search(str(error)) is not None
     return False

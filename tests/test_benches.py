@@ -293,8 +293,9 @@ def test_triangles_beyond_a_right_angle_are_turned(normal_mesh: ModuleType):
     other = cube.triangles.copy()
     other[[7, 300]] = other[[7, 300], ::-1]
 
-    assert normal_mesh.turned(cube, cube) == 0
-    assert normal_mesh.turned(cube, cube.with_(triangles=other)) == 2
+    assert normal_mesh.turned(cube, cube) == (0, 0)
+    assert normal_mesh.turned(cube, cube.with_(triangles=other)) == (2, 2)
+    assert normal_mesh.turned(cube.with_(triangles=other), cube) == (2, 0)
 
 
 def test_a_file_is_worth_having_if_none_is_smaller_and_nearer(rates: ModuleType):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import typer
 
+import stages
 from cli.errors import bug_of, failure_of
 from cli.one_line import one_line
 from cli.output import Output, lines_of, to_json
@@ -131,6 +132,7 @@ def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code
         MemoryError(),
         OSError(errno.ENOMEM, "Cannot allocate memory"),
         ImportError("libx.so: failed to map segment from shared object"),
+        SyntaxError("expected ':'", (stages.__file__, 105, 1, "")),
         ImportError("libx.so: cannot create shared object descriptor: Cannot allocate memory"),
         RuntimeError("can't start new thread"),
         RuntimeError("[Open3D Error] (void* Malloc(size_t)) MemoryManagerCPU.cpp:20: CPU malloc failed"),
@@ -144,6 +146,10 @@ def test_a_lack_of_memory_is_explained(error: Exception) -> None:
     failure = failure_of(error)
     assert failure.exit_code == 1
     assert "memory" in failure.sentence
+
+
+def test_an_error_in_another_text_is_no_lack_of_memory() -> None:
+    assert not is_lack_of_memory(SyntaxError("expected ':'", ("<string>", 1, 1, "")))
 
 
 def test_a_library_that_is_loaded_too_late_is_no_lack_of_memory() -> None:

@@ -223,8 +223,9 @@ def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, tmp_path, assignm
 
 
 def test_every_section_decides_one_stage():
+    # How folders are read shows in what is read.
     used = [section for stage in STAGES for section in stage.sections]
-    assert sorted([*used, "scan", "cache"]) == sorted(Config.types())
+    assert sorted([*used, "scan", "photos", "cache"]) == sorted(Config.types())
 
 
 @pytest.mark.parametrize("section", sorted(set(Config.types()) - {"scan"}))

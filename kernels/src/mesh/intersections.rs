@@ -33,32 +33,39 @@ pub fn intersecting(
     let proper: Vec<u32> = (0..triangles.len() as u32).filter(|&t| flat[t as usize].is_some()).collect();
     let box_of = |t: usize| around(corners(t).into_iter().copied());
     let (tree, order) = Bvh::new(proper.len(), threads, |i| box_of(proper[i] as usize));
-    let mut met = vec![NONE; triangles.len()];
-    for (number, part) in met.chunks_mut(PART).enumerate() {
-        progress.tell((number * PART) as u64, triangles.len() as u64)?;
+    let in_slots: Vec<u32> = order.iter().map(|&i| proper[i as usize]).collect();
+    // Slot by slot: what lies together is searched together.
+    let mut found = vec![NONE; in_slots.len()];
+    for (number, part) in found.chunks_mut(PART).enumerate() {
+        progress.tell((number * PART) as u64, in_slots.len() as u64)?;
         fill(part, threads, |i| {
-            let t = number * PART + i;
-            let Some(axis) = flat[t] else { return NONE };
-            let mut found = NONE;
-            let [low, high] = box_of(t);
-            tree.meeting(
-                &low,
-                &high,
-                |_, _| false,
-                |slot| {
-                    let other = proper[order[slot as usize] as usize];
-                    let Some(other_axis) = flat[other as usize] else { return true };
-                    let (a, b) = (triangles[t], triangles[other as usize]);
-                    if other as usize != t && meet(points, [a, b], [axis, other_axis]) {
-                        found = other;
-                    }
-                    found == NONE
-                },
-            );
-            found
+            let t = in_slots[number * PART + i] as usize;
+            let own = box_of(t);
+            let mut met = NONE;
+            let meets = |other: usize| {
+                let (Some(axis), Some(other_axis)) = (flat[t], flat[other]) else { return false };
+                other != t
+                    && overlap(&own, &box_of(other))
+                    && meet(points, [triangles[t], triangles[other]], [axis, other_axis])
+            };
+            let visit = |slot: u32| {
+                let other = in_slots[slot as usize];
+                if meets(other as usize) {
+                    met = other;
+                }
+                met == NONE
+            };
+            tree.meeting(&own[0], &own[1], |_, _| false, visit);
+            met
         });
     }
+    let mut met = vec![NONE; triangles.len()];
+    in_slots.iter().zip(&found).for_each(|(&t, &other)| met[t as usize] = other);
     Ok(met)
+}
+
+fn overlap(a: &[Vec3; 2], b: &[Vec3; 2]) -> bool {
+    (0..3).all(|i| a[0][i] <= b[1][i] && b[0][i] <= a[1][i])
 }
 
 /// Whether two triangles meet beyond the vertices that they share; each has an area along its axis.
