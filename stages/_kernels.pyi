@@ -18,6 +18,7 @@ __all__ = [
     "LaidOut",
     "LimitError",
     "NormalMesh",
+    "Photo",
     "PlanarPatches",
     "Proven",
     "Running",
