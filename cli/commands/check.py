@@ -13,7 +13,7 @@ from cli.mesh_arguments import MeshFile, about_file, read_file
 from cli.output import Output, table_of
 from cli.paths import require_new_file
 from stages import Checked, CheckParams
-from stages.cleaning.check import CLASSES, REQUIREMENTS
+from stages.cleaning.check import CLASSES, REQUIREMENTS, require_answerable
 from stages.files.replacing import replacing
 
 
@@ -40,6 +40,7 @@ def check(
     Example: scanloom check simplified.ply --require watertight,no-intersecting-triangles
     """
     wanted = [word for part in require.split(",") if (word := part.strip())]
+    require_answerable(wanted, params.min_thickness)
     for path, suffix in ((save_places, ".json"), (save_ply, ".ply")):
         if path is not None:
             require_new_file(path, (suffix,))

@@ -115,6 +115,21 @@ class CheckKeywords(TypedDict, total=False):
     threads: int | None
 
 
+def require_answerable(requirements: Iterable[str], min_thickness: float) -> None:
+    """Refuse words that are no REQUIREMENTS, and what always holds for want of a limit.
+
+    Raises
+    ------
+    UsageError
+        Naming the first such word.
+    """
+    for word in requirements:
+        if word not in REQUIREMENTS:
+            raise UsageError(f"there is no requirement {word!r}; there are {', '.join(REQUIREMENTS)}.")
+        if word == "no-thin-triangles" and min_thickness == 0:
+            raise UsageError("no-thin-triangles needs min_thickness: without it, nothing is thin.")
+
+
 @dataclass(frozen=True, eq=False)
 class Checked:
     """What a mesh is like.
@@ -127,6 +142,7 @@ class Checked:
         first.
     points : of each class a point (k, 3) for each place, metres: the vertex, or the middle.
     thickness : (m,) of the solid behind each triangle, metres; NaN where there is none.
+    min_thickness : metres, below which a place is thin.
     inside_out : closed pieces whose triangles look inwards.
     triangles : (m, 3) those of the mesh, with one number for vertices in one place.
     """
@@ -135,6 +151,7 @@ class Checked:
     places: dict[str, Ids]
     points: dict[str, Vertices]
     thickness: NDArray[np.float64]
+    min_thickness: float
     inside_out: int
     triangles: Triangles
 
@@ -152,9 +169,11 @@ class Checked:
         Raises
         ------
         UsageError
-            If there is no such requirement.
+            As `require_answerable`.
         """
-        return [sentence for name in requirements if (sentence := self._unmet(name))]
+        wanted = list(requirements)
+        require_answerable(wanted, self.min_thickness)
+        return [sentence for name in wanted if (sentence := self._unmet(name))]
 
     def figures(self) -> dict[str, Any]:
         """Return what it is, the counts of all classes, and where the first of each are."""
@@ -182,8 +201,6 @@ class Checked:
         }
 
     def _unmet(self, requirement: str) -> str | None:
-        if requirement.startswith("no-") and requirement in REQUIREMENTS:
-            return self._found(requirement.removeprefix("no-").replace("-", "_"))
         match requirement:
             case "closed":
                 return self._found("border_edges", "nonmanifold_edges") or self._without_surface()
@@ -199,7 +216,7 @@ class Checked:
             case "one-piece":
                 pieces = self.topology.components
                 return None if pieces == 1 else f"it has {pieces:,} pieces."
-        raise UsageError(f"there is no requirement {requirement!r}; there are {', '.join(REQUIREMENTS)}.")
+        return self._found(requirement.removeprefix("no-").replace("-", "_"))
 
     def _found(self, *names: str) -> str | None:
         """Return a sentence on the first of some classes that has any."""
@@ -259,6 +276,7 @@ def check(
         places=places,
         points={name: _points(joined, CLASSES[name][0], ids) for name, ids in places.items()},
         thickness=thick,
+        min_thickness=params.min_thickness,
         inside_out=_inside_out(joined),
         triangles=joined.triangles,
     )
@@ -281,12 +299,12 @@ def _points(mesh: Mesh, kind: Kind, ids: Ids) -> Vertices:
 def _inside_out(mesh: Mesh) -> int:
     """Count the pieces that are closed and enclose a negative volume."""
     triangles = mesh.triangles[~repeats_vertex(mesh.triangles)]
+    if len(triangles) == 0:
+        return 0
     edges = edges_of(triangles, len(mesh.vertices))
     _, labels = components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
     is_open = np.zeros(labels.max(initial=-1) + 1, bool)
     is_open[labels[edges.ends[(edges.count != 2) | (edges.forward != 1), 0]]] = True
-    if len(triangles) == 0:
-        return 0
     # About the middle, so that nothing is lost far from the origin.
     a, b, c = (mesh.vertices[triangles] - bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
     volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))

@@ -56,6 +56,9 @@ def test_wrong_words_and_bad_input(scanloom: Run, ball: Path, tmp_path: Path) ->
     ran = scanloom("check", ball, "--require", "waterproof")
     assert ran.exit_code == 2
     assert "there is no requirement 'waterproof'" in ran.stderr
+    # Before anything is read.
+    ran = scanloom("check", tmp_path / "none.ply", "--require", "no-thin-triangles")
+    assert (ran.exit_code, "needs min_thickness" in ran.stderr) == (2, True)
     assert scanloom("check", ball, "--corner-angle", 40).exit_code == 2
     assert scanloom("check", ball, "--save-ply", tmp_path / "places.obj").exit_code == 2
     assert scanloom("check", tmp_path / "none.ply").exit_code == 3

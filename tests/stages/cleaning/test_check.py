@@ -40,7 +40,7 @@ def soup(seed: int, count: int, size: float) -> Mesh:
 
 
 def test_a_ball_is_watertight_and_nothing_is_found() -> None:
-    found = check(ball())
+    found = check(ball(), min_thickness=0.1)
     assert counts(found) == {}
     assert found.is_watertight
     assert found.unmet(REQUIREMENTS) == []
@@ -256,6 +256,11 @@ def test_an_empty_mesh_is_not_closed() -> None:
 def test_an_unknown_requirement_is_refused() -> None:
     with pytest.raises(UsageError, match="no requirement 'waterproof'; there are watertight, closed"):
         check(ball()).unmet(["waterproof"])
+
+
+def test_nothing_is_promised_of_walls_without_a_limit() -> None:
+    with pytest.raises(UsageError, match="no-thin-triangles needs min_thickness"):
+        check(ball()).unmet(["no-thin-triangles"])
 
 
 @pytest.mark.parametrize(
