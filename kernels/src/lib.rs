@@ -12,6 +12,7 @@
 //! | [`jia01`] | texture-preserving simplification by what a collapse changes | `collapse` |
 //! | [`quadric`] | simplification by attribute quadrics | `collapse`, `quadrics`, `certify` |
 //! | [`certified`] | simplification within proven bounds | `collapse`, `quadric`, `certify` |
+//! | [`lod`] | levels of detail: a tree of cells, each proven on every level | `certified`, `certify` |
 //! | [`seams`] | surfaces whose vertices are doubled along texture seams | `collapse`, `quadrics`, `fitting` |
 //! | [`planar`] | simplification by near-planar patches | `mesh` |
 //! | [`atlas`] | the surface cut into charts that lie flat, packed into images | `base` |
@@ -26,6 +27,7 @@ pub mod certify;
 pub mod collapse;
 pub mod fitting;
 pub mod jia01;
+pub mod lod;
 pub mod mesh;
 pub mod normal;
 pub mod planar;

@@ -50,6 +50,19 @@ pub struct History<'a, const D: usize> {
     root: Vec<u32>,
     /// By vertex of the current mesh: the last collapse it survived.
     last: Vec<u32>,
+    /// Collapses before this one are for good.
+    floor: u32,
+    kept_for_good: usize,
+}
+
+/// A collapse that stands.
+pub struct Kept<const D: usize> {
+    /// Its place in the order of time, among those that were taken back as well.
+    pub number: u32,
+    pub removed: u32,
+    pub survivor: u32,
+    /// Where the survivor went.
+    pub point: [f64; D],
 }
 
 impl<'a, const D: usize> History<'a, D> {
@@ -65,7 +78,21 @@ impl<'a, const D: usize> History<'a, D> {
             in_order,
             root: (0..vertices as u32).collect(),
             last: vec![NONE; vertices],
+            floor: 0,
+            kept_for_good: 0,
         }
+    }
+
+    /// Nothing that has happened so far is taken back any more. Returns the number of the next collapse.
+    pub fn settle(&mut self) -> u32 {
+        self.floor = self.collapses.len() as u32;
+        self.kept_for_good = self.kept;
+        self.floor
+    }
+
+    /// Whether nothing has happened that may be taken back.
+    pub fn is_settled(&self) -> bool {
+        self.kept == self.kept_for_good
     }
 
     /// More collapses, in numbers of the input, with what their survivors became.
@@ -126,6 +153,11 @@ impl<'a, const D: usize> History<'a, D> {
 
     /// The collapses that are kept, those of least priority first in each round: no other changed what they needed.
     pub fn way(&self) -> Way<D> {
+        self.stand().map(|kept| (kept.removed, kept.survivor, kept.point)).collect()
+    }
+
+    /// As [`Self::way`], with their numbers.
+    pub fn stand(&self) -> impl Iterator<Item = Kept<D>> + '_ {
         let mut kept = vec![];
         let mut open: Vec<u32> = self
             .last
@@ -144,12 +176,11 @@ impl<'a, const D: usize> History<'a, D> {
             }
         }
         kept.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
-        let collapse = |(_, _, number): (u32, f64, u32)| {
+        kept.into_iter().map(|(_, _, number)| {
             let Collapse { removed, survivor, .. } = self.collapses[number as usize];
             let part = self.part_of(number);
-            (removed, survivor, part.path[(number - part.first) as usize])
-        };
-        kept.into_iter().map(collapse).collect()
+            Kept { number, removed, survivor, point: part.path[(number - part.first) as usize] }
+        })
     }
 
     /// What a triangle of the input is in the current mesh, if it is still there.
@@ -170,15 +201,14 @@ impl<'a, const D: usize> History<'a, D> {
         });
     }
 
-    /// The last collapse that changed a triangle of the current mesh.
+    /// The last collapse that changed a triangle of the current mesh, if it may be taken back.
     pub fn latest(&self, corners: &[u32; 3]) -> Option<u32> {
-        let last = corners.iter().map(|&v| self.last[v as usize]).filter(|&last| last != NONE);
-        last.max()
+        corners.iter().filter_map(|&v| self.last(v)).max()
     }
 
-    /// The last collapse that a vertex of the current mesh survived.
+    /// The last collapse that a vertex of the current mesh survived, if it may be taken back.
     pub fn last(&self, v: u32) -> Option<u32> {
-        Some(self.last[v as usize]).filter(|&last| last != NONE)
+        Some(self.last[v as usize]).filter(|&last| last != NONE && last >= self.floor)
     }
 
     /// Take a collapse back, and before it all that need the mesh it made. `split` hears of each of them, with the

@@ -79,6 +79,10 @@ impl<'a, const D: usize> Ledger<'a, D> {
         })
     }
 
+    pub fn bounds(&self) -> Deviation {
+        self.bounds
+    }
+
     /// Look at what has changed since the last time. Returns how many triangles of the mesh and of the input have no
     /// proof now.
     ///

@@ -24,7 +24,7 @@
 pub mod along_seams;
 pub mod fan;
 pub mod history;
-mod ledger;
+pub mod ledger;
 pub mod original;
 mod retreat;
 pub mod simplify;

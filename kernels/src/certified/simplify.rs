@@ -1,7 +1,7 @@
 //! Simplify, prove, take back, until all is proven.
 
 use super::original::Original;
-use super::tracked::TrackedRecords;
+use super::tracked::{Rules, TrackedRecords};
 use super::tracker::{Bound, Limits, Lists};
 use crate::base::errors::KernelError;
 use crate::base::geometry::position;
@@ -58,6 +58,7 @@ pub struct Options {
     pub close: bool,
     /// What samples may use of a bound, so that the points between them have some left.
     pub share: f64,
+    pub rules: Rules,
 }
 
 impl Options {
@@ -69,6 +70,7 @@ impl Options {
             proof: certify::Options::default(),
             close: true,
             share: SHARE,
+            rules: Rules::default(),
         }
     }
 }
@@ -124,28 +126,64 @@ pub fn simplify<const D: usize, const K: usize>(
     progress.check()?;
     let original = Original::new(whole.points, whole.triangles);
     progress.check()?;
-    let least = least_bounds(&original, &options.proof);
+    let start = State::of_input(&original, goal.record)?;
+    let Reached { state, mut ledger, proven, stop, mut passes } =
+        go_on::<D, K>(&original, start, locked, options, goal, progress)?;
+    let refused = state.mesh.refused_edges();
+    let mut mesh = state.mesh.into_compact();
+    let certificate =
+        certificate_of(&mesh, &mut ledger, proven, options, goal.threads, &mut progress.silent())?;
+    // With more effort the rest may be within the bounds after all.
+    let proven = proven || certificate.bound.within(ledger.bounds());
+    if let Some(last) = passes.last_mut().filter(|_| proven) {
+        last.unproven = [0, 0];
+    }
+    let way = if goal.record { state.history.way() } else { Way::default() };
+    if let Some(proper) = proper {
+        mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
+    }
+    Ok(Certified { mesh, certificate, proven, stop, passes, refused, way })
+}
+
+/// Where the loop has ended.
+pub struct Reached<'a, const D: usize> {
+    pub state: State<'a, D>,
+    pub ledger: Ledger<'a, D>,
+    pub proven: bool,
+    pub stop: Stop,
+    pub passes: Vec<Pass>,
+}
+
+/// The loop itself, from any state of `original` that is within the bounds. What has happened before stays; `locked` is by
+/// vertex of the input, empty for none.
+///
+/// # Errors
+/// [`KernelError::Interrupted`].
+pub fn go_on<'a, const D: usize, const K: usize>(
+    original: &'a Original<D>,
+    start: State<'a, D>,
+    locked: Vec<bool>,
+    options: &Options,
+    goal: &Goal,
+    progress: &mut Progress,
+) -> Result<Reached<'a, D>, KernelError> {
+    let least = least_bounds(original, &options.proof);
     let bounds = options.bounds.max(least);
     let mut limits = limits_of(options, bounds, least, original.points.len());
     let decision =
         certify::Options { limit: Some(bounds), threads: goal.threads, effort: EFFORT, ..options.proof };
-    let recorded = goal.record;
     let goal = Goal { record: true, ..*goal };
     let to_go = original.triangles.len().saturating_sub(goal.triangles) as u64;
-    let mut ledger = None;
     let mut passes: Vec<Pass> = vec![];
     let mut attempts = 0;
     let mut lost = Lost { failures: vec![0; original.points.len()], locked };
-    progress.check()?;
-    let mut state = State {
-        mesh: Whole::new(original.points.clone(), original.triangles.clone(), lost.locked.clone())?,
-        lists: Lists::of_input(&original),
-        history: History::new(&original, recorded),
-    };
+    let mut ledger = None;
+    let mut state = start.with_locks(&lost.locked);
     loop {
         let State { mesh, lists, mut history } = state;
         let importance = importance_of(&mesh, &history, &options.importance);
-        let records = TrackedRecords::<D, K>::new(&original, &limits, options.weight, importance, lists);
+        let records =
+            TrackedRecords::<D, K>::new(original, &limits, options.weight, importance, lists, options.rules);
         // What was taken back is to go once more, and proofs are counted in other units.
         let gone = original.triangles.len() - mesh.triangles.len();
         let outcome = collapse(mesh, records, &goal, &mut progress.part(gone as u64, to_go))?;
@@ -153,34 +191,23 @@ pub fn simplify<const D: usize, const K: usize>(
         let (mesh, lists) = (outcome.mesh, outcome.records.lists);
         attempts += outcome.attempts;
         history.append(outcome.logs);
-        let ledger = match &mut ledger {
-            Some(ledger) => ledger,
-            none => none.insert(Ledger::new(&original, decision)?),
+        let mut known = match ledger.take() {
+            Some(known) => known,
+            None => Ledger::new(original, decision)?,
         };
-        let unproven = ledger.look(&mesh, proving)?;
+        let unproven = known.look(&mesh, proving)?;
         passes.push(Pass { triangles: mesh.triangles.len(), unproven, collapses: history.kept(), attempts });
         let proven = unproven == [0, 0];
-        let news = if passes.len() >= HOPE { ledger.look_for_hopeless(proving)? } else { 0 };
-        let open = ledger.open();
+        let news = if passes.len() >= HOPE { known.look_for_hopeless(proving)? } else { 0 };
+        let open = known.open();
         let settled = open.is_empty() && (proven || passes.len() >= HOPE && news == 0);
-        if settled || outcome.stop == Stop::Enough || history.kept() == 0 {
-            let refused = mesh.refused_edges();
-            let mut mesh = mesh.into_compact();
-            let certificate = certificate_of(&mesh, ledger, proven, options, goal.threads, proving)?;
-            // With more effort the rest may be within the bounds after all.
-            let proven = proven || certificate.bound.within(bounds);
-            if let Some(last) = passes.last_mut().filter(|_| proven) {
-                last.unproven = [0, 0];
-            }
-            let way = if recorded { history.way() } else { Way::default() };
-            if let Some(proper) = proper {
-                mesh.triangle_source.iter_mut().for_each(|t| *t = proper[*t as usize]);
-            }
-            return Ok(Certified { mesh, certificate, proven, stop: outcome.stop, passes, refused, way });
+        state = State { mesh, lists, history };
+        if settled || outcome.stop == Stop::Enough || state.history.is_settled() {
+            return Ok(Reached { state, ledger: known, proven, stop: outcome.stop, passes });
         }
         progress.check()?;
-        state = State { mesh, lists, history };
-        state = state.step_back(&original, ledger, &open, &mut limits, &mut lost, passes.len());
+        state = state.step_back(original, &mut known, &open, &mut limits, &mut lost, passes.len());
+        ledger = Some(known);
     }
 }
 
@@ -213,10 +240,33 @@ fn certificate_of<const D: usize>(
 }
 
 /// The mesh between two passes, the samples of its triangles, and how it came about.
-struct State<'a, const D: usize> {
-    mesh: Whole<D, Bound>,
-    lists: Lists,
-    history: History<'a, D>,
+pub struct State<'a, const D: usize> {
+    pub mesh: Whole<D, Bound>,
+    pub lists: Lists,
+    pub history: History<'a, D>,
+}
+
+impl<'a, const D: usize> State<'a, D> {
+    /// The input itself; `in_order` if the order of the collapses will be asked for.
+    ///
+    /// # Errors
+    /// As [`Whole::new`].
+    pub fn of_input(original: &'a Original<D>, in_order: bool) -> Result<Self, KernelError> {
+        Ok(Self {
+            mesh: Whole::new(original.points.clone(), original.triangles.clone(), vec![])?,
+            lists: Lists::of_input(original),
+            history: History::new(original, in_order),
+        })
+    }
+
+    /// The same with other vertices of the input locked; what was refused before is tried again.
+    fn with_locks(mut self, locked: &[bool]) -> Self {
+        let is_locked = |&v: &u32| locked[v as usize];
+        self.mesh.locked =
+            if locked.is_empty() { vec![] } else { self.mesh.vertex_source.iter().map(is_locked).collect() };
+        self.mesh.refused.clear();
+        self
+    }
 }
 
 /// What proofs that failed have led to, by vertex of the input.

@@ -11,15 +11,29 @@ use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::Mesh;
 use crate::quadric::qem::{Qem, QemRecords};
 
+/// What else is asked of a collapse.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rules {
+    /// No edge may come to join two locked vertices that none joins yet: see [`crate::mesh::legality::new_chord`].
+    pub without_chords: bool,
+    /// Coordinates are those that single precision has.
+    pub single: bool,
+}
+
 pub struct Tracked<'a, const D: usize, const K: usize> {
     qem: Qem<D, K>,
     tracker: Tracker<'a, D>,
+    rules: Rules,
 }
 
 /// Colours are 8-bit levels: what is proven of them must hold for what is stored.
 #[inline]
-fn rounded<const D: usize>(point: &[f64; D]) -> [f64; D] {
-    std::array::from_fn(|i| if i < 3 { point[i] } else { point[i].round().clamp(0.0, 255.0) })
+fn rounded<const D: usize>(point: &[f64; D], single: bool) -> [f64; D] {
+    std::array::from_fn(|i| match i {
+        0..3 if single => f64::from(point[i] as f32),
+        0..3 => point[i],
+        _ => point[i].round().clamp(0.0, 255.0),
+    })
 }
 
 impl<const D: usize, const K: usize> Measure<D> for Tracked<'_, D, K> {
@@ -27,6 +41,10 @@ impl<const D: usize, const K: usize> Measure<D> for Tracked<'_, D, K> {
     type Change = ();
 
     const REACH: Reach = Reach::Ring;
+
+    fn without_chords(&self) -> bool {
+        self.rules.without_chords
+    }
 
     #[inline]
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, Bound> {
@@ -38,7 +56,7 @@ impl<const D: usize, const K: usize> Measure<D> for Tracked<'_, D, K> {
         let point = match star.end_stays {
             [true, _] => star.end_points[0],
             [_, true] => star.end_points[1],
-            _ => rounded(&proposal.point),
+            _ => rounded(&proposal.point, self.rules.single),
         };
         Ok(Proposal { point, ..proposal })
     }
@@ -70,6 +88,7 @@ pub struct TrackedRecords<'a, const D: usize, const K: usize> {
     original: &'a Original<D>,
     limits: &'a Limits,
     pub lists: Lists,
+    rules: Rules,
 }
 
 impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
@@ -80,8 +99,9 @@ impl<'a, const D: usize, const K: usize> TrackedRecords<'a, D, K> {
         weight: f64,
         importance: Vec<f64>,
         lists: Lists,
+        rules: Rules,
     ) -> Self {
-        Self { qem: QemRecords { weight, importance }, original, limits, lists }
+        Self { qem: QemRecords { weight, importance }, original, limits, lists, rules }
     }
 }
 
@@ -103,6 +123,7 @@ impl<'a, const D: usize, const K: usize> Records<D> for TrackedRecords<'a, D, K>
         Tracked {
             qem: self.qem.load(region),
             tracker: Tracker::load(self.original, self.limits, &self.lists, region),
+            rules: self.rules,
         }
     }
 

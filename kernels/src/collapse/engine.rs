@@ -16,7 +16,7 @@ use crate::base::errors::KernelError;
 use crate::base::ids::{EdgeId, VertexId};
 use crate::base::progress::Progress;
 use crate::collapse::queue::Queue;
-use crate::mesh::legality::{Illegal, Marks, can_collapse, keeps_triangles};
+use crate::mesh::legality::{Illegal, Marks, can_collapse, keeps_triangles, new_chord};
 use crate::mesh::star::Star;
 use crate::mesh::triangle_mesh::{Lock, Mesh};
 
@@ -72,6 +72,11 @@ pub trait Measure<const D: usize> {
         star: &Star<D>,
         proposal: &mut Proposal<D, Self::Change>,
     ) -> Result<(), Self::Bound>;
+
+    /// Whether collapses that would join locked vertices by a new edge are refused: see [`new_chord`].
+    fn without_chords(&self) -> bool {
+        false
+    }
 
     /// What a proposal turns out to cost, where that takes more than `priority` looks at: an edge that costs more than
     /// the next one waits for its turn.
@@ -287,6 +292,13 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
         let on_rim = |v: VertexId| self.mesh.lock(v) == Lock::Rim;
         if self.star.wings.iter().any(|w| on_rim(w.from) && on_rim(w.to)) {
             return Err(Refusal::Rim);
+        }
+        if self.measure.without_chords() {
+            match new_chord(&self.mesh, &self.star) {
+                Some(Lock::Rim) => return Err(Refusal::Rim),
+                Some(_) => return Err(Refusal::Illegal(Illegal::Locked)),
+                None => {}
+            }
         }
         let mut proposal = self.measure.propose(&self.mesh, &self.star).map_err(Refusal::Bound)?;
         keeps_triangles(&self.star, &proposal.point).map_err(Refusal::Illegal)?;

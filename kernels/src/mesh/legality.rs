@@ -4,6 +4,7 @@ use crate::base::geometry::{Vec3, cross, dot, norm2, position, sub};
 use crate::base::ids::{EdgeId, VertexId};
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::star::Star;
+use crate::mesh::triangle_mesh::{Lock, Mesh};
 
 /// Why a collapse is not legal.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -55,6 +56,18 @@ impl Marks {
     fn is_marked(&self, v: VertexId) -> bool {
         self.stamps[v.index()] == self.stamp
     }
+}
+
+/// The lock of a vertex that a collapse into a locked one would join to it by a new edge, if there is one: locked rather
+/// than on the rim, where it may be locked as well.
+///
+/// Where a border of locked vertices has other triangles on its two sides, either side could make the same edge.
+pub fn new_chord<const D: usize>(mesh: &Mesh<D>, star: &Star<D>) -> Option<Lock> {
+    let end = (0..2).find(|&end| mesh.lock(star.ends[end]) == Lock::Locked)?;
+    let is_apex = |v: VertexId| star.vanishing.iter().any(|(_, apex, _)| *apex == v);
+    let moving = star.wings.iter().filter(|wing| wing.end != end).flat_map(|wing| [wing.from, wing.to]);
+    let locks = moving.filter(|&v| !is_apex(v)).map(|v| mesh.lock(v)).filter(|&lock| lock != Lock::Free);
+    locks.min_by_key(|&lock| lock == Lock::Rim)
 }
 
 /// Whether collapsing `edge` leaves an oriented manifold of the same topology.

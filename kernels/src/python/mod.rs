@@ -12,6 +12,7 @@ mod fit;
 mod guarded;
 mod intersections;
 mod jia01;
+mod lod;
 mod normal_mesh;
 mod order;
 mod planar;
@@ -97,6 +98,10 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<planar::ByPatches>()?;
     module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
     module.add_function(wrap_pyfunction!(planar::planar_patches, module)?)?;
+    module.add_class::<lod::Levels>()?;
+    module.add_class::<lod::Front>()?;
+    module.add_function(wrap_pyfunction!(lod::build_levels, module)?)?;
+    module.add_function(wrap_pyfunction!(lod::assemble_front, module)?)?;
     module.add_class::<certify::Certified>()?;
     module.add_function(wrap_pyfunction!(certify::certify, module)?)
 }

@@ -1,0 +1,48 @@
+//! The mesh of a front of the tree: each of its nodes after some of its splits.
+
+/// A node of the front.
+#[derive(Clone, Copy, Debug)]
+pub struct Open {
+    /// Its triangles: so many from here on.
+    pub start: usize,
+    pub count: usize,
+    /// Vertices below this number are there.
+    pub below: u32,
+}
+
+/// Triangles of the front, and the vertices they use, in order.
+pub struct Assembled {
+    pub vertices: Vec<u32>,
+    pub triangles: Vec<[u32; 3]>,
+    /// By triangle: its place in the hierarchy.
+    pub source: Vec<u32>,
+}
+
+/// Put a front together, from the corners of all triangles, three each. Indices must be in range, and `origin[v]` below `roots` + v.
+pub fn assemble(corners: &[u32], origin: &[u32], roots: u32, front: &[Open]) -> Assembled {
+    let vertices = roots as usize + origin.len();
+    let count = front.iter().map(|open| open.count).sum();
+    let mut triangles = Vec::with_capacity(count);
+    let mut source = Vec::with_capacity(count);
+    let mut is_used = vec![false; vertices];
+    for open in front {
+        let mut up = |mut v: u32| {
+            while v >= open.below {
+                v = origin[(v - roots) as usize];
+            }
+            is_used[v as usize] = true;
+            v
+        };
+        let there = &corners[3 * open.start..3 * (open.start + open.count)];
+        triangles.extend(there.chunks_exact(3).map(|t| [up(t[0]), up(t[1]), up(t[2])]));
+        source.extend((open.start as u32..).take(open.count));
+    }
+    let mut number = vec![0; vertices];
+    let mut used = vec![];
+    for v in (0..vertices).filter(|&v| is_used[v]) {
+        number[v] = used.len() as u32;
+        used.push(v as u32);
+    }
+    triangles.iter_mut().flatten().for_each(|v| *v = number[*v as usize]);
+    Assembled { vertices: used, triangles, source }
+}

@@ -1,0 +1,284 @@
+//! Hierarchical clustering on the dual graph: neighbours are joined in the order of what the joint cell costs.
+//!
+//! Garland, Willmott and Heckbert, "Hierarchical face clustering on polygonal surfaces", 2001: how flat a cell is, how
+//! alike its normals are, how compact its shape is. Here borders are what costs triangles later on, so compactness counts
+//! most, and costs grow with the number of triangles, so that cells grow evenly.
+
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+use crate::base::geometry::{Vec3, cross, dot, norm2, sub};
+
+/// What a spread of normals, and a departure from the mean plane in units of the cell's size, count against compactness.
+const SPREAD: f64 = 0.5;
+const DEPARTURE: f64 = 4.0;
+
+/// No cell.
+const NONE: u32 = u32::MAX;
+
+/// What the cost of a cell is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct Cell {
+    /// Triangles it counts for.
+    pub count: u32,
+    pub perimeter: f64,
+    area: f64,
+    /// Sum of the normals, each as long as its triangle's area.
+    normal: Vec3,
+    /// Area times place, and area times products of coordinates: xx, yy, zz, xy, yz, zx.
+    first: Vec3,
+    second: [f64; 6],
+}
+
+impl Cell {
+    pub fn of_triangle([a, b, c]: [Vec3; 3]) -> Self {
+        let normal = cross(&sub(&b, &a), &sub(&c, &a)).map(|x| 0.5 * x);
+        let area = norm2(&normal).sqrt();
+        let middle = [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0);
+        let side = |p: &Vec3, q: &Vec3| norm2(&sub(p, q)).sqrt();
+        let product = |i: usize, j: usize| area * middle[i] * middle[j];
+        Self {
+            count: 1,
+            perimeter: side(&a, &b) + side(&b, &c) + side(&c, &a),
+            area,
+            normal,
+            first: middle.map(|x| area * x),
+            second: [
+                product(0, 0),
+                product(1, 1),
+                product(2, 2),
+                product(0, 1),
+                product(1, 2),
+                product(2, 0),
+            ],
+        }
+    }
+
+    /// Both as one; `shared` is the length of the border between them.
+    pub fn joined(&self, other: &Self, shared: f64) -> Self {
+        let sum = |a: &Vec3, b: &Vec3| [0, 1, 2].map(|i| a[i] + b[i]);
+        Self {
+            count: self.count + other.count,
+            perimeter: (self.perimeter + other.perimeter - 2.0 * shared).max(0.0),
+            area: self.area + other.area,
+            normal: sum(&self.normal, &other.normal),
+            first: sum(&self.first, &other.first),
+            second: std::array::from_fn(|i| self.second[i] + other.second[i]),
+        }
+    }
+
+    fn cost(&self) -> f64 {
+        if self.area <= 0.0 {
+            return 0.0;
+        }
+        let length = norm2(&self.normal).sqrt();
+        let compactness = self.perimeter * self.perimeter / (4.0 * std::f64::consts::PI * self.area);
+        let spread = 1.0 - length / self.area;
+        let n = self.normal.map(|x| x / length.max(f64::MIN_POSITIVE));
+        let [xx, yy, zz, xy, yz, zx] = self.second;
+        let along = n[0] * n[0] * xx
+            + n[1] * n[1] * yy
+            + n[2] * n[2] * zz
+            + 2.0 * (n[0] * n[1] * xy + n[1] * n[2] * yz + n[2] * n[0] * zx);
+        let mean = dot(&n, &self.first) / self.area;
+        let variance = (along / self.area - mean * mean).max(0.0);
+        f64::from(self.count) * (compactness + SPREAD * spread + DEPARTURE * variance / self.area)
+    }
+}
+
+/// Two cells side by side, and how long their border is.
+#[derive(Clone, Copy, Debug)]
+pub struct Joint {
+    pub between: [u32; 2],
+    pub length: f64,
+}
+
+/// Two cells that may become one, as they were when this was put down.
+struct Offer {
+    cost: f64,
+    cells: [u32; 2],
+    versions: [u32; 2],
+}
+
+impl Ord for Offer {
+    fn cmp(&self, other: &Self) -> Ordering {
+        // The largest comes first out of a heap.
+        other.cost.total_cmp(&self.cost).then_with(|| other.cells.cmp(&self.cells))
+    }
+}
+impl PartialOrd for Offer {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+impl PartialEq for Offer {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other) == Ordering::Equal
+    }
+}
+impl Eq for Offer {}
+
+/// Join cells as long as none counts more than `most` triangles. Returns the number of the group of each, in the order of
+/// their first cells.
+pub fn cluster(mut cells: Vec<Cell>, joints: &[Joint], most: u32) -> Vec<u32> {
+    let count = cells.len();
+    let mut into: Vec<u32> = (0..count as u32).collect();
+    let mut versions = vec![0u32; count];
+    let mut neighbours: Vec<Vec<(u32, f64)>> = vec![vec![]; count];
+    for joint in joints.iter().filter(|joint| joint.between[0] != joint.between[1]) {
+        let [a, b] = joint.between;
+        neighbours[a as usize].push((b, joint.length));
+        neighbours[b as usize].push((a, joint.length));
+    }
+    // Where the length of the border to each neighbour is added up.
+    let mut place = vec![NONE; count];
+    neighbours.iter_mut().for_each(|list| add_up(list, &into, NONE, &mut place));
+    let offer = |cells: &[Cell], versions: &[u32], a: u32, b: u32, shared: f64| {
+        let (a, b) = (a.min(b), a.max(b));
+        let joined = cells[a as usize].joined(&cells[b as usize], shared);
+        (joined.count <= most).then(|| Offer {
+            cost: joined.cost(),
+            cells: [a, b],
+            versions: [versions[a as usize], versions[b as usize]],
+        })
+    };
+    let mut offers = BinaryHeap::new();
+    for (a, list) in (0..).zip(&neighbours) {
+        let later = list.iter().filter(|(b, _)| *b > a);
+        offers.extend(later.filter_map(|&(b, shared)| offer(&cells, &versions, a, b, shared)));
+    }
+    while let Some(Offer { cells: pair, versions: then, .. }) = offers.pop() {
+        let [a, b] = pair.map(|c| c as usize);
+        if into[a] != pair[0] || into[b] != pair[1] || [versions[a], versions[b]] != then {
+            continue;
+        }
+        let shared = neighbours[a].iter().find(|(c, _)| *c == pair[1]).map_or(0.0, |(_, length)| *length);
+        cells[a] = cells[a].joined(&cells[b], shared);
+        into[b] = pair[0];
+        versions[a] += 1;
+        let (mut list, mut other) = (std::mem::take(&mut neighbours[a]), std::mem::take(&mut neighbours[b]));
+        if list.len() < other.len() {
+            std::mem::swap(&mut list, &mut other);
+        }
+        list.extend(other);
+        add_up(&mut list, &into, pair[0], &mut place);
+        for &(c, shared) in &list {
+            // What it is beside now has another name.
+            let theirs = &mut neighbours[c as usize];
+            theirs.retain(|(d, _)| *d != pair[0] && *d != pair[1]);
+            theirs.push((pair[0], shared));
+            offers.extend(offer(&cells, &versions, pair[0], c, shared));
+        }
+        neighbours[a] = list;
+    }
+    numbered(&into)
+}
+
+/// Bring a list of neighbours up to date: each once, without `own`.
+fn add_up(list: &mut Vec<(u32, f64)>, into: &[u32], own: u32, place: &mut [u32]) {
+    let mut kept = 0;
+    for i in 0..list.len() {
+        let (c, length) = list[i];
+        let c = into[c as usize];
+        if c == own {
+            continue;
+        }
+        match place[c as usize] {
+            NONE => {
+                place[c as usize] = kept as u32;
+                list[kept] = (c, length);
+                kept += 1;
+            }
+            at => list[at as usize].1 += length,
+        }
+    }
+    list.truncate(kept);
+    list.iter().for_each(|(c, _)| place[*c as usize] = NONE);
+}
+
+/// Groups numbered in the order of their first members. `into` leads from each member towards its group.
+fn numbered(into: &[u32]) -> Vec<u32> {
+    let mut number = vec![NONE; into.len()];
+    let mut next = 0;
+    let mut group = |c: usize| {
+        let mut root = c;
+        while into[root] as usize != root {
+            root = into[root] as usize;
+        }
+        if number[root] == NONE {
+            number[root] = next;
+            next += 1;
+        }
+        number[root]
+    };
+    (0..into.len()).map(&mut group).collect()
+}
+
+/// Sweeps over all members when borders are made smooth.
+const SWEEPS: usize = 6;
+
+/// Let triangles go over to the group that two of their neighbours are of: borders become shorter.
+pub fn smoothed(mut group: Vec<u32>, joints: &[Joint], most: u32) -> Vec<u32> {
+    let mut beside = vec![[NONE; 3]; group.len()];
+    for joint in joints {
+        for [t, other] in [joint.between, [joint.between[1], joint.between[0]]] {
+            if let Some(free) = beside[t as usize].iter_mut().find(|b| **b == NONE) {
+                *free = other;
+            }
+        }
+    }
+    let mut counts = vec![0u32; group.iter().max().map_or(0, |&g| g as usize + 1)];
+    group.iter().for_each(|&g| counts[g as usize] += 1);
+    for _ in 0..SWEEPS {
+        let mut moved = false;
+        for t in 0..group.len() {
+            let own = group[t];
+            let of = |i: usize| beside[t][i].min(group.len() as u32);
+            let groups = [0, 1, 2].map(|i| group.get(of(i) as usize).copied().unwrap_or(NONE));
+            let pairs = [(0, 1), (1, 2), (2, 0)];
+            let same = pairs.iter().find(|(i, j)| groups[*i] == groups[*j] && groups[*i] != NONE);
+            let Some(to) = same.map(|(i, _)| groups[*i]).filter(|&to| to != own) else { continue };
+            if counts[to as usize] < most && counts[own as usize] > 1 {
+                counts[own as usize] -= 1;
+                counts[to as usize] += 1;
+                group[t] = to;
+                moved = true;
+            }
+        }
+        if !moved {
+            break;
+        }
+    }
+    group
+}
+
+/// The border lengths between groups, from those between their members.
+pub fn contracted(joints: &[Joint], group: &[u32]) -> Vec<Joint> {
+    let mut between: Vec<([u32; 2], f64)> = joints
+        .iter()
+        .filter_map(|joint| {
+            let [a, b] = joint.between.map(|t| group[t as usize]);
+            (a != b).then_some(([a.min(b), a.max(b)], joint.length))
+        })
+        .collect();
+    // Sums in an order of their own.
+    between.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let same = between.chunk_by(|a, b| a.0 == b.0);
+    same.map(|pairs| Joint { between: pairs[0].0, length: pairs.iter().map(|p| p.1).sum() }).collect()
+}
+
+/// The cells of groups, from those of their members and the joints between these.
+pub fn joined(cells: &[Cell], joints: &[Joint], group: &[u32]) -> Vec<Cell> {
+    let mut whole: Vec<Option<Cell>> = vec![None; group.iter().max().map_or(0, |&g| g as usize + 1)];
+    for (cell, &g) in cells.iter().zip(group) {
+        let sum = &mut whole[g as usize];
+        *sum = Some(sum.map_or(*cell, |sum| sum.joined(cell, 0.0)));
+    }
+    for joint in joints {
+        let [a, b] = joint.between.map(|t| group[t as usize]);
+        if let Some(cell) = whole[a as usize].as_mut().filter(|_| a == b) {
+            cell.perimeter = (cell.perimeter - 2.0 * joint.length).max(0.0);
+        }
+    }
+    whole.into_iter().flatten().collect()
+}

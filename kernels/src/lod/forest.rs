@@ -1,0 +1,217 @@
+//! The collapses of a hierarchy, seen from the other end: splits of vertices.
+//!
+//! A collapse makes its two vertices one. Where that one is at the place of the survivor it is the survivor, as with all
+//! vertices of a border, which others share; else it is a vertex of its own. So the vertices of all levels form a forest.
+//! They are numbered from the end: first those that no collapse consumed, then what the last one consumed, and so on. Then
+//!
+//! * after some splits there are the vertices below a number, but for those that these splits replaced;
+//! * what a corner is on that mesh is found by going up the forest until its number is below that.
+//!
+//! This is the total-ordered mesh of Wang, Lu and Pan (2012), whose edge collapse list is walked until an index is below
+//! the number of vertices; each node's collapses follow on each other here, parents' before children's, so that the same
+//! rule holds for any front of the tree.
+
+use super::ladder::Level;
+use crate::certified::history::{History, Kept};
+use crate::certified::original::Original;
+
+/// Not consumed, or not dying.
+const NEVER: u32 = u32::MAX;
+
+/// Vertices and triangles of a hierarchy, in the order of its nodes from the last to the first.
+pub struct Forest<const D: usize> {
+    /// Vertices that are left at the end: those below this number.
+    pub roots: usize,
+    pub points: Vec<[f64; D]>,
+    /// By vertex from `roots` on: the one it becomes.
+    pub origin: Vec<u32>,
+    /// By split: vertices it brings, 1 or 2.
+    pub made: Vec<u8>,
+    /// By split: triangles it brings, 0 to 2.
+    pub born: Vec<u8>,
+    /// Splits of node n, counted from the last: `splits[n]..splits[n + 1]`.
+    pub splits: Vec<usize>,
+    /// Each node's mesh before its level: first the triangles that outlive it, then those each split brings.
+    pub triangles: Vec<[u32; 3]>,
+    pub starts: Vec<usize>,
+    /// The triangle of the input that each one is what is left of.
+    pub source: Vec<u32>,
+    /// By node, from the first: triangles that outlive it.
+    pub coarse: Vec<usize>,
+}
+
+/// What became of the vertices, numbered: those of the input, then those that collapses made.
+struct Merged<const D: usize> {
+    points: Vec<[f64; D]>,
+    /// The collapse that consumed each one,
+    by: Vec<u32>,
+    /// and what it became.
+    into: Vec<u32>,
+    collapses: u32,
+}
+
+impl<const D: usize> Merged<D> {
+    /// The collapse that makes two vertices one, if it comes before `end`.
+    fn meeting(&self, mut x: u32, mut y: u32, end: u32) -> u32 {
+        loop {
+            let (by_x, by_y) = (self.by[x as usize], self.by[y as usize]);
+            let first = by_x.min(by_y);
+            if first >= end {
+                return NEVER;
+            }
+            if by_x == first {
+                x = self.into[x as usize];
+            }
+            if by_y == first {
+                y = self.into[y as usize];
+            }
+            if x == y {
+                return first;
+            }
+        }
+    }
+
+    /// What a vertex has become before the collapse `end`.
+    fn now(&self, mut x: u32, end: u32) -> u32 {
+        while self.by[x as usize] < end {
+            x = self.into[x as usize];
+        }
+        x
+    }
+}
+
+/// The forest that has grown over `levels`; `cell` is by triangle of the input.
+pub fn grown<const D: usize>(
+    original: &Original<D>,
+    history: &History<'_, D>,
+    cell: &[u32],
+    levels: &[Level],
+    nodes: usize,
+) -> Forest<D> {
+    let level_of = |number: u32| levels.partition_point(|level| level.first <= number) - 1;
+    let mut kept: Vec<(u32, Kept<D>)> = history
+        .stand()
+        .map(|kept| {
+            let inside = original.around(kept.removed)[0];
+            (levels[level_of(kept.number)].node[cell[inside as usize] as usize], kept)
+        })
+        .collect();
+    kept.sort_by_key(|(node, _)| *node);
+
+    let mut now: Vec<u32> = (0..original.points.len() as u32).collect();
+    let mut merged = Merged {
+        points: original.points.clone(),
+        by: vec![NEVER; now.len()],
+        into: vec![NEVER; now.len()],
+        collapses: kept.len() as u32,
+    };
+    for (i, (_, Kept { removed, survivor, point, .. })) in (0..).zip(&kept) {
+        let [gone, mut stays] = [removed, survivor].map(|&v| now[v as usize]);
+        if merged.points[stays as usize] != *point {
+            let made = merged.points.len() as u32;
+            merged.points.push(*point);
+            merged.by.push(NEVER);
+            merged.into.push(NEVER);
+            merged.by[stays as usize] = i;
+            merged.into[stays as usize] = made;
+            now[*survivor as usize] = made;
+            stays = made;
+        }
+        merged.by[gone as usize] = i;
+        merged.into[gone as usize] = stays;
+    }
+    // The first collapse of each node, and the end of all.
+    let mut first = vec![kept.len() as u32; nodes + 1];
+    for (i, (node, _)) in kept.iter().enumerate().rev() {
+        first[*node as usize] = i as u32;
+    }
+    for node in (0..nodes).rev() {
+        first[node] = first[node].min(first[node + 1]);
+    }
+
+    let alive = aged(original, &merged, cell, levels, &first);
+    numbered(&merged, &first, alive)
+}
+
+/// A triangle in the mesh of a node before its level.
+struct Aged {
+    /// The collapse of that node it dies in.
+    death: u32,
+    source: u32,
+    corners: [u32; 3],
+}
+
+/// The triangles of each node's mesh before its level.
+fn aged<const D: usize>(
+    original: &Original<D>,
+    merged: &Merged<D>,
+    cell: &[u32],
+    levels: &[Level],
+    first: &[u32],
+) -> Vec<Vec<Aged>> {
+    let mut nodes: Vec<Vec<Aged>> = (1..first.len()).map(|_| vec![]).collect();
+    let mut alive: Vec<(u32, [u32; 3])> = (0..).zip(original.triangles.iter().copied()).collect();
+    for (number, level) in levels.iter().enumerate() {
+        alive.retain_mut(|(source, corners)| {
+            let in_cell = cell[*source as usize] as usize;
+            let node = level.node[in_cell];
+            if number > 0 && levels[number - 1].node[in_cell] == node {
+                return true;
+            }
+            let end = first[node as usize + 1];
+            let [a, b, c] = *corners;
+            let death =
+                merged.meeting(a, b, end).min(merged.meeting(b, c, end)).min(merged.meeting(c, a, end));
+            nodes[node as usize].push(Aged { death, source: *source, corners: *corners });
+            *corners = corners.map(|v| merged.now(v, end));
+            death == NEVER
+        });
+    }
+    nodes
+}
+
+/// Everything in numbers from the end.
+fn numbered<const D: usize>(merged: &Merged<D>, first: &[u32], mut alive: Vec<Vec<Aged>>) -> Forest<D> {
+    let all = merged.collapses as usize;
+    let mut is_left = vec![false; merged.points.len()];
+    if let Some(root) = alive.last() {
+        let left = root.iter().filter(|t| t.death == NEVER).flat_map(|t| t.corners);
+        left.for_each(|v| is_left[merged.now(v, NEVER) as usize] = true);
+    }
+    // Those that are left, then the consumed, the last first; vertices that no triangle uses are neither.
+    let mut order: Vec<u32> = (0..merged.points.len() as u32)
+        .filter(|&v| is_left[v as usize] || merged.by[v as usize] != NEVER)
+        .collect();
+    order.sort_by_key(|&v| std::cmp::Reverse(merged.by[v as usize]));
+    let mut number = vec![NEVER; merged.points.len()];
+    (0..).zip(&order).for_each(|(n, &v)| number[v as usize] = n);
+    let roots = order.partition_point(|&v| merged.by[v as usize] == NEVER);
+    let mut made = vec![0; all];
+    order[roots..].iter().for_each(|&v| made[all - 1 - merged.by[v as usize] as usize] += 1);
+
+    let mut forest = Forest {
+        roots,
+        points: order.iter().map(|&v| merged.points[v as usize]).collect(),
+        origin: order[roots..].iter().map(|&v| number[merged.into[v as usize] as usize]).collect(),
+        made,
+        born: vec![0; all],
+        splits: vec![0],
+        triangles: vec![],
+        starts: vec![0],
+        source: vec![],
+        coarse: alive.iter().map(|node| node.iter().filter(|t| t.death == NEVER).count()).collect(),
+    };
+    for (node, triangles) in alive.iter_mut().enumerate().rev() {
+        triangles.sort_unstable_by_key(|t| (std::cmp::Reverse(t.death), t.source));
+        for t in triangles.iter() {
+            if t.death != NEVER {
+                forest.born[all - 1 - t.death as usize] += 1;
+            }
+            forest.triangles.push(t.corners.map(|v| number[v as usize]));
+            forest.source.push(t.source);
+        }
+        forest.starts.push(forest.triangles.len());
+        forest.splits.push(all - first[node] as usize);
+    }
+    forest
+}

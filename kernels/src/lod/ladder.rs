@@ -1,0 +1,288 @@
+//! The levels of a hierarchy, from the input up.
+//!
+//! ```text
+//! cells ← clusters of the input's triangles
+//! repeat, the bound larger each time:
+//!     simplify within it, from where the last level ended, all borders between cells locked    certified
+//!     prove each cell alone, against its part of the input                                      certify
+//!     one cell, and light enough: done
+//!     join neighbouring cells as long as they are light enough together
+//! ```
+//!
+//! Every level goes on with the samples of the input that the last one had, and is proven against the input itself: bounds
+//! are never added up.
+
+use super::cluster::{Cell, Joint, cluster, contracted, joined, smoothed};
+use super::dual;
+use super::forest::{Forest, grown};
+use crate::base::errors::KernelError;
+use crate::base::geometry::{around, diagonal, position};
+use crate::base::parallel::map;
+use crate::base::progress::Progress;
+use crate::certified::original::Original;
+use crate::certified::simplify::{self, Reached, State, go_on};
+use crate::certify::{self, Deviation, Surface};
+use crate::collapse::engine::Stop;
+use crate::collapse::rounds::Goal;
+use crate::collapse::whole::Whole;
+
+/// No node.
+pub const NONE: u32 = u32::MAX;
+
+/// Levels end where the bound is this share of the diagonal: what is left then does not become lighter.
+const LARGEST: f64 = 0.25;
+
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The bound of the first level, in metres, and what each is multiplied with for the next.
+    pub first: f64,
+    pub ratio: f64,
+    /// Triangles of a cell, at most,
+    pub most: u32,
+    /// and of the mesh that is light enough to be the last.
+    pub root: usize,
+    /// By vertex: whether it stays on all levels; empty for none.
+    pub locked: Vec<bool>,
+    /// How levels are made; the bound on shape is not used.
+    pub simplify: simplify::Options,
+    /// How closely each node is bounded.
+    pub close: certify::Options,
+}
+
+/// A cell on one level: its mesh before that level, and after it.
+#[derive(Clone, Debug)]
+pub struct Node {
+    pub level: u32,
+    /// The node it is part of; [`NONE`] for the root.
+    pub parent: u32,
+    /// Proven both ways between its mesh after the level and its part of the input.
+    pub bound: Deviation,
+    /// The greatest deviation seen there.
+    pub attained: Deviation,
+    /// Triangles after the level.
+    pub coarse: usize,
+}
+
+/// A finished hierarchy; children come before their parents.
+pub struct Hierarchy<const D: usize> {
+    pub nodes: Vec<Node>,
+    pub forest: Forest<D>,
+    /// Whether the caller stopped the work: levels are missing then.
+    pub stopped: bool,
+    /// Why levels were passed on without the bound asked for: triangles of the result and of the input.
+    pub unproven: usize,
+}
+
+/// Which cell is of which node, level by level.
+pub struct Level {
+    /// The number of the first collapse.
+    pub first: u32,
+    /// The node of each cell of the input.
+    pub node: Vec<u32>,
+}
+
+/// The cells on the current level.
+struct Cells {
+    /// By triangle of the input: its cell, that stays.
+    of: Vec<u32>,
+    cells: Vec<Cell>,
+    joints: Vec<Joint>,
+    /// By cell: its group now.
+    group: Vec<u32>,
+}
+
+/// # Errors
+/// As [`crate::mesh::connectivity::Connectivity::from_triangles`], and [`KernelError::Interrupted`].
+pub fn build<const D: usize, const K: usize>(
+    points: Vec<[f64; D]>,
+    triangles: Vec<[u32; 3]>,
+    options: &Options,
+    goal: &Goal,
+    progress: &mut Progress,
+) -> Result<Hierarchy<D>, KernelError> {
+    let whole = Whole::<D, ()>::new(points, triangles, vec![])?;
+    let original = Original::new(whole.points, whole.triangles);
+    let mut cells = Cells::of(&original, options.most);
+    progress.check()?;
+    let mut state = State::of_input(&original, true)?;
+    let mut nodes: Vec<Node> = vec![];
+    let mut levels: Vec<Level> = vec![];
+    let mut node_of = vec![NONE; cells.cells.len()];
+    let mut bound = options.first;
+    let largest = LARGEST * diagonal(&around(original.points.iter().map(position)));
+    let mut unproven = 0;
+    let stopped = loop {
+        let first = state.history.settle();
+        let before = cells.counts(&state);
+        let asked = Deviation { shape: bound, ..options.simplify.bounds };
+        let asked = simplify::Options { bounds: asked, ..options.simplify.clone() };
+        let locked = cells.borders(&original, &options.locked);
+        let reached = go_on::<D, K>(&original, state, locked, &asked, goal, progress)?;
+        let Reached { state: next, proven, stop, passes, .. } = reached;
+        state = next;
+        unproven += passes.last().filter(|_| !proven).map_or(0, |pass| pass.unproven[0] + pass.unproven[1]);
+        let made = cells.nodes(levels.len() as u32, &before, &cells.counts(&state), &mut node_of, &mut nodes);
+        let proofs = prove(&original, &state, &cells, &node_of, &made, options, goal.threads, progress)?;
+        for (&node, (bound, attained)) in made.iter().zip(proofs) {
+            // Never less than what it replaces.
+            let below = nodes.iter().filter(|n| n.parent == node);
+            let bound = below.fold(bound, |most, child| most.max(child.bound));
+            nodes[node as usize].bound = bound;
+            nodes[node as usize].attained = attained;
+        }
+        levels.push(Level { first, node: node_of.clone() });
+        let is_one = cells.group.iter().all(|&g| g == 0);
+        let light = state.mesh.triangles.len() <= options.root;
+        if stop == Stop::Enough {
+            break true;
+        }
+        if is_one && (light || bound >= largest) {
+            break false;
+        }
+        let counts = cells.counts(&state);
+        bound *= options.ratio;
+        if bound < largest {
+            cells.join(&counts, options.most);
+        } else {
+            // What has not become light enough by now is one cell all the same.
+            cells.group.fill(0);
+        }
+    };
+    let forest = grown(&original, &state.history, &cells.of, &levels, nodes.len());
+    for (node, coarse) in nodes.iter_mut().zip(&forest.coarse) {
+        node.coarse = *coarse;
+    }
+    Ok(Hierarchy { nodes, forest, stopped, unproven })
+}
+
+impl Cells {
+    fn of<const D: usize>(original: &Original<D>, most: u32) -> Self {
+        let Original { points, triangles, .. } = original;
+        let mut joints = dual::shared_sides(points, triangles);
+        let sides = joints.len();
+        joints.extend(dual::links(points, triangles, &joints));
+        let cells = dual::cells(points, triangles);
+        let of = cluster(cells.clone(), &joints, most);
+        let of = smoothed(of, &joints[..sides], most);
+        let cells = joined(&cells, &joints, &of);
+        let joints = contracted(&joints, &of);
+        let group = (0..cells.len() as u32).collect();
+        Self { of, cells, joints, group }
+    }
+
+    /// Vertices of the input that triangles of more than one group are around, and those that stay in any case.
+    fn borders<const D: usize>(&self, original: &Original<D>, locked: &[bool]) -> Vec<bool> {
+        let mut seen = vec![NONE; original.points.len()];
+        let mut is_border = locked.to_vec();
+        is_border.resize(original.points.len(), false);
+        for (corners, &cell) in original.triangles.iter().zip(&self.of) {
+            let group = self.group[cell as usize];
+            for &v in corners {
+                match seen[v as usize] {
+                    NONE => seen[v as usize] = group,
+                    other => is_border[v as usize] |= other != group,
+                }
+            }
+        }
+        is_border
+    }
+
+    /// Triangles of each group in the current mesh.
+    fn counts<const D: usize>(&self, state: &State<'_, D>) -> Vec<u32> {
+        let mut counts = vec![0; self.group.iter().max().map_or(0, |&g| g as usize + 1)];
+        let group = |&t: &u32| self.group[self.of[t as usize] as usize];
+        state.mesh.triangle_source.iter().for_each(|t| counts[group(t) as usize] += 1);
+        counts
+    }
+
+    /// A node for each group that was joined, or simplified, on this level. Returns their numbers.
+    fn nodes(
+        &self,
+        level: u32,
+        before: &[u32],
+        after: &[u32],
+        node_of: &mut [u32],
+        nodes: &mut Vec<Node>,
+    ) -> Vec<u32> {
+        let mut members: Vec<Vec<u32>> = vec![vec![]; before.len()];
+        (0..).zip(&self.group).for_each(|(cell, &g)| members[g as usize].push(cell));
+        let mut made = vec![];
+        for (g, members) in members.iter().enumerate() {
+            let below: Vec<u32> = members.iter().map(|&cell| node_of[cell as usize]).collect();
+            let same = below.iter().all(|&node| node == below[0]);
+            if same && below[0] != NONE && before[g] == after[g] {
+                continue;
+            }
+            let number = nodes.len() as u32;
+            for node in below.into_iter().filter(|&node| node != NONE) {
+                nodes[node as usize].parent = number;
+            }
+            members.iter().for_each(|&cell| node_of[cell as usize] = number);
+            let (bound, attained) = Default::default();
+            nodes.push(Node { level, parent: NONE, bound, attained, coarse: 0 });
+            made.push(number);
+        }
+        made
+    }
+
+    /// Join neighbouring groups that count no more than `most` triangles together.
+    fn join(&mut self, counts: &[u32], most: u32) {
+        let mut groups = joined(&self.cells, &self.joints, &self.group);
+        groups.iter_mut().zip(counts).for_each(|(cell, &count)| cell.count = count);
+        let next = cluster(groups, &contracted(&self.joints, &self.group), most);
+        self.group.iter_mut().for_each(|g| *g = next[*g as usize]);
+    }
+}
+
+/// Bounds between the meshes of some nodes and their parts of the input.
+#[allow(clippy::too_many_arguments)]
+fn prove<const D: usize>(
+    original: &Original<D>,
+    state: &State<'_, D>,
+    cells: &Cells,
+    node_of: &[u32],
+    made: &[u32],
+    options: &Options,
+    threads: usize,
+    progress: &mut Progress,
+) -> Result<Vec<(Deviation, Deviation)>, KernelError> {
+    let Some(&first) = made.first() else { return Ok(vec![]) };
+    let place = |t: u32| node_of[cells.of[t as usize] as usize].checked_sub(first).map(|n| n as usize);
+    let mut input: Vec<Vec<u32>> = vec![vec![]; made.len()];
+    for t in 0..original.triangles.len() as u32 {
+        if let Some(place) = place(t).filter(|&p| p < made.len()) {
+            input[place].push(t);
+        }
+    }
+    let mut light: Vec<Vec<u32>> = vec![vec![]; made.len()];
+    for (i, &source) in (0..).zip(&state.mesh.triangle_source) {
+        if let Some(place) = place(source).filter(|&p| p < made.len()) {
+            light[place].push(i);
+        }
+    }
+    let close = certify::Options { limit: None, threads: 1, ..options.close };
+    let one = |(): &mut (), i: usize| {
+        progress.check()?;
+        let of_input = part(&original.points, &original.triangles, &input[i]);
+        let of_mesh = part(&state.mesh.points, &state.mesh.triangles, &light[i]);
+        let surfaces = [of_mesh, of_input].map(|(points, triangles)| Surface::new(&points, &triangles, 1));
+        let [mesh, input] = surfaces;
+        let proof = certify::certify(&mesh?, &input?, &close, &mut progress.clone().silent())?;
+        Ok((proof.bound, proof.attained))
+    };
+    map(made.len(), threads, || (), one).into_iter().collect()
+}
+
+/// Some triangles of a mesh, and the points they use.
+fn part<const D: usize>(
+    points: &[[f64; D]],
+    triangles: &[[u32; 3]],
+    some: &[u32],
+) -> (Vec<[f64; D]>, Vec<[u32; 3]>) {
+    let mut used: Vec<u32> = some.iter().flat_map(|&t| triangles[t as usize]).collect();
+    used.sort_unstable();
+    used.dedup();
+    let number = |v: u32| used.partition_point(|&u| u < v) as u32;
+    let corners = some.iter().map(|&t| triangles[t as usize].map(number)).collect();
+    (used.iter().map(|&v| points[v as usize]).collect(), corners)
+}

@@ -1,0 +1,187 @@
+//! `stages._kernels.build_levels` and `stages._kernels.assemble_front`.
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+use super::arrays::{Attributes, Inputs, columns, id_array, triangle_array, unknown_attributes};
+use super::detached::detached;
+use super::guarded::guarded;
+use super::simplified::Running;
+use crate::certified::simplify;
+use crate::certified::tracked::Rules;
+use crate::certify::{self, Deviation};
+use crate::lod::assemble::{Open, assemble};
+use crate::lod::ladder::{Hierarchy, Options, build};
+
+/// A hierarchy of levels; nodes from the root down. Pairs are (shape in metres, colour in levels).
+#[pyclass(frozen, get_all)]
+pub struct Levels {
+    parent: Py<PyArray1<i32>>,
+    level: Py<PyArray1<i32>>,
+    shape_bound: Py<PyArray1<f64>>,
+    color_bound: Py<PyArray1<f64>>,
+    shape_attained: Py<PyArray1<f64>>,
+    color_attained: Py<PyArray1<f64>>,
+    /// Triangles of each node when no vertex of it is split.
+    coarse: Py<PyArray1<i32>>,
+    /// Vertices that are there before any split.
+    roots: usize,
+    vertices: Py<PyArray2<f64>>,
+    attributes: Py<PyArray2<f64>>,
+    /// By vertex from `roots` on: the one it becomes.
+    origin: Py<PyArray1<i32>>,
+    /// By split: the vertices and the triangles it brings.
+    made: Py<PyArray1<u8>>,
+    born: Py<PyArray1<u8>>,
+    /// Splits of node n: `first_split[n]..first_split[n + 1]`; triangles alike.
+    first_split: Py<PyArray1<i64>>,
+    first_triangle: Py<PyArray1<i64>>,
+    triangles: Py<PyArray2<i32>>,
+    triangle_source: Py<PyArray1<i32>>,
+    stopped: bool,
+    unproven: usize,
+}
+
+/// Build the levels of a manifold.
+#[pyfunction]
+#[pyo3(signature = (vertices, attributes, triangles, locked, *, first, ratio, most, root, weight, share, tolerance, effort, single,
+                    running, progress))]
+#[allow(clippy::too_many_arguments)]
+pub fn build_levels(
+    py: Python<'_>,
+    vertices: PyReadonlyArray2<'_, f64>,
+    attributes: Attributes<'_>,
+    triangles: PyReadonlyArray2<'_, i32>,
+    locked: PyReadonlyArray1<'_, bool>,
+    first: f64,
+    ratio: f64,
+    most: u32,
+    root: usize,
+    weight: f64,
+    share: f64,
+    tolerance: (f64, f64),
+    effort: f64,
+    single: bool,
+    running: PyRef<'_, Running>,
+    progress: Py<PyAny>,
+) -> PyResult<Levels> {
+    let all = [first, weight, tolerance.0, tolerance.1, effort];
+    if !(all.iter().all(|x| *x >= 0.0 && x.is_finite()) && first > 0.0 && ratio >= 1.1 && ratio.is_finite()) {
+        return Err(PyValueError::new_err(
+            "first, weight, tolerance and effort must not be negative, and ratio be 1.1 or more",
+        ));
+    }
+    if most < 4 || !(share > 0.0 && share <= 1.0) {
+        return Err(PyValueError::new_err("a cell has 4 triangles or more, and share is up to 1"));
+    }
+    let inputs = Inputs { vertices, attributes, triangles };
+    guarded(inputs.rows(), || {
+        let tolerance = Deviation { shape: tolerance.0, color: tolerance.1 };
+        let within = Deviation { shape: first, color: f64::INFINITY };
+        let simplify = simplify::Options {
+            weight,
+            share,
+            rules: Rules { without_chords: true, single },
+            ..simplify::Options::new(within)
+        };
+        let close = certify::Options { tolerance, effort, ..certify::Options::default() };
+        let locked = inputs.by_vertex("locked", &locked)?;
+        let options = Options { first, ratio, most, root, locked, simplify, close };
+        match inputs.attribute_count() {
+            0 => build_points::<3, 0>(py, &inputs, &options, &running, &progress),
+            1 => build_points::<4, 1>(py, &inputs, &options, &running, &progress),
+            3 => build_points::<6, 3>(py, &inputs, &options, &running, &progress),
+            k => Err(unknown_attributes(k)),
+        }
+    })
+}
+
+fn build_points<const D: usize, const K: usize>(
+    py: Python<'_>,
+    inputs: &Inputs<'_>,
+    options: &Options,
+    running: &Running,
+    progress: &Py<PyAny>,
+) -> PyResult<Levels> {
+    let (points, triangles) = inputs.copied::<D>()?;
+    let Hierarchy { nodes, forest, stopped, unproven } =
+        detached(py, Some(progress), running.partial, |progress| {
+            build::<D, K>(points, triangles, options, &running.goal(), progress)
+        })?;
+    let last = nodes.len() as u32;
+    let down = || nodes.iter().rev();
+    let numbers =
+        |of: &dyn Fn(usize) -> f64| PyArray1::from_vec(py, (0..nodes.len()).rev().map(of).collect()).unbind();
+    let offsets = |all: &[usize]| PyArray1::from_vec(py, all.iter().map(|&i| i as i64).collect()).unbind();
+    // No parent is −1.
+    let parent = down().map(|n| n.parent.checked_add(1).map_or(u32::MAX, |above| last - above));
+    Ok(Levels {
+        parent: id_array(py, parent),
+        level: id_array(py, down().map(|n| n.level)),
+        shape_bound: numbers(&|n| nodes[n].bound.shape),
+        color_bound: numbers(&|n| nodes[n].bound.color),
+        shape_attained: numbers(&|n| nodes[n].attained.shape),
+        color_attained: numbers(&|n| nodes[n].attained.color),
+        coarse: id_array(py, down().map(|n| n.coarse as u32)),
+        roots: forest.roots,
+        vertices: columns(py, &forest.points, 0..3)?,
+        attributes: columns(py, &forest.points, 3..D)?,
+        origin: id_array(py, forest.origin.iter().copied()),
+        made: PyArray1::from_vec(py, forest.made).unbind(),
+        born: PyArray1::from_vec(py, forest.born).unbind(),
+        first_split: offsets(&forest.splits),
+        first_triangle: offsets(&forest.starts),
+        triangles: triangle_array(py, &forest.triangles)?,
+        triangle_source: id_array(py, forest.source.iter().copied()),
+        stopped,
+        unproven,
+    })
+}
+
+/// The mesh of a front: its triangles, numbered anew, their places in the hierarchy, and the vertices they use.
+#[pyclass(frozen, get_all)]
+pub struct Front {
+    vertices: Py<PyArray1<i32>>,
+    triangles: Py<PyArray2<i32>>,
+    source: Py<PyArray1<i32>>,
+}
+
+/// Put together the mesh of some nodes: of each the first `count` triangles from `start` on, with vertices below `below`.
+#[pyfunction]
+#[pyo3(signature = (triangles, origin, *, roots, start, count, below))]
+pub fn assemble_front(
+    py: Python<'_>,
+    triangles: PyReadonlyArray2<'_, u32>,
+    origin: PyReadonlyArray1<'_, u32>,
+    roots: u32,
+    start: PyReadonlyArray1<'_, i64>,
+    count: PyReadonlyArray1<'_, i64>,
+    below: PyReadonlyArray1<'_, i64>,
+) -> PyResult<Front> {
+    let corners = triangles.as_slice()?;
+    let origin = origin.as_slice()?;
+    let vertices = roots as usize + origin.len();
+    let (start, count, below) = (start.as_slice()?, count.as_slice()?, below.as_slice()?);
+    if triangles.as_array().ncols() != 3 || start.len() != count.len() || start.len() != below.len() {
+        return Err(PyValueError::new_err("triangles are m × 3, and a front has as many of each"));
+    }
+    let there = (corners.len() / 3) as i64;
+    let mut front = Vec::with_capacity(start.len());
+    for ((&start, &count), &below) in start.iter().zip(count).zip(below) {
+        let within = start >= 0 && count >= 0 && start.checked_add(count).is_some_and(|end| end <= there);
+        if !within || below < i64::from(roots) || below > vertices as i64 {
+            return Err(PyValueError::new_err("a node of the front is out of range"));
+        }
+        front.push(Open { start: start as usize, count: count as usize, below: below as u32 });
+    }
+    let rows: usize = front.iter().map(|open| open.count).sum();
+    guarded(rows + vertices, || {
+        let mesh = detached(py, None, false, |_| Ok(assemble(corners, origin, roots, &front)))?;
+        Ok(Front {
+            vertices: id_array(py, mesh.vertices.into_iter()),
+            triangles: triangle_array(py, &mesh.triangles)?,
+            source: id_array(py, mesh.source.into_iter()),
+        })
+    })
+}

@@ -1,0 +1,15 @@
+"""Level of detail: a tree of cells, each with a progressive mesh, every level proven against the input.
+
+>>> from stages import lod, read_mesh
+>>> hierarchy = lod.build(read_mesh("clean.ply"))
+>>> light = hierarchy.cut(triangles=20_000)
+>>> light.mesh, light.shape_bound_m
+"""
+
+from stages.lod.build import LodParams, build
+from stages.lod.front import Cut, Front
+from stages.lod.hierarchy import Hierarchy
+from stages.lod.slod import read_slod, write_slod
+from stages.lod.view import View
+
+__all__ = ["Cut", "Front", "Hierarchy", "LodParams", "View", "build", "read_slod", "write_slod"]

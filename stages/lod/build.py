@@ -1,0 +1,241 @@
+"""Building a hierarchy of levels from a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.errors import InputError
+from stages.lod.first_error import first_error
+from stages.lod.hierarchy import Hierarchy
+from stages.params import check as check_params
+from stages.params import param, resolve
+from stages.progress import Progress, silent
+from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
+from stages.simplification.color_weight import balanced_weight
+from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
+from stages.simplification.kernel_input import attributes_of
+from stages.simplification.simplify import simplify
+from stages.surface.color import color_at, is_textured
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
+from stages.surface.topology import require_measurable
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+# Part of the cache key of the stage.
+RESULT_VERSION = 1
+
+# The first bound over the base's error, where the base has one.
+_FIRST_PER_BASE = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodParams:
+    """How levels of detail are made."""
+
+    base_error: float = param(
+        0.0,
+        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
+        unit="m",
+        low=0,
+    )
+    first_error: float | None = param(
+        None,
+        "Bound of the first level above that; from the mesh itself if not given, so that it has a third to a "
+        "half of the triangles.",
+        unit="m",
+        low=0,
+        low_open=True,
+    )
+    ratio: float = param(2.0, "What the bound grows with from level to level.", low=1.1, high=10)
+    cell_triangles: int = param(
+        10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
+    )
+    root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
+    threads: int | None = param(
+        None,
+        "Processors to use, with the same result; all if not given.",
+        low=1,
+        high=256,
+        invalidates=False,
+    )
+
+    def __post_init__(self) -> None:
+        check_params(self)
+
+
+class LodKeywords(TypedDict, total=False):
+    """LodParams as keywords of `build`."""
+
+    base_error: float
+    first_error: float | None
+    ratio: float
+    cell_triangles: int
+    root_triangles: int
+    threads: int | None
+
+
+def build(
+    mesh: MeshLike,
+    params: LodParams | None = None,
+    *,
+    progress: Progress = silent,
+    **changes: Unpack[LodKeywords],
+) -> Hierarchy:
+    """Build the levels of detail of a mesh.
+
+    The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound, the
+    cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on each
+    level against its part of the mesh that was given (or simplified within `base_error`, which is added): at
+    every point, both ways, in shape and colour. Bounds of levels are never added up.
+
+    After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012), with
+    clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
+
+    Parameters
+    ----------
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. A texture becomes colours
+        of the vertices, and a note says so.
+    params : LodParams; single fields can be given by name instead.
+    progress : called with (triangles gone, all).
+
+    Raises
+    ------
+    InputError
+        If the mesh has no triangles.
+    MeshError
+        If it is no valid mesh, or its coordinates are too large.
+    UsageError
+        If a parameter is out of range.
+    """
+    params = resolve(LodParams, params, changes)
+    given = as_mesh(mesh)
+    require_measurable(given, "mesh")
+    if len(given.triangles) == 0:
+        raise InputError("the mesh has no triangles; there are no levels of it.")
+    base, shape, color = _base(_plain(given), params)
+    hierarchy = _of_any(base, params, shape, progress)
+    if shape:
+        hierarchy = replace(
+            hierarchy,
+            shape_bound=hierarchy.shape_bound + shape,
+            color_bound=hierarchy.color_bound + color,
+            base_shape_bound=shape,
+            base_color_bound=color,
+        )
+    return replace(hierarchy, input_triangles=len(given.triangles))
+
+
+def _plain(mesh: Mesh) -> Mesh:
+    """Return a mesh with nothing but colours of vertices."""
+    lost = {"parts": mesh.part_ids, "normals of corners": mesh.corner_normals, "normals": mesh.normals}
+    names = [name for name, value in lost.items() if value is not None]
+    notes = mesh.notes
+    if names:
+        notes += (f"lod left out: {', '.join(names)}.",)
+    if is_textured(mesh):
+        mesh = mesh.with_(colors=_colors_of_vertices(mesh))
+        notes += ("lod has taken the texture's colours at the vertices; the image itself was left out.",)
+    return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes)
+
+
+def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
+    """Return the mean colour (n, 3) of the corners of each vertex, black where there is none."""
+    corner = mesh.triangles.reshape(-1)
+    weights = np.tile(np.eye(3), (len(mesh.triangles), 1))
+    found = color_at(mesh, np.repeat(np.arange(len(mesh.triangles)), 3), weights)
+    count = np.maximum(np.bincount(corner, minlength=len(mesh.vertices)), 1)
+    sums = [np.bincount(corner, channel, minlength=len(mesh.vertices)) for channel in found.T]
+    return np.rint(np.stack(sums, axis=1) / count[:, None]).clip(0, 255).astype(np.uint8)
+
+
+def _base(mesh: Mesh, params: LodParams) -> tuple[Mesh, float, float]:
+    """Return the finest level, and what is proven of it, in metres and levels."""
+    if params.base_error == 0:
+        return mesh, 0.0, 0.0
+    light = simplify(
+        mesh,
+        method="certified",
+        max_shape=params.base_error,
+        close_bounds=mesh.colors is not None,
+        threads=params.threads,
+    )
+    details = light.details
+    return light.mesh, float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
+
+
+def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:
+    """Return the hierarchy of a mesh that may have copies of vertices, or be no manifold."""
+    sheets = joined(mesh)
+    if sheets is None:
+        try:
+            return _of_manifold(mesh, np.zeros(0, bool), params, base_error, progress)
+        except _kernels.InvalidMeshError:
+            # Not a manifold: the sheets it is made of are.
+            sheets = sheets_of(mesh)
+    whole, notes = in_sheets(mesh, sheets)
+    split = is_split(mesh, sheets)
+    if split.any():
+        notes += (
+            f"the surface is no manifold: it was split into sheets, which stay as they are at "
+            f"{split.sum():,} vertices where they touch; run clean first to let these move.",
+        )
+    return _of_manifold(whole.with_(notes=(*mesh.notes, *notes)), split, params, base_error, progress)
+
+
+def _of_manifold(
+    mesh: Mesh, locked: NDArray[np.bool_], params: LodParams, base_error: float, progress: Progress
+) -> Hierarchy:
+    weight = 0.0
+    if mesh.colors is not None:
+        weight = balanced_weight(mesh, max(len(mesh.triangles) // REDUCTION, 1), params.threads or 0)
+    first = params.first_error or (_FIRST_PER_BASE * base_error if base_error else first_error(mesh))
+    levels = _kernels.build_levels(
+        mesh.vertices,
+        attributes_of(mesh),
+        mesh.triangles,
+        locked,
+        first=first,
+        ratio=params.ratio,
+        most=params.cell_triangles,
+        root=params.root_triangles,
+        weight=weight,
+        share=SHARE_OF_VERTICES,
+        tolerance=(TOLERANCE, TOLERANCE),
+        effort=PIECES,
+        single=bool((mesh.vertices == mesh.vertices.astype(np.float32)).all()),
+        running=_kernels.Running(threads=params.threads or 0),
+        progress=progress,
+    )
+    notes = mesh.notes
+    if levels.unproven:
+        notes += (
+            f"{levels.unproven:,} triangles have no proof of their level's bound; what is proven of their nodes "
+            "is told as it is.",
+        )
+    return Hierarchy(
+        vertices=levels.vertices,
+        colors=None if mesh.colors is None else levels.attributes.astype(np.uint8),
+        roots=levels.roots,
+        origin=levels.origin.astype(np.uint32),
+        made=levels.made,
+        born=levels.born,
+        triangles=levels.triangles.astype(np.uint32),
+        parent=levels.parent,
+        level=levels.level,
+        coarse=levels.coarse,
+        first_split=levels.first_split,
+        first_triangle=levels.first_triangle,
+        shape_bound=levels.shape_bound,
+        color_bound=levels.color_bound,
+        base_shape_bound=0.0,
+        base_color_bound=0.0,
+        input_triangles=len(mesh.triangles),
+        notes=notes,
+    )

@@ -1,0 +1,224 @@
+"""The file of a hierarchy, `.slod`: the coarsest level first, so that any beginning of it is a mesh.
+
+All numbers are little-endian. A header of lengths and a checksum, the tree as JSON, then node by node from the root: the
+vertices it brings, what they become, its splits, its triangles, and a checksum. The root's block begins with the
+vertices that are there before any split. A file that ends early has fewer nodes.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.opening import content_of
+from stages.files.replacing import replacing
+from stages.lod.hierarchy import Hierarchy
+
+_MAGIC = b"SLOD"
+_VERSION = 1
+# Magic, version, bytes of the tree, their checksum.
+_HEADER = struct.Struct("<4sIQI")
+_CHECKSUM = struct.Struct("<I")
+_NODE = ("parent", "level", "coarse", "splits", "vertices", "triangles", "shape_bound", "color_bound")
+# Beyond this, numbers of vertices are not those of a file that was written here.
+_MOST = 2**31 - 1
+
+
+def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
+    """Write a hierarchy; a reader finds the file whole or not at all.
+
+    Coordinates are written in single precision where that changes none of them, else in double.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    h = hierarchy
+    single = bool((h.vertices == h.vertices.astype(np.float32)).all())
+    tree = {
+        "coordinates": "float32" if single else "float64",
+        "colors": h.colors is not None,
+        "roots": h.roots,
+        "base_shape_bound": h.base_shape_bound,
+        "base_color_bound": h.base_color_bound,
+        "input_triangles": h.input_triangles,
+        "notes": list(h.notes),
+        "nodes": {
+            "parent": h.parent.tolist(),
+            "level": h.level.tolist(),
+            "coarse": h.coarse.tolist(),
+            "splits": h.splits.tolist(),
+            "vertices": np.diff(h.vertices_after[h.first_split]).tolist(),
+            "triangles": h.full.tolist(),
+            "shape_bound": h.shape_bound.tolist(),
+            "color_bound": h.color_bound.tolist(),
+        },
+    }
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    with replacing(Path(path)) as draft, draft.open("wb") as file:
+        file.write(_HEADER.pack(_MAGIC, _VERSION, len(text), zlib.crc32(text)))
+        file.write(text)
+        for node in range(h.nodes):
+            block = _block(h, node, np.dtype("<f4" if single else "<f8"))
+            file.write(block)
+            file.write(_CHECKSUM.pack(zlib.crc32(block)))
+
+
+def _block(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
+    splits = slice(*h.first_split[node : node + 2])
+    first, last = h.vertices_after[h.first_split[node : node + 2]]
+    own = slice(0 if node == 0 else first, last)
+    triangles = h.triangles[slice(*h.first_triangle[node : node + 2])]
+    parts = [h.vertices[own].astype(coordinates)]
+    if h.colors is not None:
+        parts.append(h.colors[own])
+    parts += [h.origin[first - h.roots : last - h.roots].astype("<u4"), h.made[splits], h.born[splits]]
+    parts.append(triangles.astype("<u4"))
+    return b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+
+
+def read_slod(path: Path | str) -> Hierarchy:
+    """Read a hierarchy. Of a file that ends early, or is damaged on the way, the nodes before that are read.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, is no `.slod` file or of another version, or if the root is not whole.
+    """
+    path = Path(path)
+    data = content_of(path)
+    if len(data) < _HEADER.size or data[:4] != _MAGIC:
+        raise InputError(f"{path}: this is no .slod file.")
+    _, version, size, checksum = _HEADER.unpack_from(data)
+    if version != _VERSION:
+        raise InputError(f"{path}: this .slod file has version {version}; {_VERSION} is known.")
+    text = data[_HEADER.size : _HEADER.size + size]
+    if len(text) < size or zlib.crc32(text) != checksum:
+        raise InputError(f"{path}: the file is damaged or cut off before its first level.")
+    try:
+        return _read(data, _HEADER.size + size, json.loads(text))
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path}: the .slod file is damaged: {error or 'it contradicts itself'}.") from None
+
+
+def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
+    columns = {name: tree["nodes"][name] for name in _NODE}
+    count = len(columns["parent"])
+    if count == 0 or any(len(column) != count for column in columns.values()):
+        raise ValueError("its tree is not whole")
+    roots = _natural(tree["roots"])
+    coordinates = {"float32": np.dtype("<f4"), "float64": np.dtype("<f8")}[tree["coordinates"]]
+    sizes = {
+        name: [_natural(x) for x in columns[name]] for name in ("coarse", "splits", "vertices", "triangles")
+    }
+    parts: list[list[NDArray[Any]]] = []
+    for node in range(count):
+        own = sizes["vertices"][node]
+        there = own + (roots if node == 0 else 0)
+        splits, triangles = sizes["splits"][node], sizes["triangles"][node]
+        kinds = [(coordinates, 3 * there), (np.dtype("u1"), 3 * there if tree["colors"] else 0)]
+        kinds += [(np.dtype("<u4"), own), (np.dtype("u1"), splits), (np.dtype("u1"), splits)]
+        kinds.append((np.dtype("<u4"), 3 * triangles))
+        size = sum(kind.itemsize * number for kind, number in kinds)
+        block = data[at : at + size]
+        if len(data) < at + size + _CHECKSUM.size:
+            break
+        if _CHECKSUM.unpack_from(data, at + size)[0] != zlib.crc32(block):
+            break
+        at += size + _CHECKSUM.size
+        here, offset = [], 0
+        for kind, number in kinds:
+            here.append(np.frombuffer(block, kind, number, offset))
+            offset += kind.itemsize * number
+        parts.append(here)
+    if not parts:
+        raise ValueError("its root is not whole")
+    hierarchy = _joined(tree, columns, sizes, roots, parts)
+    _require_sound(hierarchy)
+    if len(parts) < count:
+        note = f"the file ends after {len(parts):,} of {count:,} nodes; finer levels are missing."
+        hierarchy = replace(hierarchy, notes=(*hierarchy.notes, note))
+    return hierarchy
+
+
+def _joined(
+    tree: dict[str, Any],
+    columns: dict[str, list[Any]],
+    sizes: dict[str, list[int]],
+    roots: int,
+    parts: list[list[NDArray[Any]]],
+) -> Hierarchy:
+    there = len(parts)
+
+    def all_of(i: int) -> NDArray[Any]:
+        return np.concatenate([part[i] for part in parts])
+
+    def offsets(name: str) -> NDArray[np.int64]:
+        return np.concatenate([[0], np.cumsum(sizes[name][:there], dtype=np.int64)])
+
+    def numbers(name: str, kind: Any) -> NDArray[Any]:
+        return np.asarray(columns[name][:there], kind)
+
+    return Hierarchy(
+        vertices=all_of(0).reshape(-1, 3).astype(np.float64),
+        colors=all_of(1).reshape(-1, 3) if tree["colors"] else None,
+        roots=roots,
+        origin=all_of(2).astype(np.uint32),
+        made=all_of(3),
+        born=all_of(4),
+        triangles=all_of(5).reshape(-1, 3).astype(np.uint32),
+        parent=numbers("parent", np.int32),
+        level=numbers("level", np.int32),
+        coarse=numbers("coarse", np.int32),
+        first_split=offsets("splits"),
+        first_triangle=offsets("triangles"),
+        shape_bound=numbers("shape_bound", np.float64),
+        color_bound=numbers("color_bound", np.float64),
+        base_shape_bound=float(tree["base_shape_bound"]),
+        base_color_bound=float(tree["base_color_bound"]),
+        input_triangles=_natural(tree["input_triangles"]),
+        notes=tuple(str(note) for note in tree["notes"]),
+    )
+
+
+def _natural(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= _MOST:
+        raise ValueError(f"{value!r} is no number of elements")
+    return value
+
+
+def _require_sound(h: Hierarchy) -> None:
+    """Raise ValueError where numbers lead out of the file, or in circles."""
+    numbers = np.arange(h.nodes)
+    if h.parent[0] != -1 or (h.parent[1:] < 0).any() or (h.parent[1:] >= numbers[1:]).any():
+        raise ValueError("its tree is none")
+    if not np.isfinite(h.vertices).all():
+        raise ValueError("a coordinate is not finite")
+    if not (np.isfinite(h.shape_bound).all() and (h.shape_bound >= 0).all() and (h.color_bound >= 0).all()):
+        raise ValueError("a bound is none")
+    if (h.made < 1).any() or (h.made > 2).any() or (h.born > 2).any():
+        raise ValueError("a split brings what none can")
+    if (np.diff(h.vertices_after[h.first_split]) != _own_vertices(h)).any():
+        raise ValueError("splits bring other vertices than there are")
+    own = np.arange(h.roots, len(h.vertices))
+    if (h.origin >= own).any():
+        raise ValueError("a vertex comes from a later one")
+    below = np.repeat(h.vertices_after[h.first_split[1:]], h.full)
+    if (h.triangles >= below[:, None]).any():
+        raise ValueError("a triangle has a vertex that is not there")
+    born = np.diff(h.born_before[h.first_split])
+    if (h.coarse + born != h.full).any():
+        raise ValueError("splits bring other triangles than there are")
+
+
+def _own_vertices(h: Hierarchy) -> NDArray[np.int64]:
+    return np.asarray(np.add.reduceat(np.append(h.made, 0), h.first_split[:-1]) * (h.splits > 0))

@@ -1,0 +1,122 @@
+"""What a viewer sees of a hierarchy: where the eye is, and how large a metre is in pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import UsageError
+from stages.picturing.viewpoints import Viewpoint
+from stages.printing import by_fields
+
+Floats = NDArray[np.float64]
+
+# Nearer than this share of a node's radius its surface may be anywhere: the eye is in it.
+_NEAREST = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A perspective view.
+
+    Attributes
+    ----------
+    eye : (3,) metres.
+    look : (3,) a point straight ahead, metres.
+    up : (3,) the direction that is up in the picture, as far as the view allows.
+    width, height : of the picture, pixels.
+    field : the angle the picture's height spans, degrees, above 0 and below 180.
+    near : nothing closer to the eye is seen, metres, above 0.
+    far : nothing farther is seen, metres; infinite for no end.
+    """
+
+    eye: tuple[float, float, float]
+    look: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    width: int = 1280
+    height: int = 720
+    field: float = 50.0
+    near: float = 1e-3
+    far: float = math.inf
+
+    __repr__ = by_fields
+
+    def __post_init__(self) -> None:
+        points = (self.eye, self.look, self.up)
+        if any(len(p) != 3 or not all(math.isfinite(x) for x in p) for p in points):
+            raise UsageError("eye, look and up are three finite numbers each.")
+        if math.dist(self.eye, self.look) == 0:
+            raise UsageError("the eye looks at where it is; give it another point to look at.")
+        if not (self.width >= 1 and self.height >= 1):
+            raise UsageError("a view has a width and a height of 1 pixel or more.")
+        if not 0 < self.field < 180:
+            raise UsageError("the field of a view is above 0° and below 180°.")
+        if not 0 < self.near < self.far:
+            raise UsageError("the near end of a view is above 0 and nearer than its far end.")
+
+    @staticmethod
+    def of(viewpoint: Viewpoint, *, near: float = 1e-3, far: float = math.inf) -> View:
+        """Return the view of a camera, whose principal point is taken for the middle."""
+        camera, pose = viewpoint.camera, np.asarray(viewpoint.world_from_camera, np.float64)
+        eye, ahead, down = pose[:3, 3], pose[:3, 2], pose[:3, 1]
+        field = 2 * math.degrees(math.atan2(0.5 * camera.height, camera.fy))
+
+        def three(p: Floats) -> tuple[float, float, float]:
+            return float(p[0]), float(p[1]), float(p[2])
+
+        return View(
+            three(eye), three(eye + ahead), three(-down), camera.width, camera.height, field, near, far
+        )
+
+    @property
+    def ahead(self) -> Floats:
+        """The direction of view (3,), of length 1."""
+        way = np.subtract(self.look, self.eye)
+        return np.asarray(way / np.linalg.norm(way))
+
+    @property
+    def focal_px(self) -> float:
+        """How many pixels something of 1 m spans at a distance of 1 m."""
+        return 0.5 * self.height / math.tan(math.radians(0.5 * self.field))
+
+    def planes(self) -> tuple[Floats, Floats]:
+        """Return the sides of the frustum: normals (k, 3) outwards, and offsets: a point x is within where
+        normals @ x <= offsets. There are five, or six with a far end.
+        """
+        ahead = self.ahead
+        right = np.cross(ahead, self.up)
+        length = float(np.linalg.norm(right))
+        if length < 1e-9 * float(np.linalg.norm(self.up)):
+            # It looks straight up or down: any direction is the right.
+            right = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
+            length = float(np.linalg.norm(right))
+        right = right / length
+        up = np.cross(right, ahead)
+        half = math.tan(math.radians(0.5 * self.field))
+        wide = half * self.width / self.height
+        sides = [right - wide * ahead, -right - wide * ahead, up - half * ahead, -up - half * ahead]
+        normals = [side / np.linalg.norm(side) for side in sides] + [-ahead]
+        eye = np.asarray(self.eye, np.float64)
+        offsets = [float(n @ eye) for n in normals[:4]] + [float(-ahead @ eye) - self.near]
+        if math.isfinite(self.far):
+            normals.append(ahead)
+            offsets.append(float(ahead @ eye) + self.far)
+        return np.stack(normals), np.asarray(offsets)
+
+    def sees(self, middle: Floats, radius: Floats) -> NDArray[np.bool_]:
+        """Return which balls (n, 3), (n,) are not wholly outside one side of the frustum (n,)."""
+        normals, offsets = self.planes()
+        return np.asarray((middle @ normals.T - offsets <= radius[:, None]).all(axis=1))
+
+    def pixels(self, length: Floats, middle: Floats, radius: Floats) -> Floats:
+        """Return how many pixels lengths (n,) span at most anywhere in balls (n, 3), (n,)."""
+        distance = np.linalg.norm(middle - np.asarray(self.eye), axis=1) - radius
+        least = np.maximum(self.near, _NEAREST * radius)
+        # At the picture's rim a length is drawn longer than at its middle, by the square of the secant.
+        half = math.tan(math.radians(0.5 * self.field))
+        secant2 = 1 + half**2 * (1 + (self.width / self.height) ** 2)
+        depth = np.maximum(distance, least) / math.sqrt(secant2)
+        return np.asarray(length * self.focal_px / np.maximum(depth, self.near) * math.sqrt(secant2))
