@@ -14,8 +14,10 @@ __all__ = [
     "BySeams",
     "BySums",
     "Certified",
+    "Front",
     "InvalidMeshError",
     "LaidOut",
+    "Levels",
     "LimitError",
     "NormalMesh",
     "Photo",
@@ -30,6 +32,8 @@ __all__ = [
     "TexturedSurface",
     "View",
     "WeldedSheets",
+    "assemble_front",
+    "build_levels",
     "certify",
     "color_weight",
     "decode_normal_mesh",
@@ -506,6 +510,94 @@ def simplify_certified(
     progress: Callable[[int, int], object],
 ) -> Proven:
     """Simplify within bounds that are proven to hold everywhere; infinite for none."""
+
+@final
+class Levels:
+    """A hierarchy of levels; nodes from the root down."""
+
+    @property
+    def parent(self) -> NDArray[np.int32]: ...
+    @property
+    def level(self) -> NDArray[np.int32]: ...
+    @property
+    def shape_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def color_bound(self) -> NDArray[np.float64]: ...
+    @property
+    def shape_attained(self) -> NDArray[np.float64]: ...
+    @property
+    def color_attained(self) -> NDArray[np.float64]: ...
+    @property
+    def coarse(self) -> NDArray[np.int32]: ...
+    @property
+    def roots(self) -> int: ...
+    @property
+    def vertices(self) -> NDArray[np.float64]: ...
+    @property
+    def attributes(self) -> NDArray[np.float64]: ...
+    @property
+    def origin(self) -> NDArray[np.int32]: ...
+    @property
+    def made(self) -> NDArray[np.uint8]: ...
+    @property
+    def born(self) -> NDArray[np.uint8]: ...
+    @property
+    def first_split(self) -> NDArray[np.int64]: ...
+    @property
+    def first_triangle(self) -> NDArray[np.int64]: ...
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    @property
+    def triangle_source(self) -> NDArray[np.int32]: ...
+    @property
+    def stopped(self) -> bool: ...
+    @property
+    def unproven(self) -> int: ...
+
+def build_levels(
+    vertices: NDArray[np.float64],
+    attributes: _Attributes,
+    triangles: NDArray[np.int32],
+    locked: NDArray[np.bool_],
+    *,
+    first: float,
+    ratio: float,
+    most: int,
+    root: int,
+    weight: float,
+    share: float,
+    tolerance: tuple[float, float],
+    effort: float,
+    single: bool,
+    running: Running,
+    progress: Callable[[int, int], object],
+) -> Levels:
+    """Build the levels of a manifold."""
+
+@final
+class Front:
+    """The mesh of a front: its triangles, their places in the hierarchy, and the vertices they use."""
+
+    @property
+    def vertices(self) -> NDArray[np.int32]: ...
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+    @property
+    def source(self) -> NDArray[np.int32]: ...
+
+def assemble_front(
+    triangles: NDArray[np.uint32],
+    origin: NDArray[np.uint32],
+    *,
+    roots: int,
+    start: NDArray[np.int64],
+    count: NDArray[np.int64],
+    below: NDArray[np.int64],
+) -> Front:
+    """Put together the mesh of some nodes.
+
+    Of each the first `count` triangles from `start` on, with vertices below `below`.
+    """
 
 @disjoint_base
 class PlanarPatches:

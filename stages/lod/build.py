@@ -90,18 +90,18 @@ def build(
 ) -> Hierarchy:
     """Build the levels of detail of a mesh.
 
-    The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound, the
-    cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on each
-    level against its part of the mesh that was given (or simplified within `base_error`, which is added): at
-    every point, both ways, in shape and colour. Bounds of levels are never added up.
+    The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound,
+    the cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on
+    each level against its part of the mesh that was given (or simplified within `base_error`, which is
+    added): at every point, both ways, in shape and colour. Bounds of levels are never added up.
 
-    After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012), with
-    clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
+    After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012),
+    with clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
 
     Parameters
     ----------
-    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. A texture becomes colours
-        of the vertices, and a note says so.
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres. A texture becomes
+        colours of the vertices, and a note says so.
     params : LodParams; single fields can be given by name instead.
     progress : called with (triangles gone, all).
 
@@ -216,8 +216,8 @@ def _of_manifold(
     notes = mesh.notes
     if levels.unproven:
         notes += (
-            f"{levels.unproven:,} triangles have no proof of their level's bound; what is proven of their nodes "
-            "is told as it is.",
+            f"{levels.unproven:,} triangles have no proof of their level's bound; what is proven of their "
+            "nodes is told as it is.",
         )
     return Hierarchy(
         vertices=levels.vertices,

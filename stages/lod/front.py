@@ -116,8 +116,9 @@ class Front:
         return int(h.coarse[node] + h.born_before[first + splits] - h.born_before[first])
 
     def split(self, node: int, count: int = 1) -> Front:
-        """Split `count` vertices of a node of the front, or as many as there are; where none is left, its children
-        take its place.
+        """Split `count` vertices of a node of the front, or as many as there are.
+
+        Where none is left to split, its children take its place.
 
         Raises
         ------
@@ -134,8 +135,10 @@ class Front:
         return self
 
     def merge(self, node: int, count: int = 1) -> Front:
-        """Undo `count` splits of a node of the front, or as many as there are; where none is left, its parent takes
-        the place of all that is below it: whatever of its siblings is still split is merged first.
+        """Undo `count` splits of a node of the front, or as many as there are.
+
+        Where none is left to undo, its parent takes the place of all that is below it: whatever of its
+        siblings is still split is merged first.
 
         Raises
         ------
@@ -184,10 +187,10 @@ class Front:
             end between two levels.
         error_px : no more than so many pixels of proven error in what is seen; asks for a view.
         max_shape : no more than so many metres of proven error.
-        region : something with `holds(points)`, as Sphere and Box; only nodes with a vertex there are refined,
-            without another limit to the last.
-        keep : 1 or more; where the front is finer than asked already, nodes stay until their error is this many
-            times below what is asked for: with 2, small steps of the view there and back change nothing.
+        region : something with `holds(points)`, as Sphere and Box; only nodes with a vertex there are
+            refined, without another limit to the last.
+        keep : 1 or more; where the front is finer than asked already, nodes stay until their error is this
+            many times below what is asked for: with 2, small steps of the view there and back change nothing.
 
         Raises
         ------
@@ -198,11 +201,8 @@ class Front:
             raise UsageError("error_px is told in pixels of a view; give one, or max_shape in metres.")
         if triangles is None and error_px is None and max_shape is None and region is None:
             raise UsageError("say how far to refine: triangles, error_px, max_shape or region.")
-        for name, value, least in (
-            ("triangles", triangles, 1),
-            ("error_px", error_px, 0),
-            ("max_shape", max_shape, 0),
-        ):
+        asked = (("triangles", triangles, 1), ("error_px", error_px, 0), ("max_shape", max_shape, 0))
+        for name, value, least in asked:
             if value is not None and not value >= least:
                 raise UsageError(f"{name} is {least} or more.")
         if not keep >= 1:
@@ -216,7 +216,7 @@ class Front:
     def _wanted(
         self, view: View | None, error_px: float | None, max_shape: float | None, region: Region | None
     ) -> Floats:
-        """Return how urgent each node (n,) is: its error over that asked for, above 1 where it has to be refined."""
+        """Return how urgent each node (n,) is: its error over that asked for. It is refined above 1."""
         h = self.hierarchy
         urgency = np.zeros(h.nodes)
         middle, radius = h.spheres

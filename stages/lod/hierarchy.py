@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,8 +25,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """The levels of a mesh, from Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh
-    hierarchies" (2012, section 2.1), with fitted collapses.
+    """The levels of a mesh.
+
+    Those of Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012,
+    section 2.1), with fitted collapses.
 
     Nodes are numbered from the root, 0, down: no child comes before its parent. A node's mesh is coarse while
     none of its vertices is split; with all of its splits done it is what its children's coarse meshes are
@@ -85,7 +88,7 @@ class Hierarchy:
         """The children of each node, in order."""
         order = np.argsort(self.parent, kind="stable")
         starts = np.searchsorted(self.parent[order], np.arange(self.nodes + 1))
-        return tuple(order[a:b] for a, b in zip(starts, starts[1:], strict=False))
+        return tuple(order[a:b] for a, b in pairwise(starts))
 
     @cached_property
     def splits(self) -> Ids:
@@ -225,7 +228,7 @@ class Hierarchy:
         max_shape: float | None = None,
         region: Any = None,
     ) -> Cut:
-        """Return a mesh of the hierarchy for a view, a number of triangles or an error; see `Front.refine`."""
+        """Return the mesh for a view, a number of triangles or an error; see `Front.refine`."""
         return (
             self.front()
             .refine(view, triangles=triangles, error_px=error_px, max_shape=max_shape, region=region)

@@ -1,8 +1,8 @@
 """The file of a hierarchy, `.slod`: the coarsest level first, so that any beginning of it is a mesh.
 
-All numbers are little-endian. A header of lengths and a checksum, the tree as JSON, then node by node from the root: the
-vertices it brings, what they become, its splits, its triangles, and a checksum. The root's block begins with the
-vertices that are there before any split. A file that ends early has fewer nodes.
+All numbers are little-endian. A header of lengths and a checksum, the tree as JSON, then node by node from
+the root: the vertices it brings, what they become, its splits, its triangles, and a checksum. The root's
+block begins with the vertices that are there before any split. A file that ends early has fewer nodes.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
     if count == 0 or any(len(column) != count for column in columns.values()):
         raise ValueError("its tree is not whole")
     roots = _natural(tree["roots"])
-    coordinates = {"float32": np.dtype("<f4"), "float64": np.dtype("<f8")}[tree["coordinates"]]
+    coordinates: np.dtype[Any] = np.dtype({"float32": "<f4", "float64": "<f8"}[tree["coordinates"]])
     sizes = {
         name: [_natural(x) for x in columns[name]] for name in ("coarse", "splits", "vertices", "triangles")
     }
@@ -125,7 +125,10 @@ def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
         own = sizes["vertices"][node]
         there = own + (roots if node == 0 else 0)
         splits, triangles = sizes["splits"][node], sizes["triangles"][node]
-        kinds = [(coordinates, 3 * there), (np.dtype("u1"), 3 * there if tree["colors"] else 0)]
+        kinds: list[tuple[np.dtype[Any], int]] = [
+            (coordinates, 3 * there),
+            (np.dtype("u1"), 3 * there if tree["colors"] else 0),
+        ]
         kinds += [(np.dtype("<u4"), own), (np.dtype("u1"), splits), (np.dtype("u1"), splits)]
         kinds.append((np.dtype("<u4"), 3 * triangles))
         size = sum(kind.itemsize * number for kind, number in kinds)

@@ -83,8 +83,9 @@ class View:
         return 0.5 * self.height / math.tan(math.radians(0.5 * self.field))
 
     def planes(self) -> tuple[Floats, Floats]:
-        """Return the sides of the frustum: normals (k, 3) outwards, and offsets: a point x is within where
-        normals @ x <= offsets. There are five, or six with a far end.
+        """Return the sides of the frustum: outward normals (k, 3), and offsets (k,).
+
+        A point x is within where normals @ x <= offsets. There are five, or six with a far end.
         """
         ahead = self.ahead
         right = np.cross(ahead, self.up)
