@@ -7,9 +7,21 @@
 """
 
 from stages.lod.build import LodParams, build
+from stages.lod.evaluate import adjust, evaluate
 from stages.lod.front import Cut, Front
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.slod import read_slod, write_slod
 from stages.lod.view import View
 
-__all__ = ["Cut", "Front", "Hierarchy", "LodParams", "View", "build", "read_slod", "write_slod"]
+__all__ = [
+    "Cut",
+    "Front",
+    "Hierarchy",
+    "LodParams",
+    "View",
+    "adjust",
+    "build",
+    "evaluate",
+    "read_slod",
+    "write_slod",
+]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 RESULT_VERSION = 1
 
 # The first bound over the base's error, where the base has one.
-_FIRST_PER_BASE = 2.0
+_FIRST_PER_BASE = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class LodParams:
         low=0,
         low_open=True,
     )
-    ratio: float = param(2.0, "What the bound grows with from level to level.", low=1.1, high=10)
+    ratio: float = param(2.5, "What the bound grows with from level to level.", low=1.1, high=10)
     cell_triangles: int = param(
         10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
     )

@@ -7,7 +7,7 @@ import numpy as np
 from stages.surface.mesh import Mesh
 
 # Share of the median height that the bound is.
-_PER_HEIGHT = 1.0
+_PER_HEIGHT = 1.4
 # What is flat all over has levels too: the least bound, as a share of the diagonal.
 _LEAST_PER_DIAGONAL = 1e-5
 

@@ -267,7 +267,7 @@ class Front:
                 continue
             more = int(h.full[node] - h.coarse[node])
             if triangles is not None and there + more > triangles:
-                self._splits[node] = self._splits_for(node, triangles - there)
+                self._splits[node] = h.splits_for(node, triangles - there)
                 return
             there += more
             children = h.children[node]
@@ -278,13 +278,6 @@ class Front:
             for child in children:
                 self._splits[int(child)] = 0
                 heapq.heappush(heap, (-float(urgency[child]), int(child)))
-
-    def _splits_for(self, node: int, more: int) -> int:
-        """Return how many splits of a node bring no more than so many triangles."""
-        h = self.hierarchy
-        a, b = h.first_split[node : node + 2]
-        born = h.born_before[a : b + 1] - h.born_before[a]
-        return int(np.searchsorted(born, max(more, 0), side="right")) - 1
 
     def rebuild(self, triangles: int) -> Front:
         """Go to at most so many triangles, with the error as small as can be."""

@@ -184,6 +184,12 @@ class Hierarchy:
             )
         return np.unique(np.concatenate([there, coarse, np.arange(a, b, dtype=np.uint32)]))
 
+    def splits_for(self, node: int, more: int) -> int:
+        """Return how many splits of a node, from its coarse mesh on, bring no more than so many triangles."""
+        a, b = self.first_split[node : node + 2]
+        born = self.born_before[a : b + 1] - self.born_before[a]
+        return int(np.searchsorted(born, max(more, 0), side="right")) - 1
+
     def mesh(self, nodes: Sequence[int] | Ids, splits: Sequence[int] | Ids) -> Mesh:
         """Return the mesh of some nodes, none above another, each after so many of its splits.
 

@@ -29,6 +29,8 @@ SIDES = {
     "fit": 150,
     "simplify_certified": 40,
     "certify": 30,
+    "build_levels": 40,
+    "assemble_front": 400,
     "lay_out": 100,
     "texels": 100,
     "zbuffer": 100,

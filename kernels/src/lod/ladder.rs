@@ -32,6 +32,9 @@ pub const NONE: u32 = u32::MAX;
 /// Levels end where the bound is this share of the diagonal: what is left then does not become lighter.
 const LARGEST: f64 = 0.25;
 
+/// A level that leaves more than this share of the triangles is the last, if there is one cell.
+const STUCK: f64 = 0.9;
+
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The bound of the first level, in metres, and what each is multiplied with for the next.
@@ -132,7 +135,9 @@ pub fn build<const D: usize, const K: usize>(
         }
         levels.push(Level { first, node: node_of.clone() });
         let is_one = cells.group.iter().all(|&g| g == 0);
-        let light = state.mesh.triangles.len() <= options.root;
+        let left = state.mesh.triangles.len();
+        // What no larger bound makes lighter is light enough: islands stay, each within its own place.
+        let light = left <= options.root || left as f64 > STUCK * f64::from(before.iter().sum::<u32>());
         if stop == Stop::Enough {
             break true;
         }

@@ -1,0 +1,88 @@
+"""Evaluating a hierarchy for a view and a marked region, and adjusting its front to that."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+
+from stages.lod import measures
+from stages.lod.front import Front, Region
+from stages.lod.hierarchy import Hierarchy
+from stages.lod.measures import Rule, Weights
+from stages.lod.view import View
+
+
+def evaluate(
+    hierarchy: Hierarchy, view: View, region: Region | None = None, *, rule: Rule = "corrected"
+) -> Weights:
+    """Return how urgent it is to refine each node, after Wang, Lu and Pan (2012, section 2.2).
+
+    The error is the proven one of the coarse mesh, in pixels of the view.
+
+    Parameters
+    ----------
+    region : whose vertices are marked, as those someone works on are.
+    rule : "paper" for the paper's letter in all measures; see `stages.lod.measures`.
+    """
+    h = hierarchy
+    middle, radius = h.spheres
+    axis, angle = h.cones
+    frustum = measures.frustum_share(view, middle, radius)
+    silhouette = measures.silhouette_weight(view, middle, radius, axis, angle, rule=rule)
+    error = view.pixels(h.shape_bound, middle, radius)
+    marked = np.zeros(h.nodes)
+    if region is not None:
+        inside = region.holds(h.vertices)
+        vertices = np.array([len(h.vertices_of(n)) for n in range(h.nodes)], np.float64)
+        of_node = np.array([inside[h.vertices_of(n)].sum() for n in range(h.nodes)], np.float64)
+        for node in range(h.nodes - 1, 0, -1):
+            of_node[h.parent[node]] = max(of_node[h.parent[node]], of_node[node])
+        marked = measures.marked_share(of_node, vertices, rule=rule)
+    local = measures.local_measure(frustum, silhouette, error, marked, rule=rule)
+    return Weights(frustum, silhouette, error, marked, local)
+
+
+def adjust(
+    front: Front,
+    weights: Weights,
+    limit: float,
+    *,
+    split_above: float = measures.SPLIT_ABOVE,
+    merge_below: float = 0.8 * measures.SPLIT_ABOVE,
+) -> Front:
+    """Bring a front to where the weights want it, with at most `limit` triangles (lambda_G), and return it.
+
+    A node is refined whose local measure is above `split_above`; one that is refined already stays so down to
+    `merge_below`, since with one threshold a node at it would go to and fro. Those of the largest error come
+    first, and where the triangles do not last, the next one is refined in part.
+    """
+    h = front.hierarchy
+    were_open = {int(p) for n in front.nodes for p in _above(h, n)}
+    state = {0: 0}
+    there = int(h.coarse[0])
+    heap = [(-float(weights.error_px[0]), 0)]
+    while heap:
+        _, node = heapq.heappop(heap)
+        if not weights.local[node] > (merge_below if node in were_open else split_above):
+            continue
+        more = int(h.full[node] - h.coarse[node])
+        if there + more > limit:
+            state[node] = h.splits_for(node, int(limit) - there)
+            break
+        there += more
+        if not len(h.children[node]):
+            state[node] = int(h.splits[node])
+            continue
+        del state[node]
+        for child in h.children[node]:
+            state[int(child)] = 0
+            heapq.heappush(heap, (-float(weights.error_px[child]), int(child)))
+    return front.restore(state)
+
+
+def _above(hierarchy: Hierarchy, node: int) -> list[int]:
+    above = []
+    while (node := int(hierarchy.parent[node])) >= 0:
+        above.append(node)
+    return above
