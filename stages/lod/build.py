@@ -15,7 +15,7 @@ from stages.lod.hierarchy import Hierarchy
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.progress import Progress, silent
-from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES, TOLERANCE
+from stages.simplification.certified.effort import PIECES, REDUCTION, SHARE_OF_VERTICES
 from stages.simplification.color_weight import balanced_weight
 from stages.simplification.in_sheets import in_sheets, is_split, joined, sheets_of
 from stages.simplification.kernel_input import attributes_of
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # Part of the cache key of the stage.
 RESULT_VERSION = 1
 
+# How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
+_TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.1, 0.2
 # The first bound over the base's error, where the base has one.
 _FIRST_PER_BASE = 2.5
 
@@ -207,7 +209,7 @@ def _of_manifold(
         root=params.root_triangles,
         weight=weight,
         share=SHARE_OF_VERTICES,
-        tolerance=(TOLERANCE, TOLERANCE),
+        tolerance=(_TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR),
         effort=PIECES,
         single=bool((mesh.vertices == mesh.vertices.astype(np.float32)).all()),
         running=_kernels.Running(threads=params.threads or 0),

@@ -8,13 +8,13 @@ import numpy as np
 
 from stages.lod import measures
 from stages.lod.front import Front, Region
-from stages.lod.hierarchy import Hierarchy
+from stages.lod.levels import Levels
 from stages.lod.measures import Rule, Weights
 from stages.lod.view import View
 
 
 def evaluate(
-    hierarchy: Hierarchy, view: View, region: Region | None = None, *, rule: Rule = "corrected"
+    hierarchy: Levels, view: View, region: Region | None = None, *, rule: Rule = "corrected"
 ) -> Weights:
     """Return how urgent it is to refine each node, after Wang, Lu and Pan (2012, section 2.2).
 
@@ -40,6 +40,9 @@ def evaluate(
             of_node[h.parent[node]] = max(of_node[h.parent[node]], of_node[node])
         marked = measures.marked_share(of_node, vertices, rule=rule)
     local = measures.local_measure(frustum, silhouette, error, marked, rule=rule)
+    # What is below a node can be refined only once the node is.
+    for node in range(h.nodes - 1, 0, -1):
+        local[h.parent[node]] = max(local[h.parent[node]], local[node])
     return Weights(frustum, silhouette, error, marked, local)
 
 
@@ -81,7 +84,7 @@ def adjust(
     return front.restore(state)
 
 
-def _above(hierarchy: Hierarchy, node: int) -> list[int]:
+def _above(hierarchy: Levels, node: int) -> list[int]:
     above = []
     while (node := int(hierarchy.parent[node])) >= 0:
         above.append(node)

@@ -14,7 +14,7 @@ from stages.printing import by_figures, table
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
-    from stages.lod.hierarchy import Hierarchy
+    from stages.lod.levels import Levels
     from stages.lod.view import View
 
 Floats = NDArray[np.float64]
@@ -81,7 +81,7 @@ class Front:
     What is done to it leaves the hierarchy as it is. Each change returns the front itself.
     """
 
-    def __init__(self, hierarchy: Hierarchy) -> None:
+    def __init__(self, hierarchy: Levels) -> None:
         self.hierarchy = hierarchy
         self._splits: dict[int, int] = {0: 0} if hierarchy.nodes else {}
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.files.opening import content_of
+from stages.files.opening import content_of, said_of
 from stages.files.replacing import replacing
 from stages.lod.hierarchy import Hierarchy
 
@@ -95,7 +95,10 @@ def read_slod(path: Path | str) -> Hierarchy:
         If the file cannot be read, is no `.slod` file or of another version, or if the root is not whole.
     """
     path = Path(path)
-    data = content_of(path)
+    try:
+        data = content_of(path)
+    except OSError as error:
+        raise InputError(said_of(error), path) from None
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise InputError(f"{path}: this is no .slod file.")
     _, version, size, checksum = _HEADER.unpack_from(data)
@@ -143,6 +146,10 @@ def _read(data: bytes, at: int, tree: dict[str, Any]) -> Hierarchy:
             here.append(np.frombuffer(block, kind, number, offset))
             offset += kind.itemsize * number
         parts.append(here)
+    # Children replace their parent together; those of one parent follow on each other.
+    parents = columns["parent"]
+    while 0 < len(parts) < count and parents[len(parts)] == parents[len(parts) - 1]:
+        parts.pop()
     if not parts:
         raise ValueError("its root is not whole")
     hierarchy = _joined(tree, columns, sizes, roots, parts)

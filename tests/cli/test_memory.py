@@ -26,6 +26,7 @@ COMMANDS = {
     "decode": "decode made.snm out.ply",
     "clean": "clean mesh.ply out.ply",
     "check": "check mesh.ply",
+    "lod": "lod build mesh.ply out.slod --cell-triangles 1000",
     "compare": "compare mesh.ply light.ply",
     "certify": "certify light.ply mesh.ply",
     "patches": "patches mesh.ply out.ply",

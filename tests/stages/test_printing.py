@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import stages
-from stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture
+from stages import Camera, Frame, Image, Material, Mesh, Registration, Scan, StereoRig, Texture, lod
 from stages.printing import line
 from stages.scans.scan import Packed, SkippedFrame
 from stages.surface import thumbnail
@@ -105,6 +105,9 @@ def everything():
         comparison.color,
         stages.certify(mesh, mesh),
         stages.check(mesh),
+        lod.build(mesh),
+        lod.build(mesh).cut(triangles=1),
+        lod.View((0, 0, 0), (0, 0, 1)),
         remeshed,
         remeshed.offsets[0],
         stages.bake(ball(1), mesh, max_size=64),

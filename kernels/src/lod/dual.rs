@@ -20,32 +20,47 @@ pub fn shared_sides<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]])
     both.map(|pair| Joint { between: [pair[0].2, pair[1].2], length: length(pair[0].0, pair[0].1) }).collect()
 }
 
-/// Joints without length from each component of the surface but the largest to the triangle of that which is nearest to its
-/// middle: with them the graph is in one piece.
+/// Joints without length, with which the graph is in one piece: from each component of the surface, at its triangle of
+/// the least number, to the triangle nearest to its middle that is of any other, and to that of a larger one.
 pub fn links<const D: usize>(points: &[[f64; D]], triangles: &[[u32; 3]], joints: &[Joint]) -> Vec<Joint> {
     let component = components(triangles.len(), joints);
     let mut sizes = vec![0u32; triangles.len()];
     component.iter().for_each(|&c| sizes[c as usize] += 1);
-    let Some(largest) = (0..triangles.len()).rev().max_by_key(|&c| sizes[c]) else { return vec![] };
-    let members: Vec<u32> =
-        (0..triangles.len() as u32).filter(|&t| component[t as usize] as usize == largest).collect();
+    let mut others: Vec<u32> = (0..triangles.len() as u32).filter(|&c| sizes[c as usize] > 0).collect();
+    others.sort_by_key(|&c| std::cmp::Reverse(sizes[c as usize]));
+    let mut rank = vec![0u32; triangles.len()];
+    (0..).zip(&others).for_each(|(r, &c)| rank[c as usize] = r);
+    if others.len() < 2 {
+        return vec![];
+    }
     let corners = |t: u32| triangles[t as usize].map(|v| position(&points[v as usize]));
-    let around = |slot: usize| crate::base::geometry::around(corners(members[slot]).into_iter());
-    let (tree, order) = Bvh::new(members.len(), 1, around);
-    let mut middles = vec![[0.0; 3]; triangles.len()];
+    let around = |t: usize| crate::base::geometry::around(corners(t as u32).into_iter());
+    let (tree, order) = Bvh::new(triangles.len(), 1, around);
+    let mut middles: Vec<Vec3> = vec![[0.0; 3]; triangles.len()];
     for (t, &c) in (0..).zip(&component) {
-        let middle: &mut Vec3 = &mut middles[c as usize];
+        let middle = &mut middles[c as usize];
         corners(t).iter().for_each(|p| (0..3).for_each(|i| middle[i] += p[i] / 3.0));
     }
-    let others = (0..triangles.len()).filter(|&c| sizes[c] > 0 && c != largest);
-    let link = |c: usize| {
-        let middle = middles[c].map(|x| x / f64::from(sizes[c]));
-        let triangle = |slot: u32| members[order[slot as usize] as usize];
-        let distance = |slot: u32| triangle_distance2(&middle, corners(triangle(slot)).each_ref());
-        let (slot, _) = tree.nearest(&middle, (0, f64::INFINITY), distance);
-        Joint { between: [c as u32, triangle(slot)], length: 0.0 }
+    let nearest = |c: u32, is_one: &dyn Fn(u32) -> bool| {
+        let middle = middles[c as usize].map(|x| x / f64::from(sizes[c as usize]));
+        let distance = |slot: u32| {
+            let t = order[slot as usize];
+            if is_one(component[t as usize]) {
+                triangle_distance2(&middle, corners(t).each_ref())
+            } else {
+                f64::INFINITY
+            }
+        };
+        let (slot, away) = tree.nearest(&middle, (0, f64::INFINITY), distance);
+        // What is too far away for a number is joined all the same.
+        let to = if away < f64::INFINITY { order[slot as usize] } else { others[0] };
+        Joint { between: [c, to], length: 0.0 }
     };
-    others.map(link).collect()
+    let both = others.iter().skip(1).flat_map(|&c| {
+        let larger = nearest(c, &|other| rank[other as usize] < rank[c as usize]);
+        [larger, nearest(c, &|other| other != c)]
+    });
+    both.collect()
 }
 
 /// The first triangle of the component each one is of.

@@ -11,12 +11,19 @@
 //! the number of vertices; each node's collapses follow on each other here, parents' before children's, so that the same
 //! rule holds for any front of the tree.
 
-use super::ladder::Level;
 use crate::certified::history::{History, Kept};
 use crate::certified::original::Original;
 
 /// Not consumed, or not dying.
 const NEVER: u32 = u32::MAX;
+
+/// Which cell is of which node, level by level.
+pub struct Level {
+    /// The number of the first collapse.
+    pub first: u32,
+    /// The node of each cell of the input.
+    pub node: Vec<u32>,
+}
 
 /// Vertices and triangles of a hierarchy, in the order of its nodes from the last to the first.
 pub struct Forest<const D: usize> {

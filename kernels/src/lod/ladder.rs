@@ -14,7 +14,7 @@
 
 use super::cluster::{Cell, Joint, cluster, contracted, joined, smoothed};
 use super::dual;
-use super::forest::{Forest, grown};
+use super::forest::{Forest, Level, grown};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{around, diagonal, position};
 use crate::base::parallel::map;
@@ -76,14 +76,6 @@ pub struct Hierarchy<const D: usize> {
     pub unproven: usize,
 }
 
-/// Which cell is of which node, level by level.
-pub struct Level {
-    /// The number of the first collapse.
-    pub first: u32,
-    /// The node of each cell of the input.
-    pub node: Vec<u32>,
-}
-
 /// The cells on the current level.
 struct Cells {
     /// By triangle of the input: its cell, that stays.
@@ -138,26 +130,50 @@ pub fn build<const D: usize, const K: usize>(
         let left = state.mesh.triangles.len();
         // What no larger bound makes lighter is light enough: islands stay, each within its own place.
         let light = left <= options.root || left as f64 > STUCK * f64::from(before.iter().sum::<u32>());
-        if stop == Stop::Enough {
-            break true;
-        }
-        if is_one && (light || bound >= largest) {
-            break false;
+        if is_one && (light || bound >= largest || stop == Stop::Enough) {
+            break stop == Stop::Enough;
         }
         let counts = cells.counts(&state);
         bound *= options.ratio;
-        if bound < largest {
+        if bound < largest && stop != Stop::Enough {
             cells.join(&counts, options.most);
         } else {
-            // What has not become light enough by now is one cell all the same.
+            // What has not become light enough by now, or will not any more, is one cell all the same.
             cells.group.fill(0);
         }
     };
+    renumber(&mut nodes, &mut levels);
     let forest = grown(&original, &state.history, &cells.of, &levels, nodes.len());
     for (node, coarse) in nodes.iter_mut().zip(&forest.coarse) {
         node.coarse = *coarse;
     }
     Ok(Hierarchy { nodes, forest, stopped, unproven })
+}
+
+/// Number the nodes so that those of one parent follow on each other, and the parents in the order of their children.
+fn renumber(nodes: &mut Vec<Node>, levels: &mut [Level]) {
+    let mut children: Vec<Vec<u32>> = vec![vec![]; nodes.len()];
+    let mut order: Vec<u32> = vec![];
+    for (n, node) in nodes.iter().enumerate().rev() {
+        match node.parent {
+            NONE => order.push(n as u32),
+            parent => children[parent as usize].push(n as u32),
+        }
+    }
+    let mut next = 0;
+    while next < order.len() {
+        order.extend(&children[order[next] as usize]);
+        next += 1;
+    }
+    order.reverse();
+    let mut number = vec![NONE; nodes.len()];
+    (0..).zip(&order).for_each(|(new, &old)| number[old as usize] = new);
+    let renamed = |&old: &u32| {
+        let node = &nodes[old as usize];
+        Node { parent: number.get(node.parent as usize).copied().unwrap_or(NONE), ..node.clone() }
+    };
+    *nodes = order.iter().map(renamed).collect();
+    levels.iter_mut().flat_map(|level| &mut level.node).for_each(|n| *n = number[*n as usize]);
 }
 
 impl Cells {

@@ -1,0 +1,247 @@
+"""The levels of a mesh in memory: a tree of cells, and one forest of vertices for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.printing import by_figures, table
+from stages.surface.mesh import Mesh
+
+Ids = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """The levels of a mesh.
+
+    Those of Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012,
+    section 2.1), with fitted collapses.
+
+    Nodes are numbered from the root, 0, down: no child comes before its parent. A node's mesh is coarse while
+    none of its vertices is split; with all of its splits done it is what its children's coarse meshes are
+    together, and at a leaf the mesh the hierarchy was built on. Splits are numbered over all nodes, in this
+    order; so are vertices by the split that brings them, and those that are there before any come first.
+
+    Attributes
+    ----------
+    vertices : (v, 3) float64, metres, of all levels.
+    colors : (v, 3) uint8 RGB, or None.
+    roots : vertices that are there before any split.
+    origin : (v - roots,) uint32, by vertex from `roots` on: the vertex it becomes when its split is undone.
+    made, born : (s,) uint8, vertices (1 or 2) and triangles (0 to 2) that each split brings.
+    triangles : (t, 3) uint32, of each node with all splits done: those of its coarse mesh first, then those
+        that its splits bring, in their order. Corners are vertices of `vertices`; with fewer splits, what
+        they have become by then.
+    parent : (n,) int32 by node; -1 for the root.
+    level : (n,) int32, 0 for the first level of simplification.
+    coarse : (n,) int32, triangles of the coarse mesh.
+    first_split, first_triangle : (n + 1,) int64, where each node's splits and triangles begin.
+    shape_bound, color_bound : (n,) float64, metres and levels, proven at every point both ways between the
+        coarse mesh and the node's part of the input; never less than a child's.
+    base_shape_bound, base_color_bound : the same of the mesh the hierarchy was built on.
+    input_triangles : of the mesh that was given.
+    notes : what a person should know.
+    """
+
+    vertices: Floats
+    colors: NDArray[np.uint8] | None
+    roots: int
+    origin: NDArray[np.uint32]
+    made: NDArray[np.uint8]
+    born: NDArray[np.uint8]
+    triangles: NDArray[np.uint32]
+    parent: NDArray[np.int32]
+    level: NDArray[np.int32]
+    coarse: NDArray[np.int32]
+    first_split: Ids
+    first_triangle: Ids
+    shape_bound: Floats
+    color_bound: Floats
+    base_shape_bound: float
+    base_color_bound: float
+    input_triangles: int
+    notes: tuple[str, ...] = ()
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    @property
+    def nodes(self) -> int:
+        """How many nodes there are."""
+        return len(self.parent)
+
+    @cached_property
+    def children(self) -> tuple[Ids, ...]:
+        """The children of each node, in order."""
+        order = np.argsort(self.parent, kind="stable")
+        starts = np.searchsorted(self.parent[order], np.arange(self.nodes + 1))
+        return tuple(order[a:b] for a, b in pairwise(starts))
+
+    @cached_property
+    def splits(self) -> Ids:
+        """Splits of each node (n,)."""
+        return np.diff(self.first_split)
+
+    @cached_property
+    def full(self) -> Ids:
+        """Triangles of each node (n,) with all splits done."""
+        return np.diff(self.first_triangle)
+
+    @cached_property
+    def full_shape_bound(self) -> Floats:
+        """What is proven of each node (n,) with all splits done: the most of its children, or of the base."""
+        return self._below(self.shape_bound, self.base_shape_bound)
+
+    @cached_property
+    def full_color_bound(self) -> Floats:
+        """The same of colours."""
+        return self._below(self.color_bound, self.base_color_bound)
+
+    def _below(self, bound: Floats, base: float) -> Floats:
+        below = np.full(self.nodes, -np.inf)
+        np.maximum.at(below, self.parent[1:], bound[1:])
+        return np.where(np.isinf(below) & (below < 0), base, below)
+
+    @cached_property
+    def vertices_after(self) -> Ids:
+        """Vertices (s + 1,) that are there after so many splits of all."""
+        return self.roots + np.concatenate([[0], np.cumsum(self.made, dtype=np.int64)])
+
+    @cached_property
+    def born_before(self) -> Ids:
+        """Triangles (s + 1,) that so many splits of all bring."""
+        return np.concatenate([[0], np.cumsum(self.born, dtype=np.int64)])
+
+    @cached_property
+    def spheres(self) -> tuple[Floats, Floats]:
+        """A ball around all meshes of each node: middle (n, 3) and radius (n,), metres."""
+        low, high = self.boxes
+        middle, radius = 0.5 * (low + high), np.zeros(self.nodes)
+        for node in range(self.nodes):
+            away = self.vertices[self.vertices_of(node)] - middle[node]
+            radius[node] = np.sqrt(np.einsum("ij,ij->i", away, away).max(initial=0.0))
+        for node in range(self.nodes - 1, 0, -1):
+            above = self.parent[node]
+            reach = float(np.linalg.norm(middle[node] - middle[above])) + radius[node]
+            radius[above] = max(radius[above], reach)
+        return middle, radius
+
+    @cached_property
+    def boxes(self) -> tuple[Floats, Floats]:
+        """The lowest and the highest corners (n, 3) of all that is of each node or below it, metres."""
+        low, high = np.full((self.nodes, 3), np.inf), np.full((self.nodes, 3), -np.inf)
+        for node in range(self.nodes - 1, -1, -1):
+            points = self.vertices[self.vertices_of(node)]
+            low[node] = np.minimum(low[node], points.min(axis=0, initial=np.inf))
+            high[node] = np.maximum(high[node], points.max(axis=0, initial=-np.inf))
+            if node:
+                above = self.parent[node]
+                low[above] = np.minimum(low[above], low[node])
+                high[above] = np.maximum(high[above], high[node])
+        return low, high
+
+    @cached_property
+    def cones(self) -> tuple[Floats, Floats]:
+        """The cone of each node's normals: axis (n, 3) of length 1, and half its angle (n,) in radians.
+
+        It holds the normals of the mesh with all splits done; π where they are not within a half-space.
+        """
+        axis, angle = np.zeros((self.nodes, 3)), np.full(self.nodes, np.pi)
+        for node in range(self.nodes):
+            corners = self.vertices[self.triangles[self.first_triangle[node] : self.first_triangle[node + 1]]]
+            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            length = np.linalg.norm(normals, axis=1)
+            mean = normals.sum(axis=0)
+            if length.max(initial=0.0) == 0 or not np.any(mean):
+                continue
+            axis[node] = mean / np.linalg.norm(mean)
+            has_area = length > 0
+            cosine = (normals[has_area] @ axis[node]) / length[has_area]
+            angle[node] = np.arccos(np.clip(cosine.min(), -1, 1))
+        return axis, angle
+
+    def vertices_of(self, node: int) -> NDArray[np.uint32]:
+        """Return the vertices of all meshes of a node, whatever its splits, in order."""
+        a, b = self.vertices_after[self.first_split[node : node + 2]]
+        corners = self.triangles[self.first_triangle[node] : self.first_triangle[node + 1]]
+        there = coarse = np.unique(corners)
+        while len(coarse) and (beyond := coarse >= a).any():
+            coarse = np.unique(
+                np.where(beyond, self.origin[np.maximum(coarse, self.roots) - self.roots], coarse)
+            )
+        return np.unique(np.concatenate([there, coarse, np.arange(a, b, dtype=np.uint32)]))
+
+    def splits_for(self, node: int, more: int) -> int:
+        """Return how many splits of a node, from its coarse mesh on, bring no more than so many triangles."""
+        a, b = self.first_split[node : node + 2]
+        born = self.born_before[a : b + 1] - self.born_before[a]
+        return int(np.searchsorted(born, max(more, 0), side="right")) - 1
+
+    def mesh(self, nodes: Sequence[int] | Ids, splits: Sequence[int] | Ids) -> Mesh:
+        """Return the mesh of some nodes, none above another, each after so many of its splits.
+
+        Nodes that are together all of the surface fit without cracks, whatever their splits.
+        """
+        mesh, _ = self.mesh_and_nodes(nodes, splits)
+        return mesh
+
+    def mesh_and_nodes(
+        self, nodes: Sequence[int] | Ids, splits: Sequence[int] | Ids
+    ) -> tuple[Mesh, NDArray[np.int32]]:
+        """Return the same, and the node of each triangle (m,)."""
+        chosen, done = np.asarray(nodes, np.int64), np.asarray(splits, np.int64)
+        if ((done < 0) | (done > self.splits[chosen])).any():
+            raise ValueError("a node has no so many splits")
+        first = self.first_split[chosen]
+        count = self.coarse[chosen] + self.born_before[first + done] - self.born_before[first]
+        front = _kernels.assemble_front(
+            self.triangles,
+            self.origin,
+            roots=self.roots,
+            start=np.ascontiguousarray(self.first_triangle[chosen]),
+            count=np.ascontiguousarray(count),
+            below=np.ascontiguousarray(self.vertices_after[first + done]),
+        )
+        colors = None if self.colors is None else self.colors[front.vertices]
+        mesh = Mesh(self.vertices[front.vertices], front.triangles, colors=colors, notes=self.notes)
+        return mesh, np.repeat(chosen, count).astype(np.int32)
+
+    def figures(self) -> dict[str, Any]:
+        """Return what there is, by level from the coarsest, and what is proven of it."""
+        levels = []
+        for level in range(int(self.level.max(initial=-1)), -1, -1):
+            nodes = np.flatnonzero(self.level == level)
+            if len(nodes):
+                levels.append(
+                    {
+                        "level": level + 1,
+                        "nodes": len(nodes),
+                        "triangles": int(self.coarse[nodes].sum()),
+                        "largest_node_triangles": int(self.coarse[nodes].max()),
+                        "shape_bound_m": float(self.shape_bound[nodes].max()),
+                        "color_bound_levels": None
+                        if self.colors is None
+                        else float(self.color_bound[nodes].max()),
+                    }
+                )
+        leaves = np.flatnonzero([len(c) == 0 for c in self.children])
+        base = int(self.full[leaves].sum())
+        return {
+            "input_triangles": self.input_triangles,
+            "base_triangles": base,
+            "base_shape_bound_m": self.base_shape_bound,
+            "nodes": self.nodes,
+            "leaves": len(leaves),
+            "levels": levels,
+            "stored_triangles": len(self.triangles),
+            "stored_per_input": len(self.triangles) / max(self.input_triangles, 1),
+        }

@@ -1,0 +1,79 @@
+"""lod build, info and cut on files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stages.surface.formats.ply import write_ply
+from stages.surface.mesh_files import read_mesh
+from tests.made.coloured_meshes import sheet
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def built(scanloom: Run, tmp_path: Path) -> Path:
+    write_ply(tmp_path / "m.ply", sheet(40))
+    ran = scanloom("lod", "build", tmp_path / "m.ply", tmp_path / "new" / "m.slod", "--cell-triangles", 500)
+    assert ran.exit_code == 0, ran.stderr
+    return tmp_path / "new" / "m.slod"
+
+
+def test_build_and_info_tell_the_same_levels(scanloom: Run, built: Path, tmp_path: Path) -> None:
+    again = scanloom(
+        "lod", "build", tmp_path / "m.ply", tmp_path / "n.slod", "--cell-triangles", 500, "--json"
+    )
+    told = scanloom("lod", "info", built, "--json").json
+    assert again.json["levels"] == told["levels"]
+    assert told["base_triangles"] == told["input_triangles"] == 3200
+    assert [level["shape_bound_m"] for level in told["levels"]] == sorted(
+        (level["shape_bound_m"] for level in told["levels"]), reverse=True
+    )
+    assert "proven within m" in scanloom("lod", "info", built).stdout
+
+
+def test_cut_to_a_number_of_triangles_an_error_and_a_view(scanloom: Run, built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "cut.ply"
+    ran = scanloom("lod", "cut", built, out, "--triangles", 700, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["triangles"] == len(read_mesh(out).triangles) <= 700
+    ran = scanloom("lod", "cut", built, out, "--max-shape", 0)
+    assert (ran.exit_code, len(read_mesh(out).triangles)) == (0, 3200)
+    assert "proven." in ran.stdout
+    view = ("--eye", 0.5, 0.5, 3, "--look", 0.5, 0.5, 0, "--size", 640, 480)
+    near = scanloom("lod", "cut", built, out, *view, "--error-px", 0.5, "--json").json["triangles"]
+    far = scanloom("lod", "cut", built, out, *view, "--error-px", 50, "--json").json["triangles"]
+    assert near > far
+    ran = scanloom("lod", "cut", built, out, "--region", "sphere 0 0 0 0.1", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    exact = {tuple(v) for v in read_mesh(tmp_path / "m.ply").vertices}
+    found = read_mesh(out).vertices
+    assert all(tuple(v) in exact for v in found[np.linalg.norm(found, axis=1) < 0.1])
+
+
+def test_what_cannot_be_met_is_told(scanloom: Run, built: Path, tmp_path: Path) -> None:
+    ran = scanloom("lod", "cut", built, tmp_path / "o.ply", "--triangles", 3)
+    assert ran.exit_code == 1
+    assert "the coarsest level has" in ran.stderr
+
+
+def test_wrong_words_and_bad_files(scanloom: Run, built: Path, tmp_path: Path) -> None:
+    out = tmp_path / "o.ply"
+    assert scanloom("lod", "cut", built, out).exit_code == 2
+    assert scanloom("lod", "cut", built, out, "--error-px", 1).exit_code == 2
+    assert scanloom("lod", "cut", built, out, "--eye", 0, 0, 0, "--triangles", 10).exit_code == 2
+    assert scanloom("lod", "build", tmp_path / "m.ply", tmp_path / "o.ply").exit_code == 2
+    ran = scanloom("lod", "info", tmp_path / "m.ply")
+    assert ran.exit_code == 3
+    assert "no .slod file" in ran.stderr
+    ran = scanloom("lod", "info", tmp_path / "none.slod")
+    assert ran.exit_code == 3
+    built.write_bytes(built.read_bytes()[:-100])
+    ran = scanloom("lod", "info", built)
+    assert ran.exit_code == 0
+    assert "finer levels are missing" in ran.stderr

@@ -1,0 +1,250 @@
+"""Levels of detail: exact leaves, cracks nowhere, and bounds that no attack passes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from stages import Image, InputError, Material, Mesh, Texture, UsageError, lod, read_mesh, topology
+from stages._open3d import open3d
+from stages.lod import Hierarchy
+from tests.made.coloured_meshes import assert_same_topology, ball, sheet
+
+Built = tuple[Mesh, Hierarchy]
+
+
+def leaves_of(hierarchy: Hierarchy, node: int) -> list[int]:
+    below = [int(child) for child in hierarchy.children[node]]
+    return [leaf for child in below for leaf in leaves_of(hierarchy, child)] if below else [node]
+
+
+def base_of(hierarchy: Hierarchy, node: int) -> Mesh:
+    """Return the part of the input that is of a node."""
+    leaves = leaves_of(hierarchy, node)
+    return hierarchy.mesh(leaves, hierarchy.splits[leaves])
+
+
+def triangles_in_space(mesh: Mesh) -> NDArray[np.float64]:
+    """Return the corners (m, 9) of a mesh, turned so that the lowest comes first, in order."""
+    corners = mesh.vertices[mesh.triangles]
+    rows = []
+    for triangle in corners:
+        first = min(range(3), key=lambda i: tuple(triangle[i]))
+        rows.append(np.roll(triangle, -first, axis=0).reshape(-1))
+    return np.array(sorted(map(tuple, rows)))
+
+
+def sampled(mesh: Mesh, count: int, seed: int) -> NDArray[np.float64]:
+    """Return points all over a surface, its vertices and the middles of its triangles."""
+    random = np.random.default_rng(seed)
+    corners = mesh.vertices[mesh.triangles]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = random.choice(len(corners), count, p=areas / areas.sum())
+    weights = random.dirichlet(np.ones(3), count)
+    inside = np.einsum("ij,ijk->ik", weights, corners[chosen])
+    return np.concatenate([mesh.vertices, corners.mean(axis=1), inside])
+
+
+def distance(points: NDArray[np.float64], mesh: Mesh) -> float:
+    """Return how far points are from a surface at most, by another implementation, less its rounding."""
+    scene = open3d().t.geometry.RaycastingScene()
+    scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
+    found = scene.compute_distance(points.astype(np.float32)).numpy()
+    return max(float(found.max()) - 1e-6 * float(np.abs(mesh.vertices).max()), 0.0)
+
+
+def random_front(hierarchy: Hierarchy, random: np.random.Generator) -> tuple[list[int], list[int]]:
+    nodes, open_nodes, depth = [], [0], random.random()
+    while open_nodes:
+        node = open_nodes.pop()
+        if len(hierarchy.children[node]) and random.random() < depth:
+            open_nodes += [int(child) for child in hierarchy.children[node]]
+        else:
+            nodes.append(node)
+    return nodes, [int(random.integers(hierarchy.splits[n] + 1)) for n in nodes]
+
+
+# -- the tree --------------------------------------------------------------------------------------------
+
+
+def test_the_leaves_are_the_input_to_the_bit(built: Built) -> None:
+    mesh, hierarchy = built
+    leaves = leaves_of(hierarchy, 0)
+    assert len(leaves) > 4
+    whole = hierarchy.mesh(leaves, hierarchy.splits[leaves])
+    np.testing.assert_array_equal(triangles_in_space(whole), triangles_in_space(mesh))
+    assert len(whole.vertices) == len(mesh.vertices)
+    assert whole.colors is not None
+    assert mesh.colors is not None
+    by_place = {tuple(v): tuple(c) for v, c in zip(mesh.vertices, mesh.colors, strict=True)}
+    assert all(by_place[tuple(v)] == tuple(c) for v, c in zip(whole.vertices, whole.colors, strict=True))
+
+
+def test_a_node_with_all_splits_done_is_its_children(built: Built) -> None:
+    _, hierarchy = built
+    for node in range(hierarchy.nodes):
+        children = hierarchy.children[node]
+        if len(children):
+            full = hierarchy.mesh([node], [hierarchy.splits[node]])
+            parts = hierarchy.mesh(children, np.zeros(len(children), int))
+            np.testing.assert_array_equal(triangles_in_space(full), triangles_in_space(parts))
+
+
+def test_cells_are_of_the_size_asked_for_and_every_level_is_lighter(built: Built) -> None:
+    mesh, hierarchy = built
+    assert (hierarchy.full <= 600).all()
+    assert (hierarchy.coarse < hierarchy.full).all()
+    # Half-full on average at least: clusters grow evenly.
+    leaves = leaves_of(hierarchy, 0)
+    assert hierarchy.full[leaves].sum() == len(mesh.triangles)
+    assert hierarchy.full[leaves].mean() > 200
+
+
+def test_bounds_grow_towards_the_root(built: Built) -> None:
+    _, hierarchy = built
+    inner = hierarchy.parent[1:]
+    assert (hierarchy.shape_bound[inner] >= hierarchy.shape_bound[1:]).all()
+    assert (hierarchy.color_bound[inner] >= hierarchy.color_bound[1:]).all()
+    assert (hierarchy.shape_bound > 0).all()
+
+
+# -- no cracks -------------------------------------------------------------------------------------------
+
+
+def test_random_fronts_have_no_new_border_and_no_edge_of_three_triangles(built: Built) -> None:
+    mesh, hierarchy = built
+    random = np.random.default_rng(7)
+    for _ in range(150):
+        assert_same_topology(hierarchy.mesh(*random_front(hierarchy, random)), mesh)
+
+
+# -- bounds ----------------------------------------------------------------------------------------------
+
+
+def test_no_attack_passes_a_bound_and_bounds_are_close(built: Built) -> None:
+    _, hierarchy = built
+    shares = []
+    for node in range(hierarchy.nodes):
+        coarse, base = hierarchy.mesh([node], [0]), base_of(hierarchy, node)
+        there = distance(sampled(coarse, 2000, node), base)
+        back = distance(sampled(base, 2000, node), coarse)
+        attack = max(there, back)
+        assert attack <= hierarchy.shape_bound[node] * (1 + 1e-9)
+        shares.append(attack / hierarchy.shape_bound[node])
+    assert np.quantile(shares, 0.1) >= 0.8, shares
+
+
+def test_between_two_levels_the_coarser_bound_holds(built: Built) -> None:
+    _, hierarchy = built
+    random = np.random.default_rng(3)
+    for _ in range(12):
+        node = int(random.integers(hierarchy.nodes))
+        splits = int(random.integers(hierarchy.splits[node] + 1))
+        mesh, base = hierarchy.mesh([node], [splits]), base_of(hierarchy, node)
+        attack = max(distance(sampled(mesh, 1000, node), base), distance(sampled(base, 1000, node), mesh))
+        assert attack <= hierarchy.shape_bound[node]
+
+
+def test_with_a_base_error_bounds_count_from_the_input() -> None:
+    mesh = sheet(40)
+    hierarchy = lod.build(mesh, base_error=0.002, cell_triangles=400, root_triangles=100)
+    base = hierarchy.cut(max_shape=0.0)
+    assert 0 < base.shape_bound_m <= 0.002
+    assert len(base.mesh.triangles) < len(mesh.triangles) / 2
+    assert hierarchy.figures()["stored_per_input"] < 0.9
+    for node in range(hierarchy.nodes):
+        coarse = hierarchy.mesh([node], [0])
+        assert distance(sampled(coarse, 500, node), mesh) <= hierarchy.shape_bound[node]
+    root = hierarchy.mesh([0], [0])
+    assert distance(sampled(mesh, 3000, 0), root) <= hierarchy.shape_bound[0]
+
+
+# -- any number of threads, any mesh ---------------------------------------------------------------------
+
+
+def test_the_file_is_the_same_for_any_number_of_threads(tmp_path: Path) -> None:
+    files = []
+    for threads in (1, 2, 3):
+        files.append(tmp_path / f"{threads}.slod")
+        lod.write_slod(
+            files[-1], lod.build(sheet(30), cell_triangles=300, root_triangles=60, threads=threads)
+        )
+    assert files[0].read_bytes() == files[1].read_bytes() == files[2].read_bytes()
+
+
+def test_islands_stay_and_share_cells() -> None:
+    part = trimesh.creation.icosphere(subdivisions=2)
+    random = np.random.default_rng(0)
+    parts = [(part.vertices * 0.05 + random.uniform(size=3), np.asarray(part.faces)) for _ in range(30)]
+    offsets = np.cumsum([0] + [len(v) for v, _ in parts[:-1]])
+    mesh = Mesh(
+        np.concatenate([v for v, _ in parts]),
+        np.concatenate([f + o for (_, f), o in zip(parts, offsets, strict=True)]).astype(np.int32),
+    )
+    hierarchy = lod.build(mesh, cell_triangles=1500, root_triangles=50)
+    assert len(leaves_of(hierarchy, 0)) < 15
+    assert topology(hierarchy.cut(triangles=1).mesh).components == 30
+
+
+def test_pinched_surfaces_are_taken_and_told() -> None:
+    mesh = ball()
+    # A second ball on the first one's highest vertex.
+    top = int(np.argmax(mesh.vertices[:, 2]))
+    other = mesh.vertices + np.array([0, 0, 2 * mesh.vertices[top, 2]])
+    bottom = int(np.argmin(other[:, 2]))
+    number = np.arange(len(other)) + len(mesh.vertices)
+    number[bottom] = top
+    pinched = Mesh(
+        np.concatenate([mesh.vertices, other]),
+        np.concatenate([mesh.triangles, number[mesh.triangles].astype(np.int32)]),
+    )
+    hierarchy = lod.build(pinched, cell_triangles=2000, root_triangles=200)
+    assert any("no manifold" in note for note in hierarchy.notes)
+    whole = hierarchy.cut(max_shape=0.0).mesh
+    np.testing.assert_array_equal(triangles_in_space(whole), triangles_in_space(pinched))
+
+
+def test_a_texture_becomes_colours_and_that_is_told() -> None:
+    mesh = sheet(10).with_(colors=None)
+    image = np.zeros((2, 2, 3), np.uint8)
+    image[:, 1] = 200
+    uvs = mesh.vertices[mesh.triangles][:, :, :2].copy()
+    material = np.zeros(len(mesh.triangles), np.int32)
+    texture = Texture(uvs, material, (Material(image=Image(given=image)),))
+    hierarchy = lod.build(mesh.with_(texture=texture), cell_triangles=64, root_triangles=10)
+    assert hierarchy.colors is not None
+    assert hierarchy.colors.max() > 150
+    assert any("image itself was left out" in note for note in hierarchy.notes)
+
+
+def test_what_cannot_be_built_is_one_sentence() -> None:
+    with pytest.raises(InputError, match="no triangles"):
+        lod.build(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
+    with pytest.raises(UsageError, match="ratio"):
+        lod.build(ball(), ratio=1.0)
+    with pytest.raises(UsageError, match="first_error"):
+        lod.build(ball(), first_error=0.0)
+
+
+def test_a_single_triangle_is_a_hierarchy() -> None:
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    hierarchy = lod.build(mesh)
+    assert len(hierarchy.cut(triangles=1).mesh.triangles) == 1
+    assert hierarchy.shape_bound[0] >= 0
+
+
+def test_a_real_scan_keeps_its_word(shared_data: Path) -> None:
+    mesh = read_mesh(shared_data / "meshes" / "stanford-bunny.obj")
+    hierarchy = lod.build(mesh)
+    random = np.random.default_rng(1)
+    given = topology(mesh)
+    for _ in range(20):
+        assert topology(hierarchy.mesh(*random_front(hierarchy, random))).components == given.components
+    for node in random.choice(hierarchy.nodes, 5, replace=False):
+        coarse, base = hierarchy.mesh([node], [0]), base_of(hierarchy, int(node))
+        attack = max(distance(sampled(coarse, 1000, 0), base), distance(sampled(base, 1000, 0), coarse))
+        assert attack <= hierarchy.shape_bound[node] * (1 + 1e-9)

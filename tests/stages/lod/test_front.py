@@ -1,0 +1,202 @@
+"""Fronts: split, merge, rebuild and go back in any order; and what views ask for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stages import Mesh, Sphere, UsageError, lod
+from stages.lod import Front, Hierarchy, View, measures
+from tests.made.coloured_meshes import assert_same_topology
+from tests.stages.lod.conftest import built_of
+
+Built = tuple[Mesh, Hierarchy]
+
+
+def is_whole(front: Front) -> bool:
+    """Return whether every leaf has exactly one node of the front above it, or is one."""
+    hierarchy, nodes = front.hierarchy, set(front.nodes)
+    for leaf in range(hierarchy.nodes):
+        if len(hierarchy.children[leaf]):
+            continue
+        above, node = 0, leaf
+        while node >= 0:
+            above += node in nodes
+            node = int(hierarchy.parent[node])
+        if above != 1:
+            return False
+    return True
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(["ring", "sheet"]), st.randoms(use_true_random=False))
+def test_operations_in_any_order_give_a_valid_mesh(name: str, random: st.randoms) -> None:  # type: ignore[valid-type]
+    """50 operations in each of 200 sequences."""
+    mesh, hierarchy = built_of(name)
+    front = hierarchy.front()
+    kept = [front.state]
+    for step in range(50):
+        what = random.choice(("split", "split", "split", "merge", "rebuild", "keep", "back"))  # type: ignore[attr-defined]
+        node = random.choice(front.nodes)  # type: ignore[attr-defined]
+        count = random.choice((1, 7, 10**6))  # type: ignore[attr-defined]
+        before = front.triangles
+        if what == "split":
+            assert front.split(node, count).triangles >= before
+        elif what == "merge":
+            front.merge(node, count)
+        elif what == "rebuild":
+            wanted = random.randrange(1, 2 * len(mesh.triangles))  # type: ignore[attr-defined]
+            assert front.rebuild(wanted).triangles <= max(wanted, hierarchy.coarse[0])
+        elif what == "keep":
+            kept.append(front.state)
+        else:
+            state = random.choice(kept)  # type: ignore[attr-defined]
+            assert front.restore(state).state == state
+        assert is_whole(front)
+        if step % 25 == 24:
+            found = front.cut()
+            assert len(found.mesh.triangles) == front.triangles
+            assert_same_topology(found.mesh, mesh)
+
+
+def test_split_and_merge_are_each_others_inverse(hierarchy: Hierarchy) -> None:
+    front = hierarchy.front().rebuild(1500)
+    before = front.cut()
+    node = front.nodes[-1]
+    half = int(hierarchy.splits[node]) // 2
+    after = front.split(node, half).merge(node, half).cut()
+    np.testing.assert_array_equal(before.mesh.triangles, after.mesh.triangles)
+    np.testing.assert_array_equal(before.mesh.vertices, after.mesh.vertices)
+
+
+def test_one_split_brings_one_or_two_triangles(hierarchy: Hierarchy) -> None:
+    front = hierarchy.front()
+    for _ in range(20):
+        before = front.triangles
+        assert 1 <= front.split(0).triangles - before <= 2
+
+
+def test_more_triangles_never_mean_a_larger_error(built: Built) -> None:
+    _, hierarchy = built
+    errors = [hierarchy.cut(triangles=count).shape_bound_m for count in range(100, 6000, 250)]
+    assert errors == sorted(errors, reverse=True)
+    assert hierarchy.cut(triangles=10**9).shape_bound_m == 0
+
+
+def test_a_number_of_triangles_is_met_to_one(built: Built) -> None:
+    _, hierarchy = built
+    for count in (300, 777, 2000):
+        if count >= hierarchy.coarse[0]:
+            assert count - 1 <= len(hierarchy.cut(triangles=count).mesh.triangles) <= count
+
+
+def test_an_error_in_metres_is_kept_and_proven(built: Built) -> None:
+    _, hierarchy = built
+    for error in np.geomspace(hierarchy.shape_bound.min(), hierarchy.shape_bound.max(), 7):
+        found = hierarchy.cut(max_shape=float(error))
+        assert found.shape_bound_m <= error
+        assert found.is_proven.all()
+
+
+def view_of(distance: float, look: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> View:
+    return View((0.0, -distance, 0.3), look, (0.0, 0.0, 1.0), 800, 600)
+
+
+def test_the_farther_the_eye_the_fewer_triangles(hierarchy: Hierarchy) -> None:
+    counts = [len(hierarchy.cut(view_of(d), error_px=1.0).mesh.triangles) for d in (3, 10, 30, 100, 1000)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 2 * counts[-1]
+    assert counts[-1] == hierarchy.coarse[0]
+
+
+def test_errors_in_pixels_hold_where_something_is_seen(hierarchy: Hierarchy) -> None:
+    view = view_of(4.0)
+    found = hierarchy.cut(view, error_px=0.5)
+    middle, radius = hierarchy.spheres
+    for node, bound in zip(found.nodes, found.shape_bound, strict=True):
+        if view.sees(middle[[node]], radius[[node]])[0]:
+            nearest = max(np.linalg.norm(middle[node] - view.eye) - radius[node], view.near)
+            assert bound * view.focal_px / nearest <= 0.5
+
+
+def test_what_is_not_seen_stays_coarse(hierarchy: Hierarchy) -> None:
+    away = View((0.0, -4.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 1.0))
+    assert len(hierarchy.cut(away, error_px=0.01).mesh.triangles) == hierarchy.coarse[0]
+
+
+def test_a_region_is_refined_alone(hierarchy: Hierarchy) -> None:
+    place = Sphere((1.4, 0.0, 0.0), 0.2, lock=True)
+    found = hierarchy.cut(region=place)
+    exact = {tuple(v) for v in hierarchy.cut(max_shape=0.0).mesh.vertices}
+    inside = place.holds(found.mesh.vertices)
+    assert inside.any()
+    assert all(tuple(v) in exact for v in found.mesh.vertices[inside])
+    assert len(found.mesh.triangles) < 0.6 * hierarchy.figures()["base_triangles"]
+
+
+def test_with_hysteresis_a_small_step_back_changes_nothing(hierarchy: Hierarchy) -> None:
+    front = hierarchy.front().refine(view_of(5.0), error_px=1.0)
+    near = front.state
+    assert front.refine(view_of(5.5), error_px=1.0, keep=2.0).state == near
+    assert len(front.refine(view_of(50.0), error_px=1.0, keep=2.0).nodes) < len(near)
+
+
+def test_what_makes_no_sense_is_refused(hierarchy: Hierarchy) -> None:
+    front = hierarchy.front()
+    with pytest.raises(UsageError, match="pixels of a view"):
+        front.refine(error_px=1.0)
+    with pytest.raises(UsageError, match="how far"):
+        front.refine(view_of(3.0))
+    with pytest.raises(UsageError, match="triangles is 1"):
+        front.refine(triangles=0)
+    with pytest.raises(UsageError, match="not in the front"):
+        front.split(hierarchy.nodes - 1)
+    with pytest.raises(UsageError, match="field"):
+        View((0, 0, 0), (0, 0, 1), field=180.0)
+    with pytest.raises(UsageError, match="looks at where"):
+        View((0, 0, 1), (0, 0, 1))
+    with pytest.raises(UsageError, match="finite"):
+        View((0, 0, math.nan), (0, 0, 1))
+
+
+def test_a_view_straight_down_is_one() -> None:
+    view = View((0, 0, 5), (0, 0, 0), (0, 0, 1))
+    normals, _ = view.planes()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    assert view.sees(np.zeros((1, 3)), np.zeros(1))[0]
+    assert not view.sees(np.array([[0.0, 0.0, 9.0]]), np.ones(1))[0]
+
+
+# -- the paper's rule ------------------------------------------------------------------------------------
+
+
+def test_the_nearer_the_eye_the_more_triangles_up_to_the_global_limit(hierarchy: Hierarchy) -> None:
+    mesh = hierarchy.cut(max_shape=0.0).mesh
+    counts = []
+    for distance in (2.0, 5.0, 8.0, 11.0):
+        limit = measures.global_limit(len(mesh.triangles), 200, distance, near=2.0, far=11.0)
+        front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, view_of(distance)), limit)
+        assert front.triangles <= limit
+        assert_same_topology(front.cut().mesh, mesh)
+        counts.append(front.triangles)
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > 2 * counts[-1]
+
+
+def test_what_looks_away_is_not_refined() -> None:
+    _, hierarchy = built_of("ball")
+    above = View((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 800, 600, 5.0)
+    front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, above), math.inf)
+    height = front.cut().mesh.vertices[:, 2]
+    assert (height > 0.3).sum() > 1.2 * (height < -0.3).sum()
+
+
+def test_a_marked_region_is_refined_wherever_the_eye_is(hierarchy: Hierarchy) -> None:
+    place = Sphere((1.0, 0.0, 0.0), 1.0, lock=True)
+    away = View((0.0, -400.0, 0.0), (0.0, -800.0, 0.0), (0.0, 0.0, 1.0))
+    front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, away, place), math.inf)
+    assert front.triangles > hierarchy.coarse[0]
