@@ -1,0 +1,199 @@
+"""Levels of detail: what they take, what is proven of them, and whether that holds.
+
+    python benches/lod.py DATA [--mesh horse kitchen ...] [--threads 1] [--fronts 100] [--samples 20000]
+
+DATA holds `meshes/`. Prints Markdown.
+
+"built": processor seconds of the build, million triangles of the input a second, cells of the finest level,
+nodes, triangles kept over those of the input, and megabytes of the file. "at 20,000" is the wall time of a
+cut to so many triangles, "evaluate + adjust" that of the paper's measures for a view and of the mesh for
+them, best of five.
+
+"levels": of each level what is proven, its triangles, those of one piece simplified by method `certified`
+within the same distance, and the ratio: what borders between cells cost. "attack" is the distance that
+samples find over the one proven, of all nodes of the level: the largest, which may not pass 1, and the share
+of nodes where it is 0.8 or more; each node alone against its part of the input, both ways.
+
+"fronts": random nodes with random splits that are together all of the surface: how many have an edge of more
+than two triangles, or other borders than the input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from markdown_tables import print_head, print_row
+from numpy.typing import NDArray
+
+from stages import lod
+from stages._open3d import open3d
+from stages.lod import Hierarchy, View
+from stages.simplification.simplify import simplify
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
+from stages.surface.topology import topology
+
+MESHES = {
+    "horse": "horse.ply",
+    "igea": "igea.ply",
+    "kitchen": "redkitchen_fused_vertexcolor.ply",
+}
+BUILT = [
+    *("mesh", "triangles", "build CPU s", "Mtri/s", "cells", "nodes", "kept / input", "MB"),
+    *("at 20,000 ms", "evaluate + adjust ms"),
+]
+LEVELS = [
+    *("mesh", "level", "proven m", "levels of colour", "triangles", "one piece", "ratio"),
+    *("attack, largest", "0.8 or more"),
+]
+FRONTS = ["mesh", "fronts", "edges of three triangles", "other borders"]
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--mesh", nargs="+", choices=MESHES, default=list(MESHES))
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--fronts", type=int, default=100)
+    parser.add_argument("--samples", type=int, default=20_000)
+    given = parser.parse_args()
+    meshes = {name: read_mesh(given.data / "meshes" / MESHES[name]) for name in given.mesh}
+    hierarchies: dict[str, Hierarchy] = {}
+    print_head(BUILT)
+    for name, mesh in meshes.items():
+        before = time.process_time()
+        hierarchies[name] = lod.build(mesh, threads=given.threads)
+        print_built(name, mesh, hierarchies[name], time.process_time() - before)
+    print()
+    print_head(LEVELS)
+    for name, mesh in meshes.items():
+        print_levels(name, mesh, hierarchies[name], given.samples)
+    print()
+    print_head(FRONTS)
+    for name, hierarchy in hierarchies.items():
+        print_fronts(name, hierarchy, given.fronts)
+
+
+def print_built(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> None:
+    """Print a row of "built"."""
+    with tempfile.TemporaryDirectory() as folder:
+        lod.write_slod(Path(folder) / "m.slod", hierarchy)
+        size = (Path(folder) / "m.slod").stat().st_size
+    figures = hierarchy.figures()
+    middle, radius = hierarchy.spheres[0][0], hierarchy.spheres[1][0]
+    eye = middle + np.array((0.0, 0.0, 3.0 * radius))
+    view = View(tuple(eye), tuple(middle))
+    hierarchy.cut(triangles=1)
+    front = hierarchy.front()
+    lod.evaluate(hierarchy, view)
+    print_row(
+        [
+            name,
+            f"{len(mesh.triangles):,}",
+            f"{seconds:.1f}",
+            f"{len(mesh.triangles) / seconds / 1e6:.4f}",
+            str(figures["leaves"]),
+            str(figures["nodes"]),
+            f"{figures['stored_per_input']:.2f}",
+            f"{size / 1e6:.1f}",
+            f"{best_ms(lambda: hierarchy.cut(triangles=20_000)):.1f}",
+            f"{best_ms(lambda: lod.adjust(front, lod.evaluate(hierarchy, view), 20_000).cut()):.1f}",
+        ]
+    )
+
+
+def best_ms(call: Callable[[], object]) -> float:
+    """Return the least wall time of five calls, ms."""
+    times = []
+    for _ in range(5):
+        before = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - before)
+    return 1e3 * min(times)
+
+
+def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> None:
+    """Print the rows of "levels", the finest first."""
+    for level in range(int(hierarchy.level.max()) + 1):
+        nodes = np.flatnonzero(hierarchy.level == level)
+        if not len(nodes):
+            continue
+        bound = float(hierarchy.shape_bound[nodes].max())
+        triangles = int(hierarchy.coarse[nodes].sum())
+        whole = len(simplify(mesh, method="certified", max_shape=bound, close_bounds=False).mesh.triangles)
+        shares = [attack(hierarchy, int(node), samples) / hierarchy.shape_bound[node] for node in nodes]
+        color = "" if hierarchy.colors is None else f"{hierarchy.color_bound[nodes].max():.0f}"
+        print_row(
+            [
+                name,
+                str(level + 1),
+                f"{bound:.3g}",
+                color,
+                f"{triangles:,}",
+                f"{whole:,}",
+                f"{triangles / whole:.2f}",
+                f"{max(shares):.3f}",
+                f"{np.mean(np.array(shares) >= 0.8):.0%}",
+            ]
+        )
+
+
+def attack(hierarchy: Hierarchy, node: int, samples: int) -> float:
+    """Return the largest distance that samples find between a node's coarse mesh and its part of the base."""
+    leaves = [leaf for leaf in range(hierarchy.nodes) if is_below(hierarchy, leaf, node)]
+    leaves = [leaf for leaf in leaves if not len(hierarchy.children[leaf])]
+    base = hierarchy.mesh(leaves, hierarchy.splits[leaves])
+    coarse = hierarchy.mesh([node], [0])
+    return max(farthest(coarse, base, samples), farthest(base, coarse, samples))
+
+
+def is_below(hierarchy: Hierarchy, node: int, above: int) -> bool:
+    """Return whether a node is another, or is below it."""
+    while node > above:
+        node = int(hierarchy.parent[node])
+    return node == above
+
+
+def farthest(mesh: Mesh, other: Mesh, samples: int) -> float:
+    """Return how far a mesh's vertices, middles of triangles and samples are from another at most, m."""
+    random = np.random.default_rng(0)
+    corners = mesh.vertices[mesh.triangles]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = random.choice(len(corners), samples, p=areas / areas.sum())
+    inside = np.einsum("ij,ijk->ik", random.dirichlet(np.ones(3), samples), corners[chosen])
+    points: NDArray[np.float64] = np.concatenate([mesh.vertices, corners.mean(axis=1), inside])
+    scene = open3d().t.geometry.RaycastingScene()
+    scene.add_triangles(other.vertices.astype(np.float32), other.triangles.astype(np.uint32))
+    return float(scene.compute_distance(points.astype(np.float32)).numpy().max())
+
+
+def print_fronts(name: str, hierarchy: Hierarchy, count: int) -> None:
+    """Print a row of "fronts"."""
+    random = np.random.default_rng(0)
+    base = topology(hierarchy.cut(max_shape=0.0).mesh)
+    crossed = bordered = 0
+    for _ in range(count):
+        nodes, todo, depth = [], [0], random.random()
+        while todo:
+            node = todo.pop()
+            if len(hierarchy.children[node]) and random.random() < depth:
+                todo += [int(child) for child in hierarchy.children[node]]
+            else:
+                nodes.append(node)
+        found = topology(
+            hierarchy.mesh(nodes, [int(random.integers(hierarchy.splits[n] + 1)) for n in nodes])
+        )
+        crossed += found.nonmanifold_edges > base.nonmanifold_edges
+        same = (found.boundary_loops, found.components) == (base.boundary_loops, base.components)
+        bordered += not same
+    print_row([name, f"{count:,}", str(crossed), str(bordered)])
+
+
+if __name__ == "__main__":
+    main()
