@@ -5,7 +5,7 @@
 
 use super::original::Original;
 use super::simplify::least_bounds;
-use super::tracker::{Bound, Limits, Lists, SAMPLES, Sampled, Tracker};
+use super::tracker::{Bound, LEAST_HEIGHT, Limits, Lists, SAMPLES, Sampled, Tracker};
 use crate::base::errors::KernelError;
 use crate::base::ids::EdgeId;
 use crate::base::progress::Progress;
@@ -51,6 +51,7 @@ pub fn simplify<const D: usize, const K: usize>(
             shape: within.share * (provable - 0.5 * least.shape),
             color: f64::INFINITY,
             factors: sources.iter().map(|&v| within.factors[v as usize]).collect(),
+            needle: LEAST_HEIGHT,
         };
         let lists = Lists::of_input(&original);
         let records = BoundedRecords { seams, original: &original, limits: &limits, lists };

@@ -218,6 +218,7 @@ fn limits_of(options: &Options, bounds: Deviation, least: Deviation, vertices: u
         shape: options.share * (bounds.shape - 0.5 * least.shape),
         color: options.share * (bounds.color - certify::COLOR_SLACK),
         factors: (0..vertices).map(|v| 1.0 / factor(v)).collect(),
+        needle: options.rules.needle,
     }
 }
 

@@ -2,7 +2,7 @@
 //! the input say whether it may.
 
 use super::original::Original;
-use super::tracker::{Bound, Limits, Lists, SAMPLES, Sampled, Tracker};
+use super::tracker::{Bound, LEAST_HEIGHT, Limits, Lists, SAMPLES, Sampled, Tracker};
 use crate::base::ids::EdgeId;
 use crate::collapse::engine::{Collapsed, Measure, Proposal, Reach};
 use crate::collapse::records::Records;
@@ -12,12 +12,20 @@ use crate::mesh::triangle_mesh::Mesh;
 use crate::quadric::qem::{Qem, QemRecords};
 
 /// What else is asked of a collapse.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
     /// No edge may come to join two locked vertices that none joins yet: see [`crate::mesh::legality::new_chord`].
     pub without_chords: bool,
     /// Coordinates are those that single precision has.
     pub single: bool,
+    /// Height over longest side below which no triangle may come.
+    pub needle: f64,
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self { without_chords: false, single: false, needle: LEAST_HEIGHT }
+    }
 }
 
 pub struct Tracked<'a, const D: usize, const K: usize> {

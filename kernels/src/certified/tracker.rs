@@ -22,6 +22,9 @@ const BEYOND: f64 = 1.0 / 256.0;
 const LEAST_STEP: f64 = 1.0 / 16.0;
 const LARGEST_STEP: f64 = 0.5;
 
+/// Height over longest side below which no triangle comes by default: those that a proof takes for a side, and a few more.
+pub const LEAST_HEIGHT: f64 = 1.25 * NEEDLE;
+
 /// No sample.
 const NONE: u32 = u32::MAX;
 
@@ -34,6 +37,8 @@ pub struct Limits {
     pub color: f64,
     /// By vertex of the input: what both are multiplied with there.
     pub factors: Vec<f32>,
+    /// Height over longest side below which no triangle may come: more than [`NEEDLE`].
+    pub needle: f64,
 }
 
 /// Which limit a collapse would break.
@@ -129,7 +134,7 @@ impl<'a, const D: usize> Tracker<'a, D> {
     /// Whether the star may become the fan around `tip`.
     pub fn allows(&mut self, star: &Star<D>, tip: &[f64; D]) -> Result<(), Bound> {
         self.fan.spread(star, tip);
-        if self.fan.has_needle(star, 1.25 * NEEDLE) {
+        if self.fan.has_needle(star, self.limits.needle) {
             return Err(Bound::Needle);
         }
         for i in 0..self.inside.len() {
