@@ -23,7 +23,7 @@ from stages.cleaning.check import CLASSES, CheckParams
 from stages.cleaning.regularity import Limits, irregular
 from stages.cleaning.repairs.comparing import difference
 from stages.cleaning.repairs.edited import GONE, Edited
-from stages.cleaning.repairs.operations import HELPLESS, REASONS, SEAM, TOO_FAR, WORSE
+from stages.cleaning.repairs.operations import FINE, HELPLESS, REASONS, SEAM, TOO_FAR, WORSE
 from stages.cleaning.repairs.outcome import repaired_mesh
 from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
 from stages.cleaning.repairs.proving import unproven
@@ -104,13 +104,12 @@ class Repaired:
     triangle_source : (m,) triangle of the input in whose place each one is.
     found : of each class in `stages.cleaning.check.CLASSES` that looks at neighbours or intersections, the
         vertices (k,), edges (k, 2) or triangles (k,) that belong to it, by their numbers in the input.
-    repaired : of those with a repair, the ones that are no longer irregular.
-    left : of those with a repair, the ones that still are; why : in words, for each.
-    points : of each class in `left` a point (k, 3) for each, metres: the vertex, or the middle.
+    repaired : of those, the ones that are no longer irregular; some may have gone with others.
+    left : of those, the ones that still are; why : in words, for each.
+    points : of what is left, a point (k, 3) for each, metres: the vertex, or the middle.
     rolled_back : of each class the places where a repair was made and undone.
     bound_m : what is proven: no point of either surface is farther from the other, metres.
     max_shape_m : metres, as used.
-    moved_vertices, flipped_edges, collapsed_edges, dropped_triangles : operations that stayed.
     """
 
     mesh: Mesh
@@ -137,22 +136,17 @@ class Repaired:
         }
 
     def _class_figures(self, name: str) -> dict[str, Any]:
-        treatment = CLASSES[name][1]
-        count = len(self.found[name])
-        if name not in self.left:
-            return {"treatment": treatment, "found": count}
-        points = self.points[name][:_NAMED].tolist()
-        first = zip(self.left[name][:_NAMED].tolist(), points, self.why[name][:_NAMED], strict=True)
+        kind, treatment, _ = CLASSES[name]
+        left, points = self.left[name][:_NAMED].tolist(), self.points[name][:_NAMED].tolist()
+        first = zip(left, points, self.why[name][:_NAMED], strict=True)
         return {
             "treatment": treatment,
-            "found": count,
+            "found": len(self.found[name]),
             "repaired": len(self.repaired[name]),
             "left": len(self.left[name]),
             "rolled_back": self.rolled_back[name],
             "reasons": dict(Counter(self.why[name]).most_common()),
-            "first": [
-                {CLASSES[name][0]: place, "point_m": point, "reason": why} for place, point, why in first
-            ],
+            "first": [{kind: place, "point_m": point, "reason": reason} for place, point, reason in first],
         }
 
 
@@ -204,18 +198,17 @@ def repair(
     _drop_repeating(edited, account)
     repair_all(edited, _rows_of(joined, found), limits, account, lambda: progress(1, _STEPS))
     progress(2, _STEPS)
-    undone: set[tuple[int, int]] = set()
     while True:
         far, bound = unproven(edited, max_shape, threads)
         if len(far):
-            _undo(edited, account, far, TOO_FAR, undone)
+            _undo(edited, account, far, TOO_FAR)
             continue
         changes_made = difference(edited, limits, found["intersecting_triangles"], threads)
         if len(changes_made.guilty) == 0:
             break
-        _undo(edited, account, changes_made.guilty, WORSE, undone)
+        _undo(edited, account, changes_made.guilty, WORSE)
         progress(2, _STEPS)
-    result = _told(edited, found, changes_made.gone, account, undone, (bound, max_shape))
+    result = _told(edited, found, changes_made.gone, account, (bound, max_shape))
     progress(_STEPS, _STEPS)
     return result
 
@@ -251,12 +244,14 @@ def _rows_of(triangles: Ids, found: dict[str, Ids]) -> Ids:
     return np.flatnonzero(rows | vertices[triangles].any(axis=1))
 
 
-def _undo(edited: Edited, account: Account, rows: Ids, reason: int, undone: set[tuple[int, int]]) -> None:
+def _undo(edited: Edited, account: Account, rows: Ids, reason: int) -> None:
     """Undo what wrote some triangles, and what rests on it."""
-    for edit in edited.undo(edited.writers(rows)):
-        place = account.made[edit]
-        account.refused[place] = reason
-        undone.add(place)
+    edits, restored = edited.undo(edited.writers(rows))
+    places = [account.made[edit] for edit in edits]
+    account.refused |= dict.fromkeys(places, reason)
+    account.undone.update(places)
+    # What else had gone with these is back, too.
+    account.restored |= dict.fromkeys(restored.tolist(), reason)
 
 
 def _told(
@@ -264,19 +259,19 @@ def _told(
     found: dict[str, Ids],
     gone: dict[str, Ids],
     account: Account,
-    undone: set[tuple[int, int]],
     shape: tuple[float, float],
 ) -> Repaired:
     repaired, left, why, points = {}, {}, {}, {}
-    for kind, name in enumerate(REPAIRABLE):
-        keys, over = (_keys(edited, some[name]) for some in (found, gone))
-        is_over = np.isin(keys, over)
-        repaired[name], left[name] = found[name][is_over], found[name][~is_over]
-        reasons = [account.refused.get((kind, int(key)), HELPLESS) for key in keys[~is_over]]
-        why[name] = [REASONS[reason if reason > 0 else HELPLESS] for reason in reasons]
+    for name, places in found.items():
+        keys = _keys(edited, places)
+        is_over = np.isin(keys, _keys(edited, gone[name]))
+        repaired[name], left[name] = places[is_over], places[~is_over]
+        why[name] = [REASONS[_reason(account, name, int(key))] for key in keys[~is_over]]
         points[name] = _points(edited, name, left[name])
-    notes = tuple(_left_alone(name, len(found[name]), why[name], points[name]) for name in left if why[name])
-    warned = [f"{len(ids):,} {_spoken(name)}" for name, ids in found.items() if _is_told(name, ids)]
+    notes = tuple(
+        _left_alone(name, len(found[name]), why[name], points[name]) for name in REPAIRABLE if why[name]
+    )
+    warned = [f"{len(left[name]):,} {_spoken(name)}" for name in left if _is_told(name) and why[name]]
     if warned:
         notes += (f"found, and nothing is done about it: {', '.join(warned)}.",)
     mesh, vertex_source, triangle_source = repaired_mesh(edited)
@@ -289,10 +284,19 @@ def _told(
         left=left,
         why=why,
         points=points,
-        rolled_back={name: sum(k == kind for k, _ in undone) for kind, name in enumerate(REPAIRABLE)},
+        rolled_back={name: sum(REPAIRABLE[kind] == name for kind, _ in account.undone) for name in found},
         bound_m=shape[0],
         max_shape_m=shape[1],
     )
+
+
+def _reason(account: Account, name: str, key: int) -> int:
+    """Return why a place is left: what spoke against its repair last, or undid what it had gone with."""
+    if name not in REPAIRABLE:
+        return HELPLESS
+    of_triangle = CLASSES[name][0] == "triangle"
+    other = account.restored.get(key, HELPLESS) if of_triangle else HELPLESS
+    return max(account.refused.get((REPAIRABLE.index(name), key), other), FINE) or HELPLESS
 
 
 def _keys(edited: Edited, places: Ids) -> Ids:
@@ -315,9 +319,9 @@ def _left_alone(name: str, found: int, why: list[str], points: Vertices) -> str:
     return f"{what}: {reasons}; the first at ({x:.6g}, {y:.6g}, {z:.6g}) m."
 
 
-def _is_told(name: str, places: Ids) -> bool:
-    """Return whether there is something to warn of; a border is what every open scan has."""
-    return CLASSES[name][1] == "warning" and name != "border_edges" and len(places) > 0
+def _is_told(name: str) -> bool:
+    """Return whether to warn of a class without a repair; a border is what every open scan has."""
+    return name not in REPAIRABLE and name != "border_edges"
 
 
 def _spoken(name: str) -> str:

@@ -105,6 +105,7 @@ def everything():
         comparison.color,
         stages.certify(mesh, mesh),
         stages.check(mesh),
+        stages.repair(mesh),
         remeshed,
         remeshed.offsets[0],
         stages.bake(ball(1), mesh, max_size=64),

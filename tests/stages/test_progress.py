@@ -10,7 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stages import Mesh, ScanParams, certify, check, planar_patches, read_scan, register, remesh, simplify
+from stages import (
+    Mesh,
+    ScanParams,
+    certify,
+    check,
+    clean,
+    planar_patches,
+    read_scan,
+    register,
+    remesh,
+    repair,
+    simplify,
+)
 from stages.progress import Progress
 from stages.simplification.methods import METHODS
 
@@ -60,6 +72,8 @@ WORK: dict[str, Callable[[Progress], object]] = {
         light(), hills(150), max_shape=0.008, progress=progress
     ),
     "check": lambda progress: check(hills(400), progress=progress),
+    "repair": lambda progress: repair(hills(200), corner_angle=30, progress=progress),
+    "clean, with repairs": lambda progress: clean(hills(100), repair=True, progress=progress),
     "patches": lambda progress: planar_patches(hills(400), progress=progress),
     "register": lambda progress: register(read_scan(SAMPLE, ScanParams(every=3)), progress=progress),
     "remesh": lambda progress: remesh(light(), progress=progress),

@@ -25,7 +25,7 @@ class Difference:
 
     Attributes
     ----------
-    gone : of each class the places that are not irregular any more; those of intersections are not told.
+    gone : of each class the places that are not irregular any more.
     guilty : triangles that were written, and something irregular came of it.
     """
 
@@ -62,7 +62,9 @@ def difference(edited: Edited, limits: Limits, intersecting: Ids, threads: int) 
     guilty = [_written_at(edited, changed, missing_in(now[name], was[name]), name) for name in now]
     # That a border is gone is as bad as a new one.
     guilty.append(_written_at(edited, changed, gone["border_edges"], "border_edges"))
-    guilty.append(_newly_intersecting(edited, changed, intersecting, threads))
+    met, free = _intersections(edited, changed, intersecting, threads)
+    guilty.append(met)
+    gone["intersecting_triangles"] = free
     return Difference(gone, np.unique(np.concatenate(guilty)))
 
 
@@ -84,28 +86,43 @@ def _written_at(edited: Edited, changed: Ids, places: Ids, name: str) -> Ids:
     return np.asarray(changed[hit])
 
 
-def _newly_intersecting(edited: Edited, changed: Ids, intersecting: Ids, threads: int) -> Ids:
-    """Return the written triangles that intersect where none did, or are met by one that did not."""
+def _intersections(edited: Edited, changed: Ids, intersecting: Ids, threads: int) -> tuple[Ids, Ids]:
+    """Return the written triangles by which there are new intersections, and those that intersect no more."""
+    near, other = _meeting(edited, changed[edited.is_there(changed)], threads)
+    meets = other >= 0
+    new = meets & ~np.isin(near, intersecting)
+    guilty = np.intersect1d(changed, np.concatenate([near[new], other[new]]))
+    # What is near those written may still meet what is not.
+    in_doubt = np.intersect1d(intersecting, near[~meets])
+    beyond, other = _meeting(edited, in_doubt, threads)
+    gone = intersecting[~edited.is_there(intersecting)]
+    return guilty, np.union1d(gone, np.setdiff1d(in_doubt, beyond[other >= 0]))
+
+
+def _meeting(edited: Edited, rows: Ids, threads: int) -> tuple[Ids, Ids]:
+    """Return the triangles near some, these among them, and for each another of them that it meets, or −1.
+
+    All that meet any of those named are near.
+    """
     from scipy.spatial import cKDTree
 
-    written = changed[edited.is_there(changed)]
-    if len(written) == 0:
-        return written
-    rows = np.flatnonzero(edited.is_there(np.arange(len(edited.corner))))
-    centres, reach = _spheres(edited.places, edited.triangles[rows])
-    of_written = np.isin(rows, written)
+    if len(rows) == 0:
+        return rows, rows
+    (there,) = np.nonzero(edited.is_there(np.arange(len(edited.corner))))
+    centres, reach = _spheres(edited.places, edited.triangles[there])
+    is_one = np.isin(there, rows)
     # No farther than this can one be that meets any of them.
-    apart, _ = cKDTree(centres[of_written]).query(centres)
-    rows = rows[apart <= (reach + reach[of_written].max()) * (1 + 1e-9)]
-    vertices, index = np.unique(edited.triangles[rows], return_inverse=True)
+    apart, _ = cKDTree(centres[is_one]).query(centres)
+    near = there[apart <= (reach + reach[is_one].max()) * (1 + 1e-9)]
+    vertices, index = np.unique(edited.triangles[near], return_inverse=True)
     other = intersecting_triangles(
         edited.places[vertices],
         index.reshape(-1, 3).astype(np.int32),
         wanted_threads=threads,
         progress=silent,
     )
-    new = np.flatnonzero((other != NO_OTHER) & ~np.isin(rows, intersecting))
-    return np.intersect1d(changed, np.concatenate([rows[new], rows[other[new]]]))
+    meets = other != NO_OTHER
+    return near, np.where(meets, near[np.where(meets, other, 0)], -1)
 
 
 def _spheres(places: Vertices, triangles: Ids) -> tuple[Vertices, Vertices]:

@@ -131,8 +131,8 @@ class Edited:
         found = [made.written[0][wanted[made.written[1]]] for made in self.rounds]
         return np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
 
-    def undo(self, edits: Ids) -> Ids:
-        """Undo edits and those that rest on them, and return all of these."""
+    def undo(self, edits: Ids) -> tuple[Ids, Ids]:
+        """Undo edits and those that rest on them; return all of these, and the triangles they wrote."""
         undone = np.zeros(self.edits, bool)
         undone[edits] = True
         tainted = np.zeros(len(self.corner), bool)
@@ -144,7 +144,7 @@ class Edited:
             self._write(made.written[1][of_written], made.written[2][of_written])
             self.places[made.moved[1][of_moved]] = made.moved[2][of_moved]
         self.rounds = [made.without(undone) for made in self.rounds]
-        return np.flatnonzero(undone)
+        return np.flatnonzero(undone), np.flatnonzero(tainted)
 
     def _write(self, rows: Ids, corner: Ids) -> None:
         self.corner[rows] = corner

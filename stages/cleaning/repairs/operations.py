@@ -32,7 +32,7 @@ REASONS = (
     "where a triangle would turn over",
     "where another irregularity would come of it",
     "where the distance is not proven to be within max_shape",
-    "where no operation helps",
+    "for which there is no operation",
 )
 BORDER, SEAM, TANGLED, TURNS, WORSE, TOO_FAR, HELPLESS = range(1, len(REASONS))
 # Reasons that only this program has: more has to be looked at.

@@ -48,10 +48,14 @@ class Account:
     ----------
     refused : (class, place) and the reason it was refused for last.
     made : (class, place) of each edit, by its number.
+    undone : (class, place) of those that were undone.
+    restored : triangles that are as they were for it, and why.
     """
 
     refused: dict[tuple[int, int], int] = field(default_factory=dict)
     made: list[tuple[int, int]] = field(default_factory=list)
+    undone: set[tuple[int, int]] = field(default_factory=set)
+    restored: dict[int, int] = field(default_factory=dict)
 
 
 def repair_all(
