@@ -14,8 +14,10 @@ from stages.comparing.certify import certify
 from stages.surface.edges import Ids
 from stages.surface.mesh import Mesh, Vertices
 
-# Rings around what was written that may be near it.
-_RINGS = 2
+# Rings around what was written that may be nearer to it than what was in its place.
+_RINGS = 1
+# Pieces a triangle. With more, bounds come no closer: what they pass is what needles add to them.
+_EFFORT = 1.0
 
 
 def unproven(edited: Edited, limit: float, threads: int) -> tuple[Ids, float]:
@@ -33,6 +35,7 @@ def unproven(edited: Edited, limit: float, threads: int) -> tuple[Ids, float]:
         _piece(edited.places, edited.triangles[new]),
         _piece(edited.mesh.vertices, given[old]),
         max_shape=limit,
+        effort=_EFFORT,
         threads=threads,
     )
     far, bound = [], 0.0

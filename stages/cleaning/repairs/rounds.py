@@ -34,8 +34,8 @@ from stages.cleaning.repairs.places import REPAIRABLE, edge_keys
 from stages.cleaning.repairs.sameness import Sameness
 from stages.surface.edges import Ids
 
-# An operation looks two rings far; what comes of one may need the next.
-_RINGS = 4
+# An operation looks two rings far. What comes of one may look beyond, and waits.
+_RINGS = 2
 # Multiplicative hashing (Knuth): the order is arbitrary, but always the same, and neighbours are not in line.
 _SCATTER = 2654435761
 
