@@ -124,7 +124,8 @@ def _fuse_apart(scan: Scan, job: Job) -> list[str]:
 def _clean(job: Job) -> Mapping[str, Any]:
     cleaned = clean(read_ply(job.inputs["fused"] / "fused.ply"), job.config.clean)
     write_ply(job.folder / "clean.ply", cleaned.mesh)
-    return cleaned.figures()
+    told = {} if cleaned.repaired is None else {"warnings": list(cleaned.repaired.mesh.notes)}
+    return {**cleaned.figures(), **told}
 
 
 def _simplify(job: Job) -> Mapping[str, Any]:
@@ -257,6 +258,11 @@ def _of_fuse(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  #
     return _stated(fuse, require_poses) if config.scan.check_poses else _stated(fuse)
 
 
+def _of_clean(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    # What is not proven is not repaired.
+    return _stated(clean, certify) if config.clean.repair else _stated(clean)
+
+
 def _of_simplify(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
     try:
         method = chosen(config.simplify)  # What clean leaves has neither texture nor parts.
@@ -332,7 +338,7 @@ STAGES: tuple[Stage, ...] = (
         writes="clean",
         sections=("clean",),
         make=_clean,
-        versions=_of(clean),
+        versions=_of_clean,
         results=("clean.ply",),
         cost=Cost(seconds_per_megapixel=0.08),
     ),

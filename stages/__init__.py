@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from stages.adjusting.adjusted import Adjusted
     from stages.cleaning.check import Checked, CheckParams, check
     from stages.cleaning.clean import Cleaned, CleanParams, clean
+    from stages.cleaning.repair import Repaired, RepairParams, repair
     from stages.comparing.certify import Certificate, CertifyParams, certify
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
@@ -59,6 +60,7 @@ _NAMES_OF = {
     "adjusting.adjusted": ("Adjusted",),
     "cleaning.check": ("CheckParams", "Checked", "check"),
     "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
+    "cleaning.repair": ("RepairParams", "Repaired", "repair"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
@@ -130,6 +132,8 @@ __all__ = [
     "RegisterParams",
     "Registration",
     "RemeshParams",
+    "RepairParams",
+    "Repaired",
     "ReplayParams",
     "Scan",
     "ScanParams",
@@ -165,6 +169,7 @@ __all__ = [
     "register",
     "remesh",
     "render",
+    "repair",
     "simplify",
     "texture",
     "to_open3d",

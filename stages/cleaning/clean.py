@@ -2,22 +2,26 @@
 
 In order: borders that lie on each other are stitched, triangles without area and duplicates removed,
 neighbours oriented alike, non-manifold edges and vertices taken apart, small islands dropped, small holes
-filled on request, unused vertices dropped. A mesh that is clean comes back as it is.
+filled on request, unused vertices dropped; then, on request, what is irregular is repaired. A mesh that is
+clean comes back as it is.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
+from stages.cleaning.check import CheckParams
 from stages.cleaning.degenerate import without_degenerate
 from stages.cleaning.holes import fill_holes
 from stages.cleaning.manifold import make_manifold
+from stages.cleaning.repair import Repaired, repair
 from stages.cleaning.stitch import stitch, weld
 from stages.cleaning.traced import Traced
-from stages.errors import MeshError, StageError
+from stages.errors import MeshError, StageError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_fields, by_figures, table
 from stages.progress import Progress, silent
@@ -60,9 +64,29 @@ class CleanParams:
     weld_distance: float = param(
         0.0, "Vertices no farther apart than this become one before all else; 0 = off.", unit="m", low=0
     )
+    repair: bool = param(
+        False,
+        "Repair caps, needles, folds and spikes, each where nothing else becomes irregular, no seam is torn "
+        "and the surface provably stays within max_shape; what is left is told.",
+    )
+    repair_angle: float = param(
+        CheckParams().corner_angle,
+        "A triangle with a smaller angle is a needle; one with an angle above 180° less this is a cap.",
+        unit="degrees",
+        low=0,
+        high=30,
+    )
+    max_shape: float | None = param(
+        None,
+        "How far repairs may move the surface; by default a twentieth of the median edge.",
+        unit="m",
+        low=0,
+    )
 
     def __post_init__(self) -> None:
         check(self)
+        if self.max_shape is not None and not self.repair:
+            raise UsageError("max_shape is for repairs; give repair, too.")
 
 
 class CleanKeywords(TypedDict, total=False):
@@ -73,6 +97,9 @@ class CleanKeywords(TypedDict, total=False):
     fill_holes: float
     stitch: bool
     weld_distance: float
+    repair: bool
+    repair_angle: float
+    max_shape: float | None
 
 
 @dataclass(frozen=True)
@@ -117,6 +144,8 @@ class Cleaned:
     triangle_source : (m,) the triangle of the input each one was, or lies on; -1 where a hole was filled.
     changes : the counts of what was changed.
     min_island_area : m², as used.
+    repaired : what repairs did to the mesh that was clean, by whose vertices and triangles places are told;
+        None if they were not asked for.
     """
 
     mesh: Mesh
@@ -124,18 +153,20 @@ class Cleaned:
     triangle_source: Ids
     changes: Removed
     min_island_area: float
+    repaired: Repaired | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
         """Return sizes and what was changed, for reports."""
-        return {
+        figures = {
             "vertices": len(self.mesh.vertices),
             "triangles": len(self.mesh.triangles),
             "min_island_area_m2": self.min_island_area,
             **asdict(self.changes),
         }
+        return figures if self.repaired is None else figures | {"repair": self.repaired.figures()}
 
 
 def clean(
@@ -167,29 +198,51 @@ def clean(
     mesh = as_mesh(mesh)
     require_measurable(mesh, "mesh")
     counts = {field.name: 0 for field in fields(Removed)}
-    progress(0, _STEPS)
+    steps = _STEPS + params.repair
+    progress(0, steps)
     traced = Traced.start(mesh)
     if params.weld_distance > 0:
         traced = weld(traced, params.weld_distance)
     traced = _repaired(traced, params.stitch, counts)
-    progress(1, _STEPS)
+    progress(1, steps)
     traced, min_area = _without_islands(traced, params, counts)
-    progress(2, _STEPS)
+    progress(2, steps)
     if params.fill_holes > 0:
         before = len(traced.mesh.triangles)
         traced, counts["filled_holes"] = fill_holes(traced, params.fill_holes)
         counts["fill_triangles"] = len(traced.mesh.triangles) - before
     traced = traced.compact()
     counts["unused_vertices"] = len(mesh.vertices) + counts["split_vertices"] - len(traced.mesh.vertices)
-    progress(3, _STEPS)
+    progress(3, steps)
     if len(traced.mesh.triangles) == 0:
         raise MeshError("has no triangle with an area; nothing is left of it.", "mesh")
     try:
         require_manifold(traced.mesh)
     except MeshError as error:
         raise StageError(f"cleaning failed, its result {error}") from error
-    progress(_STEPS, _STEPS)
-    return Cleaned(traced.mesh, traced.vertex_source, traced.triangle_source, Removed(**counts), min_area)
+    progress(_STEPS, steps)
+    cleaned = Cleaned(traced.mesh, traced.vertex_source, traced.triangle_source, Removed(**counts), min_area)
+    if params.repair:
+        cleaned = _with_repairs(cleaned, params, lambda: progress(_STEPS, steps))
+        progress(steps, steps)
+    return cleaned
+
+
+def _with_repairs(cleaned: Cleaned, params: CleanParams, alive: Callable[[], object]) -> Cleaned:
+    """Return it with what can be repaired, whose result is as much a manifold; ask now and then to go on."""
+    repaired = repair(
+        cleaned.mesh,
+        corner_angle=params.repair_angle,
+        max_shape=params.max_shape,
+        progress=lambda done, total: alive(),  # noqa: ARG005
+    )
+    return replace(
+        cleaned,
+        mesh=repaired.mesh,
+        vertex_source=cleaned.vertex_source[repaired.vertex_source],
+        triangle_source=cleaned.triangle_source[repaired.triangle_source],
+        repaired=repaired,
+    )
 
 
 def _repaired(traced: Traced, join: bool, counts: dict[str, int]) -> Traced:

@@ -18,7 +18,8 @@ from stages.surface.edges import Edges, Ids, edges_of, fans, neighbours
 from stages.surface.mesh import Triangles, Vertices
 from stages.surface.topology import inconsistent, is_degenerate, is_duplicate, pinched, repeats_vertex
 
-_NO_OTHER = np.uint32(2**32 - 1)
+# What the kernel says of a triangle that meets none.
+NO_OTHER = np.uint32(2**32 - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,15 +67,24 @@ def irregular(
     -------
     dict : vertices (k,), edges (k, 2) by their vertices, the smaller first, or triangles (k,); ascending.
     """
+    places = irregular_neighbourhoods(vertices, triangles, limits)
+    other = intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
+    return places | {"intersecting_triangles": np.flatnonzero(other != NO_OTHER)}
+
+
+def irregular_neighbourhoods(vertices: Vertices, triangles: Triangles, limits: Limits) -> dict[str, Ids]:
+    """Return, as `irregular`, the places of all classes but that of triangles that intersect.
+
+    Each is seen from the triangles around it alone.
+    """
     (proper,) = np.nonzero(~repeats_vertex(triangles))
     surface = _Surface(vertices, triangles, proper, edges_of(triangles[proper], len(vertices)))
     edges = surface.edges
     singular = pinched(surface.corners, fans(surface.corners, *neighbours(edges, edges.count > 1)))
     degenerate = is_degenerate(vertices, triangles)
-    angles = _angles(vertices, triangles)
+    angles = corner_angles(vertices, triangles)
     is_cap = ~degenerate & (angles.max(axis=1, initial=0) > 180 - limits.corner)
     is_needle = ~degenerate & ~is_cap & (angles.min(axis=1, initial=180) < limits.corner)
-    other = intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
     return {
         "border_edges": edges.ends[edges.count == 1],
         "nonmanifold_edges": edges.ends[edges.count > 2],
@@ -88,11 +98,10 @@ def irregular(
         "needles": np.flatnonzero(is_needle),
         "sharp_edges": _folded(surface, degenerate, limits.fold),
         "spikes": _spikes(surface, singular, angles, limits.spike),
-        "intersecting_triangles": np.flatnonzero(other != _NO_OTHER),
     }
 
 
-def _angles(vertices: Vertices, triangles: Triangles) -> NDArray[np.float64]:
+def corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
     """Return the angles (m, 3) at the corners of triangles, degrees."""
     places = vertices[triangles]
     found = np.empty(triangles.shape)

@@ -25,6 +25,7 @@ COMMANDS = {
     "remesh": "remesh mesh.ply out.ply --save out.snm --levels 1",
     "decode": "decode made.snm out.ply",
     "clean": "clean mesh.ply out.ply",
+    "clean, with repairs": "clean mesh.ply out.ply --repair",
     "check": "check mesh.ply",
     "lod": "lod build mesh.ply out.slod --cell-triangles 1000",
     "compare": "compare mesh.ply light.ply",

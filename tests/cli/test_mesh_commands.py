@@ -33,6 +33,30 @@ def test_clean_removes_the_speck_and_keeps_the_colours(scanloom: Run, ball: Path
     assert cleaned.colors is not None
 
 
+def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: Path) -> None:
+    source, target = tmp_path / "thin.ply", tmp_path / "out.ply"
+    x, y = np.meshgrid(np.arange(6.0), np.arange(6.0))
+    # One vertex beside another inside, and one beside another on the border.
+    x[2, 3] = x[2, 2] + 0.005
+    x[0, 3] = x[0, 2] + 0.005
+    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    a = (np.arange(5)[:, None] * 6 + np.arange(5)).ravel()
+    triangles = np.concatenate([np.stack(t, 1) for t in ((a, a + 1, a + 7), (a, a + 7, a + 6))])
+    write_ply(source, Mesh(vertices, triangles.astype(np.int32)))
+    ran = scanloom("clean", source, target, "--repair", "--max-shape", 0.01, "--json")
+    assert ran.exit_code == 0
+    figures = ran.json["repair"]
+    needles = figures["classes"]["needles"]
+    assert (needles["found"], needles["repaired"], needles["left"]) == (3, 2, 1)
+    assert needles["reasons"] == {"at a border": 1}
+    assert figures["bound_m"] <= figures["max_shape_m"] == 0.01
+    assert len(read_mesh(target).vertices) == 35
+    assert "1 of 3 needles left: 1 at a border; the first at (" in ran.stderr
+    ran = scanloom("clean", source, target, "--repair", "--repair-angle", 0.1)
+    assert re.search(r"^repair bound +0 m$", ran.stdout, re.M)
+    assert "needles" not in ran.stdout
+
+
 def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
     scanloom("clean", ball, clean)

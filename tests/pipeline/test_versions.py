@@ -35,6 +35,7 @@ METHODS = (
     "simplify.method=planar",
     "simplify.method=jia01",
     "simplify.method=seams simplify.ratio=0.5",
+    "clean.repair=true simplify.ratio=0.5",
 )
 
 

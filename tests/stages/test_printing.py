@@ -108,6 +108,7 @@ def everything():
         lod.build(mesh),
         lod.build(mesh).cut(triangles=1),
         lod.View((0, 0, 0), (0, 0, 1)),
+        stages.repair(mesh),
         remeshed,
         remeshed.offsets[0],
         stages.bake(ball(1), mesh, max_size=64),

@@ -16,10 +16,12 @@ from stages import (
     certify,
     check,
     lod,
+    clean,
     planar_patches,
     read_scan,
     register,
     remesh,
+    repair,
     simplify,
 )
 from stages.progress import Progress
@@ -72,6 +74,8 @@ WORK: dict[str, Callable[[Progress], object]] = {
     ),
     "check": lambda progress: check(hills(400), progress=progress),
     "lod": lambda progress: lod.build(hills(150), progress=progress),
+    "repair": lambda progress: repair(hills(200), corner_angle=30, progress=progress),
+    "clean, with repairs": lambda progress: clean(hills(100), repair=True, progress=progress),
     "patches": lambda progress: planar_patches(hills(400), progress=progress),
     "register": lambda progress: register(read_scan(SAMPLE, ScanParams(every=3)), progress=progress),
     "remesh": lambda progress: remesh(light(), progress=progress),

@@ -5,8 +5,8 @@ use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::certified::original::Original;
 use scanloom_kernels::certified::simplify::{Options, simplify};
-use scanloom_kernels::certified::tracked::TrackedRecords;
-use scanloom_kernels::certified::tracker::{Limits, Lists};
+use scanloom_kernels::certified::tracked::{Rules, TrackedRecords};
+use scanloom_kernels::certified::tracker::{LEAST_HEIGHT, Limits, Lists};
 use scanloom_kernels::certify::{self, Deviation, Surface};
 use scanloom_kernels::collapse::engine::{Engine, Step};
 use scanloom_kernels::collapse::records::Records;
@@ -55,9 +55,16 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
         let original = Original::new(points.clone(), triangles.clone());
         let mut factors = vec![1.0; points.len()];
         factors[0] = 0.25;
-        let limits = Limits { shape: 0.2, color: 60.0, factors };
+        let limits = Limits { shape: 0.2, color: 60.0, factors, needle: LEAST_HEIGHT };
         let records =
-            TrackedRecords::<4, 1>::new(&original, &limits, 0.01, vec![], Lists::of_input(&original));
+            TrackedRecords::<4, 1>::new(
+                &original,
+                &limits,
+                0.01,
+                vec![],
+                Lists::of_input(&original),
+                Rules::default(),
+            );
         let mesh =
             Whole::<4, ()>::new(points.clone(), triangles.clone(), vec![]).unwrap().connected().unwrap();
         let before = mesh.connectivity.vertices().count();

@@ -1,0 +1,1 @@
+"""What `repair` is made of: a mesh whose edits can be undone, the edits, who judges them, who proves them."""

@@ -1,0 +1,201 @@
+r"""The operations that repair, as what they would write: flip, collapse, smooth, drop.
+
+flip                    collapse v to u           smooth
+c          c            x---y                   v is moved to the
+/`\        /|\          / \ / \                  mean of its
+a---b  →   a | b        w---v   z  →  the ring    neighbours
+\ /        \|/          \ / \ /      around u
+d          d            u---…
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.cleaning.regularity import corner_angles
+from stages.cleaning.repairs.edited import GONE
+from stages.cleaning.repairs.neighbourhood import Neighbourhood
+from stages.cleaning.repairs.ragged import distinct_pairs
+from stages.cleaning.repairs.sameness import Sameness
+from stages.surface.edges import Ids, next_corner
+from stages.surface.mesh import Vertices
+
+# Why something is not repaired, by number; 0 is for what may be.
+REASONS = (
+    "",
+    "at a border",
+    "where the texture, the material, the part or the colour changes",
+    "where the surface is no manifold",
+    "where a triangle would turn over",
+    "where another irregularity would come of it",
+    "where the distance is not proven to be within max_shape",
+    "for which there is no operation",
+)
+BORDER, SEAM, TANGLED, TURNS, WORSE, TOO_FAR, HELPLESS = range(1, len(REASONS))
+# Reasons that only this program has: more has to be looked at.
+FINE, RIM = 0, -1
+
+
+@dataclass(frozen=True, eq=False)
+class Operations:
+    """Operations on a neighbourhood, k of them; triangles and vertices by their numbers there.
+
+    Attributes
+    ----------
+    kind : (k,) the class of what is repaired, by number.
+    place : (k,) where that is: the triangle, halfedge or vertex.
+    refused : (k,) why one cannot be done, FINE if nothing is known against it.
+    owner, row, corner : (w,) operation, triangle it writes, and the given corners (w, 3) this gets, or GONE.
+    moved : (k,) the vertex one moves, or −1; target : (k, 3) to where.
+    """
+
+    kind: Ids
+    place: Ids
+    refused: Ids
+    owner: Ids
+    row: Ids
+    corner: Ids
+    moved: Ids
+    target: Vertices
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def only(self, chosen: NDArray[np.bool_]) -> Operations:
+        """Return the chosen ones."""
+        number = np.cumsum(chosen) - 1
+        written = chosen[self.owner]
+        return Operations(
+            self.kind[chosen],
+            self.place[chosen],
+            self.refused[chosen],
+            number[self.owner[written]],
+            self.row[written],
+            self.corner[written],
+            self.moved[chosen],
+            self.target[chosen],
+        )
+
+
+def together(some: list[Operations]) -> Operations:
+    """Return all operations as one list."""
+    starts = np.cumsum([0, *map(len, some)])
+    names = ("kind", "place", "refused", "row", "corner", "moved", "target")
+    joined = {name: np.concatenate([getattr(one, name) for one in some]) for name in names}
+    owner = np.concatenate([one.owner + start for one, start in zip(some, starts, strict=False)])
+    return Operations(owner=owner, **joined)
+
+
+def drops(kind: int, rows: Ids) -> Operations:
+    """Leave triangles out."""
+    corner = np.full((len(rows), 3), GONE)
+    return _still(kind, rows, np.zeros(len(rows), np.int64), np.arange(len(rows)), rows, corner)
+
+
+def flips(kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedges: Ids) -> Operations:
+    """Turn the edges of halfedges, each in its two triangles.
+
+    Of those that come of it the thinner one is written where the halfedge is.
+    """
+    edges = around.edges
+    edge = edges.of_halfedge[halfedges]
+    refused = np.where(edges.count[edge] == 2, FINE, np.where(edges.count[edge] == 1, BORDER, TANGLED))
+    refused[(refused == FINE) & (edges.forward[edge] != 1)] = TANGLED
+    done = np.flatnonzero(refused == FINE)
+    a0, other = halfedges[done], _other(around, halfedges[done])
+    b0, a1 = next_corner(a0), next_corner(other)
+    c, d = next_corner(b0), next_corner(a1)
+    corner = around.corner.reshape(-1)
+    alike = same.corners(corner[a0], corner[a1]) & same.corners(corner[b0], corner[other])
+    alike &= same.triangles(around.rows[a0 // 3], around.rows[other // 3])
+    refused[done[~alike]] = SEAM
+    new = np.stack([corner[[a0, d, c]].T, corner[[other, c, d]].T], axis=1)
+    vertices = around.triangles.reshape(-1)
+    shape = np.stack([vertices[[a0, d, c]].T, vertices[[other, c, d]].T], axis=1)
+    least = corner_angles(around.places, shape.reshape(-1, 3)).min(axis=1, initial=180).reshape(-1, 2)
+    new[least[:, 1] < least[:, 0]] = new[least[:, 1] < least[:, 0], ::-1]
+    rows = np.stack([a0 // 3, other // 3], axis=1)
+    return _still(kind, place, refused, np.repeat(done, 2), rows.reshape(-1), new.reshape(-1, 3))
+
+
+def collapses(
+    kind: int, around: Neighbourhood, same: Sameness, place: Ids, halfedges: Ids, *, to_head: bool
+) -> Operations:
+    """Let the tails of halfedges become their heads, or the heads their tails; what stays keeps its place."""
+    edges = around.edges
+    edge = edges.of_halfedge[halfedges]
+    vertices = around.triangles.reshape(-1)
+    goes = halfedges if to_head else next_corner(halfedges)
+    refused = np.where(edges.count[edge] == 2, FINE, np.where(edges.count[edge] == 1, BORDER, TANGLED))
+    refused[(refused == FINE) & (edges.forward[edge] != 1)] = TANGLED
+    refused[(refused == FINE) & around.vertices_where(edges.count == 1)[vertices[goes]]] = BORDER
+    done = np.flatnonzero(refused == FINE)
+    here, there = halfedges[done], _other(around, halfedges[done])
+    goes, stays = goes[done], next_corner(here) if to_head else here
+    stays_there = there if to_head else next_corner(there)
+    corner = around.corner.reshape(-1)
+    torn = _differ(around, same, vertices[goes])
+    torn |= ~same.corners(corner[stays], corner[stays_there])
+    refused[done[torn]] = SEAM
+    owner, at = around.corners_at(vertices[goes])
+    row = at // 3
+    new = around.corner[row].copy()
+    new[np.arange(len(row)), at % 3] = corner[stays][owner]
+    new[(row == here[owner] // 3) | (row == there[owner] // 3)] = GONE
+    return _still(kind, place, refused, done[owner], row, new)
+
+
+def smoothings(kind: int, around: Neighbourhood, same: Sameness, vertices: Ids) -> Operations:
+    """Move vertices to the mean of their neighbours: a step of the umbrella Laplacian."""
+    owner, at = around.corners_at(vertices)
+    triangles = around.triangles[at // 3]
+    of_pairs, near = distinct_pairs(np.repeat(owner, 3), triangles.reshape(-1), len(around.vertices))
+    ring = near != vertices[of_pairs]
+    of_pairs, near = of_pairs[ring], near[ring]
+    count = np.maximum(np.bincount(of_pairs, minlength=len(vertices)), 1)
+    sums = [np.bincount(of_pairs, axis, len(vertices)) for axis in around.places[near].T]
+    return Operations(
+        kind=np.full(len(vertices), kind),
+        place=vertices,
+        refused=np.where(_differ(around, same, vertices), SEAM, FINE),
+        owner=owner,
+        row=at // 3,
+        corner=around.corner[at // 3],
+        moved=vertices,
+        target=np.stack(sums, axis=1) / count[:, None],
+    )
+
+
+def _other(around: Neighbourhood, halfedges: Ids) -> Ids:
+    """Return the other halfedge of edges of two triangles."""
+    edges = around.edges
+    start = edges.start[edges.of_halfedge[halfedges]]
+    return np.asarray(edges.halfedges[start] + edges.halfedges[start + 1] - halfedges)
+
+
+def _differ(around: Neighbourhood, same: Sameness, vertices: Ids) -> NDArray[np.bool_]:
+    """Return at which vertices not all corners, or triangles, have the same."""
+    corner = around.corner.reshape(-1)
+    owner, at = around.corners_at(vertices)
+    one = at[np.searchsorted(owner, np.arange(len(vertices)))[owner]]
+    alike = same.corners(corner[at], corner[one])
+    alike &= same.triangles(around.rows[at // 3], around.rows[one // 3])
+    return np.asarray(np.bincount(owner, ~alike, len(vertices)) > 0)
+
+
+def _still(kind: int, place: Ids, refused: Ids, owner: Ids, row: Ids, corner: Ids) -> Operations:
+    """Return operations that move no vertex."""
+    count = len(place)
+    return Operations(
+        kind=np.full(count, kind),
+        place=place,
+        refused=refused,
+        owner=owner,
+        row=row,
+        corner=corner,
+        moved=np.full(count, -1),
+        target=np.zeros((count, 3)),
+    )
