@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+
 from cli import interrupts
+
+# Threads of OpenBLAS, which NumPy multiplies with, spin for some 20 ms after each product, in the way of
+# those that have work; 2⁴ turns are the least it knows. It is read where NumPy is loaded.
+_SPIN = ("OPENBLAS_THREAD_TIMEOUT", "4")
 
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
     interrupts.leave_at_once()
+    os.environ.setdefault(*_SPIN)
     from cli.app import main as run
 
     run()

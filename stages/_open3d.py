@@ -1,17 +1,22 @@
 """The one door to Open3D.
 
 Its Linux wheel wants libusb-1.0.so.0 from the system, which a bare machine lacks. A copy from the
-libusb-package wheel, loaded first, satisfies it without root.
+libusb-package wheel, loaded first, satisfies it without root. Dash, half of what importing it takes, is left
+for when it is used.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import importlib
 import os
 import re
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -36,7 +41,7 @@ _THREAD_BYTES = 1 << 24
 
 
 def open3d() -> Any:
-    """Import Open3D (about a second, once a process), and have its threads started.
+    """Import Open3D (half a second, once a process), and have its threads started.
 
     TBB, which it computes with, ends the process where it cannot start them: they start while there is room.
 
@@ -72,7 +77,7 @@ def imported() -> Any:
     if sys.platform == "linux":
         _provide_libusb()
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _dash_later():
             # Some builds complain of a missing GPU where none was asked for.
             warnings.simplefilter("ignore", ImportWarning)
             import open3d  # noqa: TID251
@@ -85,6 +90,48 @@ def imported() -> Any:
         raise StageError(_explain(str(error))) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
+
+
+@contextmanager
+def _dash_later() -> Iterator[None]:
+    """Have what is imported meanwhile import Dash where it first uses it.
+
+    Open3D takes it, and 600 modules with it, for the one function that draws plots in a browser.
+    """
+    if "dash" in sys.modules:
+        yield
+        return
+    sys.modules["dash"] = _Dash("dash")
+    try:
+        yield
+    finally:
+        del sys.modules["dash"]
+
+
+class _Dash(ModuleType):
+    """What `from dash import` takes names from."""
+
+    def __getattr__(self, name: str) -> Any:
+        # What the machinery of imports asks of a module is not there.
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return _Later(name)
+
+
+class _Later:
+    """A name of Dash."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def _it(self) -> Any:
+        return getattr(importlib.import_module("dash"), self._name)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._it(), name)
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self._it()(*args, **options)
 
 
 def _provide_libusb() -> None:

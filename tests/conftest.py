@@ -7,6 +7,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# Before NumPy is loaded, here and in every child: between two products the threads of OpenBLAS otherwise spin
+# for some 20 ms, which other tests could use. 2⁴ turns, the least, change no result.
+os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+
 # What decides whether a change lands draws the same examples every time; elsewhere new ones are tried.
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):

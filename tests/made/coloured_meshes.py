@@ -1,11 +1,14 @@
-"""Coloured meshes of every topology, and what must stay of it."""
+"""Coloured meshes of every topology, and what must stay of it.
+
+Tests start dozens of processes that want no more than a sheet: trimesh, which takes half a second, is
+imported where it is used.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from stages.surface.mesh import Mesh
 from stages.surface.topology import topology
@@ -30,10 +33,14 @@ def of_trimesh(made: Any) -> Mesh:
 
 
 def ball() -> Mesh:
+    import trimesh
+
     return of_trimesh(trimesh.creation.icosphere(subdivisions=4))
 
 
 def ring() -> Mesh:
+    import trimesh
+
     return of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=32))
 
 

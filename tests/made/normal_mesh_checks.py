@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import trimesh
 from coloured_meshes import assert_same_topology
 from numpy.typing import NDArray
 
 from stages.normal_meshes.normal_mesh import NormalMesh
+from stages.normal_meshes.remesh import remesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface
 from stages.surface.topology import topology
@@ -16,6 +20,13 @@ from stages.surface.topology import topology
 SMALL = {"levels": 2, "base_triangles": 120}
 # As exact as 32-bit floats, where a test asks whether something is on the surface.
 EXACT = {**SMALL, "tolerance": 5e-8}
+
+
+@cache
+def remeshed(make: Callable[[], Mesh], scheme: str = "linear") -> tuple[Mesh, NormalMesh]:
+    """Return a made mesh and what remesh makes of it: several tests look at the same one."""
+    mesh = make()
+    return mesh, remesh(mesh, scheme=scheme, **EXACT)
 
 
 def diagonal(mesh: Mesh) -> float:

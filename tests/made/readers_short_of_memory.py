@@ -1,7 +1,8 @@
 """The reader of a file with less and less memory, each time in a process of its own.
 
-`python -m tests.made.readers_short_of_memory FILE` writes as JSON how each run ended, by how much the process
-was allowed to grow; see `short_of_memory`.
+`python -m tests.made.readers_short_of_memory` reads names of files, and answers each with a line of JSON: how
+each run ended, by how much the process was allowed to grow; see `short_of_memory`. Libraries are imported
+before, once.
 """
 
 from __future__ import annotations
@@ -33,9 +34,11 @@ def main() -> None:
 
     # OpenBLAS begins its threads again after a fork; a command has them from its imports.
     np.dot(np.eye(400), np.eye(400))
-    call = call_of(Path(sys.argv[1]))
     megabytes = (800, 100, 80, 60, 50, 40, 30, 20, 15, 10, 5, 2, 1, 0)
-    sys.stdout.write(json.dumps({f"{m} MiB": ended(call, spare=m << 20) for m in megabytes}))
+    for line in sys.stdin:
+        call = call_of(Path(line.rstrip("\n")))
+        sys.stdout.write(json.dumps({f"{m} MiB": ended(call, spare=m << 20) for m in megabytes}) + "\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from seamed_meshes import folded_strips
 
 from stages.simplification.records.record import CollapseRecord
@@ -16,6 +15,9 @@ from stages.surface.mesh import Mesh
 
 
 def ring() -> Mesh:
+    # Half a second, which most of those that import this do without.
+    import trimesh
+
     made = trimesh.creation.torus(1.0, 0.4, major_sections=32, minor_sections=16)
     vertices = np.array(made.vertices)
     colors = np.clip(128 + 90 * np.sin(5 * vertices), 0, 255).astype(np.uint8)

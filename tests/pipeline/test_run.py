@@ -58,10 +58,8 @@ def moved(x: float) -> np.ndarray:
     return pose
 
 
-@pytest.fixture
-def rgbd(tmp_path: Path) -> Path:
-    """Six frames that pass a ball of 0.25 m before a wall 1.2 m away."""
-    folder = tmp_path / "rgbd"
+def write_rgbd(folder: Path) -> Path:
+    """Write six frames that pass a ball of 0.25 m before a wall 1.2 m away."""
     for name in ("color", "depth"):
         (folder / name).mkdir(parents=True)
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
@@ -93,6 +91,20 @@ def rgbd(tmp_path: Path) -> Path:
         )
     write_scan_json(folder, frames)
     return folder
+
+
+@pytest.fixture
+def rgbd(tmp_path: Path) -> Path:
+    """The test's own RGB-D scan."""
+    return write_rgbd(tmp_path / "rgbd")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a quick run makes of the RGB-D scan, and its cache: a test goes on from there with a copy."""
+    folder = tmp_path_factory.mktemp("made")
+    run(write_rgbd(folder / "rgbd"), folder / "out", quick(), cache_dir=folder / "out" / "cache")
+    return folder / "out"
 
 
 @pytest.fixture
@@ -183,9 +195,8 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     }
 
 
-def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
-    out = tmp_path / "out"
-    run(rgbd, out, quick())
+def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
+    out = Path(shutil.copytree(made, tmp_path / "out"))
     code = (
         "import sys; from pipeline.config import Config; from pipeline.run import run\n"
         f"result = run({str(rgbd)!r}, {str(out)!r}, Config().set({QUICK!r}))\n"
@@ -213,8 +224,8 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, tmp_path):
         ("depth.block_size=5", []),
     ],
 )
-def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, tmp_path, assignment, expected):
-    run(rgbd, tmp_path / "out", quick())
+def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, made, tmp_path, assignment, expected):
+    shutil.copytree(made, tmp_path / "out")
     result = run(rgbd, tmp_path / "out", quick(assignment))
     assert ran(result) == expected
     if expected:
@@ -238,10 +249,9 @@ def test_configuration_prints_and_reads_back():
     assert Config.loads(Config().dumps()) == Config()
 
 
-def test_results_do_not_depend_on_the_run(rgbd, tmp_path):
-    run(rgbd, tmp_path / "a", quick())
-    run(rgbd, tmp_path / "b", quick())
-    assert results(tmp_path / "a") == results(tmp_path / "b")
+def test_results_do_not_depend_on_the_run(rgbd, made, tmp_path):
+    run(rgbd, tmp_path / "out", quick())
+    assert results(tmp_path / "out") == results(made)
 
 
 @pytest.mark.slow

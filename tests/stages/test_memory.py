@@ -6,8 +6,8 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -56,32 +56,46 @@ FILES = ("rgb.png", "rgb.jpg", "z.exr", "z.npy", "z.png", "m.ply", "m.obj", "m.o
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("kernel", SIDES | OTHER_WAYS)
 def test_too_little_memory_is_an_error_and_no_abort(kernel: str) -> None:
-    ends = ends_of("short_of_memory", kernel, str((SIDES | OTHER_WAYS)[kernel]))
+    with started("short_of_memory", kernel, str((SIDES | OTHER_WAYS)[kernel])) as process:
+        assert process.stdout is not None
+        ends = json.loads(process.stdout.read())
+    assert process.returncode == 0
     assert {end for how in ends.values() for end in how.values()} <= {DONE, MEMORY}, ends
     assert ends["falling"]["0 MiB"] == MEMORY
+
+
+@pytest.fixture(scope="module")
+def readers() -> Iterator[subprocess.Popen[str]]:
+    """A process that has imported all that readers import, and runs them."""
+    with started("readers_short_of_memory") as process:
+        yield process
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("name", FILES)
-def test_a_file_that_does_not_fit_is_not_called_damaged(name: str, tmp_path: Path) -> None:
+def test_a_file_that_does_not_fit_is_not_called_damaged(
+    name: str, tmp_path: Path, readers: subprocess.Popen[str]
+) -> None:
     write_file(tmp_path / name)
-    ends = ends_of("readers_short_of_memory", str(tmp_path / name))
+    assert readers.stdin is not None
+    assert readers.stdout is not None
+    readers.stdin.write(f"{tmp_path / name}\n")
+    readers.stdin.flush()
+    ends = json.loads(readers.stdout.readline())
     assert set(ends.values()) <= {DONE, MEMORY}, ends
     assert (ends["800 MiB"], ends["0 MiB"]) == (DONE, MEMORY)
 
 
-def ends_of(module: str, *words: str) -> dict[str, Any]:
+def started(module: str, *words: str) -> subprocess.Popen[str]:
     # One arena: glibc otherwise reserves 64 MiB for a thread, and much of what is read here finds room in it.
-    run = subprocess.run(
+    return subprocess.Popen(
         [sys.executable, "-m", f"tests.made.{module}", *words],
         env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        check=True,
     )
-    ends: dict[str, Any] = json.loads(run.stdout)
-    return ends
 
 
 def write_file(path: Path) -> None:

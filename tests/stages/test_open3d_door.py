@@ -39,6 +39,26 @@ def test_imports_without_system_libusb():
     assert "packaged libusb loaded" in result.stdout
 
 
+PLOT = """
+import sys
+from stages._open3d import open3d
+plots = sys.modules[open3d().visualization.draw_plotly.__module__]
+assert "dash" not in sys.modules
+page = plots.html.Div(children=[plots.dcc.Graph(figure={})])
+server = plots.Dash("plots")
+server.layout = page
+import dash
+assert isinstance(server, dash.Dash) and isinstance(page, dash.html.Div)
+print(type(page.children[0]) is dash.dcc.Graph)
+"""
+
+
+@pytest.mark.slow
+def test_dash_is_imported_where_a_plot_uses_it():
+    result = subprocess.run([sys.executable, "-c", PLOT], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout.strip()) == (0, "True"), result.stderr
+
+
 def test_missing_library_is_named_with_its_package():
     message = _explain("libEGL.so.1: cannot open shared object file: No such file or directory")
     assert "libEGL.so.1" in message

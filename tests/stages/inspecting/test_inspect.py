@@ -1,5 +1,7 @@
 import json
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from stages.errors import InputError
 from stages.fusion.fuse import fuse
-from stages.inspecting.inspect import inspect
+from stages.inspecting.inspect import Inspection, inspect
 from stages.inspecting.sanity import require_poses
 from stages.scans.images import read_color
 from stages.scans.params import ScanParams
@@ -210,6 +212,12 @@ def test_colour_beside_depth_is_noticed(shift, words):
     assert words is None or words in said[0]
 
 
+@cache
+def inspected(folder: Path, **options) -> Inspection:
+    """What is seen of a real folder: two tests look at the same one."""
+    return inspect(read_scan(folder, ScanParams(**options)))
+
+
 @pytest.mark.parametrize(
     ("folder", "options"),
     [
@@ -223,7 +231,7 @@ def test_colour_beside_depth_is_noticed(shift, words):
     ],
 )
 def test_real_folders_agree_with_themselves(shared_data, folder, options):
-    found = inspect(read_scan(shared_data / folder, ScanParams(**options)))
+    found = inspected(shared_data / folder, **options)
     for fault in (
         "probably",
         "exchanged",
@@ -280,7 +288,7 @@ def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
 
 
 def test_the_kitchens_depth(shared_data):
-    depth = inspect(read_scan(shared_data / "rgbd" / "7scenes_redkitchen")).depth
+    depth = inspected(shared_data / "rgbd" / "7scenes_redkitchen").depth
     assert 0.5 < depth.near_m < depth.median_m < depth.far_m < 5
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import coloured_meshes
 import numpy as np
 import pytest
 from coloured_meshes import MESHES, assert_same_topology
-from normal_mesh_checks import EXACT, SMALL, assert_on_triangles, assert_sound, diagonal, normals
+from normal_mesh_checks import SMALL, assert_on_triangles, assert_sound, diagonal, normals, remeshed
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
@@ -27,13 +26,6 @@ from stages.surface.topology import topology
 pytestmark = pytest.mark.slow
 
 made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
-
-
-@cache
-def remeshed(make: Callable[[], Mesh], scheme: str = "linear") -> tuple[Mesh, NormalMesh]:
-    """Return a made mesh and what remesh makes of it: several tests look at the same one."""
-    mesh = make()
-    return mesh, remesh(mesh, scheme=scheme, **EXACT)
 
 
 def on_segments(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

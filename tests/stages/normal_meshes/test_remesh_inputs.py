@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from coloured_meshes import MESHES
-from normal_mesh_checks import EXACT, SMALL, assert_sound, diagonal
+from normal_mesh_checks import EXACT, SMALL, assert_sound, diagonal, remeshed
 from numpy.typing import NDArray
 
 from stages.cleaning.clean import clean
@@ -56,7 +56,7 @@ def test_confidence_is_carried_with_eight_bits(make: Callable[[], Mesh]) -> None
         # Linear in space, so it is what the place says, wherever the hit is.
         there = 3 - 2 * level.vertices[:, 0] + level.vertices[:, 1]
         assert np.abs(carried - there).max() <= 0.51 * np.ptp(confidence) / 255
-    assert remesh(mesh, **EXACT).confidence is None
+    assert remeshed(make)[1].confidence is None
 
 
 def test_confidence_that_is_the_same_everywhere_stays_so() -> None:
@@ -80,13 +80,12 @@ def test_what_is_not_carried_is_told() -> None:
     assert found.mesh.notes[0] == "read from a file"
     assert found.mesh.notes[1].startswith("remesh left out: normals;")
     assert found.mesh.notes[2].startswith("remesh left out: texture;")
-    assert remesh(mesh, **EXACT).mesh.notes == ()
+    assert remeshed(coloured_meshes.ball)[1].mesh.notes == ()
 
 
 @made
 def test_each_vertex_lies_on_the_triangle_it_names(make: Callable[[], Mesh]) -> None:
-    mesh = make()
-    found = remesh(mesh, **EXACT)
+    mesh, found = remeshed(make)
     assert found.triangle_source is not None
     for level, source in zip(found.levels, found.triangle_source, strict=True):
         corners = mesh.vertices[mesh.triangles[source]]
@@ -136,7 +135,7 @@ def test_what_is_no_surface_is_left_out() -> None:
         np.concatenate([extra, mesh.triangles]),
         colors=np.concatenate([mesh.colors, mesh.colors[:2]]),
     )
-    found, plain = remesh(loose, **EXACT), remesh(mesh, **EXACT)
+    found, (_, plain) = remesh(loose, **EXACT), remeshed(coloured_meshes.ball)
     assert found.data == plain.data
     np.testing.assert_array_equal(found.base_source, plain.base_source)
     np.testing.assert_array_equal(found.triangle_source[-1], plain.triangle_source[-1] + 2)
@@ -165,9 +164,9 @@ def test_equal_input_gives_equal_bytes_on_any_number_of_threads() -> None:
 
 @pytest.mark.parametrize("exponent", [-20, 20])
 def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
-    mesh = coloured_meshes.ring()
+    mesh, here = remeshed(coloured_meshes.ring)
     factor = 2.0**exponent  # a millionth and a million times as large
-    other, here = remesh(mesh.with_(vertices=mesh.vertices * factor), **EXACT), remesh(mesh, **EXACT)
+    other = remesh(mesh.with_(vertices=mesh.vertices * factor), **EXACT)
     np.testing.assert_array_equal(other.mesh.triangles, here.mesh.triangles)
     np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, atol=1e-6)
 

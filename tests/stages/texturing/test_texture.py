@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -15,9 +16,15 @@ from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh, write_mesh
 from stages.texturing.maps import write_maps
-from stages.texturing.texture import texture
+from stages.texturing.texture import Textured, texture
 
 INNER = (0.2, 0.8)
+
+
+@cache
+def textured(count: int, kind: str = "jpeg") -> Textured:
+    """The wall with a texture from so many photos: several tests look at the same one."""
+    return texture(wall(), photos(count), format=kind)
 
 
 def shown(
@@ -54,7 +61,7 @@ def test_photos_without_depth_will_do():
 
 
 def test_equal_input_gives_equal_bytes():
-    first, second = (texture(wall(), photos(6)) for _ in range(2))
+    first, second = textured(6), texture(wall(), photos(6))
     assert [image.file_bytes for image in first.mesh.texture.images] == [
         image.file_bytes for image in second.mesh.texture.images
     ]
@@ -166,7 +173,7 @@ def test_there_are_as_many_images_as_are_needed():
 @pytest.mark.parametrize("name", ["wall.glb", "wall.obj", "wall.ply"])
 @pytest.mark.parametrize("kind", ["jpeg", "webp", "png"])
 def test_every_format_holds_it(name, kind, tmp_path):
-    found = texture(wall(), photos(6), format=kind)
+    found = textured(6, kind)
     if (name, kind) == ("wall.ply", "webp"):
         return
     write_mesh(tmp_path / name, found.mesh)
@@ -175,7 +182,7 @@ def test_every_format_holds_it(name, kind, tmp_path):
 
 
 def test_maps_tell_which_photo_counts(tmp_path):
-    found = texture(wall(), photos(6))
+    found = textured(6)
     write_maps(tmp_path, found)
     maps = {path.stem: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in tmp_path.glob("*.png")}
     assert set(maps) == {"count-1", "photo-1", "obliquity-1", "texel-1"}
