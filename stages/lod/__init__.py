@@ -10,6 +10,19 @@ from stages.lod.build import LodParams, build
 from stages.lod.front import Cut, Front
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.slod import read_slod, write_slod
+from stages.lod.tiles import Tileset, TilesParams, write_tiles
 from stages.lod.view import View
 
-__all__ = ["Cut", "Front", "Hierarchy", "LodParams", "View", "build", "read_slod", "write_slod"]
+__all__ = [
+    "Cut",
+    "Front",
+    "Hierarchy",
+    "LodParams",
+    "TilesParams",
+    "Tileset",
+    "View",
+    "build",
+    "read_slod",
+    "write_slod",
+    "write_tiles",
+]
