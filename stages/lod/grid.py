@@ -1,7 +1,7 @@
 """One grid for the positions of all tiles, with a step that is a power of two.
 
-A grid for each tile would tear tiles apart along their borders. On one grid, a vertex that two tiles share has
-the same numbers in both, and a power of two loses none of them in single precision.
+A grid for each tile would tear tiles apart along their borders. On one grid, a vertex that two tiles share
+has the same numbers in both, and a power of two loses none of them in single precision.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _finest_bound(h: Hierarchy) -> float:
 
 
 def _places(exact: Floats) -> Floats:
-    """Return a place of the grid, whole numbers (n, 3), for each position in steps, a different one for each."""
+    """Return a place of the grid, whole numbers (n, 3), for each position in steps; no two share one."""
     places = np.rint(exact)
     same = same_rows(list(exact.T))
     one_each = np.flatnonzero(same == np.arange(len(same)))

@@ -30,9 +30,10 @@ _QUANTIZED, _UNLIT = "KHR_mesh_quantization", "KHR_materials_unlit"
 def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
     """Return a tile as the bytes of a GLB file.
 
-    Positions are steps from the tile's own place on the grid, in 16 bits, which its node moves and scales back
-    without loss; or all of a place in single precision. Colours are amounts of light in 16 bits, from which the
-    8 bits that are displayed come back exactly, and are shown without further light: a scan has its own.
+    Positions are steps from the tile's own place on the grid, in 16 bits, which its node moves and scales
+    back without loss; or places on the grid in single precision. Colours are amounts of light in 16 bits, from
+    which the 8 bits that are displayed come back exactly. They are shown without further light: a scan has
+    its own.
 
     Parameters
     ----------

@@ -117,8 +117,8 @@ def write_tiles(
 ) -> Tileset:
     """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file for each tile.
 
-    A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built on.
-    A tile's children take its place as one. Tiles of any levels fit without cracks, as nodes do: all
+    A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built
+    on. A tile's children take its place as one. Tiles of any levels fit without cracks, as nodes do: all
     positions lie on one grid.
 
     The `geometricError` of a tile is what is proven of its shape, both ways and at every point, and how far
@@ -192,7 +192,7 @@ class _Tile:
 
 
 def _tiles(h: Hierarchy, grid: Grid) -> list[_Tile]:
-    """Return all tiles, none before its parent: those of nodes, by their numbers, then what is below leaves."""
+    """Return all tiles: those of nodes, by their numbers, then those below leaves."""
 
     def tile(node: int, splits: int, shape: float, color: float) -> _Tile:
         bound = rounded_up(math.nextafter(shape + grid.share_m, math.inf), _DIGITS)
@@ -215,7 +215,7 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
     """Return what tileset.json says."""
     low, high = placed.boxes
     described: dict[int, Tree] = {}
-    # Tiles below leaves, then nodes from the last to the root, so that children are there before their parent.
+    # Those below leaves, then nodes from the last to the root: children are there before their parent.
     for tile in reversed(tiles):
         extras: Tree = {"shape_bound_m": tile.shape_bound}
         if placed.colors is not None:
