@@ -33,6 +33,7 @@ from cli.commands import (
     depth,
     fuse,
     inspect,
+    lod_tiles,
     patches,
     register,
     remesh,
@@ -88,6 +89,12 @@ def _app() -> typer.Typer:
         help="Look after the kept results of stages.",
         rich_help_panel="From scan to mesh",
     )
+    levels = typer.Typer(rich_markup_mode="rich")
+    # A callback keeps the name of a single command.
+    levels.callback()(lambda: None)
+    for command in (lod_tiles.tiles,):
+        levels.command(command.__name__)(with_options(command))
+    made.add_typer(levels, name="lod", help="Levels of detail.", rich_help_panel="One stage at a time")
     return made
 
 

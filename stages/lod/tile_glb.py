@@ -31,9 +31,9 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
     """Return a tile as the bytes of a GLB file.
 
     Positions are steps from the tile's own place on the grid, in 16 bits, which its node moves and scales
-    back without loss; or places on the grid in single precision. Colours are amounts of light in 16 bits, from
-    which the 8 bits that are displayed come back exactly. They are shown without further light: a scan has
-    its own.
+    back without loss; or places on the grid in single precision. Colours are amounts of light in 16 bits,
+    from which the 8 bits that are displayed come back exactly. They are shown without further light: a scan
+    has its own.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 TILESET = "tileset.json"
 _FOLDER = "tiles"
 # What refuses a folder that is something else.
-_WHAT = "a tileset of scanloom"
+WHAT = "a tileset of scanloom"
 # Digits of a bound, rounded up.
 _DIGITS = 6
 # The turns that bring an axis up, along z.
@@ -145,7 +145,7 @@ def write_tiles(
     params = resolve(TilesParams, params, changes)
     _require_whole(hierarchy)
     outdir = Path(outdir)
-    with replacing_folder(outdir, is_tileset, _WHAT) as draft:
+    with replacing_folder(outdir, is_tileset, WHAT) as draft:
         placed, grid = on_grid(hierarchy)
         (draft / _FOLDER).mkdir()
         tiles = _tiles(hierarchy, grid)
