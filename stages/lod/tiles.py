@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import __version__
 from stages.errors import InputError
 from stages.files.replacing_folder import replacing_folder
+from stages.files.written_by import installed_version
 from stages.lod.grid import Grid, on_grid
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb
@@ -36,6 +36,8 @@ TILESET = "tileset.json"
 _FOLDER = "tiles"
 # What refuses a folder that is something else.
 WHAT = "a tileset of scanloom"
+# A tile with one tile below it has at most this share of its triangles; else that one stands for both.
+_MOST_OF_CHILD = 0.8
 # Digits of a bound, rounded up.
 _DIGITS = 6
 # The turns that bring an axis up, along z.
@@ -118,8 +120,8 @@ def write_tiles(
     """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file for each tile.
 
     A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built
-    on. A tile's children take its place as one. Tiles of any levels fit without cracks, as nodes do: all
-    positions lie on one grid.
+    on. A tile's children take its place as one; where it has one child, with hardly more triangles, it is
+    left out. Tiles of any levels fit without cracks, as nodes do: all positions lie on one grid.
 
     The `geometricError` of a tile is what is proven of its shape, both ways and at every point, and how far
     the grid moves it, in metres, rounded up; never less than a child's. The `extras` of its content say the
@@ -151,7 +153,7 @@ def write_tiles(
         tiles = _tiles(hierarchy, grid)
         sizes, triangles = [], []
         for done, tile in enumerate(tiles):
-            mesh = placed.mesh([tile.node], [tile.splits])
+            mesh = placed.mesh([tile.node], [int(placed.splits[tile.node]) if tile.is_base else 0])
             content = tile_glb(mesh, grid)
             (draft / tile.uri).write_bytes(content)
             sizes.append(len(content))
@@ -182,10 +184,10 @@ def _require_whole(h: Hierarchy) -> None:
 
 @dataclass(frozen=True)
 class _Tile:
-    """A tile: a node after none or all of its splits, and what is proven of that."""
+    """A tile: a node's coarse mesh, or at a leaf the base, and what is proven of that."""
 
     node: int
-    splits: int
+    is_base: bool
     uri: str
     shape_bound: float
     color_bound: float
@@ -194,20 +196,17 @@ class _Tile:
 def _tiles(h: Hierarchy, grid: Grid) -> list[_Tile]:
     """Return all tiles: those of nodes, by their numbers, then those below leaves."""
 
-    def tile(node: int, splits: int, shape: float, color: float) -> _Tile:
+    def tile(node: int, is_base: bool, shape: float, color: float) -> _Tile:
         bound = rounded_up(math.nextafter(shape + grid.share_m, math.inf), _DIGITS)
-        name = f"{node}{'-base' if splits else ''}.glb"
-        return _Tile(node, splits, f"{_FOLDER}/{name}", bound, color)
+        uri = f"{_FOLDER}/{node}{'-base' if is_base else ''}.glb"
+        return _Tile(node, is_base, uri, bound, color)
 
     found, base = [], []
-    for node in range(h.nodes):
-        splits = int(h.splits[node])
-        # Without splits both ends of a node are one mesh.
-        coarse, full = (h.shape_bound, h.color_bound), (h.full_shape_bound, h.full_color_bound)
-        shape, color = coarse if splits else full
-        found.append(tile(node, 0, float(shape[node]), float(color[node])))
-        if splits and not len(h.children[node]):
-            base.append(tile(node, splits, float(full[0][node]), float(full[1][node])))
+    for node, children in enumerate(h.children):
+        if len(children) > 1 or h.coarse[node] <= _MOST_OF_CHILD * h.full[node]:
+            found.append(tile(node, False, float(h.shape_bound[node]), float(h.color_bound[node])))
+        if not len(children):
+            base.append(tile(node, True, h.base_shape_bound, h.base_color_bound))
     return found + base
 
 
@@ -215,23 +214,15 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
     """Return what tileset.json says."""
     low, high = placed.boxes
     described: dict[int, Tree] = {}
-    # Those below leaves, then nodes from the last to the root: children are there before their parent.
-    for tile in reversed(tiles):
-        extras: Tree = {"shape_bound_m": tile.shape_bound}
-        if placed.colors is not None:
-            extras["color_bound_levels"] = tile.color_bound
-        described_tile: Tree = {
-            "boundingVolume": {"box": _box(low[tile.node], high[tile.node], grid)},
-            "geometricError": tile.shape_bound,
-            "content": {"uri": tile.uri, "extras": extras},
-        }
-        below = [described[int(child)] for child in placed.children[tile.node]]
-        if tile.node in described:
-            below.append(described[tile.node])
-        if below:
-            described_tile["geometricError"] = max(tile.shape_bound, *(b["geometricError"] for b in below))
-            described_tile["children"] = below
-        described[tile.node] = described_tile
+    own = {(tile.node, tile.is_base): tile for tile in tiles}
+    # From the last node to the root, so that children are there before their parent.
+    for node in range(placed.nodes - 1, -1, -1):
+        box = {"box": _box(low[node], high[node], grid)}
+        below = [described[int(child)] for child in placed.children[node]]
+        for tile in (own.get((node, True)), own.get((node, False))):
+            if tile is not None:
+                below = [_described(tile, box, below, with_colors=placed.colors is not None)]
+        (described[node],) = below
     root = described[0]
     transform = np.eye(4)
     transform[:3, :3] = _TURNS[up]
@@ -240,13 +231,26 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     return {
-        "asset": {"version": "1.1", "extras": {"scanloom": __version__}},
+        "asset": {"version": "1.1", "extras": {"scanloom": installed_version()}},
         "geometricError": max(diagonal, root["geometricError"]),
         "root": {
             **({"transform": transform.T.reshape(-1).tolist()} if moves else {}),
             "refine": "REPLACE",
             **root,
         },
+    }
+
+
+def _described(tile: _Tile, volume: Tree, below: list[Tree], *, with_colors: bool) -> Tree:
+    """Return what tileset.json says of a tile and those below it."""
+    extras: Tree = {"shape_bound_m": tile.shape_bound}
+    if with_colors:
+        extras["color_bound_levels"] = tile.color_bound
+    return {
+        "boundingVolume": volume,
+        "geometricError": max([tile.shape_bound, *(child["geometricError"] for child in below)]),
+        "content": {"uri": tile.uri, "extras": extras},
+        **({"children": below} if below else {}),
     }
 
 

@@ -162,6 +162,22 @@ def test_tiles_say_what_is_proven_and_how_far_the_grid_moves_them(
         assert is_base is not bool(tile.children)
 
 
+def test_a_tile_with_one_child_is_much_lighter(
+    folders: dict[str, Path], hierarchies: dict[str, Hierarchy]
+) -> None:
+    for name, folder in folders.items():
+        tiles = list(read_tiles(folder).all())
+        for tile in tiles:
+            if len(tile.children) == 1:
+                assert len(tile.triangles) <= 0.8 * len(tile.children[0].triangles)
+        # Others are left out, and so their children stand in their place.
+        hierarchy = hierarchies[name]
+        alone = np.array([len(children) < 2 for children in hierarchy.children])
+        left_out = int((alone & (hierarchy.coarse > 0.8 * hierarchy.full)).sum())
+        assert len(tiles) == hierarchy.nodes + sum(len(c) == 0 for c in hierarchy.children) - left_out
+        assert left_out > 0
+
+
 def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folders: dict[str, Path]) -> None:
     def sorted_corners(mesh: Mesh) -> NDArray[np.float64]:
         corners = mesh.vertices[mesh.triangles]
@@ -515,6 +531,9 @@ def test_figures_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path
     figures = written.figures()
     assert figures["tiles"] == len(files)
     assert figures["total_bytes"] == sum(path.stat().st_size for path in files)
-    assert figures["root_bytes"] == (tmp_path / "out" / "tiles" / "0.glb").stat().st_size
+    assert (
+        figures["root_bytes"]
+        == (tmp_path / "out" / read_tiles(tmp_path / "out").tree["content"]["uri"]).stat().st_size
+    )
     assert figures["triangles"] == sum(len(tile.triangles) for tile in read_tiles(tmp_path / "out").all())
     assert figures["positions"] == "16 bits"
