@@ -37,14 +37,13 @@ def replacing_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> 
         try:
             draft.mkdir(parents=True)
             yield draft
-            if target.exists():
-                target.replace(old)
             try:
+                if target.exists():
+                    target.replace(old)
                 draft.replace(target)
-            except OSError:
-                if old.exists():
+            finally:
+                if old.exists() and not target.exists():
                     old.replace(target)
-                raise
         finally:
             shutil.rmtree(draft, ignore_errors=True)
             shutil.rmtree(old, ignore_errors=True)
