@@ -15,7 +15,7 @@ from coloured_meshes import assert_same_topology, of_trimesh, sheet
 from numpy.typing import NDArray
 from tiles_read import Tile, chunks, read_tiles
 
-from stages import __version__, lod
+from stages import __version__, clean, lod, simplify
 from stages.errors import InputError, StageError, UsageError
 from stages.lod.grid import on_grid
 from stages.lod.hierarchy import Hierarchy
@@ -106,6 +106,16 @@ def test_mixed_cuts_have_no_crack_and_no_edge_of_three(
         sizes.add(len(cut))
         assert_same_topology(welded(cut), original)
     assert len(sizes) > 5
+
+
+def test_tiles_of_real_meshes_fit(shared_data: Path, tmp_path: Path) -> None:
+    original = clean(read_mesh(shared_data / "meshes" / "stanford-bunny.obj")).mesh
+    light = simplify(original, ratio=0.1).mesh
+    hierarchy = lod.build(light, cell_triangles=1000, root_triangles=300, ratio=4.0, threads=2)
+    lod.write_tiles(hierarchy, tmp_path / "out", up="+y")
+    root, rng = read_tiles(tmp_path / "out"), np.random.default_rng(2)
+    for _ in range(100):
+        assert_same_topology(welded(random_cut(root, rng)), light)
 
 
 def test_a_tile_one_step_away_would_be_seen_as_a_crack(folders: dict[str, Path]) -> None:
