@@ -34,6 +34,7 @@ from cli.commands import (
     fuse,
     inspect,
     lod,
+    lod_tiles,
     patches,
     register,
     remesh,
@@ -90,7 +91,7 @@ def _app() -> typer.Typer:
         rich_help_panel="From scan to mesh",
     )
     levels = typer.Typer(rich_markup_mode="rich")
-    for command in (lod.build, lod.info, lod.cut):
+    for command in (lod.build, lod.info, lod.cut, lod_tiles.tiles):
         levels.command(command.__name__)(with_options(command))
     made.add_typer(levels, name="lod", help="Levels of detail.", rich_help_panel="One stage at a time")
     return made

@@ -187,7 +187,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":
-            value = _installed_version()
+            value = import_module("stages.files.written_by").installed_version()
         elif name in _NOW_CALLED:
             return _renamed(name)
         elif name in _MODULE_OF:
@@ -213,13 +213,3 @@ def _renamed(name: str) -> Any:
         f"{name} is called {now} now; the old name goes with the next version.", RenamedWarning, stacklevel=3
     )
     return getattr(import_module(_MODULE_OF[now]), now)
-
-
-def _installed_version() -> str:
-    """Return the version of the installed distribution; `0+unknown` for sources that are not installed."""
-    from importlib.metadata import PackageNotFoundError, version  # 20 ms that few programs need
-
-    try:
-        return version("scanloom")
-    except PackageNotFoundError:
-        return "0+unknown"

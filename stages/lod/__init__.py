@@ -11,6 +11,7 @@ from stages.lod.evaluate import adjust, evaluate
 from stages.lod.front import Cut, Front
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.slod import read_slod, write_slod
+from stages.lod.tiles import Tileset, TilesParams, write_tiles
 from stages.lod.view import View
 
 __all__ = [
@@ -18,10 +19,13 @@ __all__ = [
     "Front",
     "Hierarchy",
     "LodParams",
+    "TilesParams",
+    "Tileset",
     "View",
     "adjust",
     "build",
     "evaluate",
     "read_slod",
     "write_slod",
+    "write_tiles",
 ]

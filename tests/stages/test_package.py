@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import stages
+from stages.files.written_by import installed_version
 from stages.params import RenamedWarning
 
 ROOT = Path(stages.__file__).parent
@@ -78,7 +79,7 @@ def test_version_is_that_of_the_installed_distribution(monkeypatch):
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "version", missing)
-    assert stages._installed_version() == "0+unknown"
+    assert installed_version() == "0+unknown"
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))

@@ -56,15 +56,14 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
         let mut factors = vec![1.0; points.len()];
         factors[0] = 0.25;
         let limits = Limits { shape: 0.2, color: 60.0, factors, needle: LEAST_HEIGHT };
-        let records =
-            TrackedRecords::<4, 1>::new(
-                &original,
-                &limits,
-                0.01,
-                vec![],
-                Lists::of_input(&original),
-                Rules::default(),
-            );
+        let records = TrackedRecords::<4, 1>::new(
+            &original,
+            &limits,
+            0.01,
+            vec![],
+            Lists::of_input(&original),
+            Rules::default(),
+        );
         let mesh =
             Whole::<4, ()>::new(points.clone(), triangles.clone(), vec![]).unwrap().connected().unwrap();
         let before = mesh.connectivity.vertices().count();

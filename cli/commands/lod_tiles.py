@@ -1,0 +1,60 @@
+"""The command `lod tiles`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cli.mesh_arguments import tell_notes
+from cli.output import Output, size_of
+from cli.paths import require_file, require_writable
+from stages import lod
+from stages.files.replacing_folder import require_replaceable_folder
+from stages.lod import TilesParams
+from stages.lod.tiles import TILESET, WHAT, is_tileset
+from stages.printing import at_most
+
+
+def tiles(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Levels of detail (.slod), from lod build.", show_default=False),
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUTDIR",
+            help="Folder to make; if it holds a tileset of scanloom, that is replaced.",
+            show_default=False,
+        ),
+    ],
+    params: TilesParams,
+    out: Output,
+) -> None:
+    """Write levels of detail as 3D Tiles 1.1, which viewers in the browser load by what they show.
+
+    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven.
+
+    Example: scanloom lod tiles clean.slod clean_tiles
+    """
+    require_replaceable_folder(target, is_tileset, WHAT)
+    require_writable(target.parent)
+    hierarchy = lod.read_slod(require_file(source))
+    tell_notes(source, hierarchy.notes, out)
+    with out.progress("tiles", "tiles") as progress:
+        written = lod.write_tiles(hierarchy, target, params, progress=progress)
+    figures = {"output": str(target / TILESET), **written.figures()}
+    out.result(figures, None if out.as_json else _text(figures))
+
+
+def _text(figures: Mapping[str, Any]) -> str:
+    return (
+        f"{figures['output']}: {figures['tiles']:,} tiles, {size_of(figures['total_bytes'])}; "
+        f"the root {size_of(figures['root_bytes'])}, the median {size_of(figures['median_bytes'])}, "
+        f"the largest {size_of(figures['largest_bytes'])}.\n"
+        f"Positions have {figures['positions']}, on a grid of {figures['grid_step_m']:.3g} m, which moves "
+        f"them by at most {at_most(figures['grid_share_m'])} m; this is in each geometricError."
+    )

@@ -1,0 +1,115 @@
+"""The GLB file of one tile.
+
+Khronos Group, "glTF 2.0 specification", 2021, section 4.4 (the container); KHR_mesh_quantization;
+KHR_materials_unlit. glTF is y-up, and viewers of 3D Tiles turn it to z-up: what is (x, y, z) in a tileset is
+(x, z, -y) here.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.lod.grid import Grid
+from stages.surface.formats.colors import linear_from_srgb
+from stages.surface.formats.gltf_container import Tree
+from stages.surface.mesh import Mesh
+
+_FLOAT, _SHORT, _INT = 5126, 5123, 5125
+_VERTICES, _INDICES = 34962, 34963
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+_NONE = np.iinfo(np.uint16).max  # stands for no vertex in some programs
+# The amount of light of each displayed value.
+_LIGHT = np.rint(linear_from_srgb(np.arange(256) / 255) * 65535).astype(np.uint16)
+_QUANTIZED, _UNLIT = "KHR_mesh_quantization", "KHR_materials_unlit"
+
+
+def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
+    """Return a tile as the bytes of a GLB file.
+
+    Positions are steps from the tile's own place on the grid, in 16 bits, which its node moves and scales
+    back without loss; or places on the grid in single precision. Colours are amounts of light in 16 bits,
+    from which the 8 bits that are displayed come back exactly. They are shown without further light: a scan
+    has its own.
+
+    Parameters
+    ----------
+    mesh : with at least one triangle, its positions on the grid, told from the grid's origin.
+    grid : of all tiles.
+    """
+    views: list[tuple[NDArray[Any], int]] = []
+    accessors: list[Tree] = []
+
+    def accessor(values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
+        views.append((values, target))
+        accessors.append({
+            "bufferView": len(views) - 1,
+            "componentType": code,
+            "count": len(values),
+            "type": kind,
+            **details,
+        })  # fmt: skip
+        return len(accessors) - 1
+
+    node: Tree = {"mesh": 0}
+    steps = np.rint(mesh.vertices[:, [0, 2, 1]] / grid.step).astype(np.int64) * (1, 1, -1)
+    if grid.in_16_bits:
+        low = steps.min(axis=0)
+        node |= {"translation": (low * grid.step).tolist(), "scale": [grid.step] * 3}
+        # A row has to begin at a multiple of four bytes.
+        positions = np.pad((steps - low).astype(np.uint16), ((0, 0), (0, 1)))
+        code = _SHORT
+    else:
+        positions = (steps * grid.step).astype(np.float32)
+        code = _FLOAT
+    bounds = {"min": positions[:, :3].min(axis=0).tolist(), "max": positions[:, :3].max(axis=0).tolist()}
+    attributes = {"POSITION": accessor(positions, "VEC3", code, _VERTICES, **bounds)}
+    if mesh.colors is not None:
+        light = np.pad(_LIGHT[mesh.colors], ((0, 0), (0, 1)), constant_values=_LIGHT[-1])
+        attributes["COLOR_0"] = accessor(light, "VEC4", _SHORT, _VERTICES, normalized=True)
+    narrow = len(mesh.vertices) < _NONE
+    indices = mesh.triangles.reshape(-1).astype(np.uint16 if narrow else np.uint32)
+    index = accessor(indices, "SCALAR", _SHORT if narrow else _INT, _INDICES)
+    material: Tree = {
+        "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+        "doubleSided": True,
+    }
+    used = [_QUANTIZED] if grid.in_16_bits else []
+    tree: Tree = {
+        "asset": {"version": "2.0", "generator": "scanloom"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": index, "material": 0}]}],
+        "materials": [material],
+        "accessors": accessors,
+    }
+    if used:
+        tree["extensionsRequired"] = list(used)
+    if mesh.colors is not None:
+        material["extensions"] = {_UNLIT: {}}
+        used.append(_UNLIT)
+    if used:
+        tree["extensionsUsed"] = used
+    return _container(tree, views)
+
+
+def _container(tree: Tree, views: list[tuple[NDArray[Any], int]]) -> bytes:
+    """Return a description and its buffer as one file."""
+    tree["bufferViews"], pieces, size = [], [], 0
+    for values, target in views:
+        data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
+        view = {"buffer": 0, "byteOffset": size, "byteLength": len(data), "target": target}
+        if target == _VERTICES:
+            view["byteStride"] = values.shape[1] * values.itemsize
+        tree["bufferViews"].append(view)
+        pieces += [data, bytes(-len(data) % 4)]
+        size += len(data) + -len(data) % 4
+    tree["buffers"] = [{"byteLength": size}]
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    head = b"glTF" + np.array([2, 12 + 8 + len(text) + 8 + size, len(text), _JSON], "<u4").tobytes()
+    return b"".join([head, text, np.array([size, _BIN], "<u4").tobytes(), *pieces])

@@ -1,0 +1,86 @@
+"""lod tiles on files: the tileset, the figures, and what bad input is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from coloured_meshes import sheet
+from tiles_read import read_tiles
+
+from stages import lod
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def slod(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Levels of a small sheet."""
+    path = tmp_path_factory.mktemp("levels") / "sheet.slod"
+    hierarchy = lod.build(sheet(16), cell_triangles=128, root_triangles=100, ratio=4.0, threads=1)
+    lod.write_slod(path, hierarchy)
+    return path
+
+
+def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
+    target = tmp_path / "new" / "tiles"
+    ran = scanloom("lod", "tiles", slod, target, "--up", "+z", "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    root = read_tiles(target)
+    assert ran.json["tiles"] == len(list(root.all())) == len(list((target / "tiles").iterdir()))
+    assert ran.json["output"] == str(target / "tileset.json")
+    assert ran.json["geometric_error_m"] == root.tree["geometricError"]
+    assert ran.json["grid_share_m"] < root.tree["geometricError"]
+    assert "transform" not in root.tree
+    # Once more, over them, with the default and with words.
+    ran = scanloom("lod", "tiles", slod, target)
+    assert ran.exit_code == 0
+    assert ran.stdout.startswith(f"{target / 'tileset.json'}: {len(list(root.all()))} tiles, ")
+    assert "Positions have 16 bits, on a grid of" in ran.stdout
+    assert read_tiles(target).tree["transform"][:4] == [1, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("absent.slod", "out"), 3, "absent.slod: there is no such file."),
+        (("notes.txt", "out"), 3, "notes.txt: this is no .slod file."),
+        (("{slod}", "notes.txt"), 3, "notes.txt: this is a file; a tileset of scanloom is a folder."),
+        (("{slod}", "notes.txt/out"), 3, "notes.txt: this is a file; results need a folder."),
+        (
+            ("{slod}", "full"),
+            3,
+            "full: this folder is not empty and is not a tileset of scanloom; name a new one.",
+        ),
+        (("{slod}", "out", "--up", "y"), 2, "--up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none."),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(
+    scanloom: Run,
+    slod: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    code: int,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("notes.txt").write_text("These are notes, not levels of detail.")
+    Path("full").mkdir()
+    Path("full", "mine.txt").write_text("mine")
+    ran = scanloom("lod", "tiles", *(word.format(slod=slod) for word in words))
+    assert (ran.exit_code, ran.stderr, ran.stdout) == (code, f"scanloom: {said}\n", "")
+    assert sorted(path.as_posix() for path in Path().rglob("*")) == ["full", "full/mine.txt", "notes.txt"]
+
+
+def test_a_file_that_is_cut_off_gives_no_tiles(scanloom: Run, slod: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.slod"
+    short.write_bytes(slod.read_bytes()[:-1000])
+    ran = scanloom("lod", "tiles", short, tmp_path / "out")
+    assert ran.exit_code == 3
+    assert ran.stderr.splitlines()[-1] == (
+        "scanloom: the finest levels are missing; tiles need them all. Build the file again."
+    )
+    assert not (tmp_path / "out").exists()

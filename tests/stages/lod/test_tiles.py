@@ -1,0 +1,551 @@
+"""3D Tiles of a hierarchy: what is read back from the files is sound, fits together, keeps what it says."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from coloured_meshes import assert_same_topology, of_trimesh, sheet
+from numpy.typing import NDArray
+from tiles_read import Tile, chunks, read_tiles
+
+from stages import __version__, clean, lod, simplify
+from stages.errors import InputError, StageError, UsageError
+from stages.lod.grid import on_grid
+from stages.lod.hierarchy import Hierarchy
+from stages.lod.tile_glb import tile_glb
+from stages.surface.formats.colors import srgb_from_linear
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import read_mesh
+from stages.surface.raycasting import Surface
+
+CUTS = 1000
+NAMES = ("closed", "open")
+
+
+def closed() -> Mesh:
+    import trimesh
+
+    return of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=30, minor_sections=15))
+
+
+def open_sheet() -> Mesh:
+    return sheet(18)
+
+
+@pytest.fixture(scope="module")
+def hierarchies() -> dict[str, Hierarchy]:
+    made = {"closed": closed(), "open": open_sheet()}
+    return {
+        name: lod.build(mesh, cell_triangles=128, root_triangles=40, ratio=2.0, threads=1)
+        for name, mesh in made.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def folders(hierarchies: dict[str, Hierarchy], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("tiles")
+    for name, hierarchy in hierarchies.items():
+        lod.write_tiles(hierarchy, folder / name)
+    return {name: folder / name for name in hierarchies}
+
+
+def base_of(hierarchy: Hierarchy, below: int = 0) -> Mesh:
+    """Return the finest mesh of all that is below a node."""
+    todo, leaves = [below], []
+    while todo:
+        node = todo.pop()
+        children = hierarchy.children[node].tolist()
+        todo += children
+        leaves += [] if children else [node]
+    return hierarchy.mesh(leaves, hierarchy.splits[leaves])
+
+
+def welded(tiles: list[Tile]) -> Mesh:
+    """Return tiles as one mesh, vertices at exactly the same position made one."""
+    first = np.cumsum([0, *(len(tile.vertices) for tile in tiles)])
+    vertices, index = np.unique(np.vstack([t.vertices for t in tiles]), axis=0, return_inverse=True)
+    triangles = np.vstack([t.triangles + at for t, at in zip(tiles, first, strict=False)])
+    return Mesh(vertices.astype(np.float64), index.reshape(-1)[triangles].astype(np.int32))
+
+
+def random_cut(root: Tile, rng: np.random.Generator) -> list[Tile]:
+    """Return tiles that are together all of the surface, of mixed levels."""
+    cut, todo, share = [], [root], rng.random()
+    while todo:
+        tile = todo.pop()
+        if tile.children and rng.random() < share:
+            todo += tile.children
+        else:
+            cut.append(tile)
+    return cut
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("name", NAMES)
+def test_mixed_cuts_have_no_crack_and_no_edge_of_three(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, name: str, single: bool
+) -> None:
+    hierarchy = hierarchies[name]
+    if single:
+        # Bounds that 16 bits are too coarse for.
+        hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
+    written = lod.write_tiles(hierarchy, tmp_path / "out")
+    assert written.grid.in_16_bits is not single
+    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(5), base_of(hierarchy)
+    sizes = set()
+    for _ in range(CUTS if not single else 50):
+        cut = random_cut(root, rng)
+        sizes.add(len(cut))
+        assert_same_topology(welded(cut), original)
+    assert len(sizes) > 5
+
+
+def test_tiles_of_real_meshes_fit(shared_data: Path, tmp_path: Path) -> None:
+    original = clean(read_mesh(shared_data / "meshes" / "stanford-bunny.obj")).mesh
+    light = simplify(original, ratio=0.1).mesh
+    hierarchy = lod.build(light, cell_triangles=1000, root_triangles=300, ratio=4.0, threads=2)
+    lod.write_tiles(hierarchy, tmp_path / "out", up="+y")
+    root, rng = read_tiles(tmp_path / "out"), np.random.default_rng(2)
+    for _ in range(100):
+        assert_same_topology(welded(random_cut(root, rng)), light)
+
+
+def test_a_tile_one_step_away_would_be_seen_as_a_crack(folders: dict[str, Path]) -> None:
+    root = read_tiles(folders["closed"])
+    cut = [tile for tile in root.all() if not tile.children]
+    cut[0].vertices += np.float32(cut[0].gltf["nodes"][0]["scale"][0])
+    with pytest.raises(AssertionError):
+        assert_same_topology(welded(cut), closed())
+
+
+def samples(mesh: Mesh, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return vertices, middles of triangles and random points of a mesh."""
+    corners = mesh.vertices[mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen = rng.choice(len(corners), count, p=area / area.sum())
+    weights = rng.dirichlet((1, 1, 1), count)
+    return np.vstack([mesh.vertices, corners.mean(axis=1), np.einsum("kc,kcx->kx", weights, corners[chosen])])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_no_attack_passes_a_tiles_geometric_error(
+    hierarchies: dict[str, Hierarchy], folders: dict[str, Path], name: str
+) -> None:
+    hierarchy, root, rng = hierarchies[name], read_tiles(folders[name]), np.random.default_rng(3)
+    found = []
+    for tile in root.all():
+        stem = Path(tile.tree["content"]["uri"]).stem
+        part = base_of(hierarchy, int(stem.removesuffix("-base")))
+        mesh = Mesh(tile.vertices.astype(np.float64), tile.triangles.astype(np.int32))
+        away = max(
+            Surface(a).closest(samples(b, 3000, rng)).distances.max() for a, b in ((mesh, part), (part, mesh))
+        )
+        bound = tile.tree["content"]["extras"]["shape_bound_m"]
+        assert away <= bound <= tile.tree["geometricError"]
+        found.append(away / bound)
+    # The bounds are close, and the attack is one.
+    assert np.median(found) > 0.5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tiles_say_what_is_proven_and_how_far_the_grid_moves_them(
+    hierarchies: dict[str, Hierarchy], folders: dict[str, Path], name: str
+) -> None:
+    hierarchy, root = hierarchies[name], read_tiles(folders[name])
+    share = on_grid(hierarchy)[1].share_m
+    for tile in root.all():
+        stem = Path(tile.tree["content"]["uri"]).stem
+        node, is_base = int(stem.removesuffix("-base")), stem.endswith("-base")
+        extras = tile.tree["content"]["extras"]
+        bound = 0.0 if is_base else hierarchy.shape_bound[node]
+        assert bound + share < extras["shape_bound_m"] < (bound + share) * (1 + 1e-4)
+        assert extras["color_bound_levels"] == (0.0 if is_base else hierarchy.color_bound[node])
+        assert is_base is not bool(tile.children)
+
+
+def test_a_tile_with_one_child_is_much_lighter(
+    folders: dict[str, Path], hierarchies: dict[str, Hierarchy]
+) -> None:
+    total = 0
+    for name, folder in folders.items():
+        tiles = list(read_tiles(folder).all())
+        for tile in tiles:
+            if len(tile.children) == 1:
+                assert len(tile.triangles) <= 0.8 * len(tile.children[0].triangles)
+        # Others are left out, and so their children stand in their place.
+        hierarchy = hierarchies[name]
+        alone = np.array([len(children) < 2 for children in hierarchy.children])
+        left_out = int((alone & (hierarchy.coarse > 0.8 * hierarchy.full)).sum())
+        assert len(tiles) == hierarchy.nodes + sum(len(c) == 0 for c in hierarchy.children) - left_out
+        total += left_out
+    assert total > 0
+
+
+def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folders: dict[str, Path]) -> None:
+    def sorted_corners(mesh: Mesh) -> NDArray[np.float64]:
+        corners = mesh.vertices[mesh.triangles]
+        assert mesh.colors is not None
+        keys = np.dstack([corners, mesh.colors[mesh.triangles].astype(np.float64)]).reshape(len(corners), -1)
+        return keys[np.lexsort(np.rint(keys * 1e3).T)]
+
+    for name, mesh in {"closed": closed(), "open": open_sheet()}.items():
+        grid = on_grid(hierarchies[name])[1]
+        tiles = list(read_tiles(folders[name]).leaves())
+        corners, colors = [], []
+        for tile in tiles:
+            assert tile.colors is not None
+            corners.append(tile.vertices[tile.triangles])
+            displayed = np.rint(255 * srgb_from_linear(tile.colors[:, :3] / 65535)).astype(np.uint8)
+            colors.append(displayed[tile.triangles])
+            assert (tile.colors[:, 3] == 65535).all()
+        back, shown = np.vstack(corners).astype(np.float64), np.vstack(colors)
+        was = mesh.vertices[mesh.triangles]
+        assert mesh.colors is not None
+        # Each triangle by its middle: the nearest one is it, at any corner it begins with.
+        from scipy.spatial import cKDTree
+
+        _, of = cKDTree(was.mean(axis=1)).query(back.mean(axis=1))
+        assert sorted(of.tolist()) == list(range(len(was)))
+        same = [np.linalg.norm(np.roll(was[of], k, axis=1) - back, axis=2).max(axis=1) for k in range(3)]
+        assert np.min(same, axis=0).max() <= grid.share_m
+        turned = np.argmin(same, axis=0)
+        before = mesh.colors[mesh.triangles][of]
+        for k in range(3):
+            assert (np.roll(before, k, axis=1)[turned == k] == shown[turned == k]).all()
+
+
+BOX = {"type": "array", "items": {"type": "number"}, "minItems": 12, "maxItems": 12}
+EXTRAS = {
+    "type": "object",
+    "properties": {
+        "shape_bound_m": {"type": "number", "exclusiveMinimum": 0},
+        "color_bound_levels": {"type": "number"},
+    },
+    "required": ["shape_bound_m"],
+    "additionalProperties": False,
+}
+TILE = {
+    "type": "object",
+    "properties": {
+        "transform": {"type": "array", "items": {"type": "number"}, "minItems": 16, "maxItems": 16},
+        "refine": {"const": "REPLACE"},
+        "boundingVolume": {
+            "type": "object",
+            "properties": {"box": BOX},
+            "required": ["box"],
+            "additionalProperties": False,
+        },
+        "geometricError": {"type": "number", "exclusiveMinimum": 0},
+        "content": {
+            "type": "object",
+            "properties": {
+                "uri": {"type": "string", "pattern": "^tiles/[0-9]+(-base)?[.]glb$"},
+                "extras": EXTRAS,
+            },
+            "required": ["uri", "extras"],
+            "additionalProperties": False,
+        },
+        "children": {"type": "array", "items": {"$ref": "#/$defs/tile"}, "minItems": 1},
+    },
+    "required": ["boundingVolume", "geometricError", "content"],
+    "additionalProperties": False,
+}
+TILESET = {
+    "$defs": {"tile": TILE},
+    "type": "object",
+    "properties": {
+        "asset": {
+            "type": "object",
+            "properties": {"version": {"const": "1.1"}, "extras": {"const": {"scanloom": __version__}}},
+            "required": ["version", "extras"],
+            "additionalProperties": False,
+        },
+        "geometricError": {"type": "number", "minimum": 0},
+        "root": {"allOf": [{"$ref": "#/$defs/tile"}, {"required": ["refine"]}]},
+    },
+    "required": ["asset", "geometricError", "root"],
+    "additionalProperties": False,
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_tileset_is_as_the_format_wants_it(folders: dict[str, Path], name: str) -> None:
+    tree = json.loads((folders[name] / "tileset.json").read_bytes())
+    jsonschema.validate(tree, TILESET, cls=jsonschema.Draft202012Validator)
+    assert tree["geometricError"] >= tree["root"]["geometricError"]
+    files = {
+        path.relative_to(folders[name]).as_posix() for path in folders[name].rglob("*") if path.is_file()
+    }
+    named = [tile.tree["content"]["uri"] for tile in read_tiles(folders[name]).all()]
+    assert sorted(files) == sorted(["tileset.json", *named])
+
+
+def box_of(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    box = np.array(tile.tree["boundingVolume"]["box"])
+    half = box[3:].reshape(3, 3)
+    assert (half == np.diag(half.diagonal())).all()
+    assert (half.diagonal() > 0).all()
+    return box[:3] - half.diagonal(), box[:3] + half.diagonal()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_boxes_hold_what_is_in_them_and_errors_fall_towards_the_leaves(
+    folders: dict[str, Path], name: str
+) -> None:
+    for tile in read_tiles(folders[name]).all():
+        low, high = box_of(tile)
+        assert (low < tile.vertices.min(axis=0)).all()
+        assert (tile.vertices.max(axis=0) < high).all()
+        for child in tile.children:
+            lower, higher = box_of(child)
+            assert (low <= lower).all()
+            assert (higher <= high).all()
+            assert child.tree["geometricError"] <= tile.tree["geometricError"]
+
+
+def test_a_tile_is_sound_gltf(folders: dict[str, Path]) -> None:
+    tile = read_tiles(folders["closed"])
+    assert tile.gltf["extensionsUsed"] == ["KHR_mesh_quantization", "KHR_materials_unlit"]
+    assert tile.gltf["extensionsRequired"] == ["KHR_mesh_quantization"]
+    (node,) = tile.gltf["nodes"]
+    step = node["scale"][0]
+    assert node["scale"] == [step] * 3
+    assert np.frexp(step)[0] == 0.5
+    # All that is computed of it is exact in single precision.
+    assert (np.array(node["translation"], np.float32) == node["translation"]).all()
+    assert (np.rint(tile.vertices / step) * step == tile.vertices).all()
+    assert tile.triangles.max() == len(tile.vertices) - 1
+    assert len(np.unique(tile.triangles)) == len(tile.vertices)
+
+
+def test_other_readers_find_the_same(folders: dict[str, Path]) -> None:
+    for tile in read_tiles(folders["open"]).all():
+        mesh = read_mesh(folders["open"] / tile.tree["content"]["uri"])
+        x, y, z = tile.vertices.T
+        assert (mesh.vertices == np.stack([x, z, -y], axis=1)).all()
+        assert (mesh.triangles == tile.triangles).all()
+        assert mesh.colors is not None
+
+
+def test_without_colours_light_makes_the_shape_seen(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path
+) -> None:
+    lod.write_tiles(replace(hierarchies["open"], colors=None), tmp_path / "out")
+    for tile in read_tiles(tmp_path / "out").all():
+        assert tile.colors is None
+        assert tile.gltf["extensionsUsed"] == ["KHR_mesh_quantization"]
+        assert list(tile.tree["content"]["extras"]) == ["shape_bound_m"]
+
+
+def test_many_vertices_have_wide_indices(hierarchies: dict[str, Hierarchy]) -> None:
+    count = 65_536
+    vertices = np.stack([np.arange(count), np.arange(count) % 7, np.zeros(count)], axis=1)
+    triangles = np.stack([np.arange(count - 2) + k for k in range(3)], axis=1).astype(np.int32)
+    grid = replace(on_grid(hierarchies["open"])[1], step=1.0)
+    for number, kind in ((count, 5125), (count - 2, 5123)):
+        mesh = Mesh(vertices[:number], triangles[: number - 2])
+        gltf, binary = chunks(tile_glb(mesh, grid))
+        index = gltf["accessors"][gltf["meshes"][0]["primitives"][0]["indices"]]
+        view = gltf["bufferViews"][index["bufferView"]]
+        assert index["componentType"] == kind
+        read = np.frombuffer(binary, {5125: "<u4", 5123: "<u2"}[kind], index["count"], view["byteOffset"])
+        assert (read == mesh.triangles.reshape(-1)).all()
+
+
+# The grid.
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_places_of_the_grid_are_taken_once(hierarchies: dict[str, Hierarchy], seed: int) -> None:
+    rng, hierarchy = np.random.default_rng(seed), hierarchies["open"]
+    step = on_grid(hierarchy)[1].step
+    vertices = hierarchy.vertices.copy()
+    # A crowd about some vertices, closer than a step, and copies that have to stay together.
+    crowd, copies = rng.choice(np.arange(10, len(vertices)), (2, 60), replace=False)
+    vertices[crowd] = vertices[:6].repeat(10, axis=0) + rng.uniform(-0.3, 0.3, (60, 3)) * step
+    vertices[copies] = vertices[crowd]
+    placed, grid = on_grid(replace(hierarchy, vertices=vertices))
+    _, before = np.unique(vertices, axis=0, return_inverse=True)
+    _, after = np.unique(placed.vertices, axis=0, return_inverse=True)
+    pairs = np.unique(np.stack([before.reshape(-1), after.reshape(-1)]), axis=1)
+    assert pairs.shape[1] == before.max() + 1 == after.max() + 1
+    away = np.linalg.norm(placed.vertices - vertices, axis=1).max()
+    assert 0.9 * step < away <= grid.share_m < 4 * step
+
+
+def test_too_many_vertices_in_one_place_are_told(hierarchies: dict[str, Hierarchy]) -> None:
+    hierarchy = hierarchies["open"]
+    rng = np.random.default_rng(0)
+    count = 9**3 + 1
+    vertices = np.vstack([hierarchy.vertices, 0.5 + 1e-9 * rng.random((count, 3))])
+    with pytest.raises(InputError, match="crowd too close"):
+        on_grid(replace(hierarchy, vertices=vertices))
+
+
+def test_steps_are_as_fine_as_16_bits_allow(hierarchies: dict[str, Hierarchy]) -> None:
+    for hierarchy in hierarchies.values():
+        _, grid = on_grid(hierarchy)
+        size = np.ptp(hierarchy.vertices, axis=0).max()
+        assert 2**15 - 20 < size / grid.step <= 2**16 - 1
+        assert grid.step <= 0.25 * hierarchy.shape_bound.min()
+        assert not grid.origin.any()
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_far_models_are_moved_by_the_tileset(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, single: bool
+) -> None:
+    hierarchy = hierarchies["open"]
+    if single:
+        hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
+    far = replace(hierarchy, vertices=np.add(hierarchy.vertices, (4e5, -5e6, 90)))
+    written = lod.write_tiles(far, tmp_path / "out", up="-y")
+    tree = json.loads((tmp_path / "out" / "tileset.json").read_bytes())
+    transform = np.array(tree["root"]["transform"]).reshape(4, 4).T
+    points = np.vstack([tile.vertices for tile in read_tiles(tmp_path / "out").leaves()]).astype(np.float64)
+    assert abs(points).max() < 1
+    x, y, z = (points @ transform[:3, :3].T + transform[:3, 3]).T
+    back, was = np.stack([x, -z, y], axis=1), base_of(far).vertices
+    from scipy.spatial import cKDTree
+
+    assert cKDTree(was).query(back)[0].max() <= written.grid.share_m
+    assert cKDTree(back).query(was)[0].max() <= written.grid.share_m
+
+
+@pytest.mark.parametrize("up", ["+x", "-x", "+y", "-y", "+z", "-z"])
+def test_what_is_up_is_turned_along_z(hierarchies: dict[str, Hierarchy], tmp_path: Path, up: str) -> None:
+    lod.write_tiles(hierarchies["open"], tmp_path / "out", up=up)
+    root = json.loads((tmp_path / "out" / "tileset.json").read_bytes())["root"]
+    transform = np.array(root.get("transform", np.eye(4).tolist()), float).reshape(4, 4).T
+    axis = {"+": 1, "-": -1}[up[0]] * np.eye(4)["xyz".index(up[1])]
+    assert (transform @ axis == (0, 0, 1, 0)).all()
+    assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
+    assert (transform @ transform.T == np.eye(4)).all()
+    assert ("transform" in root) is (up != "+z")
+
+
+def test_none_leaves_it_as_it_is(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+    lod.write_tiles(hierarchies["open"], tmp_path / "out", up="none")
+    assert "transform" not in json.loads((tmp_path / "out" / "tileset.json").read_bytes())["root"]
+
+
+def test_no_other_axis_is_up(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="up is 'y'; it must be one of"):
+        lod.write_tiles(hierarchies["open"], tmp_path / "out", up="y")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Folders.
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
+
+
+def test_the_same_hierarchy_gives_the_same_bytes_and_replaces_older_tiles(
+    hierarchies: dict[str, Hierarchy], folders: dict[str, Path], tmp_path: Path
+) -> None:
+    lod.write_tiles(hierarchies["closed"], tmp_path / "out")
+    lod.write_tiles(hierarchies["open"], tmp_path / "out")
+    assert contents(tmp_path / "out") == contents(folders["open"])
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def refuses_a_file(folder: Path) -> None:
+    (folder / "out").write_text("mine")
+
+
+def refuses_other_files(folder: Path) -> None:
+    (folder / "out").mkdir()
+    (folder / "out" / "notes.txt").write_text("mine")
+
+
+def refuses_a_tileset_with_more_beside_it(folder: Path) -> None:
+    (folder / "out" / "tiles").mkdir(parents=True)
+    (folder / "out" / "tileset.json").write_text('{"asset": {"extras": {"scanloom": "0.1.0"}}}')
+    (folder / "out" / "notes.txt").write_text("mine")
+
+
+def refuses_tilesets_of_others(folder: Path) -> None:
+    (folder / "out" / "tiles").mkdir(parents=True)
+    (folder / "out" / "tileset.json").write_text('{"asset": {"version": "1.1"}}')
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (refuses_a_file, "this is a file"),
+        (refuses_other_files, "this folder is not empty and is not a tileset of scanloom"),
+        (refuses_a_tileset_with_more_beside_it, "this folder is not empty"),
+        (refuses_tilesets_of_others, "this folder is not empty"),
+    ],
+)
+def test_what_is_no_tileset_of_ours_stays(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, make: Callable[[Path], None], said: str
+) -> None:
+    make(tmp_path)
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match=said):
+        lod.write_tiles(hierarchies["open"], tmp_path / "out")
+    assert contents(tmp_path) == before
+
+
+def test_an_empty_folder_is_filled(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+    (tmp_path / "new" / "out").mkdir(parents=True)
+    lod.write_tiles(hierarchies["open"], tmp_path / "new" / "out")
+    assert (tmp_path / "new" / "out" / "tileset.json").is_file()
+
+
+def test_what_fails_on_the_way_leaves_the_older_tiles(
+    hierarchies: dict[str, Hierarchy], folders: dict[str, Path], tmp_path: Path
+) -> None:
+    def stop(done: int, _all: int) -> None:
+        if done == 3:
+            raise StageError("stopped")
+
+    with pytest.raises(StageError, match="stopped"):
+        lod.write_tiles(hierarchies["open"], tmp_path / "out", progress=stop)
+    assert list(tmp_path.iterdir()) == []
+    lod.write_tiles(hierarchies["closed"], tmp_path / "out")
+    with pytest.raises(StageError, match="stopped"):
+        lod.write_tiles(hierarchies["open"], tmp_path / "out", progress=stop)
+    assert contents(tmp_path / "out") == contents(folders["closed"])
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_file_that_ends_early_gives_no_tiles(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+    path = tmp_path / "cut.slod"
+    lod.write_slod(path, hierarchies["open"])
+    data = path.read_bytes()
+    for share in (0.4, 0.6, 0.8, 0.95):
+        path.write_bytes(data[: int(share * len(data))])
+        cut = lod.read_slod(path)
+        assert cut.nodes < hierarchies["open"].nodes
+        with pytest.raises(InputError, match="the finest levels are missing"):
+            lod.write_tiles(cut, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_figures_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+    written: Any = lod.write_tiles(hierarchies["open"], tmp_path / "out")
+    files = sorted((tmp_path / "out" / "tiles").iterdir())
+    figures = written.figures()
+    assert figures["tiles"] == len(files)
+    assert figures["total_bytes"] == sum(path.stat().st_size for path in files)
+    assert (
+        figures["root_bytes"]
+        == (tmp_path / "out" / read_tiles(tmp_path / "out").tree["content"]["uri"]).stat().st_size
+    )
+    assert figures["triangles"] == sum(len(tile.triangles) for tile in read_tiles(tmp_path / "out").all())
+    assert figures["positions"] == "16 bits"
