@@ -28,9 +28,6 @@ from stages.surface.topology import require_measurable
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-# Part of the cache key of the stage.
-RESULT_VERSION = 1
-
 # How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.1, 0.2
 # The first bound over the base's error, where the base has one.

@@ -23,7 +23,7 @@ from stages.files.replacing import replacing
 from stages.lod.hierarchy import Hierarchy
 
 _MAGIC = b"SLOD"
-_VERSION = 1
+_FORMAT_VERSION = 1
 # Magic, version, bytes of the tree, their checksum.
 _HEADER = struct.Struct("<4sIQI")
 _CHECKSUM = struct.Struct("<I")
@@ -64,13 +64,12 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         },
     }
     text = json.dumps(tree, separators=(",", ":")).encode()
-    with replacing(Path(path)) as draft, draft.open("wb") as file:
-        file.write(_HEADER.pack(_MAGIC, _VERSION, len(text), zlib.crc32(text)))
-        file.write(text)
-        for node in range(h.nodes):
-            block = _block(h, node, np.dtype("<f4" if single else "<f8"))
-            file.write(block)
-            file.write(_CHECKSUM.pack(zlib.crc32(block)))
+    parts = [_HEADER.pack(_MAGIC, _FORMAT_VERSION, len(text), zlib.crc32(text)), text]
+    for node in range(h.nodes):
+        block = _block(h, node, np.dtype("<f4" if single else "<f8"))
+        parts += [block, _CHECKSUM.pack(zlib.crc32(block))]
+    with replacing(Path(path)) as draft:
+        draft.write_bytes(b"".join(parts))
 
 
 def _block(h: Hierarchy, node: int, coordinates: np.dtype[Any]) -> bytes:
@@ -102,8 +101,8 @@ def read_slod(path: Path | str) -> Hierarchy:
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise InputError(f"{path}: this is no .slod file.")
     _, version, size, checksum = _HEADER.unpack_from(data)
-    if version != _VERSION:
-        raise InputError(f"{path}: this .slod file has version {version}; {_VERSION} is known.")
+    if version != _FORMAT_VERSION:
+        raise InputError(f"{path}: this .slod file has version {version}; {_FORMAT_VERSION} is known.")
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
         raise InputError(f"{path}: the file is damaged or cut off before its first level.")

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
 from stages.lod.grid import Grid, on_grid
@@ -169,7 +170,7 @@ def is_tileset(folder: Path) -> bool:
     if {entry.name for entry in folder.iterdir()} != {TILESET, _FOLDER}:
         return False
     try:
-        tree = json.loads((folder / TILESET).read_bytes())
+        tree = json.loads(content_of(folder / TILESET))
         return "scanloom" in tree["asset"]["extras"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return False
