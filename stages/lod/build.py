@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 # How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
-_TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.1, 0.2
+_TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
 # The first bound over the base's error, where the base has one.
 _FIRST_PER_BASE = 2.5
 

@@ -5,6 +5,7 @@ use super::tracker::Bound;
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, norm2, position, sub, triangle_distance2};
 use crate::base::memory;
+use crate::base::parallel::{self, map};
 use crate::base::progress::Progress;
 use crate::certify::{self, Certificate, Deviation, Surface, Verdict, decide};
 use crate::collapse::whole::Whole;
@@ -18,14 +19,35 @@ struct Known<const D: usize> {
     verdict: Verdict,
 }
 
+/// Share of a deviation that is lost where it is kept in single precision.
+const ROUNDING: f64 = 1e-6;
+
 /// Triangles of the input that are looked at together: what is found of them takes memory.
 const AT_ONCE: usize = 1 << 15;
 
-/// A triangle of the input without a proof.
+/// A triangle of the input that is not within its part's limit.
 struct Failing {
     triangle: u32,
-    /// Triangles of the mesh it may be nearest to, by their sources.
+    bound: Deviation,
+    /// Triangles of the mesh it may be nearest to, by their sources; none if it is within the bounds asked for.
     within_reach: Vec<u32>,
+}
+
+/// Parts of the input that are each proven against what becomes of them alone, and bounded closely.
+pub struct Apart<'c> {
+    /// By triangle of the input, from 0 on without gaps.
+    pub part: &'c [u32],
+    /// How closely; the limit is not used.
+    pub close: &'c certify::Options,
+}
+
+/// Triangles that are looked at as if there were no others.
+struct Part {
+    /// Of the input, in order.
+    triangles: Vec<u32>,
+    surface: Surface,
+    /// What is decided of its triangles, from the first look on.
+    limit: Option<Deviation>,
 }
 
 /// Triangles without a proof where there may be one.
@@ -45,16 +67,19 @@ impl Open {
 
 pub struct Ledger<'a, const D: usize> {
     original: &'a Original<D>,
-    /// The input's.
-    pub surface: Surface,
+    parts: Vec<Part>,
+    /// By triangle of the input: its part, and its place there.
+    place: Vec<[u32; 2]>,
     /// With a limit.
     decision: certify::Options,
+    /// How closely each part is bounded, if by itself.
+    close: Option<certify::Options>,
     bounds: Deviation,
     /// In the order of their sources; none before the first look.
     result: Vec<Known<D>>,
     /// The greatest deviation seen in each triangle of the input.
     attained: Vec<[f32; 2]>,
-    /// Triangles of the input without a proof.
+    /// In order.
     failing: Vec<Failing>,
     /// Triangles of the input that not even the input is within the bounds of, in order.
     pub hopeless: Vec<u32>,
@@ -63,15 +88,34 @@ pub struct Ledger<'a, const D: usize> {
 impl<'a, const D: usize> Ledger<'a, D> {
     /// # Errors
     /// As [`Surface::new`].
-    pub fn new(original: &'a Original<D>, decision: certify::Options) -> Result<Self, KernelError> {
-        let bounds = decision.limit.unwrap_or_default();
-        let surface = Surface::new(&original.points, &original.triangles, decision.threads)?;
+    pub fn new(
+        original: &'a Original<D>,
+        decision: certify::Options,
+        apart: Option<&Apart<'_>>,
+    ) -> Result<Self, KernelError> {
+        let count = original.triangles.len();
+        let part_of = |t: usize| apart.map_or(0, |apart| apart.part[t] as usize);
+        let mut triangles = vec![vec![]; (0..count).map(part_of).max().map_or(1, |last| last + 1)];
+        let mut place = Vec::with_capacity(count);
+        for t in 0..count {
+            let part = &mut triangles[part_of(t)];
+            place.push([part_of(t), part.len()].map(|i| i as u32));
+            part.push(t as u32);
+        }
+        let part = |triangles: Vec<u32>| {
+            let (points, threads) = (&original.points, decision.threads);
+            let surface = Surface::of_some(points, &original.triangles, &triangles, threads)?;
+            Ok(Part { triangles, surface, limit: None })
+        };
+        let parts = triangles.into_iter().map(part).collect::<Result<_, KernelError>>()?;
         memory::give_back();
         Ok(Self {
             original,
-            surface,
+            parts,
+            place,
             decision,
-            bounds,
+            close: apart.map(|apart| *apart.close),
+            bounds: decision.limit.unwrap_or_default(),
             result: vec![],
             attained: vec![],
             failing: vec![],
@@ -81,6 +125,11 @@ impl<'a, const D: usize> Ledger<'a, D> {
 
     pub fn bounds(&self) -> Deviation {
         self.bounds
+    }
+
+    /// The input's, where it is looked at as one.
+    pub fn surface(&self) -> &Surface {
+        &self.parts[0].surface
     }
 
     /// Look at what has changed since the last time. Returns how many triangles of the mesh and of the input have no
@@ -94,69 +143,133 @@ impl<'a, const D: usize> Ledger<'a, D> {
         progress: &mut Progress,
     ) -> Result<[usize; 2], KernelError> {
         let is_first = self.attained.is_empty();
-        let mut near = vec![is_first; self.surface.len()];
+        let mut near = vec![is_first; self.place.len()];
         let mut places: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
         places.sort_unstable_by_key(|&i| mesh.triangle_source[i as usize]);
         let mut before = std::mem::take(&mut self.result).into_iter().peekable();
         let mut result = Vec::with_capacity(places.len());
-        let (mut asked, mut asked_known) = (vec![], vec![]);
+        let mut asked = vec![vec![]; self.parts.len()];
         for (number, &i) in places.iter().enumerate() {
             let source = mesh.triangle_source[i as usize];
             let corners = mesh.triangles[i as usize].map(|v| mesh.points[v as usize]);
             while let Some(gone) = before.next_if(|known| known.source < source) {
-                self.mark_within_reach(&gone.corners, &mut near);
+                self.mark_within_reach(&gone, &mut near);
             }
-            let known = before.next_if(|known| known.source == source);
-            let same = known.as_ref().is_some_and(|known| known.corners == corners);
-            let verdict = match known {
-                Some(known) if same => known.verdict,
-                known => {
-                    known.iter().for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
-                    if !is_first {
-                        self.mark_within_reach(&corners, &mut near);
-                    }
-                    asked.push(i);
-                    asked_known.push(number);
-                    Verdict::UNKNOWN
+            let before = before.next_if(|known| known.source == source);
+            let same = before.as_ref().is_some_and(|known| known.corners == corners);
+            let verdict = before.as_ref().filter(|_| same).map_or(Verdict::UNKNOWN, |known| known.verdict);
+            let known = Known { source, corners, verdict };
+            if !same {
+                before.iter().for_each(|gone| self.mark_within_reach(gone, &mut near));
+                if !is_first {
+                    self.mark_within_reach(&known, &mut near);
                 }
-            };
-            result.push(Known { source, corners, verdict });
+                asked[self.part_of(source)].push((i, number));
+            }
+            result.push(known);
         }
-        before.for_each(|gone| self.mark_within_reach(&gone.corners, &mut near));
-        let target = Surface::new(&mesh.points, &mesh.triangles, self.decision.threads)?;
-        let [own, _] = decide(&target, &self.surface, &self.decision, [&asked, &[]], progress)?;
-        asked_known.into_iter().zip(own).for_each(|(number, verdict)| result[number].verdict = verdict);
-        self.result = result;
-        self.attained.resize(self.surface.len(), [0.0; 2]);
+        before.for_each(|gone| self.mark_within_reach(&gone, &mut near));
+        self.attained.resize(self.place.len(), [0.0; 2]);
         self.failing.retain(|failing| !near[failing.triangle as usize]);
-        // In the order of the tree, so that those looked at together are neighbours.
-        let mut slots = 0..self.surface.len();
-        loop {
-            let near = slots.by_ref().map(|slot| self.surface.order[slot]).filter(|&t| near[t as usize]);
-            let asked: Vec<u32> = near.take(AT_ONCE).collect();
-            if asked.is_empty() {
-                break;
-            }
-            let [_, verdicts] = decide(&target, &self.surface, &self.decision, [&[], &asked], progress)?;
-            for (&t, verdict) in asked.iter().zip(verdicts) {
-                // Never more than what is attained.
-                let single = |x: f64| (x as f32).next_down().max(0.0);
-                self.attained[t as usize] = [single(verdict.attained.shape), single(verdict.attained.color)];
-                if !verdict.bound.within(self.bounds) {
-                    self.failing.push(self.failing(t, &target, mesh));
-                }
+        let left = self.left_of_parts(&mesh.triangle_source);
+        for (part, (asked, left)) in asked.iter().zip(&left).enumerate() {
+            for (number, verdict) in self.look_at_part(part, mesh, left, asked, &near, progress)? {
+                result[number].verdict = verdict;
             }
         }
+        self.result = result;
         self.failing.sort_unstable_by_key(|failing| failing.triangle);
-        Ok([self.failing_of_result().count(), self.failing.len()])
+        Ok([self.failing_of_result().count(), self.failing_of_input().count()])
     }
 
-    fn failing(&self, triangle: u32, target: &Surface, mesh: &Whole<D, Bound>) -> Failing {
+    fn part_of(&self, source: u32) -> usize {
+        self.place[source as usize][0] as usize
+    }
+
+    /// The triangles of a mesh in each part, in order, given what they are left of.
+    fn left_of_parts(&self, sources: &[u32]) -> Vec<Vec<u32>> {
+        let mut left = vec![vec![]; self.parts.len()];
+        (0..).zip(sources).for_each(|(i, &source)| left[self.part_of(source)].push(i));
+        left
+    }
+
+    /// Look at the triangles `asked` of the mesh, and at those of the input that are `near` changes, all in one part, of
+    /// which the triangles `left` are left. Returns what is found of those asked for, by their second number.
+    fn look_at_part(
+        &mut self,
+        part: usize,
+        mesh: &Whole<D, Bound>,
+        left: &[u32],
+        asked: &[(u32, usize)],
+        near: &[bool],
+        progress: &mut Progress,
+    ) -> Result<Vec<(usize, Verdict)>, KernelError> {
+        let Part { triangles, surface, limit } = &self.parts[part];
+        // In the order of the tree, so that those looked at together are neighbours.
+        let near: Vec<u32> =
+            surface.order.iter().copied().filter(|&t| near[triangles[t as usize] as usize]).collect();
+        if asked.is_empty() && near.is_empty() {
+            return Ok(vec![]);
+        }
+        let target = Surface::of_some(&mesh.points, &mesh.triangles, left, self.decision.threads)?;
+        let mut limit = *limit;
+        let place = |i: u32| left.partition_point(|&other| other < i) as u32;
+        let mut own: Vec<u32> = asked.iter().map(|&(i, _)| place(i)).collect();
+        let mut found = vec![];
+        // Colours are looked at where they are to be bounded, too.
+        let decision = certify::Options { limit: limit.or(self.decision.limit), ..self.decision };
+        let decision = match self.close {
+            Some(_) => certify::Options { limit: None, ..decision },
+            None => decision,
+        };
+        let mut rest = near.chunks(AT_ONCE);
+        let mut some = rest.next();
+        while !own.is_empty() || some.is_some() {
+            let now = [std::mem::take(&mut own), some.map_or(vec![], <[u32]>::to_vec)];
+            let at_corners = |attained| limit.unwrap_or_else(|| self.limit_of(attained));
+            let lists = now.each_ref().map(Vec::as_slice);
+            let (within, [of_mesh, of_input]) =
+                certify::decide_within(&target, surface, &decision, lists, at_corners, progress)?;
+            limit = Some(within);
+            found.extend(asked.iter().map(|a| a.1).zip(of_mesh));
+            for (&t, Verdict { bound, attained }) in now[1].iter().zip(of_input) {
+                let t = triangles[t as usize];
+                // Never more than what is attained.
+                let single = |x: f64| (x as f32).next_down().max(0.0);
+                self.attained[t as usize] = [single(attained.shape), single(attained.color)];
+                if !bound.within(within) {
+                    let within_reach = if bound.within(self.bounds) {
+                        vec![]
+                    } else {
+                        self.within_reach(t, &target, |i| mesh.triangle_source[left[i as usize] as usize])
+                    };
+                    self.failing.push(Failing { triangle: t, bound, within_reach });
+                }
+            }
+            some = rest.next();
+        }
+        self.parts[part].limit = limit;
+        Ok(found)
+    }
+
+    /// What is decided of a part's triangles whose corners attain so much: the bounds asked for, and colours as closely as
+    /// wanted.
+    fn limit_of(&self, attained: Deviation) -> Deviation {
+        match &self.close {
+            Some(close) => {
+                Deviation { color: self.bounds.color.min(close.enough(attained).color), ..self.bounds }
+            }
+            None => self.bounds,
+        }
+    }
+
+    /// The triangles of a mesh that one of the input may be nearest to, named by `source`.
+    fn within_reach(&self, triangle: u32, target: &Surface, source: impl Fn(u32) -> u32) -> Vec<u32> {
         let corners = self.original.triangles[triangle as usize].map(|v| self.original.points[v as usize]);
         let [low, high] = box_around(&corners, self.bounds.shape);
         let mut within_reach = vec![];
-        target.triangles_meeting(&low, &high, |i| within_reach.push(mesh.triangle_source[i as usize]));
-        Failing { triangle, within_reach }
+        target.triangles_meeting(&low, &high, |i| within_reach.push(source(i)));
+        within_reach
     }
 
     /// Triangles of the mesh without a proof, by their number in `result`.
@@ -164,18 +277,24 @@ impl<'a, const D: usize> Ledger<'a, D> {
         (0..self.result.len()).filter(|&i| !self.result[i].verdict.bound.within(self.bounds))
     }
 
+    fn failing_of_input(&self) -> impl Iterator<Item = &Failing> + '_ {
+        self.failing.iter().filter(|failing| !failing.bound.within(self.bounds))
+    }
+
     /// Mark the triangles of the input that a triangle of the mesh may be nearest to a point of, within the bounds.
-    fn mark_within_reach(&self, corners: &[[f64; D]; 3], near: &mut [bool]) {
+    fn mark_within_reach(&self, known: &Known<D>, near: &mut [bool]) {
+        let Known { source, corners, .. } = known;
+        let Part { triangles, surface, .. } = &self.parts[self.part_of(*source)];
         let reach = self.bounds.shape * (1.0 + 1e-9);
         let [low, high] = box_around(corners, reach);
         let places = corners.map(|c| position(&c));
-        self.surface.triangles_meeting(&low, &high, |t| {
-            let [a, b, c] =
-                self.original.triangles[t as usize].map(|v| position(&self.original.points[v as usize]));
+        surface.triangles_meeting(&low, &high, |t| {
+            let t = triangles[t as usize] as usize;
+            let [a, b, c] = self.original.triangles[t].map(|v| position(&self.original.points[v as usize]));
             let centre = [0, 1, 2].map(|i| (a[i] + b[i] + c[i]) / 3.0);
             let radius2 = [a, b, c].iter().map(|p| norm2(&sub(p, &centre))).fold(0.0, f64::max);
             let far = (1.0 + 1e-9) * (reach + radius2.sqrt());
-            near[t as usize] |= triangle_distance2(&centre, places.each_ref()) <= far * far;
+            near[t] |= triangle_distance2(&centre, places.each_ref()) <= far * far;
         });
     }
 
@@ -183,15 +302,21 @@ impl<'a, const D: usize> Ledger<'a, D> {
     /// and itself. Returns how many more there are now.
     pub fn look_for_hopeless(&mut self, progress: &mut Progress) -> Result<usize, KernelError> {
         let sources = self.failing_of_result().map(|i| self.result[i].source);
-        let mut asked: Vec<u32> =
-            sources.chain(self.failing.iter().map(|failing| failing.triangle)).collect();
+        let failing = sources.chain(self.failing_of_input().map(|failing| failing.triangle));
+        let mut asked: Vec<u32> = failing.collect();
         asked.sort_unstable();
         asked.dedup();
         asked.retain(|t| self.hopeless.binary_search(t).is_err());
-        let [_, verdicts] = decide(&self.surface, &self.surface, &self.decision, [&[], &asked], progress)?;
         let before = self.hopeless.len();
-        let found = asked.iter().zip(verdicts).filter(|(_, verdict)| !verdict.bound.within(self.bounds));
-        self.give_up(found.map(|(&t, _)| t).collect());
+        let mut of_parts = vec![vec![]; self.parts.len()];
+        asked.iter().for_each(|&t| of_parts[self.part_of(t)].push(self.place[t as usize][1]));
+        for (part, asked) in of_parts.iter().enumerate().filter(|(_, asked)| !asked.is_empty()) {
+            let Part { triangles, surface, .. } = &self.parts[part];
+            let [_, verdicts] = decide(surface, surface, &self.decision, [&[], asked], progress)?;
+            let found = asked.iter().zip(verdicts).filter(|(_, verdict)| !verdict.bound.within(self.bounds));
+            let found = found.map(|(&t, _)| triangles[t as usize]).collect();
+            self.give_up(found);
+        }
         Ok(self.hopeless.len() - before)
     }
 
@@ -205,7 +330,7 @@ impl<'a, const D: usize> Ledger<'a, D> {
     /// Triangles without a proof that are not hopeless.
     pub fn open(&self) -> Open {
         let hope = |t: &u32| self.hopeless.binary_search(t).is_err();
-        let of_input = self.failing.iter().filter(|failing| hope(&failing.triangle));
+        let of_input = self.failing_of_input().filter(|failing| hope(&failing.triangle));
         let (of_input, within_reach) = of_input.map(|f| (f.triangle, f.within_reach.clone())).unzip();
         let of_result = self.failing_of_result().map(|i| self.result[i].source).filter(hope).collect();
         Open { of_result, of_input, within_reach }
@@ -221,14 +346,14 @@ impl<'a, const D: usize> Ledger<'a, D> {
     ) -> Result<Certificate, KernelError> {
         let mut all = self.bounds_everywhere();
         let own: Vec<u32> = self.failing_of_result().map(|i| i as u32).collect();
-        let original: Vec<u32> = self.failing.iter().map(|failing| failing.triangle).collect();
+        let original: Vec<u32> = self.failing_of_input().map(|failing| failing.triangle).collect();
         if own.is_empty() && original.is_empty() {
             return Ok(all);
         }
         let threads = self.decision.threads;
         let result = Surface::new(&mesh.points, &mesh.triangles, threads)?;
         let options = certify::Options { limit: None, threads, ..*options };
-        let instead = certify::certify_some(&result, &self.surface, &options, [&own, &original], progress)?;
+        let instead = certify::certify_some(&result, self.surface(), &options, [&own, &original], progress)?;
         // Without a bound on colours nothing is said of the others'.
         let said = |d: Deviation| if self.with_color() { d } else { Deviation { color: 0.0, ..d } };
         combine(&mut all, &instead, |a, b| a.max(said(b)));
@@ -236,8 +361,83 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Ok(all)
     }
 
+    /// What is proven of each part that `wanted` says yes to, as closely as was asked for; `mesh` must be the one looked at
+    /// last.
+    ///
+    /// # Errors
+    /// [`KernelError::Interrupted`].
+    pub fn bounds_of_parts(
+        &self,
+        mesh: &Whole<D, Bound>,
+        wanted: impl Fn(usize) -> bool + Sync,
+        progress: &Progress,
+    ) -> Result<Vec<Verdict>, KernelError> {
+        let left = self.left_of_parts(&mesh.triangle_source);
+        let mut own: Vec<Vec<usize>> = vec![vec![]; self.parts.len()];
+        (0..self.result.len()).for_each(|i| own[self.part_of(self.result[i].source)].push(i));
+        let mut failing: Vec<Vec<u32>> = vec![vec![]; self.parts.len()];
+        for Failing { triangle, .. } in &self.failing {
+            let [part, place] = self.place[*triangle as usize];
+            failing[part as usize].push(place);
+        }
+        let one = |(): &mut (), part: usize| match &self.close {
+            Some(close) if wanted(part) => {
+                let close = certify::Options { limit: None, threads: 1, ..*close };
+                self.bound_of_part(part, mesh, &left[part], &own[part], &failing[part], &close, progress)
+            }
+            _ => Ok(Verdict::UNKNOWN),
+        };
+        map(self.parts.len(), parallel::threads(self.decision.threads), || (), one).into_iter().collect()
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn bound_of_part(
+        &self,
+        part: usize,
+        mesh: &Whole<D, Bound>,
+        left: &[u32],
+        own: &[usize],
+        failing: &[u32],
+        close: &certify::Options,
+        progress: &Progress,
+    ) -> Result<Verdict, KernelError> {
+        let Part { triangles, surface, limit } = &self.parts[part];
+        let mut progress = progress.clone().silent();
+        let mut limit = limit.unwrap_or(self.bounds);
+        let of_input = triangles.iter().map(|&t| self.attained[t as usize]);
+        let of_input = of_input.map(|[shape, color]| Deviation { shape: shape.into(), color: color.into() });
+        let of_result = own.iter().map(|&i| self.result[i].verdict.attained);
+        let attained = of_input.chain(of_result).fold(Deviation::default(), Deviation::max);
+        let is_close = limit.within(close.enough(attained).map(|most| (1.0 + ROUNDING) * most));
+        let target = || Surface::of_some(&mesh.points, &mesh.triangles, left, 1);
+        if !is_close {
+            let mut found = certify::greatest(&target()?, surface, close, &mut progress)?;
+            let of_result = own.iter().map(|&i| self.result[i].verdict.bound.shape);
+            let of_input = self.failing.iter().filter(|f| self.part_of(f.triangle) == part);
+            if of_result.chain(of_input.map(|f| f.bound.shape)).all(|shape| shape <= limit.shape) {
+                found.bound.shape = found.bound.shape.min(limit.shape);
+            }
+            return Ok(found);
+        }
+        let is_failing = |&&i: &&usize| !self.result[i].verdict.bound.within(limit);
+        let sources = own.iter().filter(is_failing).map(|&i| self.result[i].source);
+        let mut sources: Vec<u32> = sources.collect();
+        sources.sort_unstable();
+        let place =
+            |&i: &u32| sources.binary_search(&mesh.triangle_source[left[i as usize] as usize]).is_ok();
+        let own: Vec<u32> = (0..left.len() as u32).filter(place).collect();
+        if surface.colors.is_empty() {
+            limit.color = 0.0;
+        }
+        if own.is_empty() && failing.is_empty() {
+            return Ok(Verdict { bound: limit, attained });
+        }
+        let instead = certify::certify_some(&target()?, surface, close, [&own, failing], &mut progress)?;
+        Ok(Verdict { bound: limit.max(instead.bound), attained: attained.max(instead.attained) })
+    }
+
     fn with_color(&self) -> bool {
-        !self.surface.colors.is_empty() && self.bounds.color < f64::INFINITY
+        !self.surface().colors.is_empty() && self.bounds.color < f64::INFINITY
     }
 
     /// The bounds that were asked for, for every triangle.
@@ -249,10 +449,10 @@ impl<'a, const D: usize> Ledger<'a, D> {
         Certificate {
             result: vec![bound; self.result.len()],
             own: vec![bound; self.result.len()],
-            original: vec![bound; self.surface.len()],
+            original: vec![bound; self.place.len()],
             bound,
             attained: of_input.chain(of_result).fold(Deviation::default(), Deviation::max),
-            slack: certify::slack(self.surface.bounds.into_iter(), self.decision.slack),
+            slack: certify::slack(self.surface().bounds.into_iter(), self.decision.slack),
             color_slack: certify::COLOR_SLACK,
             pieces: 0,
         }

@@ -14,7 +14,7 @@ use crate::collapse::whole::Whole;
 use crate::mesh::triangle_mesh::Compact;
 
 use super::history::History;
-use super::ledger::{Ledger, Open};
+use super::ledger::{Apart, Ledger, Open};
 use super::retreat::Retreat;
 use super::watched::Watched;
 
@@ -128,7 +128,7 @@ pub fn simplify<const D: usize, const K: usize>(
     progress.check()?;
     let start = State::of_input(&original, goal.record)?;
     let Reached { state, mut ledger, proven, stop, mut passes } =
-        go_on::<D, K>(&original, start, locked, options, goal, progress)?;
+        go_on::<D, K>(&original, start, locked, None, options, goal, progress)?;
     let refused = state.mesh.refused_edges();
     let mut mesh = state.mesh.into_compact();
     let certificate =
@@ -155,7 +155,7 @@ pub struct Reached<'a, const D: usize> {
 }
 
 /// The loop itself, from any state of `original` that is within the bounds. What has happened before stays; `locked` is by
-/// vertex of the input, empty for none.
+/// vertex of the input, empty for none. Parts that are proven `apart` must be locked where they touch.
 ///
 /// # Errors
 /// [`KernelError::Interrupted`].
@@ -163,6 +163,7 @@ pub fn go_on<'a, const D: usize, const K: usize>(
     original: &'a Original<D>,
     start: State<'a, D>,
     locked: Vec<bool>,
+    apart: Option<&Apart<'_>>,
     options: &Options,
     goal: &Goal,
     progress: &mut Progress,
@@ -193,7 +194,7 @@ pub fn go_on<'a, const D: usize, const K: usize>(
         history.append(outcome.logs);
         let mut known = match ledger.take() {
             Some(known) => known,
-            None => Ledger::new(original, decision)?,
+            None => Ledger::new(original, decision, apart)?,
         };
         let unproven = known.look(&mesh, proving)?;
         passes.push(Pass { triangles: mesh.triangles.len(), unproven, collapses: history.kept(), attempts });
@@ -236,7 +237,7 @@ fn certificate_of<const D: usize>(
     }
     let result = Surface::new(&mesh.points, &mesh.triangles, threads)?;
     let proof = certify::Options { limit: None, threads, ..options.proof };
-    let close = certify::certify(&result, &ledger.surface, &proof, progress)?;
+    let close = certify::certify(&result, ledger.surface(), &proof, progress)?;
     Ok(if proven { ledger.closer(close) } else { close })
 }
 

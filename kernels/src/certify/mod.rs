@@ -39,6 +39,8 @@ mod side;
 mod surface;
 
 pub use piece::Deviation;
-pub use proof::{COLOR_SLACK, Certificate, Options, certify, certify_some, decide, slack};
+pub use proof::{
+    COLOR_SLACK, Certificate, Options, certify, certify_some, decide, decide_within, greatest, slack,
+};
 pub use side::Verdict;
 pub use surface::{NEEDLE, Surface};

@@ -28,6 +28,10 @@ impl Deviation {
         Self { shape: self.shape.min(other.shape), color: self.color.min(other.color) }
     }
 
+    pub fn map(self, each: impl Fn(f64) -> f64) -> Self {
+        Self { shape: each(self.shape), color: each(self.color) }
+    }
+
     pub fn within(self, other: Self) -> bool {
         self.shape <= other.shape && self.color <= other.color
     }

@@ -57,6 +57,13 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// What no greatest bound needs to be closer than, given the greatest deviation seen.
+    pub fn enough(&self, attained: Deviation) -> Deviation {
+        worth_all(attained, self.tolerance, self.absolute_tolerance)
+    }
+}
+
 /// Upper bounds by triangle, in the order of the input, and of everything.
 #[derive(Clone, Debug)]
 pub struct Certificate {
@@ -116,8 +123,7 @@ fn certify_slots(
     slots: [Vec<u32>; 2],
     progress: &mut Progress,
 ) -> Result<Certificate, KernelError> {
-    let slack =
-        slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
+    let slack = slack_of([result, original], options);
     // A bound contains the slack, and what is attained does not.
     let least = Deviation { shape: 2.0 * slack, color: 0.0 };
     let limit = options.limit.map(without_slack);
@@ -152,6 +158,47 @@ fn certify_slots(
     Ok(finished(&sides, attained(&sides), slack, limit, run.pieces))
 }
 
+/// The same for both surfaces as wholes, which takes a part of the time: no triangle is bounded more closely than the
+/// greatest deviation of all asks for. `options.limit` is not used.
+///
+/// # Errors
+/// [`KernelError::Interrupted`] when the caller wants to stop.
+pub fn greatest(
+    result: &Surface,
+    original: &Surface,
+    options: &Options,
+    progress: &mut Progress,
+) -> Result<Verdict, KernelError> {
+    let surfaces = [result, original];
+    if surfaces.iter().any(|surface| surface.is_empty()) {
+        let none = surfaces.iter().all(|surface| surface.is_empty());
+        let all = if none { Deviation::default() } else { EVERYTHING };
+        return Ok(Verdict { bound: all, attained: all });
+    }
+    // A bound contains the slack, and what is attained does not.
+    let least = Deviation { shape: 2.0 * slack_of(surfaces, options), color: 0.0 };
+    let absolute_tolerance = options.absolute_tolerance.max(least);
+    let options = &Options { absolute_tolerance, limit: None, ..*options };
+    let slots = surfaces.map(|surface| (0..surface.len() as u32).collect());
+    let mut sides = both_sides(result, original, slots, options, Wanted::None);
+    let all = result.len() + original.len();
+    let mut run = Run::new(options.threads, all, progress);
+    for side in &mut sides {
+        side.look_at_vertices(&run)?;
+    }
+    let attained = |sides: &[Side; 2]| sides[0].attained.max(sides[1].attained);
+    // Most often vertices stray most, and the question is whether anything strays farther.
+    let enough = worth_all(attained(&sides), options.tolerance, absolute_tolerance);
+    for side in &mut sides {
+        side.bound(&Goal::decision(enough, FIRST_PIECES), enough, &mut run)?;
+    }
+    tighten(&mut sides, options, all, &mut run)?;
+    let found = sides.iter().flat_map(|side| &side.found);
+    let mut bound = found.fold(Deviation::default(), |most, found| most.max(found.bound));
+    bound.color = if sides[0].against.with_color { bound.color + COLOR_SLACK } else { 0.0 };
+    Ok(Verdict { bound, attained: attained(&sides) })
+}
+
 /// Which of the triangles `asked` (of the result, of the original; numbers in the order of the input) stay within
 /// `options.limit`, in the order asked. The cost follows the number asked. Without `options.effort` each is decided as if
 /// asked alone.
@@ -165,11 +212,27 @@ pub fn decide(
     asked: [&[u32]; 2],
     progress: &mut Progress,
 ) -> Result<[Vec<Verdict>; 2], KernelError> {
-    let within = options.limit.unwrap_or(EVERYTHING);
-    let limit = without_slack(within);
-    let options = &Options { limit: Some(limit), ..*options };
+    let limit = options.limit.unwrap_or(EVERYTHING);
+    decide_within(result, original, options, asked, |_| limit, progress).map(|(_, verdicts)| verdicts)
+}
+
+/// The same with a limit that depends on the greatest deviation at the corners of the triangles asked for, which is
+/// returned as well; `options.limit` is not used but for whether colours matter.
+///
+/// # Errors
+/// [`KernelError::Interrupted`] when the caller wants to stop.
+pub fn decide_within(
+    result: &Surface,
+    original: &Surface,
+    options: &Options,
+    asked: [&[u32]; 2],
+    limit: impl FnOnce(Deviation) -> Deviation,
+    progress: &mut Progress,
+) -> Result<(Deviation, [Vec<Verdict>; 2]), KernelError> {
     if result.is_empty() || original.is_empty() {
-        return Ok(asked.map(|asked| vec![Verdict { bound: EVERYTHING, attained: EVERYTHING }; asked.len()]));
+        let verdicts =
+            asked.map(|asked| vec![Verdict { bound: EVERYTHING, attained: EVERYTHING }; asked.len()]);
+        return Ok((limit(EVERYTHING), verdicts));
     }
     let slots = slots_of([result, original], asked);
     let mut sides = both_sides(result, original, slots, options, Wanted::None);
@@ -177,6 +240,11 @@ pub fn decide(
     let mut run = Run::new(options.threads, all, progress);
     for side in &mut sides {
         side.look_at_vertices(&run)?;
+    }
+    let within = limit(sides[0].attained.max(sides[1].attained));
+    let limit = without_slack(within);
+    let options = &Options { limit: Some(limit), ..*options };
+    for side in &mut sides {
         side.bound(&Goal::decision(limit, DECISION_PIECES), limit, &mut run)?;
     }
     tighten(&mut sides, options, all, &mut run)?;
@@ -193,7 +261,7 @@ pub fn decide(
         let bound = Deviation { shape: bound.shape.max(within.shape), color: color(bound.color) };
         Verdict { bound, attained }
     };
-    Ok([0, 1].map(|i| asked[i].iter().map(|&t| verdict(&sides[i], t)).collect()))
+    Ok((within, [0, 1].map(|i| asked[i].iter().map(|&t| verdict(&sides[i], t)).collect())))
 }
 
 /// Slots of triangles. In their order neighbours follow each other, and each is looked at once.
@@ -222,8 +290,7 @@ fn both_sides<'a>(
     let with_color = !result.colors.is_empty()
         && !original.colors.is_empty()
         && options.limit.is_none_or(|limit| limit.color < f64::INFINITY);
-    let slack =
-        slack([result, original].iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack);
+    let slack = slack_of([result, original], options);
     let color_range = color_range(result, original);
     let against = |target, wanted| Against { target, slack, color_range, with_color, wanted };
     [
@@ -307,6 +374,10 @@ pub fn slack(places: impl Iterator<Item = Vec3>, wanted: Option<f64>) -> f64 {
     // Double precision needs its share in any case.
     let least = 2f64.powi(-40) * largest;
     wanted.unwrap_or(2f64.powi(-21) * largest + 2f64.powi(-20) * diagonal).max(least)
+}
+
+fn slack_of(surfaces: [&Surface; 2], options: &Options) -> f64 {
+    slack(surfaces.iter().filter(|s| !s.is_empty()).flat_map(|s| s.bounds), options.slack)
 }
 
 fn color_range(a: &Surface, b: &Surface) -> f64 {

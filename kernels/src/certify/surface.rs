@@ -89,6 +89,28 @@ impl Surface {
         Ok(surface)
     }
 
+    /// The same of some triangles, numbered by their place in `some`, which comes in order and names each once.
+    ///
+    /// # Errors
+    /// As [`Surface::new`].
+    pub fn of_some<const D: usize>(
+        points: &[[f64; D]],
+        triangles: &[[u32; 3]],
+        some: &[u32],
+        threads: usize,
+    ) -> Result<Self, KernelError> {
+        if some.len() == triangles.len() {
+            return Self::new(points, triangles, threads);
+        }
+        let mut used: Vec<u32> = some.iter().flat_map(|&t| triangles[t as usize]).collect();
+        used.sort_unstable();
+        used.dedup();
+        let number = |v: u32| used.partition_point(|&u| u < v) as u32;
+        let corners: Vec<_> = some.iter().map(|&t| triangles[t as usize].map(number)).collect();
+        let points: Vec<_> = used.iter().map(|&v| points[v as usize]).collect();
+        Self::new(&points, &corners, threads)
+    }
+
     pub fn len(&self) -> usize {
         self.order.len()
     }

@@ -4,7 +4,7 @@
 //! cells ← clusters of the input's triangles
 //! repeat, the bound larger each time:
 //!     simplify within it, from where the last level ended, all borders between cells locked    certified
-//!     prove each cell alone, against its part of the input                                      certify
+//!     bound each cell alone, against its part of the input                                      certify
 //!     one cell, and light enough: done
 //!     join neighbouring cells as long as they are light enough together
 //! ```
@@ -17,11 +17,11 @@ use super::dual;
 use super::forest::{Forest, Level, grown};
 use crate::base::errors::KernelError;
 use crate::base::geometry::{around, diagonal, position};
-use crate::base::parallel::map;
 use crate::base::progress::Progress;
+use crate::certified::ledger::Apart;
 use crate::certified::original::Original;
 use crate::certified::simplify::{self, Reached, State, go_on};
-use crate::certify::{self, Deviation, Surface};
+use crate::certify::{self, Deviation, Verdict};
 use crate::collapse::engine::Stop;
 use crate::collapse::rounds::Goal;
 use crate::collapse::whole::Whole;
@@ -112,13 +112,17 @@ pub fn build<const D: usize, const K: usize>(
         let asked = Deviation { shape: bound, ..options.simplify.bounds };
         let asked = simplify::Options { bounds: asked, ..options.simplify.clone() };
         let locked = cells.borders(&original, &options.locked);
-        let reached = go_on::<D, K>(&original, state, locked, &asked, goal, progress)?;
-        let Reached { state: next, proven, stop, passes, .. } = reached;
+        let part: Vec<u32> = cells.of.iter().map(|&cell| cells.group[cell as usize]).collect();
+        let apart = Apart { part: &part, close: &options.close };
+        let reached = go_on::<D, K>(&original, state, locked, Some(&apart), &asked, goal, progress)?;
+        let Reached { state: next, ledger, proven, stop, passes } = reached;
         state = next;
         unproven += passes.last().filter(|_| !proven).map_or(0, |pass| pass.unproven[0] + pass.unproven[1]);
         let made = cells.nodes(levels.len() as u32, &before, &cells.counts(&state), &mut node_of, &mut nodes);
-        let proofs = prove(&original, &state, &cells, &node_of, &made, options, goal.threads, progress)?;
-        for (&node, (bound, attained)) in made.iter().zip(proofs) {
+        let is_made = |group: usize| made.iter().any(|&(g, _)| g == group);
+        let proven = ledger.bounds_of_parts(&state.mesh, is_made, progress)?;
+        for (group, node) in made {
+            let Verdict { bound, attained } = proven[group];
             // Never less than what it replaces.
             let below = nodes.iter().filter(|n| n.parent == node);
             let bound = below.fold(bound, |most, child| most.max(child.bound));
@@ -216,7 +220,7 @@ impl Cells {
         counts
     }
 
-    /// A node for each group that was joined, or simplified, on this level. Returns their numbers.
+    /// A node for each group that was joined, or simplified, on this level. Returns the groups and their nodes.
     fn nodes(
         &self,
         level: u32,
@@ -224,7 +228,7 @@ impl Cells {
         after: &[u32],
         node_of: &mut [u32],
         nodes: &mut Vec<Node>,
-    ) -> Vec<u32> {
+    ) -> Vec<(usize, u32)> {
         let mut members: Vec<Vec<u32>> = vec![vec![]; before.len()];
         (0..).zip(&self.group).for_each(|(cell, &g)| members[g as usize].push(cell));
         let mut made = vec![];
@@ -241,7 +245,7 @@ impl Cells {
             members.iter().for_each(|&cell| node_of[cell as usize] = number);
             let (bound, attained) = Default::default();
             nodes.push(Node { level, parent: NONE, bound, attained, coarse: 0 });
-            made.push(number);
+            made.push((g, number));
         }
         made
     }
@@ -253,57 +257,4 @@ impl Cells {
         let next = cluster(groups, &contracted(&self.joints, &self.group), most);
         self.group.iter_mut().for_each(|g| *g = next[*g as usize]);
     }
-}
-
-/// Bounds between the meshes of some nodes and their parts of the input.
-#[allow(clippy::too_many_arguments)]
-fn prove<const D: usize>(
-    original: &Original<D>,
-    state: &State<'_, D>,
-    cells: &Cells,
-    node_of: &[u32],
-    made: &[u32],
-    options: &Options,
-    threads: usize,
-    progress: &mut Progress,
-) -> Result<Vec<(Deviation, Deviation)>, KernelError> {
-    let Some(&first) = made.first() else { return Ok(vec![]) };
-    let place = |t: u32| node_of[cells.of[t as usize] as usize].checked_sub(first).map(|n| n as usize);
-    let mut input: Vec<Vec<u32>> = vec![vec![]; made.len()];
-    for t in 0..original.triangles.len() as u32 {
-        if let Some(place) = place(t).filter(|&p| p < made.len()) {
-            input[place].push(t);
-        }
-    }
-    let mut light: Vec<Vec<u32>> = vec![vec![]; made.len()];
-    for (i, &source) in (0..).zip(&state.mesh.triangle_source) {
-        if let Some(place) = place(source).filter(|&p| p < made.len()) {
-            light[place].push(i);
-        }
-    }
-    let close = certify::Options { limit: None, threads: 1, ..options.close };
-    let one = |(): &mut (), i: usize| {
-        progress.check()?;
-        let of_input = part(&original.points, &original.triangles, &input[i]);
-        let of_mesh = part(&state.mesh.points, &state.mesh.triangles, &light[i]);
-        let surfaces = [of_mesh, of_input].map(|(points, triangles)| Surface::new(&points, &triangles, 1));
-        let [mesh, input] = surfaces;
-        let proof = certify::certify(&mesh?, &input?, &close, &mut progress.clone().silent())?;
-        Ok((proof.bound, proof.attained))
-    };
-    map(made.len(), threads, || (), one).into_iter().collect()
-}
-
-/// Some triangles of a mesh, and the points they use.
-fn part<const D: usize>(
-    points: &[[f64; D]],
-    triangles: &[[u32; 3]],
-    some: &[u32],
-) -> (Vec<[f64; D]>, Vec<[u32; 3]>) {
-    let mut used: Vec<u32> = some.iter().flat_map(|&t| triangles[t as usize]).collect();
-    used.sort_unstable();
-    used.dedup();
-    let number = |v: u32| used.partition_point(|&u| u < v) as u32;
-    let corners = some.iter().map(|&t| triangles[t as usize].map(number)).collect();
-    (used.iter().map(|&v| points[v as usize]).collect(), corners)
 }

@@ -3,8 +3,9 @@
 use crate::common::{Noise, coloured, gallery, sheet, torus};
 use scanloom_kernels::base::geometry::{Vec3, nearest_on_triangle, position};
 use scanloom_kernels::base::progress::{Control, Progress};
+use scanloom_kernels::certified::ledger::Apart;
 use scanloom_kernels::certified::original::Original;
-use scanloom_kernels::certified::simplify::{Options, simplify};
+use scanloom_kernels::certified::simplify::{Options, State, go_on, simplify};
 use scanloom_kernels::certified::tracked::{Rules, TrackedRecords};
 use scanloom_kernels::certified::tracker::{LEAST_HEIGHT, Limits, Lists};
 use scanloom_kernels::certify::{self, Deviation, Surface};
@@ -191,9 +192,8 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
     assert!(connectivity.edges().all(|e| !connectivity.is_boundary_edge(e)));
 }
 
-#[test]
-fn what_is_proven_part_by_part_is_proven_of_the_whole() {
-    // Two rough sheets close to each other: a nearest point changes from one to the other between the samples.
+/// Two rough sheets close to each other: a nearest point changes from one to the other between the samples.
+fn two_layers() -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
     let (flat, one) = sheet(40, 40);
     let mut noise = Noise(21);
     let mut layer = |height: f64, grey: f64| -> Vec<[f64; 4]> {
@@ -207,6 +207,54 @@ fn what_is_proven_part_by_part_is_proven_of_the_whole() {
     points.extend(layer(0.25, 130.0));
     let mut triangles = one.clone();
     triangles.extend(one.iter().map(|t| t.map(|v| v + flat.len() as u32)));
+    (points, triangles)
+}
+
+#[test]
+fn parts_are_proven_against_what_becomes_of_them_alone() {
+    let (points, triangles) = two_layers();
+    let half = triangles.len() / 2;
+    let part: Vec<u32> = (0..triangles.len()).map(|t| u32::from(t >= half)).collect();
+    let original = Original::new(points.clone(), triangles.clone());
+    let tolerance = Deviation { shape: 0.15, color: 0.2 };
+    let close = certify::Options { tolerance, ..certify::Options::default() };
+    let mut of_one = vec![];
+    for threads in [1, 3] {
+        let control = Control::default();
+        let progress = &mut Progress::new(&control);
+        let options =
+            Options { weight: 0.004, ..Options::new(Deviation { shape: 0.2, color: f64::INFINITY }) };
+        let start = State::of_input(&original, true).unwrap();
+        let apart = Apart { part: &part, close: &close };
+        let goal = goal(threads, 500);
+        let reached =
+            go_on::<4, 1>(&original, start, vec![], Some(&apart), &options, &goal, progress).unwrap();
+        assert!(reached.proven && reached.state.mesh.triangles.len() < half);
+        let mesh = &reached.state.mesh;
+        let proven = reached.ledger.bounds_of_parts(mesh, |_| true, progress).unwrap();
+        for (p, verdict) in (0..2).zip(&proven) {
+            let of_part = |t: usize| part[t] == p;
+            let some = (0..triangles.len()).filter(|&t| of_part(t)).map(|t| triangles[t]).collect::<Vec<_>>();
+            let left = (0..mesh.triangles.len()).filter(|&i| of_part(mesh.triangle_source[i] as usize));
+            let left: Vec<_> = left.map(|i| mesh.triangles[i]).collect();
+            let surfaces =
+                [Surface::new(&mesh.points, &left, 1).unwrap(), Surface::new(&points, &some, 1).unwrap()];
+            let [light, input] = &surfaces;
+            let alone = certify::certify(light, input, &certify::Options::default(), progress).unwrap();
+            assert!(alone.attained.within(verdict.bound), "{:?} {verdict:?}", alone.attained);
+            assert!(verdict.attained.within(alone.bound), "{:?} {verdict:?}", alone.bound);
+            assert!(verdict.bound.shape <= 0.2);
+            let most = close.enough(verdict.attained);
+            assert!(verdict.bound.within(most.map(|x| 1.001 * x + 0.01)), "{verdict:?}");
+        }
+        of_one.push((mesh.points.clone(), proven));
+    }
+    assert_eq!(of_one[0], of_one[1]);
+}
+
+#[test]
+fn what_is_proven_part_by_part_is_proven_of_the_whole() {
+    let (points, triangles) = two_layers();
     let original = Surface::new(&points, &triangles, 1).unwrap();
     let mut again = 0;
     for (shape, color) in [(0.1, 60.0), (0.2, 80.0), (0.05, 40.0)] {

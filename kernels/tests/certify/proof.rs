@@ -5,7 +5,7 @@ use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{nearest_on_triangle, position, triangle_distance2};
 use scanloom_kernels::base::progress::{Control, Progress};
 use scanloom_kernels::certify::{
-    Certificate, Deviation, Options, Surface, Verdict, certify, certify_some, decide,
+    COLOR_SLACK, Certificate, Deviation, Options, Surface, Verdict, certify, certify_some, decide, greatest,
 };
 
 type Soup<const D: usize> = (Vec<[f64; D]>, Vec<[u32; 3]>);
@@ -150,6 +150,33 @@ fn a_decision_agrees_with_the_bounds() {
         assert!(!passes(times(1.01)), "{name}");
         assert!(passes(Deviation { shape: 0.9 * full.attained.shape, color: f64::INFINITY }), "{name}");
     }
+}
+
+#[test]
+fn the_greatest_bound_alone_is_as_sure_and_as_close() {
+    let all = |result: &Soup<6>, original: &Soup<6>, options: &Options| {
+        let (result, original) = (surface(result).unwrap(), surface(original).unwrap());
+        greatest(&result, &original, options, &mut Progress::new(&Control::default())).unwrap()
+    };
+    for (name, result, original) in pairs() {
+        let absolute_tolerance = Deviation::default();
+        for tolerance in [0.05, 0.2].map(|t| Deviation { shape: t, color: t }) {
+            let options = Options { tolerance, absolute_tolerance, ..Options::default() };
+            let (found, full) =
+                (all(&result, &original, &options), bounds(&result, &original, &Options::default()));
+            assert!(full.attained.within(found.bound), "{name} {found:?} {:?}", full.attained);
+            assert!(found.attained.within(found.bound), "{name}");
+            assert!(found.attained.within(full.bound), "{name}");
+            let enough = options.enough(found.attained);
+            assert!(found.bound.shape <= enough.shape + 3.0 * full.slack, "{name}");
+            assert!(found.bound.color <= enough.color + COLOR_SLACK, "{name} {found:?}");
+        }
+    }
+    let nothing = (vec![], vec![]);
+    let (name, soup, _) = pairs().remove(0);
+    let one_sided = all(&nothing, &soup, &Options::default());
+    assert_eq!(one_sided.bound.shape, f64::INFINITY, "{name}");
+    assert_eq!(all(&nothing, &nothing, &Options::default()), Verdict::default());
 }
 
 #[test]
