@@ -14,6 +14,10 @@ within the same distance, and the ratio: what borders between cells cost. "attac
 samples find over the one proven, of all nodes of the level: the largest, which may not pass 1, and the share
 of nodes where it is 0.8 or more; each node alone against its part of the input, both ways.
 
+"clusterlod": whole cuts that claim an error, its own and ours: triangles, the distance that samples find over
+the one claimed, and our triangles over its. MESHOPTIMIZER names a folder with meshoptimizer's sources; left
+out without. Shape alone: colours bind our levels, too.
+
 "fronts": random nodes with random splits that are together all of the surface: how many have an edge of more
 than two triangles, or other borders than the input.
 """
@@ -21,6 +25,8 @@ than two triangles, or other borders than the input.
 from __future__ import annotations
 
 import argparse
+import ctypes
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -29,6 +35,7 @@ from pathlib import Path
 import numpy as np
 from markdown_tables import print_head, print_row
 from numpy.typing import NDArray
+from peers import native
 
 from stages import lod
 from stages._open3d import open3d
@@ -50,6 +57,17 @@ BUILT = [
 LEVELS = [
     *("mesh", "level", "proven m", "levels of colour", "triangles", "one piece", "ratio"),
     *("attack, largest", "0.8 or more"),
+]
+CLUSTERS = [
+    *(
+        "mesh",
+        "at m",
+        "clusterlod, triangles",
+        "its true error / m",
+        "levels, triangles",
+        "true error / m",
+        "ratio",
+    ),
 ]
 FRONTS = ["mesh", "fronts", "edges of three triangles", "other borders"]
 
@@ -74,6 +92,8 @@ def main() -> None:
     print_head(LEVELS)
     for name, mesh in meshes.items():
         print_levels(name, mesh, hierarchies[name], given.samples)
+    print()
+    print_clusterlod(meshes, hierarchies, given.samples)
     print()
     print_head(FRONTS)
     for name, hierarchy in hierarchies.items():
@@ -142,6 +162,65 @@ def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> N
                 f"{np.mean(np.array(shares) >= 0.8):.0%}",
             ]
         )
+
+
+def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy], samples: int) -> None:
+    """Print cuts within an error: clusterlod's, which claims it, and ours, which is proven."""
+    try:
+        library = native.clusterlod()
+    except native.Missing as lacking:
+        print(f"clusterlod is left out: {lacking}.")
+        return
+    print_head(CLUSTERS)
+    for name, mesh in meshes.items():
+        hierarchy = hierarchies[name]
+        clusters = Clusters(library, mesh)
+        print(f"{name}: clusterlod is built in {clusters.seconds:.2f} s of CPU.", file=sys.stderr)
+        for level in range(int(hierarchy.level.max()) + 1):
+            at = hierarchy.shape_bound[hierarchy.level == level].max(initial=0.0)
+            if at == 0.0:
+                continue
+            claimed, ours = clusters.cut(at), hierarchy.cut(max_shape=at).mesh
+            far = [max(farthest(m, mesh, samples), farthest(mesh, m, samples)) / at for m in (claimed, ours)]
+            counts = [len(m.triangles) for m in (claimed, ours)]
+            ratio = f"{counts[1] / counts[0]:.2f}"
+            print_row(
+                [
+                    name,
+                    f"{at:.3g}",
+                    f"{counts[0]:,}",
+                    f"{far[0]:.2f}",
+                    f"{counts[1]:,}",
+                    f"{far[1]:.2f}",
+                    ratio,
+                ]
+            )
+
+
+class Clusters:
+    """What clusterlod makes of a mesh, in clusters of 128 triangles: its shape alone."""
+
+    def __init__(self, library: ctypes.CDLL, mesh: Mesh) -> None:
+        self.library, self.mesh = library, mesh
+        points, corners = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
+        before = time.process_time()
+        self.handle = ctypes.c_void_p(
+            library.build(
+                points.ctypes.data_as(ctypes.c_void_p),
+                ctypes.c_size_t(len(points)),
+                corners.ctypes.data_as(ctypes.c_void_p),
+                ctypes.c_size_t(corners.size),
+                ctypes.c_size_t(128),
+            )
+        )
+        self.seconds = time.process_time() - before
+
+    def cut(self, error: float) -> Mesh:
+        """Return the mesh that is drawn where this error is allowed, in m."""
+        allowed = ctypes.c_float(error)
+        corners = np.empty(self.library.cut(self.handle, allowed, None), np.uint32)
+        self.library.cut(self.handle, allowed, corners.ctypes.data_as(ctypes.c_void_p))
+        return Mesh(self.mesh.vertices, corners.reshape(-1, 3).astype(np.int32))
 
 
 def attack(hierarchy: Hierarchy, node: int, samples: int) -> float:

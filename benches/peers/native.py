@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -40,16 +41,43 @@ def cgal() -> ctypes.CDLL:
     Missing
         Without a C++ compiler, or the headers of CGAL and Eigen.
     """
-    source, target = HERE / "cgal.cpp", HERE / "target/cgal.so"
-    if not target.exists() or target.stat().st_mtime < source.stat().st_mtime:
-        target.parent.mkdir(exist_ok=True)
-        command = ["g++", "-std=c++17", "-O3", "-DNDEBUG", "-DCGAL_EIGEN3_ENABLED", "-shared", "-fPIC"]
-        _run([*command, "-isystem", "/usr/include/eigen3", str(source), "-o", str(target), "-lgmp", "-lmpfr"])
-    library = ctypes.CDLL(str(target))
+    options = ["-DCGAL_EIGEN3_ENABLED", "-isystem", "/usr/include/eigen3"]
+    library = _compiled("cgal", [], [*options, "-lgmp", "-lmpfr"])
     library.version.restype = ctypes.c_char_p
     library.load.restype = ctypes.c_void_p
     library.vertex_count.restype = library.triangle_count.restype = ctypes.c_size_t
     return library
+
+
+@functools.cache
+def clusterlod() -> ctypes.CDLL:
+    """Compile and open `clusterlod.cpp` beside this file, with the sources that MESHOPTIMIZER names.
+
+    That is a folder with meshoptimizer's `src/` and `demo/clusterlod.h`.
+
+    Raises
+    ------
+    Missing
+        Without that folder, or a C++ compiler.
+    """
+    folder = os.environ.get("MESHOPTIMIZER")
+    if folder is None:
+        raise Missing("MESHOPTIMIZER does not name a folder with meshoptimizer's sources")
+    sources = sorted(str(path) for path in Path(folder, "src").glob("*.cpp"))
+    library = _compiled("clusterlod", sources, [f"-I{folder}/src", f"-I{folder}/demo"])
+    library.build.restype = ctypes.c_void_p
+    library.cut.restype = ctypes.c_size_t
+    return library
+
+
+def _compiled(name: str, sources: list[str], options: list[str]) -> ctypes.CDLL:
+    """Return the C++ file beside this one, compiled with other sources where it is newer than last time."""
+    source, target = HERE / f"{name}.cpp", HERE / f"target/{name}.so"
+    if not target.exists() or target.stat().st_mtime < source.stat().st_mtime:
+        target.parent.mkdir(exist_ok=True)
+        command = ["g++", "-std=c++17", "-O3", "-DNDEBUG", "-shared", "-fPIC", str(source), *sources]
+        _run([*command, *options, "-o", str(target)])
+    return ctypes.CDLL(str(target))
 
 
 def _run(command: list[str]) -> None:
