@@ -12,7 +12,8 @@ them, best of five.
 "levels": of each level what is proven, its triangles, those of one piece simplified by method `certified`
 within the same distance, and the ratio: what borders between cells cost. "attack" is the distance that
 samples find over the one proven, of all nodes of the level: the largest, which may not pass 1, and the share
-of nodes where it is 0.8 or more; each node alone against its part of the input, both ways.
+of nodes where it is 0.8 or more; each node alone against its part of the input, both ways; then the same of
+colours at nearest points.
 
 "clusterlod": whole cuts that claim an error, its own and ours: triangles, the distance that samples find over
 the one claimed, and our triangles over its. MESHOPTIMIZER names a folder with meshoptimizer's sources; left
@@ -36,6 +37,7 @@ import numpy as np
 from markdown_tables import print_head, print_row
 from numpy.typing import NDArray
 from peers import native
+from trimesh.triangles import points_to_barycentric
 
 from stages import lod
 from stages._open3d import open3d
@@ -56,7 +58,7 @@ BUILT = [
 ]
 LEVELS = [
     *("mesh", "level", "proven m", "levels of colour", "triangles", "one piece", "ratio"),
-    *("attack, largest", "0.8 or more"),
+    *("attack, largest", "0.8 or more", "on colour, largest", "0.8 or more"),
 ]
 CLUSTERS = [
     *(
@@ -147,21 +149,30 @@ def print_levels(name: str, mesh: Mesh, hierarchy: Hierarchy, samples: int) -> N
         bound = float(hierarchy.shape_bound[nodes].max())
         triangles = int(hierarchy.coarse[nodes].sum())
         whole = len(simplify(mesh, method="certified", max_shape=bound, close_bounds=False).mesh.triangles)
-        shares = [attack(hierarchy, int(node), samples) / hierarchy.shape_bound[node] for node in nodes]
-        color = "" if hierarchy.colors is None else f"{hierarchy.color_bound[nodes].max():.0f}"
+        attacks = np.array([attack(hierarchy, int(node), samples) for node in nodes])
+        shares = attacks[:, 0] / hierarchy.shape_bound[nodes]
+        colors = ["", "", ""]
+        if hierarchy.colors is not None:
+            of_colors = attacks[:, 1] / hierarchy.color_bound[nodes]
+            colors = [f"{hierarchy.color_bound[nodes].max():.0f}", *largest_and_share(of_colors)]
         print_row(
             [
                 name,
                 str(level + 1),
                 f"{bound:.3g}",
-                color,
+                colors[0],
                 f"{triangles:,}",
                 f"{whole:,}",
                 f"{triangles / whole:.2f}",
-                f"{max(shares):.3f}",
-                f"{np.mean(np.array(shares) >= 0.8):.0%}",
+                *largest_and_share(shares),
+                *colors[1:],
             ]
         )
+
+
+def largest_and_share(of_bounds: NDArray[np.float64]) -> list[str]:
+    """Return the largest part of its bound that an attack has reached, and how many reached 0.8."""
+    return [f"{of_bounds.max():.3f}", f"{np.mean(of_bounds >= 0.8):.0%}"]
 
 
 def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy], samples: int) -> None:
@@ -181,7 +192,10 @@ def print_clusterlod(meshes: dict[str, Mesh], hierarchies: dict[str, Hierarchy],
             if at == 0.0:
                 continue
             claimed, ours = clusters.cut(at), hierarchy.cut(max_shape=at).mesh
-            far = [max(farthest(m, mesh, samples), farthest(mesh, m, samples)) / at for m in (claimed, ours)]
+            far = [
+                max(farthest(m, mesh, samples)[0], farthest(mesh, m, samples)[0]) / at
+                for m in (claimed, ours)
+            ]
             counts = [len(m.triangles) for m in (claimed, ours)]
             ratio = f"{counts[1] / counts[0]:.2f}"
             print_row(
@@ -223,13 +237,14 @@ class Clusters:
         return Mesh(self.mesh.vertices, corners.reshape(-1, 3).astype(np.int32))
 
 
-def attack(hierarchy: Hierarchy, node: int, samples: int) -> float:
-    """Return the largest distance that samples find between a node's coarse mesh and its part of the base."""
+def attack(hierarchy: Hierarchy, node: int, samples: int) -> tuple[float, float]:
+    """Return the largest deviation that samples find between a node's coarse mesh and its part of it all."""
     leaves = [leaf for leaf in range(hierarchy.nodes) if is_below(hierarchy, leaf, node)]
     leaves = [leaf for leaf in leaves if not len(hierarchy.children[leaf])]
     base = hierarchy.mesh(leaves, hierarchy.splits[leaves])
     coarse = hierarchy.mesh([node], [0])
-    return max(farthest(coarse, base, samples), farthest(base, coarse, samples))
+    there, back = farthest(coarse, base, samples), farthest(base, coarse, samples)
+    return max(there[0], back[0]), max(there[1], back[1])
 
 
 def is_below(hierarchy: Hierarchy, node: int, above: int) -> bool:
@@ -239,17 +254,33 @@ def is_below(hierarchy: Hierarchy, node: int, above: int) -> bool:
     return node == above
 
 
-def farthest(mesh: Mesh, other: Mesh, samples: int) -> float:
-    """Return how far a mesh's vertices, middles of triangles and samples are from another at most, m."""
+def farthest(mesh: Mesh, other: Mesh, samples: int) -> tuple[float, float]:
+    """Return how far a mesh's vertices, middles of triangles and samples are from another at most.
+
+    In m, and in levels of colour from the nearest points there; 0 without colours.
+    """
     random = np.random.default_rng(0)
     corners = mesh.vertices[mesh.triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    chosen = random.choice(len(corners), samples, p=areas / areas.sum())
-    inside = np.einsum("ij,ijk->ik", random.dirichlet(np.ones(3), samples), corners[chosen])
-    points: NDArray[np.float64] = np.concatenate([mesh.vertices, corners.mean(axis=1), inside])
+    every = np.arange(len(corners))
+    chosen = np.concatenate([np.tile(every, 4), random.choice(every, samples, p=areas / areas.sum())])
+    fixed = np.repeat(np.vstack([np.eye(3), np.full((1, 3), 1 / 3)]), len(every), axis=0)
+    weights = np.concatenate([fixed, random.dirichlet(np.ones(3), samples)])
+    points = np.einsum("ij,ijk->ik", weights, corners[chosen])
     scene = open3d().t.geometry.RaycastingScene()
     scene.add_triangles(other.vertices.astype(np.float32), other.triangles.astype(np.uint32))
-    return float(scene.compute_distance(points.astype(np.float32)).numpy().max())
+    found = scene.compute_closest_points(points.astype(np.float32))
+    nearest = found["points"].numpy().astype(np.float64)
+    distance = float(np.linalg.norm(points - nearest, axis=1).max())
+    if mesh.colors is None or other.colors is None:
+        return distance, 0.0
+    there = other.triangles[found["primitive_ids"].numpy().astype(np.int64)]
+    at = points_to_barycentric(other.vertices[there], nearest).clip(0, 1)
+    shown = [
+        np.einsum("ij,ijk->ik", w, colors[of].astype(np.float64))
+        for w, colors, of in ((weights, mesh.colors, mesh.triangles[chosen]), (at, other.colors, there))
+    ]
+    return distance, float(np.linalg.norm(shown[0] - shown[1], axis=1).max())
 
 
 def print_fronts(name: str, hierarchy: Hierarchy, count: int) -> None:

@@ -57,6 +57,31 @@ def distance(points: NDArray[np.float64], mesh: Mesh) -> float:
     return max(float(found.max()) - 1e-6 * float(np.abs(mesh.vertices).max()), 0.0)
 
 
+def painted(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points all over a surface, and its colours there."""
+    assert mesh.colors is not None
+    random = np.random.default_rng(seed)
+    chosen, weights = random.integers(len(mesh.triangles), size=count), random.dirichlet(np.ones(3), count)
+    of_corners = mesh.triangles[chosen]
+    inside, shown = (
+        np.einsum("ij,ijk->ik", weights, np.asarray(a, np.float64)[of_corners])
+        for a in (mesh.vertices, mesh.colors)
+    )
+    return np.concatenate([mesh.vertices, inside]), np.concatenate([mesh.colors, shown])
+
+
+def difference(points: NDArray[np.float64], colors: NDArray[np.float64], mesh: Mesh) -> float:
+    """Return how far colours are at most from those of the nearest points of a surface, in levels."""
+    assert mesh.colors is not None
+    scene = open3d().t.geometry.RaycastingScene()
+    scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
+    found = scene.compute_closest_points(points.astype(np.float32))
+    of_corners = mesh.triangles[found["primitive_ids"].numpy().astype(np.int64)]
+    weights = trimesh.triangles.points_to_barycentric(mesh.vertices[of_corners], found["points"].numpy())
+    there = np.einsum("ij,ijk->ik", weights.clip(0, 1), mesh.colors[of_corners].astype(np.float64))
+    return float(np.linalg.norm(colors - there, axis=1).max())
+
+
 def random_front(hierarchy: Hierarchy, random: np.random.Generator) -> tuple[list[int], list[int]]:
     nodes, open_nodes, depth = [], [0], random.random()
     while open_nodes:
@@ -136,6 +161,19 @@ def test_no_attack_passes_a_bound_and_bounds_are_close(built: Built) -> None:
         assert attack <= hierarchy.shape_bound[node] * (1 + 1e-9)
         shares.append(attack / hierarchy.shape_bound[node])
     assert np.quantile(shares, 0.1) >= 0.8, shares
+
+
+def test_no_attack_passes_a_bound_on_colour(built: Built) -> None:
+    _, hierarchy = built
+    shares = []
+    for node in range(hierarchy.nodes):
+        coarse, base = hierarchy.mesh([node], [0]), base_of(hierarchy, node)
+        attack = max(
+            difference(*painted(coarse, 2000, node), base), difference(*painted(base, 2000, node), coarse)
+        )
+        assert attack <= hierarchy.color_bound[node]
+        shares.append(attack / hierarchy.color_bound[node])
+    assert np.quantile(shares, 0.1) >= 0.6, shares
 
 
 def test_between_two_levels_the_coarser_bound_holds(built: Built) -> None:
