@@ -117,10 +117,13 @@ pub fn build<const D: usize, const K: usize>(
         let reached = go_on::<D, K>(&original, state, locked, Some(&apart), &asked, goal, progress)?;
         let Reached { state: next, ledger, proven, stop, passes } = reached;
         state = next;
-        unproven += passes.last().filter(|_| !proven).map_or(0, |pass| pass.unproven[0] + pass.unproven[1]);
         let made = cells.nodes(levels.len() as u32, &before, &cells.counts(&state), &mut node_of, &mut nodes);
         let is_made = |group: usize| made.iter().any(|&(g, _)| g == group);
+        let left = passes.last().filter(|_| !proven).map_or(0, |pass| pass.unproven[0] + pass.unproven[1]);
         let proven = ledger.bounds_of_parts(&state.mesh, is_made, progress)?;
+        // With more effort they may have been proven after all.
+        let is_missed = made.iter().any(|&(group, _)| proven[group].bound.shape > ledger.bounds().shape);
+        unproven += if is_missed { left } else { 0 };
         for (group, node) in made {
             let Verdict { bound, attained } = proven[group];
             // Never less than what it replaces.
