@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.errors import MeshError
 from stages.files.image_bytes import encoded_image
 from stages.params import check, param
 from stages.scans.prefetch import read_ahead, workers
 from stages.surface.color import color_at, has_color
-from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture
@@ -174,25 +173,22 @@ class Piece:
     below: tuple[int, ...]
 
 
-def model_of(given: MeshLike, levels: Mesh, origin: Floats) -> Model:
+def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
     """Return a model that the levels can get their colours from.
 
     Parameters
     ----------
-    given : with a texture or vertex colours, in the frame of the levels.
+    mesh : with a texture or vertex colours, in the frame of the levels.
     levels : the finest mesh of the levels, told from `origin`, metres.
 
     Raises
     ------
-    InputError
-        If it has neither, or is not of the same surface.
     MeshError
-        If it is no valid mesh, or has no area.
+        If it has neither, has no area, or is not of the same surface.
     """
-    mesh = as_mesh(given, "model")
     require_area(mesh, "model")
     if not has_color(mesh):
-        raise InputError("the model has neither an image nor vertex colours that tiles could get.")
+        raise MeshError("has neither an image nor vertex colours that tiles could get.", "model")
     if origin.any():
         mesh = mesh.with_(vertices=mesh.vertices - origin)
     box = bounding_box(mesh, levels)
@@ -201,9 +197,10 @@ def model_of(given: MeshLike, levels: Mesh, origin: Floats) -> Model:
     away = float(np.median(surface.closest(probes).distances))
     size = float(np.linalg.norm(np.ptp(levels.vertices, axis=0)))
     if away > _FAR * size:
-        raise InputError(
-            f"the model is of another surface, or in another place: half of the levels lie more than "
-            f"{away:.3g} m from it, and they are {size:.3g} m large."
+        raise MeshError(
+            "is of another surface than the levels, or in another place: half of them lie more than "
+            f"{away:.3g} m from it, and they are {size:.3g} m large.",
+            "model",
         )
     detail = detail_of(mesh)
     coarser = [

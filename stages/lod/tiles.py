@@ -28,7 +28,8 @@ from stages.params import param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.rounding import rounded_up
-from stages.surface.convert import MeshLike
+from stages.surface.color import is_transparent
+from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -89,6 +90,7 @@ class Tileset:
     triangles : (k,) int64, of each tile.
     tree : what tileset.json says.
     images : of each tile; none where tiles have vertex colours.
+    notes : what a person should know of what was left out.
     """
 
     grid: Grid
@@ -96,6 +98,7 @@ class Tileset:
     triangles: NDArray[np.int64]
     tree: Tree
     images: tuple[TileImage, ...] = ()
+    notes: tuple[str, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -153,10 +156,10 @@ def write_tiles(
     Raises
     ------
     InputError
-        If levels are missing, there is something else at `outdir`, positions cannot be told, or `texture` has
-        no colours or is of another surface.
+        If levels are missing, there is something else at `outdir`, or positions cannot be told.
     MeshError
-        If `texture` is no valid mesh, or a tile is in too many pieces for an image.
+        If `texture` is no valid mesh, has no colours or is of another surface, or a tile is in too many
+        pieces for an image.
     StageError
         If the system refuses to write.
     UsageError
@@ -165,13 +168,14 @@ def write_tiles(
     params = resolve(TilesParams, params, changes)
     _require_whole(hierarchy)
     outdir = Path(outdir)
+    model = None if texture is None else as_mesh(texture, "model")
     with replacing_folder(outdir, is_tileset, WHAT) as draft:
         placed, grid = on_grid(hierarchy)
         (draft / _FOLDER).mkdir()
         tiles = _tiles(hierarchy, grid)
         sizes, triangles = np.zeros((2, len(tiles)), np.int64)
         found: dict[int, TileImage] = {}
-        for done, (number, mesh, image) in enumerate(_meshes(placed, tiles, grid, texture, images)):
+        for done, (number, mesh, image) in enumerate(_meshes(placed, tiles, grid, model, images)):
             content = tile_glb(mesh, grid)
             (draft / tiles[number].uri).write_bytes(content)
             sizes[number], triangles[number] = len(content), len(mesh.triangles)
@@ -181,7 +185,9 @@ def write_tiles(
         of_tiles = tuple(found[number] for number in sorted(found))
         tree = _tileset(placed, tiles, of_tiles, grid, params.up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), "utf-8")
-    return Tileset(grid, sizes, triangles, tree, of_tiles)
+    is_lost = model is not None and is_transparent(model)
+    notes = ("tiles left out: the transparency of the model's images.",) if is_lost else ()
+    return Tileset(grid, sizes, triangles, tree, of_tiles, notes)
 
 
 def is_tileset(folder: Path) -> bool:
@@ -234,7 +240,7 @@ def _meshes(
     placed: Hierarchy,
     tiles: list[_Tile],
     grid: Grid,
-    texture: MeshLike | None,
+    textured: Mesh | None,
     params: TileImageParams | None,
 ) -> Iterator[tuple[int, Mesh, TileImage | None]]:
     """Give the number of each tile, its mesh, and its image if it is to have one."""
@@ -242,11 +248,11 @@ def _meshes(
     def mesh_of(tile: _Tile) -> Mesh:
         return placed.mesh([tile.node], [int(placed.splits[tile.node]) if tile.is_base else 0])
 
-    if texture is None:
+    if textured is None:
         for number, tile in enumerate(tiles):
             yield number, mesh_of(tile), None
         return
-    model = model_of(texture, placed.mesh(leaves := _leaves(placed), placed.splits[leaves]), grid.origin)
+    model = model_of(textured, placed.mesh(leaves := _leaves(placed), placed.splits[leaves]), grid.origin)
     pieces = [
         Piece(mesh_of(tile).with_(colors=None), tile.shape_bound, below)
         for tile, below in zip(tiles, _below(placed, tiles), strict=True)

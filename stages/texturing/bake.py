@@ -21,7 +21,7 @@ from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.surface.color import has_color, pixels_of
+from stages.surface.color import has_color, is_transparent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box
@@ -228,7 +228,7 @@ def bake(
     colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
     painted = painted_pages(given, pages, samples, colors_of, progress=progress)
     mesh = _textured(given, pages, painted.images)
-    if _is_transparent(reference):
+    if is_transparent(reference):
         mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
     if shown is not reference:
         sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
@@ -258,11 +258,6 @@ def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]]) -> 
         for name, image in zip(names, images, strict=True)
     )
     return mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
-
-
-def _is_transparent(mesh: Mesh) -> bool:
-    images = [] if mesh.texture is None else [pixels_of(material) for material in mesh.texture.materials]
-    return any(image is not None and image.shape[2] == 4 and image[..., 3].min() < 255 for image in images)
 
 
 def _stretch(light: Mesh, original: Mesh) -> float:
