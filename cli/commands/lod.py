@@ -129,6 +129,9 @@ def cut(
         out.unmet(f"{source}: the coarsest level has {figures['triangles']:,} triangles.")
     if max_shape is not None and figures["shape_bound_m"] > max_shape:
         out.unmet(f"{source}: the finest level is proven within {at_most(figures['shape_bound_m'])} m alone.")
+    if model is not None:
+        # What is proven is of colours of vertices; the image has what is measured.
+        figures["color_bound_levels"] = None
     text = _cut_text(figures)
     if texture is None or model is None:
         write_file(target, found.mesh, out)

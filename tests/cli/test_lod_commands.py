@@ -65,6 +65,7 @@ def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: P
     assert mesh.texture.images
     assert ran.json["triangles"] == len(mesh.triangles) <= 700
     assert ran.json["texture"]["color"]["rmse_levels"] < ran.json["texture"]["vertex_color"]["rmse_levels"]
+    assert ran.json["color_bound_levels"] is None
     ran = scanloom("lod", "cut", built, tmp_path / "cut.stl", "--triangles", 700, "--texture", model)
     assert ran.exit_code == 2
     assert "the extension .stl stands for no format; use .glb, .obj, .ply." in ran.stderr
