@@ -58,6 +58,12 @@ def tiles(
     with about_file(texture or source, "model"), out.progress("tiles", "tiles") as progress:
         written = lod.write_tiles(hierarchy, target, params, texture=model, images=images, progress=progress)
     tell_notes(target, written.notes, out)
+    full = sum(image.is_full for image in written.images)
+    if full:
+        out.remark(
+            f"{target}: {full:,} images have coarser texels than was asked for, as no side is longer than "
+            f"{images.image_side:,} texels; see --image-side"
+        )
     figures = {"output": str(target / TILESET), **written.figures()}
     out.result(figures, None if out.as_json else _text(figures))
 

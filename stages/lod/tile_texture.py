@@ -27,7 +27,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import areas, require_area
-from stages.texturing.detail import detail_of
+from stages.texturing.detail import detail_of, details_of
 from stages.texturing.facing import FacingColors
 from stages.texturing.pages import Pages, in_one
 from stages.texturing.painted_pages import painted_pages
@@ -41,6 +41,8 @@ _SAMPLES_PER_DETAIL = 1.3
 # Samples along a texel's side; what is finer than these meet is looked up in finer tiles, or averaged before.
 _MOST_SAMPLES = 4
 _FINER = _MOST_SAMPLES / _SAMPLES_PER_DETAIL
+# Charts are squeezed a little; texels larger by more than this factor had no room.
+_COARSER = 1.15
 # Copies of the model's images, each half as large as the one before.
 _HALVINGS = 3
 # Texture coordinates are whole numbers up to this.
@@ -48,8 +50,8 @@ _UV_STEPS = 65535
 # Of the levels' size: a model is of another surface if half of the levels lie farther from it.
 _FAR = 0.02
 _PROBES = 20_000
-# Points of a tile whose colours are compared with the model's.
-_COMPARED = 4000
+# Points of a tile where the model's detail is looked up, and colours are compared with the model's.
+_POINTS = 4000
 # Of a texel, and of the errors of two tiles: how far beyond its box colours of a tile are looked up.
 _REACH_TEXELS, _REACH_ERRORS = 8.0, 2.0
 
@@ -91,6 +93,7 @@ class TileImage:
     size : width and height, texels.
     texel_size : metres, of a texel on the tile, in the mean.
     coverage : share of it that shows the surface.
+    is_full : whether it had no room for texels as small as were asked for.
     color_rms, color_95, color_most : levels, at points spread over the tile, against the model's colours at
         the nearest points that face the same way; sampled, and so not proven. RMS is over points and
         channels, the others are of the largest difference of a channel: 95 % of the points have less, and
@@ -101,6 +104,7 @@ class TileImage:
     size: tuple[int, int]
     texel_size: float
     coverage: float
+    is_full: bool
     color_rms: float
     color_95: float
     color_most: float
@@ -126,6 +130,7 @@ def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
         "coverage": float(np.median([image.coverage for image in images])),
         "finest_texel_m": min(image.texel_size for image in images),
         "coarsest_texel_m": max(image.texel_size for image in images),
+        "tiles_without_room": sum(image.is_full for image in images),
         "color_rms_levels_sampled": {
             "median": float(np.median([image.color_rms for image in images])),
             "largest": max(image.color_rms for image in images),
@@ -141,20 +146,25 @@ class Model:
     ----------
     surface : in the place of the tiles.
     coarser : the same with its images halved, once and more often; none if it has no images.
-    detail : metres, of its own texels, or of what its vertex colours show.
-    away : metres, that half of the levels are from it at most.
+    details : (m,) metres, by triangle: of its own texels, or of what its vertex colours show.
     """
 
     surface: Surface
     coarser: Sequence[Surface]
-    detail: float
-    away: float
+    details: Floats
 
-    def for_texels(self, texel_size: float) -> tuple[Surface, float]:
-        """Return it with images that a few samples of such a texel meet all detail of, and that detail."""
-        halvings = max(math.ceil(math.log2(texel_size / (_FINER * self.detail))), 0)
+    def detail_on(self, mesh: Mesh) -> float:
+        """Return the detail it has where another mesh is, metres, in the mean over texels."""
+        triangles, weights = _spread(mesh)
+        points = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
+        details = self.details[self.surface.closest(points).triangles]
+        return float(1 / np.sqrt((1 / details**2).mean()))
+
+    def for_texels(self, texel_size: float, detail: float) -> tuple[Surface, float]:
+        """Return it with images that a few samples of such a texel meet all of, and the detail left."""
+        halvings = max(math.ceil(math.log2(texel_size / (_FINER * detail))), 0)
         halvings = min(halvings, len(self.coarser))
-        return self.coarser[halvings - 1] if halvings else self.surface, self.detail * 2**halvings
+        return self.coarser[halvings - 1] if halvings else self.surface, detail * 2**halvings
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +218,7 @@ def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
         for halvings in range(1, _HALVINGS + 1)
         if mesh.texture is not None
     ]
-    return Model(surface, coarser, detail, away)
+    return Model(surface, coarser, details_of(mesh))
 
 
 def with_images(
@@ -264,13 +274,14 @@ def _painted(
 ) -> _Painted:
     piece = pieces[number]
     mesh = piece.mesh
-    wanted = max(piece.error / params.texels_per_error, model.detail)
+    detail = model.detail_on(mesh)
+    wanted = max(piece.error / params.texels_per_error, detail)
     pages = in_one(mesh, wanted, max_side=params.image_side)
     texel_size = pages.texel_size(mesh)
-    if piece.below and texel_size > _FINER * model.detail:
+    if piece.below and texel_size > _FINER * detail:
         surface, detail = _around(piece, texel_size, pieces, finer)
     else:
-        surface, detail = model.for_texels(texel_size)
+        surface, detail = model.for_texels(texel_size, detail)
     samples = min(max(round(_SAMPLES_PER_DETAIL * texel_size / detail), 1), _MOST_SAMPLES)
     colors_of = FacingColors(surface, mesh, texel_size)
     # Pieces are painted beside one another, each in a thread of its own.
@@ -285,8 +296,11 @@ def _painted(
 
     # Not the image that is handed on, with which the decoded pixels would be kept.
     rms, most_of_95, most = _differences(with_image(Image(encoded=encoded)), model.surface, texel_size)
+    is_full = texel_size > _COARSER * wanted
     height, width = pixels.shape[:2]
-    image = TileImage(len(encoded), (width, height), texel_size, found.coverage, rms, most_of_95, most)
+    image = TileImage(
+        len(encoded), (width, height), texel_size, found.coverage, is_full, rms, most_of_95, most
+    )
     return _Painted(with_image(Image(given=pixels)), with_image(Image(encoded=encoded)), image)
 
 
@@ -326,12 +340,17 @@ def _joined(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def _differences(mesh: Mesh, model: Surface, texel_size: float) -> tuple[float, float, float]:
-    """Return how the colours of a textured mesh differ from a model's, levels: RMS, of 95 %, and the most."""
+def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
+    """Return points spread evenly over a mesh, always the same: their triangles, and weights of corners."""
     rng = np.random.default_rng(0)
     area = areas(mesh.vertices, mesh.triangles)
-    triangles = np.sort(rng.choice(len(area), _COMPARED, p=area / area.sum())).astype(np.int64)
-    weights: NDArray[np.float64] = rng.dirichlet((1, 1, 1), _COMPARED)
+    triangles = np.sort(rng.choice(len(area), _POINTS, p=area / area.sum())).astype(np.int64)
+    return triangles, rng.dirichlet((1, 1, 1), _POINTS)
+
+
+def _differences(mesh: Mesh, model: Surface, texel_size: float) -> tuple[float, float, float]:
+    """Return how the colours of a textured mesh differ from a model's, levels: RMS, of 95 %, and the most."""
+    triangles, weights = _spread(mesh)
     was, _ = FacingColors(model, mesh, texel_size)(triangles, weights)
     apart = np.abs(color_at(mesh, triangles, weights) - was)
     of_points = apart.max(axis=1)

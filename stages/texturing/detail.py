@@ -24,21 +24,42 @@ _DETAILS_OF_TRIANGLE = 2000
 
 def detail_of(original: Mesh) -> float:
     """Return the size, in metres, of the smallest thing the original's colours can show."""
-    corners = original.vertices[original.triangles]
     area = areas(original.vertices, original.triangles)
+    texels = _texels(original)
+    on_image = texels > 0
+    # Where most of the surface has a texture, that is what there is to keep.
+    if area[on_image].sum() > area.sum() / 2:
+        return math.sqrt(area[on_image].sum() / texels.sum())
+    return max(_DETAIL_OF_EDGE * float(_lengths(original).mean()), _least(area))
+
+
+def details_of(original: Mesh) -> NDArray[np.float64]:
+    """Return the same of each triangle (m,); infinite for those without area."""
+    area = areas(original.vertices, original.triangles)
+    texels = _texels(original)
+    of_edges = np.maximum(_DETAIL_OF_EDGE * _lengths(original).mean(axis=1), _least(area))
+    of_texels = np.sqrt(np.divide(area, texels, out=np.zeros_like(area), where=texels > 0))
+    return np.where(area > 0, np.where(texels > 0, of_texels, of_edges), np.inf)
+
+
+def _texels(original: Mesh) -> NDArray[np.float64]:
+    """Return how many texels each triangle (m,) has in its image; 0 for those without one."""
     texture = original.texture
-    if texture is not None:
-        images = [pixels_of(material) for material in texture.materials]
-        # The last one stands for triangles without a material.
-        texels_of = np.array([*(_texel_count(image) for image in images), 0])
-        texels = np.abs(signed_areas(texture.uvs)) * texels_of[texture.material_ids]
-        on_image = texels > 0
-        # Where most of the surface has a texture, that is what there is to keep.
-        if area[on_image].sum() > area.sum() / 2:
-            return math.sqrt(area[on_image].sum() / texels.sum())
-    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    least = math.sqrt(area.sum() / (_DETAILS_OF_TRIANGLE * len(area)))
-    return max(_DETAIL_OF_EDGE * float(lengths.mean()), least)
+    if texture is None:
+        return np.zeros(len(original.triangles))
+    images = [pixels_of(material) for material in texture.materials]
+    # The last one stands for triangles without a material.
+    texels_of = np.array([*(_texel_count(image) for image in images), 0])
+    return np.asarray(np.abs(signed_areas(texture.uvs)) * texels_of[texture.material_ids])
+
+
+def _lengths(original: Mesh) -> NDArray[np.float64]:
+    corners = original.vertices[original.triangles]
+    return np.asarray(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2))
+
+
+def _least(area: NDArray[np.float64]) -> float:
+    return math.sqrt(area.sum() / (_DETAILS_OF_TRIANGLE * len(area)))
 
 
 def _texel_count(image: NDArray[np.uint8] | None) -> int:
