@@ -46,14 +46,14 @@ def tell_notes(path: Path, notes: Iterable[str], out: Output) -> None:
 
 
 @contextmanager
-def about_file(path: Path) -> Iterator[None]:
-    """Name the file in what a stage says about the mesh it was given."""
+def about_file(path: Path, called: str = "mesh") -> Iterator[None]:
+    """Name the file in what a stage says about the mesh it was given, and `called` so."""
     try:
         yield
     except MeshError as error:
-        if error.file != "mesh":
+        if error.file != called:
             raise
-        raise MeshError(str(error).removeprefix("mesh: "), path) from error
+        raise MeshError(str(error).removeprefix(f"{called}: "), path) from error
 
 
 def write_file(path: Path, mesh: Mesh, out: Output) -> None:

@@ -8,10 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
 from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
 from cli.output import Output, size_of, table_of
+from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from stages import UsageError, lod
+from stages import BakeParams, UsageError, lod
 from stages.lod import Hierarchy, LodParams
 from stages.printing import at_most
 from stages.simplification.regions import parse_region
@@ -96,12 +98,21 @@ def cut(
             show_default=False,
         ),
     ] = None,
+    texture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL",
+            help="Mesh file of the same surface with a texture or vertex colours, of which the mesh gets an "
+            "image, as with bake; OUT is .glb, .obj or .ply then.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Take a mesh out of levels of detail: for a view, a number of triangles or an error.
 
     Example: scanloom lod cut clean.slod near.ply --eye 0 0 0 --look 0 0 1 --error-px 1
     """
-    require_new_file(target, MESH_SUFFIXES)
+    require_new_file(target, MESH_SUFFIXES if texture is None else TEXTURED_SUFFIXES)
     if (eye is None) != (look is None):
         raise UsageError("a view needs both --eye and --look.")
     view = None
@@ -110,6 +121,7 @@ def cut(
     # A region of simplify has an effect; here it only says where.
     place = None if region is None else parse_region(f"{region} lock")
     hierarchy = lod.read_slod(require_file(source))
+    model = None if texture is None else read_file(texture, out)
     found = hierarchy.cut(view, triangles=triangles, error_px=error_px, max_shape=max_shape, region=place)
     tell_notes(source, hierarchy.notes, out)
     figures = found.figures()
@@ -117,8 +129,17 @@ def cut(
         out.unmet(f"{source}: the coarsest level has {figures['triangles']:,} triangles.")
     if max_shape is not None and figures["shape_bound_m"] > max_shape:
         out.unmet(f"{source}: the finest level is proven within {at_most(figures['shape_bound_m'])} m alone.")
-    write_file(target, found.mesh, out)
-    out.result(figures, None if out.as_json else _cut_text(figures))
+    if model is not None:
+        # What is proven is of colours of vertices; the image has what is measured.
+        figures["color_bound_levels"] = None
+    text = _cut_text(figures)
+    if texture is None or model is None:
+        write_file(target, found.mesh, out)
+    else:
+        figures["texture"] = baked_to(target, found.mesh, model, BakeParams(), out)
+        require_overlap(source, found.mesh, texture, model, out)
+        text += f"\n\n{baked_text(figures['texture'])}"
+    out.result(figures, None if out.as_json else text)
 
 
 def _tell(hierarchy: Hierarchy, path: Path, out: Output) -> None:

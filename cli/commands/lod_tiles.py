@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.mesh_arguments import tell_notes
+from cli.mesh_arguments import about_file, read_file, tell_notes
 from cli.output import Output, size_of
 from cli.paths import require_file, require_writable
 from stages import lod
 from stages.files.replacing_folder import require_replaceable_folder
-from stages.lod import TilesParams
+from stages.lod import TileImageParams, TilesParams
 from stages.lod.tiles import TILESET, WHAT, is_tileset
 from stages.printing import at_most
 
@@ -32,20 +32,38 @@ def tiles(
         ),
     ],
     params: TilesParams,
+    images: TileImageParams,
     out: Output,
+    texture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL",
+            help="Mesh file of the same surface with a texture or vertex colours: tiles get images of these.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Write levels of detail as 3D Tiles 1.1, which viewers in the browser load by what they show.
 
-    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven.
+    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven. With --texture
+    each tile has an image of its own, in place of vertex colours.
 
-    Example: scanloom lod tiles clean.slod clean_tiles
+    Example: scanloom lod tiles clean.slod clean_tiles --texture textured.glb
     """
     require_replaceable_folder(target, is_tileset, WHAT)
     require_writable(target.parent)
     hierarchy = lod.read_slod(require_file(source))
     tell_notes(source, hierarchy.notes, out)
-    with out.progress("tiles", "tiles") as progress:
-        written = lod.write_tiles(hierarchy, target, params, progress=progress)
+    model = None if texture is None else read_file(texture, out)
+    with about_file(texture or source, "model"), out.progress("tiles", "tiles") as progress:
+        written = lod.write_tiles(hierarchy, target, params, texture=model, images=images, progress=progress)
+    tell_notes(target, written.notes, out)
+    full = sum(image.is_full for image in written.images)
+    if full:
+        out.remark(
+            f"{target}: {full:,} images have coarser texels than was asked for, as no side is longer than "
+            f"{images.image_side:,} texels; see --image-side"
+        )
     figures = {"output": str(target / TILESET), **written.figures()}
     out.result(figures, None if out.as_json else _text(figures))
 
@@ -57,4 +75,18 @@ def _text(figures: Mapping[str, Any]) -> str:
         f"the largest {size_of(figures['largest_bytes'])}.\n"
         f"Positions have {figures['positions']}, on a grid of {figures['grid_step_m']:.3g} m, which moves "
         f"them by at most {at_most(figures['grid_share_m'])} m; this is in each geometricError."
+        + ("" if figures["images"] is None else f"\n{_images_text(figures['images'])}")
+    )
+
+
+def _images_text(figures: Mapping[str, Any]) -> str:
+    width, height = figures["root_size"]
+    rms = figures["color_rms_levels_sampled"]
+    return (
+        f"Of that, images are {size_of(figures['total_bytes'])}: the median "
+        f"{size_of(figures['median_bytes'])}, the root's {size_of(figures['root_bytes'])} of "
+        f"{width} × {height} texels; a texel is {figures['finest_texel_m']:.3g} to "
+        f"{figures['coarsest_texel_m']:.3g} m wide.\n"
+        f"Colours differ from the model's by {rms['median']:.3g} levels RMS in the median tile and "
+        f"{rms['largest']:.3g} in the worst, as sampled."
     )

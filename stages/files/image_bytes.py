@@ -100,6 +100,22 @@ def encoded_png(image: NDArray[np.uint8]) -> bytes:
     return encoded.tobytes()
 
 
+def encoded_image(image: NDArray[np.uint8], kind: str, quality: int) -> bytes:
+    """Return an RGB image as a file: "jpeg", "webp" or "png"; quality 1 to 100, of the first two."""
+    if kind == "png":
+        return encoded_png(image)
+    require_opencv()
+    import cv2
+
+    options = {
+        # Colours at full resolution: halved ones fringe red on white.
+        "jpeg": [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111],
+        "webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
+    }
+    _, encoded = cv2.imencode({"jpeg": ".jpg", "webp": ".webp"}[kind], image[:, :, ::-1], options[kind])
+    return encoded.tobytes()
+
+
 def encoded_gray_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
     """Return an image (h, w) of one channel as a PNG file."""
     import cv2

@@ -11,6 +11,7 @@ from stages.lod.evaluate import adjust, evaluate
 from stages.lod.front import Cut, Front
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.slod import read_slod, write_slod
+from stages.lod.tile_texture import TileImageParams
 from stages.lod.tiles import Tileset, TilesParams, write_tiles
 from stages.lod.view import View
 
@@ -19,6 +20,7 @@ __all__ = [
     "Front",
     "Hierarchy",
     "LodParams",
+    "TileImageParams",
     "TilesParams",
     "Tileset",
     "View",

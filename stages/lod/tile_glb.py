@@ -1,8 +1,8 @@
 """The GLB file of one tile.
 
 Khronos Group, "glTF 2.0 specification", 2021, section 4.4 (the container); KHR_mesh_quantization;
-KHR_materials_unlit. glTF is y-up, and viewers of 3D Tiles turn it to z-up: what is (x, y, z) in a tileset is
-(x, z, -y) here.
+KHR_materials_unlit; EXT_texture_webp. glTF is y-up, and viewers of 3D Tiles turn it to z-up: what is
+(x, y, z) in a tileset is (x, z, -y) here.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from stages.lod.grid import Grid
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.formats.gltf_container import Tree
 from stages.surface.mesh import Mesh
+from stages.surface.texture import Image
 
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
 _VERTICES, _INDICES = 34962, 34963
@@ -24,6 +25,9 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _NONE = np.iinfo(np.uint16).max  # stands for no vertex in some programs
 # The amount of light of each displayed value.
 _LIGHT = np.rint(linear_from_srgb(np.arange(256) / 255) * 65535).astype(np.uint16)
+_FULL = 0xFFFF  # the far end of an image in texture coordinates of 16 bits
+_LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
+_WEBP, _WEBP_TYPE = "EXT_texture_webp", "image/webp"
 _QUANTIZED, _UNLIT = "KHR_mesh_quantization", "KHR_materials_unlit"
 
 
@@ -37,9 +41,13 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
 
     Parameters
     ----------
-    mesh : with at least one triangle, its positions on the grid, told from the grid's origin.
+    mesh : with at least one triangle, its positions on the grid, told from the grid's origin. If it has a
+        texture, that is of one image, whose bytes are kept as they are; coordinates, in 16 bits, are within
+        1/131070 of the image's side. Vertices are then there once for each place in the image: their
+        positions stay what they are.
     grid : of all tiles.
     """
+    mesh, uvs = _split_along_seams(mesh)
     views: list[tuple[NDArray[Any], int]] = []
     accessors: list[Tree] = []
 
@@ -70,6 +78,8 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
     if mesh.colors is not None:
         light = np.pad(_LIGHT[mesh.colors], ((0, 0), (0, 1)), constant_values=_LIGHT[-1])
         attributes["COLOR_0"] = accessor(light, "VEC4", _SHORT, _VERTICES, normalized=True)
+    if uvs is not None:
+        attributes["TEXCOORD_0"] = accessor(uvs, "VEC2", _SHORT, _VERTICES, normalized=True)
     narrow = len(mesh.vertices) < _NONE
     indices = mesh.triangles.reshape(-1).astype(np.uint16 if narrow else np.uint32)
     index = accessor(indices, "SCALAR", _SHORT if narrow else _INT, _INDICES)
@@ -87,9 +97,13 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
         "materials": [material],
         "accessors": accessors,
     }
+    if mesh.texture is not None:
+        (image,) = mesh.texture.images
+        used += _add_image(tree, image, len(views))
+        views.append((np.frombuffer(image.file_bytes, np.uint8), 0))
     if used:
         tree["extensionsRequired"] = list(used)
-    if mesh.colors is not None:
+    if mesh.colors is not None or mesh.texture is not None:
         material["extensions"] = {_UNLIT: {}}
         used.append(_UNLIT)
     if used:
@@ -97,12 +111,38 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
     return _container(tree, views)
 
 
+def _split_along_seams(mesh: Mesh) -> tuple[Mesh, NDArray[np.uint16] | None]:
+    """Return a mesh with a vertex for each place in the image, and these, from its upper left corner."""
+    if mesh.texture is None:
+        return mesh, None
+    places = np.rint((mesh.texture.uvs.reshape(-1, 2) * (1, -1) + (0, 1)) * _FULL)
+    u, v = places.clip(0, _FULL).astype(np.int64).T
+    wedges, index = np.unique(
+        (mesh.triangles.reshape(-1).astype(np.int64) << 32) | (u << 16) | v, return_inverse=True
+    )
+    split = Mesh(mesh.vertices[wedges >> 32], index.reshape(-1, 3).astype(np.int32), texture=mesh.texture)
+    return split, np.stack([wedges >> 16 & _FULL, wedges & _FULL], axis=1).astype(np.uint16)
+
+
+def _add_image(tree: Tree, image: Image, view: int) -> list[str]:
+    """Describe the image of the only material, in a view of the buffer; return what a reader has to know."""
+    texture: Tree = {"source": 0}
+    is_webp = image.mime == _WEBP_TYPE
+    tree["images"] = [{"bufferView": view, "mimeType": image.mime}]
+    tree["samplers"] = [{"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}]
+    tree["textures"] = [{"sampler": 0, **({"extensions": {_WEBP: texture}} if is_webp else texture)}]
+    tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    return [_WEBP] if is_webp else []
+
+
 def _container(tree: Tree, views: list[tuple[NDArray[Any], int]]) -> bytes:
     """Return a description and its buffer as one file."""
     tree["bufferViews"], pieces, size = [], [], 0
     for values, target in views:
         data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
-        view = {"buffer": 0, "byteOffset": size, "byteLength": len(data), "target": target}
+        view = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
+        if target:
+            view["target"] = target
         if target == _VERTICES:
             view["byteStride"] = values.shape[1] * values.itemsize
         tree["bufferViews"].append(view)

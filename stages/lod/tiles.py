@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
@@ -21,11 +22,15 @@ from stages.files.written_by import installed_version
 from stages.lod.grid import Grid, on_grid
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb
+from stages.lod.tile_texture import Piece, TileImage, TileImageParams, figures_of, model_of, with_images
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.rounding import rounded_up
+from stages.surface.color import is_transparent
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -84,12 +89,16 @@ class Tileset:
     sizes : (k,) int64, bytes of each tile's file, the root's first.
     triangles : (k,) int64, of each tile.
     tree : what tileset.json says.
+    images : of each tile; none where tiles have vertex colours.
+    notes : what a person should know of what was left out.
     """
 
     grid: Grid
     sizes: NDArray[np.int64]
     triangles: NDArray[np.int64]
     tree: Tree
+    images: tuple[TileImage, ...] = ()
+    notes: tuple[str, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -107,6 +116,7 @@ class Tileset:
             "grid_step_m": self.grid.step,
             "grid_share_m": self.grid.share_m,
             "geometric_error_m": float(self.tree["root"]["geometricError"]),
+            "images": figures_of(self.images) if self.images else None,
         }
 
 
@@ -115,6 +125,8 @@ def write_tiles(
     outdir: Path | str,
     params: TilesParams | None = None,
     *,
+    texture: MeshLike | None = None,
+    images: TileImageParams | None = None,
     progress: Progress = silent,
     **changes: Unpack[TilesKeywords],
 ) -> Tileset:
@@ -134,12 +146,20 @@ def write_tiles(
     hierarchy : with all of its levels.
     outdir : a folder that is made; a tileset of scanloom that is there is replaced, whole or not at all.
     params : TilesParams; single fields can be given by name instead.
+    texture : a mesh of the same surface, with an image or vertex colours, in the same place: the one the
+        levels were built from, or what was textured since. Each tile gets an image of its own with its
+        colours, in place of vertex colours; its positions and triangles are the same as without. In the
+        `extras` of its content, what is sampled of its colours takes the place of `color_bound_levels`.
+    images : how these are.
     progress : called with (tiles written, all).
 
     Raises
     ------
     InputError
         If levels are missing, there is something else at `outdir`, or positions cannot be told.
+    MeshError
+        If `texture` is no valid mesh, has no colours or is of another surface, or a tile is in too many
+        pieces for an image.
     StageError
         If the system refuses to write.
     UsageError
@@ -148,21 +168,26 @@ def write_tiles(
     params = resolve(TilesParams, params, changes)
     _require_whole(hierarchy)
     outdir = Path(outdir)
+    model = None if texture is None else as_mesh(texture, "model")
     with replacing_folder(outdir, is_tileset, WHAT) as draft:
         placed, grid = on_grid(hierarchy)
         (draft / _FOLDER).mkdir()
         tiles = _tiles(hierarchy, grid)
-        sizes, triangles = [], []
-        for done, tile in enumerate(tiles):
-            mesh = placed.mesh([tile.node], [int(placed.splits[tile.node]) if tile.is_base else 0])
+        sizes, triangles = np.zeros((2, len(tiles)), np.int64)
+        found: dict[int, TileImage] = {}
+        for done, (number, mesh, image) in enumerate(_meshes(placed, tiles, grid, model, images)):
             content = tile_glb(mesh, grid)
-            (draft / tile.uri).write_bytes(content)
-            sizes.append(len(content))
-            triangles.append(len(mesh.triangles))
+            (draft / tiles[number].uri).write_bytes(content)
+            sizes[number], triangles[number] = len(content), len(mesh.triangles)
+            if image is not None:
+                found[number] = image
             progress(done + 1, len(tiles))
-        tree = _tileset(placed, tiles, grid, params.up)
+        of_tiles = tuple(found[number] for number in sorted(found))
+        tree = _tileset(placed, tiles, of_tiles, grid, params.up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), "utf-8")
-    return Tileset(grid, np.array(sizes, np.int64), np.array(triangles, np.int64), tree)
+    is_lost = model is not None and is_transparent(model)
+    notes = ("tiles left out: the transparency of the model's images.",) if is_lost else ()
+    return Tileset(grid, sizes, triangles, tree, of_tiles, notes)
 
 
 def is_tileset(folder: Path) -> bool:
@@ -211,18 +236,75 @@ def _tiles(h: Hierarchy, grid: Grid) -> list[_Tile]:
     return found + base
 
 
-def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree:
+def _meshes(
+    placed: Hierarchy,
+    tiles: list[_Tile],
+    grid: Grid,
+    textured: Mesh | None,
+    params: TileImageParams | None,
+) -> Iterator[tuple[int, Mesh, TileImage | None]]:
+    """Give the number of each tile, its mesh, and its image if it is to have one."""
+
+    def mesh_of(tile: _Tile) -> Mesh:
+        return placed.mesh([tile.node], [int(placed.splits[tile.node]) if tile.is_base else 0])
+
+    if textured is None:
+        for number, tile in enumerate(tiles):
+            yield number, mesh_of(tile), None
+        return
+    model = model_of(textured, placed.mesh(leaves := _leaves(placed), placed.splits[leaves]), grid.origin)
+    pieces = [
+        Piece(mesh_of(tile).with_(colors=None), tile.shape_bound, below)
+        for tile, below in zip(tiles, _below(placed, tiles), strict=True)
+    ]
+    yield from with_images(pieces, model, params or TileImageParams())
+
+
+def _leaves(h: Hierarchy) -> NDArray[np.int64]:
+    return np.flatnonzero([not len(children) for children in h.children])
+
+
+def _below(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
+    """Return for each tile those of the levels below its own that are together all of the surface."""
+    number_of = {(tile.node, tile.is_base): number for number, tile in enumerate(tiles)}
+
+    def standing_for(node: int) -> int:
+        while (node, False) not in number_of and len(h.children[node]):
+            (node,) = h.children[node].tolist()
+        return number_of.get((node, False), number_of.get((node, True), -1))
+
+    def front(level: int) -> tuple[int, ...]:
+        todo, found = [0], []
+        while todo:
+            node = todo.pop()
+            if h.level[node] < level:
+                found.append(standing_for(node))
+            elif len(h.children[node]):
+                todo += h.children[node].tolist()
+            else:
+                found.append(number_of[node, True])
+        return tuple(sorted(found))
+
+    fronts = {level: front(level) for level in set(h.level.tolist())}
+    return [() if tile.is_base else fronts[int(h.level[tile.node])] for tile in tiles]
+
+
+def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: Grid, up: str) -> Tree:
     """Return what tileset.json says."""
     low, high = placed.boxes
     described: dict[int, Tree] = {}
     own = {(tile.node, tile.is_base): tile for tile in tiles}
+    shown = {tile.uri: image for tile, image in zip(tiles, images, strict=False)}
     # From the last node to the root, so that children are there before their parent.
     for node in range(placed.nodes - 1, -1, -1):
         box = {"box": _box(low[node], high[node], grid)}
         below = [described[int(child)] for child in placed.children[node]]
         for tile in (own.get((node, True)), own.get((node, False))):
             if tile is not None:
-                below = [_described(tile, box, below, with_colors=placed.colors is not None)]
+                colors = {} if placed.colors is None else {"color_bound_levels": tile.color_bound}
+                if tile.uri in shown:
+                    colors = shown[tile.uri].figures()
+                below = [_described(tile, box, below, colors)]
         (described[node],) = below
     root = described[0]
     transform = np.eye(4)
@@ -242,11 +324,9 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
     }
 
 
-def _described(tile: _Tile, volume: Tree, below: list[Tree], *, with_colors: bool) -> Tree:
-    """Return what tileset.json says of a tile and those below it."""
-    extras: Tree = {"shape_bound_m": tile.shape_bound}
-    if with_colors:
-        extras["color_bound_levels"] = tile.color_bound
+def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree) -> Tree:
+    """Return what tileset.json says of a tile, of its colours, and of those below it."""
+    extras: Tree = {"shape_bound_m": tile.shape_bound, **colors}
     return {
         "boundingVolume": volume,
         "geometricError": max([tile.shape_bound, *(child["geometricError"] for child in below)]),

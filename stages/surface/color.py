@@ -30,6 +30,12 @@ def is_textured(mesh: Mesh) -> bool:
     return bool(np.array([*tells, False])[mesh.texture.material_ids].any())
 
 
+def is_transparent(mesh: Mesh) -> bool:
+    """Return whether an image of the mesh lets through what is behind it, anywhere."""
+    images = [pixels_of(material) for material in _materials(mesh)]
+    return any(image is not None and image.shape[2] == 4 and image[..., 3].min() < 255 for image in images)
+
+
 def color_at(mesh: Mesh, triangles: NDArray[np.integer], weights: _Floats) -> _Floats:
     """Return the colour at points of the surface, (k, 3) RGB in 8-bit levels, as exact as the weights.
 

@@ -8,8 +8,10 @@ distances differ by less than about 1e-6 of the box's diagonal.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +97,17 @@ class Surface:
         # Open3D builds its tree at the first query: have that now, before several threads ask.
         self._scene.compute_closest_points(o3d.core.Tensor(np.zeros((1, 3), np.float32)))
 
+    def showing(self, mesh: Mesh) -> Surface:
+        """Return the same surface with other colours: of a mesh of the same vertices and triangles."""
+        other = copy.copy(self)
+        other.mesh = mesh
+        return other
+
+    @cached_property
+    def normals(self) -> Floats:
+        """Unit normals (m, 3) of the triangles; 0 for those without area."""
+        return unit_normals(self.mesh)
+
     def closest(self, points: Floats) -> Located:
         """Return the surface point nearest to each of `points`, (k, 3) float64 in metres."""
         parts = [self._closest(points[rows]) for rows in chunks(len(points))]
@@ -161,6 +174,14 @@ def _without_slivers(mesh: Mesh) -> Triangles:
     first, second = longest[slivers], (longest[slivers] + 1) % 3
     triangles[slivers] = mesh.triangles[slivers[:, None], np.stack([first, second, second], axis=1)]
     return triangles
+
+
+def unit_normals(mesh: Mesh) -> Floats:
+    """Return the unit normals (m, 3) of a mesh's triangles; 0 for those without area."""
+    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
 
 def bounding_box(*meshes: Mesh) -> Floats:

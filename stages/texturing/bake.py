@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
@@ -22,18 +21,17 @@ from stages.errors import MeshError, UsageError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead, workers
-from stages.surface.color import has_color, pixels_of
+from stages.surface.color import has_color, is_transparent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box
-from stages.surface.texture import Image, Material, Texture, signed_areas
+from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import areas, require_area
+from stages.texturing.detail import SAMPLES_PER_DETAIL, detail_of
 from stages.texturing.facing import FacingColors
-from stages.texturing.filling import filled_up
-from stages.texturing.pages import Pages, Texels, fitted, texels_of
+from stages.texturing.pages import Pages, fitted
+from stages.texturing.painted_pages import painted_pages
 from stages.texturing.reducing import reduced
-from stages.texturing.texel_samples import END, WITHIN, borders, samples_under
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -51,23 +49,10 @@ _MOST_SAMPLES = 4
 _ALL_SAMPLES = 16e6
 # An image that is finer by no more than this factor is shown as it is.
 _ALIKE = 1.25
-# Of the mean edge: what is interpolated between vertices has kinks along edges, many of them shorter.
-_DETAIL_OF_EDGE = 0.4
-# An original has no more details than this in a triangle, by its vertex colours: where a few triangles are
-# large among tiny ones, an image that shows these everywhere would take minutes for a handful of colours.
-_DETAILS_OF_TRIANGLE = 2000
 # A light mesh of more than this many times the original's area shows something else: it gets no more texels
 # for being large.
 _MOST_AREA = 4
-# Samples in a length of one detail of the original, at least. On a scanned banana and a fused room more of
-# them change the error by less than 0.1 dB.
-_SAMPLES_PER_DETAIL = 1.6
 _COMPARED = 100_000
-# Levels that what lies beyond the border of a chart may differ from what it shows: a step of colour along an
-# edge, where charts like to end, must not show before it. Beyond the end of the surface there is nothing.
-_MOST_STEP = 24.0
-# Bounds the memory, at some 400 bytes each.
-_SAMPLES_AT_ONCE = 1 << 19
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,9 +209,9 @@ def bake(
     stretch = _stretch(given, reference)
     most = params.max_texels * 1e6 * _FILLED
     finest = max(params.texel_size or 0.0, math.sqrt(_area(given) / most))
-    finer = max(_most_samples(_area(given) / finest**2) / _SAMPLES_PER_DETAIL, _ALIKE)
+    finer = max(_most_samples(_area(given) / finest**2) / SAMPLES_PER_DETAIL, _ALIKE)
     shown = reduced(reference, finest / stretch, finer)
-    detail = _detail(shown) * stretch
+    detail = detail_of(shown) * stretch
     pages = fitted(
         given,
         params.texel_size or detail,
@@ -235,15 +220,15 @@ def bake(
         padding=params.padding,
         progress=lambda *_: progress(0, 1),
     )
-    texel_size = _texel_size(given, pages)
-    enough = math.ceil(_SAMPLES_PER_DETAIL * texel_size / detail)
+    texel_size = pages.texel_size(given)
+    enough = math.ceil(SAMPLES_PER_DETAIL * texel_size / detail)
     samples = params.samples or min(enough, _most_samples(_area(given) / texel_size**2))
     box = bounding_box(given, reference)
     surface = Surface(reference, box)
     colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
-    painted = _painted(given, pages, samples, texel_size, colors_of, progress)
+    painted = painted_pages(given, pages, samples, colors_of, progress=progress)
     mesh = _textured(given, pages, painted.images)
-    if _is_transparent(reference):
+    if is_transparent(reference):
         mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
     if shown is not reference:
         sizes = ", ".join(f"{width} × {height}" for width, height in pages.sizes)
@@ -275,36 +260,6 @@ def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]]) -> 
     return mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))
 
 
-def _is_transparent(mesh: Mesh) -> bool:
-    images = [] if mesh.texture is None else [pixels_of(material) for material in mesh.texture.materials]
-    return any(image is not None and image.shape[2] == 4 and image[..., 3].min() < 255 for image in images)
-
-
-def _detail(original: Mesh) -> float:
-    """Return the size, in metres, of the smallest thing the original's colours can show."""
-    corners = original.vertices[original.triangles]
-    area = areas(original.vertices, original.triangles)
-    texture = original.texture
-    if texture is not None:
-        images = [pixels_of(material) for material in texture.materials]
-        # The last one stands for triangles without a material.
-        texels_of = np.array([*(_texel_count(image) for image in images), 0])
-        texels = np.abs(signed_areas(texture.uvs)) * texels_of[texture.material_ids]
-        on_image = texels > 0
-        # Where most of the surface has a texture, that is what there is to keep.
-        if area[on_image].sum() > area.sum() / 2:
-            return math.sqrt(area[on_image].sum() / texels.sum())
-    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    least = math.sqrt(area.sum() / (_DETAILS_OF_TRIANGLE * len(area)))
-    return max(_DETAIL_OF_EDGE * float(lengths.mean()), least)
-
-
-def _texel_count(image: NDArray[np.uint8] | None) -> int:
-    """Return how many texels show a detail: a single one has none, however often it is repeated."""
-    count = 0 if image is None else image.shape[0] * image.shape[1]
-    return count if count > 1 else 0
-
-
 def _stretch(light: Mesh, original: Mesh) -> float:
     """Return how much larger the original's details are on the light mesh: 1 where both show one surface."""
     light_area, area = (float(areas(mesh.vertices, mesh.triangles).sum()) for mesh in (light, original))
@@ -320,60 +275,5 @@ def _area(mesh: Mesh) -> float:
     return float(areas(mesh.vertices, mesh.triangles).sum())
 
 
-def _texel_size(mesh: Mesh, pages: Pages) -> float:
-    return math.sqrt(_area(mesh) / float(np.abs(signed_areas(pages.corners)).sum()))
-
-
 def _color_error(original: Surface, mesh: Mesh, box: Floats) -> ColorError | None:
     return compare_surfaces(original, Surface(mesh, box), CompareParams(samples=_COMPARED)).color_a_to_b
-
-
-@dataclass(frozen=True, eq=False)
-class _Painted:
-    """Images full to their edges; the shares of them that charts have, and of samples that faced away."""
-
-    images: list[NDArray[np.uint8]]
-    coverage: float
-    turned: float
-
-
-def _painted(
-    mesh: Mesh, pages: Pages, samples: int, texel_size: float, colors_of: FacingColors, progress: Progress
-) -> _Painted:
-    sides = borders(mesh, pages)
-
-    def means(width: int, part: Texels) -> tuple[NDArray[np.float32], int]:
-        triangles, weights = samples_under(mesh, pages, part, width, samples, texel_size)
-        colors, turned = colors_of(triangles, weights)
-        crossed = np.where(weights < 0, sides[triangles], WITHIN).max(axis=1)
-        (beyond,) = np.nonzero(crossed > WITHIN)
-        inside = weights[beyond].clip(0)
-        last, _ = colors_of(triangles[beyond], inside / inside.sum(axis=1, keepdims=True))
-        most = np.where(crossed[beyond] == END, 0.0, _MOST_STEP)[:, None]
-        colors[beyond] = last + (colors[beyond] - last).clip(-most, most)
-        return colors.reshape(len(part.pixels), -1, 3).mean(axis=1).astype(np.float32), turned
-
-    rows = sum(height for _, height in pages.sizes)
-    texels = sum(width * height for width, height in pages.sizes)
-    done = filled = turned = 0
-    images = []
-    for number, (width, height) in enumerate(pages.sizes):
-        found = texels_of(pages, number)
-        parts = found.parts(_SAMPLES_AT_ONCE // samples**2)
-        paint = partial(means, width)
-        ready = 0
-        image = np.zeros((height * width, 3), np.float32)
-        for part, (colors, away) in zip(
-            parts, read_ahead(paint, parts, threads=workers(), ahead=workers() + 1), strict=True
-        ):
-            image[part.pixels] = colors
-            turned += away
-            # As many rows as texels, of all that show the surface.
-            ready += len(part.pixels)
-            progress(done + height * ready // len(found.pixels), rows)
-        shows = np.zeros(height * width, bool)
-        shows[found.pixels] = True
-        filled += len(found.pixels)
-        images.append(filled_up(image.reshape(height, width, 3), shows.reshape(height, width), pages.padding))
-        done += height
-    return _Painted(images, filled / texels, turned / max(filled * samples**2, 1))

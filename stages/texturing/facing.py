@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stages.surface.color import color_at
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface
+from stages.surface.raycasting import Floats, Surface, unit_normals
 
 # Surfaces that are passed on the way to one that faces the right way, to each side.
 _PASSED = 4
@@ -31,9 +31,9 @@ class FacingColors:
     def __init__(self, original: Surface, light: Mesh, texel_size: float) -> None:
         self._inwards = _INWARDS * texel_size
         self._original = original
-        self._normals = _unit_normals(original.mesh)
+        self._normals = original.normals
         self._light = light
-        self._light_normals = _unit_normals(light)
+        self._light_normals = unit_normals(light)
         self._reach = self._farthest()
 
     def __call__(self, triangles: NDArray[np.int64], weights: Floats) -> tuple[NDArray[np.floating], int]:
@@ -100,13 +100,6 @@ class FacingColors:
                     break
         (found,) = np.nonzero(triangles >= 0)
         return found, triangles[found], weights[found]
-
-
-def _unit_normals(mesh: Mesh) -> Floats:
-    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.errors import MeshError
-from stages.progress import Progress
+from stages.progress import Progress, silent
 from stages.surface.mesh import Mesh
+from stages.surface.texture import signed_areas
 from stages.surface.topology import areas
 
 # Of an image, that charts fill in the mean; used to choose its size.
@@ -34,6 +35,13 @@ _FILLINGS = 6
 _GROWTH = 1.04
 # A side has room for a chart if it is longer than so many times the padding.
 _SIDES_OF_PADDING = 4
+# Where one image is to hold all: texels of its side to one of padding, and the most of that. Viewers show a
+# tile's image hardly ever halved more than once or twice.
+_SIDE_PER_PADDING_OF_ONE = 128
+_MOST_PADDING_OF_ONE = 8
+# From one try to the next, of its side; and of its density, so little that pieces are mere points.
+_GROWTH_OF_ONE = 1.12
+_LEAST_DENSITY = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +73,11 @@ class Pages:
         """Return texture coordinates (m, 3, 2); (0, 0) is the lower left corner of the image."""
         sizes = np.array(self.sizes, np.float64)[self.images]
         return np.asarray(self.corners * (1, -1) / sizes[:, None] + (0, 1))
+
+    def texel_size(self, mesh: Mesh) -> float:
+        """Return how large a texel is on the mesh, metres, in the mean."""
+        area = float(areas(mesh.vertices, mesh.triangles).sum())
+        return math.sqrt(area / float(np.abs(signed_areas(self.corners)).sum()))
 
 
 def laid_out(
@@ -142,6 +155,38 @@ def fitted(
     if padding is None and sum(width * height for width, height in pages.sizes) > max_texels / _FILLED:
         pages = tried(density, side, _LEAST_PADDING)
     return pages
+
+
+def in_one(mesh: Mesh, texel_size: float, *, max_side: int) -> Pages:
+    """Lay a mesh out in one image, hardly larger than needed, whose sides are no powers of two.
+
+    Parameters
+    ----------
+    texel_size : metres, of a texel on the surface; more where the image had no room for that.
+    max_side : texels.
+
+    Raises
+    ------
+    MeshError
+        If all triangles are needles, or the mesh is in so many pieces that no image has room for them.
+    """
+    area = float(areas(mesh.vertices, mesh.triangles).sum())
+    density = 1 / texel_size
+    side = _whole(math.sqrt(area) * density / math.sqrt(_FILLED), max_side)
+    while density * texel_size > _LEAST_DENSITY:
+        padding = min(max(_LEAST_PADDING, side // _SIDE_PER_PADDING_OF_ONE), _MOST_PADDING_OF_ONE)
+        pages = _even(mesh, silent, density, side, padding)
+        if len(pages.sizes) == 1:
+            return pages
+        if side == max_side:
+            density /= _GROWTH_OF_ONE
+        else:
+            side = _whole(side * _GROWTH_OF_ONE, max_side)
+    raise MeshError(f"falls into too many pieces for an image of {max_side} × {max_side} texels.", "mesh")
+
+
+def _whole(side: float, max_side: int) -> int:
+    return min(max(math.ceil(side / _ROWS) * _ROWS, _MIN_SIDE), max_side)
 
 
 def _filled(

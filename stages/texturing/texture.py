@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
-from stages.files.image_bytes import encoded_png
+from stages.files.image_bytes import encoded_image
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
@@ -330,19 +330,7 @@ def _typical(shifts: Sequence[Shifts], photos: Photos) -> float:
 
 
 def _encoded(painted: Painted, padding: int, params: TextureParams) -> bytes:
-    import cv2
-
-    pixels = filled_up(painted.colors, painted.filled, padding)
-    if params.format == "png":
-        return encoded_png(pixels)
-    options = {
-        # Colours at full resolution: halved ones fringe red on white.
-        "jpeg": [cv2.IMWRITE_JPEG_QUALITY, params.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111],
-        "webp": [cv2.IMWRITE_WEBP_QUALITY, params.quality],
-    }
-    suffix = {"jpeg": ".jpg", "webp": ".webp"}[params.format]
-    _, data = cv2.imencode(suffix, pixels[:, :, ::-1], options[params.format])
-    return data.tobytes()
+    return encoded_image(filled_up(painted.colors, painted.filled, padding), params.format, params.quality)
 
 
 def _result(

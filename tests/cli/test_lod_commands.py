@@ -56,6 +56,21 @@ def test_cut_to_a_number_of_triangles_an_error_and_a_view(scanloom: Run, built: 
     assert all(tuple(v) in exact for v in found[np.linalg.norm(found, axis=1) < 0.1])
 
 
+def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: Path) -> None:
+    out, model = tmp_path / "cut.glb", tmp_path / "m.ply"
+    ran = scanloom("lod", "cut", built, out, "--triangles", 700, "--texture", model, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    mesh = read_mesh(out)
+    assert mesh.texture is not None
+    assert mesh.texture.images
+    assert ran.json["triangles"] == len(mesh.triangles) <= 700
+    assert ran.json["texture"]["color"]["rmse_levels"] < ran.json["texture"]["vertex_color"]["rmse_levels"]
+    assert ran.json["color_bound_levels"] is None
+    ran = scanloom("lod", "cut", built, tmp_path / "cut.stl", "--triangles", 700, "--texture", model)
+    assert ran.exit_code == 2
+    assert "the extension .stl stands for no format; use .glb, .obj, .ply." in ran.stderr
+
+
 def test_what_cannot_be_met_is_told(scanloom: Run, built: Path, tmp_path: Path) -> None:
     ran = scanloom("lod", "cut", built, tmp_path / "o.ply", "--triangles", 3)
     assert ran.exit_code == 1

@@ -10,7 +10,7 @@ import pytest
 from coloured_meshes import sheet
 from tiles_read import read_tiles
 
-from stages import lod
+from stages import bake, lod, write_mesh
 
 Run = Callable[..., Any]
 
@@ -42,6 +42,28 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert read_tiles(target).tree["transform"][:4] == [1, 0, 0, 0]
 
 
+@pytest.fixture(scope="module")
+def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same sheet with an image."""
+    path = tmp_path_factory.mktemp("model") / "textured.glb"
+    write_mesh(path, bake(sheet(16), sheet(16)).mesh)
+    return path
+
+
+def test_tiles_with_images(scanloom: Run, slod: Path, textured: Path, tmp_path: Path) -> None:
+    target = tmp_path / "tiles"
+    ran = scanloom("lod", "tiles", slod, target, "--texture", textured, "--image-format", "webp", "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    tiles = list(read_tiles(target).all())
+    assert all(tile.image is not None and tile.image[8:12] == b"WEBP" for tile in tiles)
+    assert ran.json["images"]["total_bytes"] == sum(len(tile.image or b"") for tile in tiles)
+    ran = scanloom("lod", "tiles", slod, target, "--texture", textured)
+    assert ran.exit_code == 0
+    assert "Of that, images are" in ran.stdout
+    assert "as sampled." in ran.stdout
+    assert all((tile.image or b"").startswith(b"\xff\xd8") for tile in read_tiles(target).all())
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -54,6 +76,17 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
             3,
             "full: this folder is not empty and is not a tileset of scanloom; name a new one.",
         ),
+        (("{slod}", "out", "--texture", "absent.glb"), 3, "absent.glb: there is no such file."),
+        (
+            ("{slod}", "out", "--image-side", "8"),
+            2,
+            "--image-side is 8 texels; it must be at least 64 texels.",
+        ),
+        (
+            ("{slod}", "out", "--texture", "{plain}"),
+            3,
+            "{plain}: has neither an image nor vertex colours that tiles could get.",
+        ),
         (("{slod}", "out", "--up", "y"), 2, "--up is 'y'; it must be one of +x, -x, +y, -y, +z, -z, none."),
     ],
 )
@@ -61,6 +94,7 @@ def test_what_is_wrong_is_said_in_one_sentence(
     scanloom: Run,
     slod: Path,
     tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
     code: int,
@@ -70,7 +104,10 @@ def test_what_is_wrong_is_said_in_one_sentence(
     Path("notes.txt").write_text("These are notes, not levels of detail.")
     Path("full").mkdir()
     Path("full", "mine.txt").write_text("mine")
-    ran = scanloom("lod", "tiles", *(word.format(slod=slod) for word in words))
+    plain = tmp_path_factory.mktemp("plain") / "plain.ply"
+    write_mesh(plain, sheet(4).with_(colors=None))
+    ran = scanloom("lod", "tiles", *(word.format(slod=slod, plain=plain) for word in words))
+    said = said.format(plain=plain)
     assert (ran.exit_code, ran.stderr, ran.stdout) == (code, f"scanloom: {said}\n", "")
     assert sorted(path.as_posix() for path in Path().rglob("*")) == ["full", "full/mine.txt", "notes.txt"]
 

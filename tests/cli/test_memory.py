@@ -28,6 +28,8 @@ COMMANDS = {
     "clean, with repairs": "clean mesh.ply out.ply --repair",
     "check": "check mesh.ply",
     "lod": "lod build mesh.ply out.slod --cell-triangles 1000",
+    "lod tiles": "lod tiles made.slod tiles-{} --texture mesh.ply",
+    "lod cut": "lod cut made.slod out.glb --triangles 1000 --texture mesh.ply",
     "compare": "compare mesh.ply light.ply",
     "certify": "certify light.ply mesh.ply",
     "patches": "patches mesh.ply out.ply",
@@ -44,16 +46,19 @@ COMMANDS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both samples, a mesh, a light one, the record of that, and a normal mesh."""
+    """Both samples, a mesh, a light one, the record of that, a normal mesh, and levels."""
     folder = tmp_path_factory.mktemp("memory")
     for sample in ("rgbd", "stereo"):
         (folder / sample).symlink_to(SAMPLES / sample)
     write_ply(folder / "mesh.ply", sheet(60))
     files = {
-        name: str(folder / name) for name in ("mesh.ply", "light.ply", "made.npz", "made.snm", "made.ply")
+        name: str(folder / name)
+        for name in ("mesh.ply", "light.ply", "made.npz", "made.snm", "made.ply", "made.slod")
     }
     simplified = ["simplify", files["mesh.ply"], files["light.ply"], "--ratio", "0.1"]
     assert run_command([*simplified, "--save-record", files["made.npz"]]) == 0
+    built = ["lod", "build", files["mesh.ply"], files["made.slod"], "--cell-triangles", "1000"]
+    assert run_command(built) == 0
     remeshed = ["remesh", files["mesh.ply"], files["made.ply"], "--levels", "1"]
     assert run_command([*remeshed, "--save", files["made.snm"]]) == 0
     return folder

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _TYPES = {5123: np.dtype("<u2"), 5125: np.dtype("<u4"), 5126: np.dtype("<f4")}
-_COLUMNS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 @dataclass
@@ -27,6 +27,8 @@ class Tile:
     vertices : (n, 3) float32, in the tileset's frame, as single precision makes them of what is written.
     colors : (n, 4) uint16, amounts of light, or None.
     triangles : (m, 3) int64.
+    uvs : (n, 2) uint16, texture coordinates from the upper left corner of the image, or None.
+    image : the bytes of its file, or None.
     """
 
     tree: dict[str, Any]
@@ -34,6 +36,8 @@ class Tile:
     vertices: NDArray[np.float32]
     colors: NDArray[np.uint16] | None
     triangles: NDArray[np.int64]
+    uvs: NDArray[np.uint16] | None = None
+    image: bytes | None = None
     children: list[Tile] = field(default_factory=list)
 
     def all(self) -> Iterator[Tile]:
@@ -64,7 +68,7 @@ def _tile(outdir: Path, tree: dict[str, Any]) -> Tile:
         for name, default in (("scale", 1), ("translation", 0))
     )
     x, y, z = (found * scale + move).T
-    color = primitive["attributes"].get("COLOR_0")
+    color, places = (primitive["attributes"].get(name) for name in ("COLOR_0", "TEXCOORD_0"))
     return Tile(
         tree,
         gltf,
@@ -72,8 +76,27 @@ def _tile(outdir: Path, tree: dict[str, Any]) -> Tile:
         np.stack([x, -z, y], axis=1) + np.float32(0),
         None if color is None else _values(gltf, binary, color),
         _values(gltf, binary, primitive["indices"]).reshape(-1, 3).astype(np.int64),
+        None if places is None else _values(gltf, binary, places),
+        _image(gltf, binary),
         [_tile(outdir, child) for child in tree.get("children", [])],
     )
+
+
+def _image(gltf: dict[str, Any], binary: bytes) -> bytes | None:
+    """Return the image of the only material, if it has one."""
+    (material,) = gltf["materials"]
+    number = material["pbrMetallicRoughness"].get("baseColorTexture", {}).get("index")
+    if number is None:
+        return None
+    texture = gltf["textures"][number]
+    webp = texture.get("extensions", {}).get("EXT_texture_webp")
+    image = gltf["images"][(texture if webp is None else webp)["source"]]
+    view = gltf["bufferViews"][image["bufferView"]]
+    assert "target" not in view
+    assert "byteStride" not in view
+    assert image["mimeType"] in ("image/jpeg", "image/webp", "image/png")
+    assert (image["mimeType"] == "image/webp") is (webp is not None)
+    return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
 
 
 def chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

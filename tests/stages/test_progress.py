@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,14 @@ ASKED: dict[str, dict[str, Any]] = {
     "seams": {"ratio": 0.05},
     "planar": {"max_shape": 0.01},
 }
+
+
+def tiles_with_images(progress: Progress) -> None:
+    hierarchy = lod.build(hills(60), cell_triangles=500, root_triangles=100)
+    with tempfile.TemporaryDirectory() as folder:
+        lod.write_tiles(hierarchy, Path(folder) / "tiles", texture=hills(60), progress=progress)
+
+
 WORK: dict[str, Callable[[Progress], object]] = {
     **{
         method.name: functools.partial(
@@ -74,6 +83,7 @@ WORK: dict[str, Callable[[Progress], object]] = {
     ),
     "check": lambda progress: check(hills(400), progress=progress),
     "lod": lambda progress: lod.build(hills(150), progress=progress),
+    "tiles, with images": tiles_with_images,
     "repair": lambda progress: repair(hills(200), corner_angle=30, progress=progress),
     "clean, with repairs": lambda progress: clean(hills(100), repair=True, progress=progress),
     "patches": lambda progress: planar_patches(hills(400), progress=progress),

@@ -4,7 +4,7 @@ import pytest
 import trimesh
 from coloured_meshes import ball, of_trimesh, sheet
 
-import stages.texturing.bake as bake_module
+import stages.texturing.painted_pages as pages_module
 from stages.errors import MeshError, UsageError
 from stages.simplification.simplify import simplify
 from stages.surface.color import color_at
@@ -146,8 +146,8 @@ def test_threads_change_nothing(monkeypatch, threads):
     original = sheet(n=12)
     light = simplify(original, ratio=0.2).mesh
     expected = bake(light, original, samples=2).mesh.texture
-    monkeypatch.setattr(bake_module, "workers", lambda: threads)
-    monkeypatch.setattr(bake_module, "_SAMPLES_AT_ONCE", 500)
+    monkeypatch.setattr(pages_module, "workers", lambda: threads)
+    monkeypatch.setattr(pages_module, "_SAMPLES_AT_ONCE", 500)
     found = bake(light, original, samples=2).mesh.texture
     np.testing.assert_array_equal(found.images[0].pixels, expected.images[0].pixels)
 

@@ -1,0 +1,361 @@
+"""Images of tiles: each tile has its own, as fine as what is proven of its shape asks for.
+
+The finest tiles get their colours from the model itself, texel by texel, at the nearest point that faces the
+same way. Coarser tiles get theirs from the next finer ones, once these show more detail than a few samples
+of a texel meet: so each texel is the mean of what is under it, and no colour comes from a neighbour in the
+model's image, which its smaller copies would mix in. Across the borders of tiles the colours go on, for what
+is under a texel is looked up in all tiles around.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import MeshError
+from stages.files.image_bytes import encoded_image
+from stages.params import check, param
+from stages.scans.prefetch import read_ahead, workers
+from stages.surface.color import color_at, has_color
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Floats, Surface, bounding_box
+from stages.surface.texture import Image, Material, Texture
+from stages.surface.topology import areas, require_area
+from stages.texturing.detail import detail_of, details_of
+from stages.texturing.facing import FacingColors
+from stages.texturing.pages import Pages, in_one
+from stages.texturing.painted_pages import painted_pages
+from stages.texturing.reducing import reduced
+
+# The heading in help.
+_IMAGES = "Images"
+# Samples in a length of one detail. More of them, as a single image gets that is baked, change the RMS error
+# of colours by less than 0.1 levels, and take four times as long where texels are as large as the model's.
+_SAMPLES_PER_DETAIL = 1.3
+# Samples along a texel's side; what is finer than these meet is looked up in finer tiles, or averaged before.
+_MOST_SAMPLES = 4
+_FINER = _MOST_SAMPLES / _SAMPLES_PER_DETAIL
+# Charts are squeezed a little; texels larger by more than this factor had no room.
+_COARSER = 1.15
+# Copies of the model's images, each half as large as the one before.
+_HALVINGS = 3
+# Texture coordinates are whole numbers up to this.
+_UV_STEPS = 65535
+# Of the levels' size: a model is of another surface if half of the levels lie farther from it.
+_FAR = 0.02
+_PROBES = 20_000
+# Points of a tile where the model's detail is looked up, and colours are compared with the model's.
+_POINTS = 4000
+# Of a texel, and of the errors of two tiles: how far beyond its box colours of a tile are looked up.
+_REACH_TEXELS, _REACH_ERRORS = 8.0, 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileImageParams:
+    """How the images of tiles are."""
+
+    texels_per_error: float = param(
+        4.0,
+        "Texels along a length of the tile's proven error; never finer than the model's own. Viewers show a "
+        "tile until its error is some 16 pixels wide.",
+        group=_IMAGES,
+        low=0.1,
+        high=100,
+    )
+    image_side: int = param(
+        2048, "Longest side of a tile's image.", unit="texels", group=_IMAGES, low=64, high=8192
+    )
+    image_format: str = param(
+        "jpeg",
+        "How images are kept; webp is smaller, and asks viewers for EXT_texture_webp.",
+        group=_IMAGES,
+        choices=("jpeg", "webp", "png"),
+    )
+    image_quality: int = param(90, "Of JPEG and WebP images.", group=_IMAGES, low=1, high=100)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, eq=False)
+class TileImage:
+    """The image of a tile, and how its colours differ from the model's.
+
+    Attributes
+    ----------
+    bytes : of its file.
+    size : width and height, texels.
+    texel_size : metres, of a texel on the tile, in the mean.
+    coverage : share of it that shows the surface.
+    is_full : whether it had no room for texels as small as were asked for.
+    color_rms, color_95, color_most : levels, at points spread over the tile, against the model's colours at
+        the nearest points that face the same way; sampled, and so not proven. RMS is over points and
+        channels, the others are of the largest difference of a channel: 95 % of the points have less, and
+        all.
+    """
+
+    bytes: int
+    size: tuple[int, int]
+    texel_size: float
+    coverage: float
+    is_full: bool
+    color_rms: float
+    color_95: float
+    color_most: float
+
+    def figures(self) -> dict[str, Any]:
+        """Return what tileset.json says of it."""
+        return {
+            "texel_size_m": _three_digits(self.texel_size),
+            "color_rms_levels_sampled": _three_digits(self.color_rms),
+            "color_95_levels_sampled": _three_digits(self.color_95),
+            "color_max_levels_sampled": _three_digits(self.color_most),
+        }
+
+
+def figures_of(images: Sequence[TileImage]) -> dict[str, Any]:
+    """Return how large images of tiles are, the root's first, and how their colours differ from the model."""
+    return {
+        "total_bytes": sum(image.bytes for image in images),
+        "root_bytes": images[0].bytes,
+        "median_bytes": int(np.median([image.bytes for image in images])),
+        "root_size": list(images[0].size),
+        "longest_side": max(max(image.size) for image in images),
+        "coverage": float(np.median([image.coverage for image in images])),
+        "finest_texel_m": min(image.texel_size for image in images),
+        "coarsest_texel_m": max(image.texel_size for image in images),
+        "tiles_without_room": sum(image.is_full for image in images),
+        "color_rms_levels_sampled": {
+            "median": float(np.median([image.color_rms for image in images])),
+            "largest": max(image.color_rms for image in images),
+        },
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What tiles get their colours from.
+
+    Attributes
+    ----------
+    surface : in the place of the tiles.
+    coarser : the same with its images halved, once and more often; none if it has no images.
+    details : (m,) metres, by triangle: of its own texels, or of what its vertex colours show.
+    """
+
+    surface: Surface
+    coarser: Sequence[Surface]
+    details: Floats
+
+    def detail_on(self, mesh: Mesh) -> float:
+        """Return the detail it has where another mesh is, metres, in the mean over texels."""
+        triangles, weights = _spread(mesh)
+        points = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
+        details = self.details[self.surface.closest(points).triangles]
+        return float(1 / np.sqrt((1 / details**2).mean()))
+
+    def for_texels(self, texel_size: float, detail: float) -> tuple[Surface, float]:
+        """Return it with images that a few samples of such a texel meet all of, and the detail left."""
+        halvings = max(math.ceil(math.log2(texel_size / (_FINER * detail))), 0)
+        halvings = min(halvings, len(self.coarser))
+        return self.coarser[halvings - 1] if halvings else self.surface, detail * 2**halvings
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """The mesh of a tile, and where its image comes from.
+
+    Attributes
+    ----------
+    mesh : without colours.
+    error : metres, proven of its shape.
+    below : other pieces, finer, that are together all of the surface; none for the finest.
+    """
+
+    mesh: Mesh
+    error: float
+    below: tuple[int, ...]
+
+
+def model_of(mesh: Mesh, levels: Mesh, origin: Floats) -> Model:
+    """Return a model that the levels can get their colours from.
+
+    Parameters
+    ----------
+    mesh : with a texture or vertex colours, in the frame of the levels.
+    levels : the finest mesh of the levels, told from `origin`, metres.
+
+    Raises
+    ------
+    MeshError
+        If it has neither, has no area, or is not of the same surface.
+    """
+    require_area(mesh, "model")
+    if not has_color(mesh):
+        raise MeshError("has neither an image nor vertex colours that tiles could get.", "model")
+    if origin.any():
+        mesh = mesh.with_(vertices=mesh.vertices - origin)
+    box = bounding_box(mesh, levels)
+    surface = Surface(mesh, box)
+    probes = levels.vertices[:: math.ceil(len(levels.vertices) / _PROBES)]
+    away = float(np.median(surface.closest(probes).distances))
+    size = float(np.linalg.norm(np.ptp(levels.vertices, axis=0)))
+    if away > _FAR * size:
+        raise MeshError(
+            "is of another surface than the levels, or in another place: half of them lie more than "
+            f"{away:.3g} m from it, and they are {size:.3g} m large.",
+            "model",
+        )
+    detail = detail_of(mesh)
+    coarser = [
+        surface.showing(reduced(mesh, detail * 2**halvings, 1.0))
+        for halvings in range(1, _HALVINGS + 1)
+        if mesh.texture is not None
+    ]
+    return Model(surface, coarser, details_of(mesh))
+
+
+def with_images(
+    pieces: Sequence[Piece], model: Model, params: TileImageParams
+) -> Iterator[tuple[int, Mesh, TileImage]]:
+    """Give each piece its image: its number, its mesh with texture, and what is known of it.
+
+    Pieces come in an order in which all that are below one come before it. The same on any number of threads.
+
+    Raises
+    ------
+    MeshError
+        If a piece is of needles alone, or in so many pieces that no image of `image_side` has room.
+    """
+    waiting = list(range(len(pieces)))
+    painted: dict[int, tuple[Mesh, float]] = {}
+    while waiting:
+        now = [number for number in waiting if all(other in painted for other in pieces[number].below)]
+        waiting = [number for number in waiting if number not in set(now)]
+        paint = partial(_painted, pieces, model, params, painted)
+        done = {}
+        threads = workers()
+        for number, result in zip(
+            now, read_ahead(paint, now, threads=threads, ahead=threads + 1), strict=True
+        ):
+            done[number] = result.plain, result.image.texel_size
+            yield number, result.mesh, result.image
+        painted |= done
+        needed = {other for number in waiting for other in pieces[number].below}
+        for number in painted.keys() - needed:
+            # Only that there was one is still of use.
+            painted[number] = _NOTHING, painted[number][1]
+
+
+_NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class _Painted:
+    """A piece with its image as it was painted, for coarser ones, and as its file has it."""
+
+    plain: Mesh
+    mesh: Mesh
+    image: TileImage
+
+
+def _painted(
+    pieces: Sequence[Piece],
+    model: Model,
+    params: TileImageParams,
+    finer: Mapping[int, tuple[Mesh, float]],
+    number: int,
+) -> _Painted:
+    piece = pieces[number]
+    mesh = piece.mesh
+    detail = model.detail_on(mesh)
+    wanted = max(piece.error / params.texels_per_error, detail)
+    pages = in_one(mesh, wanted, max_side=params.image_side)
+    texel_size = pages.texel_size(mesh)
+    if piece.below and texel_size > _FINER * detail:
+        surface, detail = _around(piece, texel_size, pieces, finer)
+    else:
+        surface, detail = model.for_texels(texel_size, detail)
+    samples = min(max(round(_SAMPLES_PER_DETAIL * texel_size / detail), 1), _MOST_SAMPLES)
+    colors_of = FacingColors(surface, mesh, texel_size)
+    # Pieces are painted beside one another, each in a thread of its own.
+    found = painted_pages(mesh, pages, samples, colors_of, goes_on=True, threads=1)
+    (pixels,) = found.images
+    encoded = encoded_image(pixels, params.image_format, params.image_quality)
+    uvs = _rounded(pages)
+
+    def with_image(image: Image) -> Mesh:
+        material = Material(image=image, wrap=("clamp", "clamp"))
+        return mesh.with_(texture=Texture(uvs, pages.images, (material,)))
+
+    # Not the image that is handed on, with which the decoded pixels would be kept.
+    rms, most_of_95, most = _differences(with_image(Image(encoded=encoded)), model.surface, texel_size)
+    is_full = texel_size > _COARSER * wanted
+    height, width = pixels.shape[:2]
+    image = TileImage(
+        len(encoded), (width, height), texel_size, found.coverage, is_full, rms, most_of_95, most
+    )
+    return _Painted(with_image(Image(given=pixels)), with_image(Image(encoded=encoded)), image)
+
+
+def _rounded(pages: Pages) -> Floats:
+    """Return texture coordinates as files have them."""
+    return np.asarray(np.rint(pages.uvs * _UV_STEPS).clip(0, _UV_STEPS) / _UV_STEPS)
+
+
+def _around(
+    piece: Piece, texel_size: float, pieces: Sequence[Piece], finer: Mapping[int, tuple[Mesh, float]]
+) -> tuple[Surface, float]:
+    """Return finer pieces where a piece is and a little beyond, as one, and their least texel, metres."""
+    low, high = bounding_box(piece.mesh)
+    chosen = []
+    for number in piece.below:
+        reach = _REACH_TEXELS * texel_size + _REACH_ERRORS * (piece.error + pieces[number].error)
+        its_low, its_high = bounding_box(pieces[number].mesh)
+        if ((its_low <= high + reach) & (its_high >= low - reach)).all():
+            chosen.append(number)
+    meshes = [finer[number][0] for number in chosen]
+    mesh = _joined(meshes)
+    return Surface(mesh, bounding_box(mesh, piece.mesh)), min(finer[number][1] for number in chosen)
+
+
+def _joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Return textured meshes as one, each with a material of its own."""
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    textures = [mesh.texture for mesh in meshes if mesh.texture is not None]
+    return Mesh(
+        np.vstack([mesh.vertices for mesh in meshes]),
+        np.vstack([mesh.triangles + at for mesh, at in zip(meshes, first, strict=True)]).astype(np.int32),
+        texture=Texture(
+            np.vstack([texture.uvs for texture in textures]),
+            np.repeat(np.arange(len(meshes)), [len(mesh.triangles) for mesh in meshes]).astype(np.int32),
+            tuple(texture.materials[0] for texture in textures),
+        ),
+    )
+
+
+def _spread(mesh: Mesh) -> tuple[NDArray[np.int64], Floats]:
+    """Return points spread evenly over a mesh, always the same: their triangles, and weights of corners."""
+    rng = np.random.default_rng(0)
+    area = areas(mesh.vertices, mesh.triangles)
+    triangles = np.sort(rng.choice(len(area), _POINTS, p=area / area.sum())).astype(np.int64)
+    return triangles, rng.dirichlet((1, 1, 1), _POINTS)
+
+
+def _differences(mesh: Mesh, model: Surface, texel_size: float) -> tuple[float, float, float]:
+    """Return how the colours of a textured mesh differ from a model's, levels: RMS, of 95 %, and the most."""
+    triangles, weights = _spread(mesh)
+    was, _ = FacingColors(model, mesh, texel_size)(triangles, weights)
+    apart = np.abs(color_at(mesh, triangles, weights) - was)
+    of_points = apart.max(axis=1)
+    return float(np.sqrt((apart**2).mean())), float(np.quantile(of_points, 0.95)), float(of_points.max())
+
+
+def _three_digits(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,433 @@
+"""Tiles with images, read back from their files: the same surface, in the colours of the model."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from coloured_meshes import assert_same_topology, sheet
+from numpy.typing import NDArray
+from seamed_meshes import wrapped_ball
+from tiles_read import Tile, read_tiles
+
+from stages import Mesh, clean, lod, simplify
+from stages.errors import MeshError
+from stages.files.image_bytes import decoded_image
+from stages.lod.hierarchy import Hierarchy
+from stages.surface.color import color_at, sampled
+from stages.surface.mesh_files import read_mesh
+from stages.surface.raycasting import Surface
+from stages.surface.texture import Image, Material, Texture
+from tests.stages.lod.test_tiles import base_of, contents, random_cut, welded
+
+SMALL: dict[str, Any] = {"cell_triangles": 300, "root_triangles": 100, "ratio": 2.5, "threads": 1}
+
+
+def waves(width: int, height: int, turns: float) -> Image:
+    """Smooth colours without a seam from left to right."""
+    x, y = np.meshgrid(np.linspace(0, 1, width, endpoint=False), np.linspace(0, 1, height))
+    channels = [np.cos(2 * np.pi * turns * x), np.sin(2 * np.pi * turns * x) * np.sin(3 * y), np.cos(4 * y)]
+    return Image(given=np.rint(128 + 100 * np.stack(channels, axis=2)).astype(np.uint8))
+
+
+def ball() -> Mesh:
+    """A ball with a seam from pole to pole; its image goes on across that, and is calm at the poles."""
+    mesh = wrapped_ball(20, 32)
+    assert mesh.texture is not None
+    across, down = ((np.arange(count) + 0.5) / count for count in (256, 128))
+    around, polar = np.meshgrid(2 * np.pi * across, np.pi * down)
+    wide = np.sin(polar) ** 2
+    channels = [wide * np.cos(2 * around), wide * np.sin(2 * around), np.cos(2 * polar)]
+    pixels = np.rint(128 + 100 * np.stack(channels, axis=2)).astype(np.uint8)
+    material = Material(image=Image(given=pixels), wrap=("repeat", "clamp"))
+    return mesh.with_(texture=replace(mesh.texture, materials=(material,), material_ids=zeros(mesh)))
+
+
+def patchwork() -> Mesh:
+    """A sheet of two images and a plain third material, which meet along straight lines."""
+    mesh = sheet(24, noise=0.0)
+    places = mesh.vertices[mesh.triangles][:, :, :2]
+    ids = np.minimum((places[:, :, 0].mean(axis=1) * 3).astype(np.int32), 2)
+    materials = (
+        Material(image=waves(192, 192, 1)),
+        Material(image=waves(192, 96, 3)),
+        Material(base_color=(0.2, 0.5, 0.8, 1.0)),
+    )
+    return Mesh(mesh.vertices, mesh.triangles, texture=Texture(places.copy(), ids, materials))
+
+
+def zeros(mesh: Mesh) -> NDArray[np.int32]:
+    return np.zeros(len(mesh.triangles), np.int32)
+
+
+MODELS = {"ball": ball, "patchwork": patchwork}
+
+
+@pytest.fixture(scope="module")
+def models() -> dict[str, Mesh]:
+    return {name: make() for name, make in MODELS.items()}
+
+
+@pytest.fixture(scope="module")
+def hierarchies(models: dict[str, Mesh]) -> dict[str, Hierarchy]:
+    return {name: lod.build(mesh, **SMALL) for name, mesh in models.items()}
+
+
+@pytest.fixture(scope="module")
+def folders(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("textured")
+    for name, hierarchy in hierarchies.items():
+        lod.write_tiles(hierarchy, folder / name, texture=models[name])
+        lod.write_tiles(hierarchy, folder / f"{name}-plain")
+    return {path.name: path for path in folder.iterdir()}
+
+
+def pairs(folders: dict[str, Path], name: str) -> list[tuple[Tile, Tile]]:
+    tiles, plain = (list(read_tiles(folders[which]).all()) for which in (name, f"{name}-plain"))
+    return list(zip(tiles, plain, strict=True))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_shape_and_errors_are_those_of_tiles_without_images(folders: dict[str, Path], name: str) -> None:
+    for tile, plain in pairs(folders, name):
+        assert (tile.vertices[tile.triangles] == plain.vertices[plain.triangles]).all()
+        assert tile.gltf["nodes"] == plain.gltf["nodes"]
+        for what in ("boundingVolume", "geometricError"):
+            assert tile.tree[what] == plain.tree[what]
+        assert tile.tree["content"]["uri"] == plain.tree["content"]["uri"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MODELS)
+def test_mixed_cuts_have_no_crack(
+    folders: dict[str, Path], hierarchies: dict[str, Hierarchy], name: str
+) -> None:
+    root, original = read_tiles(folders[name]), base_of(hierarchies[name])
+    rng = np.random.default_rng(1)
+    if name == "ball":
+        # There are seams that could come open.
+        assert any(len(tile.vertices) > len(np.unique(tile.vertices, axis=0)) for tile in root.all())
+    for _ in range(200):
+        assert_same_topology(welded(random_cut(root, rng)), original)
+
+
+def shown(tile: Tile, count: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points of a tile and the colours that its image has there, levels."""
+    assert tile.image is not None
+    assert tile.uvs is not None
+    pixels = decoded_image(tile.image)
+    assert pixels is not None
+    rng = np.random.default_rng(seed)
+    corners = tile.vertices[tile.triangles].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    chosen, weights = rng.choice(len(area), count, p=area / area.sum()), rng.dirichlet((1, 1, 1), count)
+    u, v = np.einsum("kc,kcx->xk", weights, tile.uvs[tile.triangles[chosen]] / 65535)
+    colors = sampled(pixels, np.stack([u, 1 - v], axis=1), ("clamp", "clamp"))
+    return np.einsum("kc,kcx->kx", weights, corners[chosen]), np.asarray(colors, np.float64)
+
+
+def of_model(model: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    at = Surface(model).closest(points)
+    return np.asarray(color_at(model, at.triangles, at.weights), np.float64)
+
+
+def rms(levels: NDArray[np.float64]) -> float:
+    return float(np.sqrt((levels**2).mean()))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_tiles_show_the_colours_of_the_model(
+    folders: dict[str, Path], models: dict[str, Mesh], name: str
+) -> None:
+    for tile in read_tiles(folders[name]).all():
+        points, colors = shown(tile, 12_000)
+        apart = colors - of_model(models[name], points)
+        extras = tile.tree["content"]["extras"]
+        # What is said of it is what another sampling finds.
+        assert rms(apart) == pytest.approx(extras["color_rms_levels_sampled"], rel=0.3, abs=0.2)
+        within = (np.abs(apart).max(axis=1) <= extras["color_95_levels_sampled"] + 0.5).mean()
+        assert within > 0.9
+        assert extras["color_95_levels_sampled"] <= extras["color_max_levels_sampled"]
+        assert "color_bound_levels" not in extras
+        if name == "patchwork":
+            # Where its images meet, a texel shows both.
+            apart = apart[(np.abs(points[:, :1] - (1 / 3, 2 / 3)) > 0.08).all(axis=1)]
+        assert rms(apart) < (2.5 if not tile.children else 6)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_both_sides_of_a_border_show_the_same(folders: dict[str, Path], name: str) -> None:
+    leaves = list(read_tiles(folders[name]).leaves())
+    found: dict[bytes, list[NDArray[np.float64]]] = {}
+    for tile in leaves:
+        # Where its images meet, the patchwork has two colours at one place.
+        meets = (np.abs(tile.vertices[:, :1] - (1 / 3, 2 / 3)) < 0.08).any(axis=1) & (name == "patchwork")
+        assert tile.image is not None
+        assert tile.uvs is not None
+        pixels = decoded_image(tile.image)
+        assert pixels is not None
+        uvs = tile.uvs / 65535
+        colors = sampled(pixels, np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1), ("clamp", "clamp"))
+        for place, color in zip(tile.vertices[~meets], colors[~meets], strict=True):
+            found.setdefault(place.tobytes(), []).append(np.asarray(color, np.float64))
+    several = [np.ptp(np.array(colors), axis=0) for colors in found.values() if len(colors) > 1]
+    assert len(several) > 30
+    assert np.median(np.array(several).max(axis=1)) < 3
+    assert np.quantile(np.array(several).max(axis=1), 0.95) < 10
+
+
+def test_texels_are_as_large_as_errors_ask_for_and_the_model_allows(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
+) -> None:
+    model, hierarchy = models["ball"], hierarchies["ball"]
+    coarse, fine, narrow = (
+        lod.write_tiles(
+            hierarchy, tmp_path / name, texture=model, images=lod.TileImageParams(**changes)
+        ).images
+        for name, changes in {
+            "coarse": {"texels_per_error": 1.0},
+            "fine": {"texels_per_error": 50.0},
+            "narrow": {"image_side": 128},
+        }.items()
+    )
+    extras, own = (
+        [tile.tree["content"]["extras"] for tile in read_tiles(tmp_path / name).all()]
+        for name in ("coarse", "fine")
+    )
+    for found, finest in zip(extras, own, strict=True):
+        wanted = max(found["shape_bound_m"], finest["texel_size_m"])
+        assert found["texel_size_m"] == pytest.approx(wanted, rel=0.1)
+    # The image has fewer texels a metre around the ball's middle than at its poles.
+    assert max(image.texel_size for image in fine) < 1.5 * min(image.texel_size for image in fine)
+    assert not any(image.is_full for image in (*coarse, *fine))
+    assert any(image.is_full for image in narrow)
+    assert max(max(image.size) for image in narrow) <= 128
+    assert max(image.texel_size for image in narrow) > 1.5 * max(image.texel_size for image in fine)
+
+
+def test_where_the_model_has_finer_texels_tiles_have(tmp_path: Path) -> None:
+    mesh = sheet(40, noise=0.0)
+    places = mesh.vertices[mesh.triangles][:, :, :2]
+    ids = (places[:, :, 0].mean(axis=1) > 0.5).astype(np.int32)
+    materials = (Material(image=waves(512, 512, 1)), Material(image=waves(64, 64, 1)))
+    model = Mesh(mesh.vertices, mesh.triangles, texture=Texture(places.copy(), ids, materials))
+    hierarchy = lod.build(model, cell_triangles=200, root_triangles=100, threads=1)
+    lod.write_tiles(hierarchy, tmp_path / "out", texture=model)
+    found: dict[bool, list[float]] = {False: [], True: []}
+    for tile in read_tiles(tmp_path / "out").leaves():
+        x = tile.vertices[:, 0]
+        if x.max() < 0.5 or x.min() > 0.5:
+            found[bool(x.min() > 0.5)].append(tile.tree["content"]["extras"]["texel_size_m"])
+    assert len(found[False]) > 1
+    assert len(found[True]) > 1
+    # The surface is a little larger than its place in the image.
+    assert found[False] == pytest.approx([1 / 512] * len(found[False]), rel=0.3)
+    assert found[True] == pytest.approx([1 / 64] * len(found[True]), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "begins", "uses"),
+    [
+        ("jpeg", b"\xff\xd8\xff", []),
+        ("png", b"\x89PNG", []),
+        ("webp", b"RIFF", ["EXT_texture_webp"]),
+    ],
+)
+def test_images_of_each_kind(
+    models: dict[str, Mesh],
+    hierarchies: dict[str, Hierarchy],
+    tmp_path: Path,
+    kind: str,
+    begins: bytes,
+    uses: list[str],
+) -> None:
+    images = lod.TileImageParams(image_format=kind)
+    lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"], images=images)
+    tile = read_tiles(tmp_path / "out")
+    assert tile.image is not None
+    assert tile.image.startswith(begins)
+    assert tile.gltf["extensionsRequired"] == ["KHR_mesh_quantization", *uses]
+    assert tile.gltf["extensionsUsed"] == ["KHR_mesh_quantization", *uses, "KHR_materials_unlit"]
+    (sampler,) = tile.gltf["samplers"]
+    assert (sampler["wrapS"], sampler["wrapT"], sampler["minFilter"]) == (33071, 33071, 9987)
+    assert tile.colors is None
+
+
+def test_other_readers_find_the_same(folders: dict[str, Path], models: dict[str, Mesh]) -> None:
+    import trimesh
+
+    folder = folders["ball"]
+    for tile in read_tiles(folder).all():
+        path = folder / tile.tree["content"]["uri"]
+        ours = read_mesh(path)
+        x, y, z = tile.vertices.T
+        corners = np.stack([x, z, -y], axis=1)[tile.triangles]
+        assert (ours.vertices[ours.triangles] == corners).all()
+        assert ours.texture is not None
+        assert tile.image is not None
+        (image,) = ours.texture.images
+        assert image.file_bytes == tile.image
+        (theirs,) = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb").geometry.values()
+        # Colours of the middles of triangles, as trimesh has them: it overlooks that coordinates of 16 bits
+        # are shares of the image, and counts them from its lower left corner.
+        u, v = theirs.visual.uv[theirs.faces].mean(axis=1).T
+        uvs = np.stack([u / 65535, 1 - (1 - v) / 65535], axis=1)
+        colors = theirs.visual.material.to_color(uvs)[:, :3].astype(np.float64)
+        middles = tile.vertices[tile.triangles].mean(axis=1).astype(np.float64)
+        assert rms(colors - of_model(models["ball"], middles)) < 12
+
+
+def test_vertex_colours_become_images(tmp_path: Path) -> None:
+    fine = sheet(60, noise=0.0)
+    light = simplify(fine, method="quadric", ratio=0.05).mesh
+    hierarchy = lod.build(light, **SMALL)
+    lod.write_tiles(hierarchy, tmp_path / "out", texture=fine)
+    for tile in read_tiles(tmp_path / "out").leaves():
+        points, colors = shown(tile, 2000)
+        assert rms(colors - of_model(fine, points)) < 6
+
+
+def test_far_models_are_found_where_the_levels_are(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], folders: dict[str, Path], tmp_path: Path
+) -> None:
+    move = np.array([4096.0, -8192.0, 0.0])
+    far = replace(hierarchies["ball"], vertices=hierarchies["ball"].vertices + move)
+    model = models["ball"].with_(vertices=models["ball"].vertices + move)
+    written = lod.write_tiles(far, tmp_path / "out", texture=model)
+    assert written.grid.origin.any()
+    near = [tile.tree["content"]["extras"] for tile in read_tiles(folders["ball"]).all()]
+    for tile, extras in zip(read_tiles(tmp_path / "out").all(), near, strict=True):
+        found = tile.tree["content"]["extras"]["color_rms_levels_sampled"]
+        assert found == pytest.approx(extras["color_rms_levels_sampled"], rel=0.3, abs=0.3)
+
+
+def test_the_same_bytes_on_any_number_of_threads(
+    models: dict[str, Mesh],
+    hierarchies: dict[str, Hierarchy],
+    folders: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("stages.lod.tile_texture.workers", lambda: 1)
+    lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
+    assert contents(tmp_path / "out") == contents(folders["patchwork"])
+    monkeypatch.setattr("stages.lod.tile_texture.workers", lambda: 5)
+    lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
+    assert contents(tmp_path / "out") == contents(folders["patchwork"])
+
+
+def plain(model: Mesh) -> Mesh:
+    return Mesh(model.vertices, model.triangles)
+
+
+def without_image(model: Mesh) -> Mesh:
+    assert model.texture is not None
+    return model.with_(texture=replace(model.texture, materials=(Material(name="lost"),)))
+
+
+def elsewhere(model: Mesh) -> Mesh:
+    return model.with_(vertices=np.add(model.vertices, (0.0, 0.0, 3.0)))
+
+
+def other_unit(model: Mesh) -> Mesh:
+    return model.with_(vertices=1000 * model.vertices)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (plain, "neither an image nor vertex colours"),
+        (without_image, "neither an image nor vertex colours"),
+        (
+            elsewhere,
+            "model: is of another surface than the levels, or in another place: half of them lie more",
+        ),
+        (other_unit, "is of another surface"),
+    ],
+)
+def test_models_that_cannot_be_used_are_told(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path, change: Any, said: str
+) -> None:
+    with pytest.raises(MeshError, match=said):
+        lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=change(models["ball"]))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_transparency_is_told_to_be_left_out(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
+) -> None:
+    texture = models["ball"].texture
+    assert texture is not None
+    pixels = texture.images[0].pixels
+    seen = np.dstack([pixels, np.full(pixels.shape[:2], 100, np.uint8)])
+    glass = replace(texture, materials=(Material(image=Image(given=seen)),))
+    written = lod.write_tiles(
+        hierarchies["ball"], tmp_path / "out", texture=models["ball"].with_(texture=glass)
+    )
+    assert written.notes == ("tiles left out: the transparency of the model's images.",)
+    assert lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"]).notes == ()
+
+
+def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    vertices = (rng.uniform(0, 1, (900, 1, 3)) + 0.02 * rng.uniform(-1, 1, (900, 3, 3))).reshape(-1, 3)
+    crumbs = Mesh(
+        vertices,
+        np.arange(2700, dtype=np.int32).reshape(-1, 3),
+        colors=np.full((2700, 3), 90, np.uint8),
+    )
+    hierarchy = lod.build(crumbs, threads=1)
+    with pytest.raises(MeshError, match="too many pieces for an image of 64 × 64 texels"):
+        lod.write_tiles(
+            hierarchy, tmp_path / "out", texture=crumbs, images=lod.TileImageParams(image_side=64)
+        )
+    assert list(tmp_path.iterdir()) == []
+    written = lod.write_tiles(hierarchy, tmp_path / "out", texture=crumbs)
+    assert all(image.color_most <= 2 for image in written.images)
+
+
+def test_a_model_without_triangles_is_told(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+    empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    with pytest.raises(MeshError, match="model"):
+        lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=empty)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_figures_say_what_images_take(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
+) -> None:
+    written = lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"])
+    root = read_tiles(tmp_path / "out")
+    sizes = [len(tile.image) for tile in root.all() if tile.image is not None]
+    figures = written.figures()["images"]
+    assert root.image is not None
+    assert (figures["total_bytes"], figures["root_bytes"]) == (sum(sizes), len(root.image))
+    assert len(written.images) == len(sizes) == written.figures()["tiles"]
+    assert lod.write_tiles(hierarchies["ball"], tmp_path / "out").figures()["images"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["meshes/spot/spot_triangulated.obj", "meshes/Duck.glb"])
+def test_tiles_of_real_models(shared_data: Path, tmp_path: Path, name: str) -> None:
+    model = clean(read_mesh(shared_data / name)).mesh.with_(normals=None, corner_normals=None)
+    assert model.texture is not None
+    if not model.texture.images:
+        pixels = decoded_image((shared_data / "meshes" / "spot" / "spot_texture.png").read_bytes())
+        texture = replace(
+            model.texture, materials=(Material(image=Image(given=pixels)),), material_ids=zeros(model)
+        )
+        model = model.with_(texture=texture)
+    hierarchy = lod.build(model, cell_triangles=2000, threads=2)
+    lod.write_tiles(hierarchy, tmp_path / "out", texture=model, up="+y")
+    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(4), base_of(hierarchy)
+    for _ in range(30):
+        assert_same_topology(welded(random_cut(root, rng)), original)
+    for tile in root.leaves():
+        points, colors = shown(tile, 2000)
+        assert rms(colors - of_model(model, points)) < 6
