@@ -141,8 +141,8 @@ def _plain(mesh: Mesh) -> Mesh:
     if is_textured(mesh):
         mesh = mesh.with_(colors=_colors_of_vertices(mesh))
         notes += (
-            "lod has taken the texture's colours at the vertices and left the image out; "
-            "lod tiles --texture and lod cut --texture bring it back.",
+            "lod has taken the texture's colours at the vertices; the image itself was left out, and comes "
+            "back with lod tiles --texture and lod cut --texture.",
         )
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes)
 
