@@ -36,7 +36,8 @@ def tiles(
 ) -> None:
     """Write levels of detail as 3D Tiles 1.1, which viewers in the browser load by what they show.
 
-    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven.
+    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven. With --page it
+    gets a page too, which draws them; scanloom view shows it.
 
     Example: scanloom lod tiles clean.slod clean_tiles
     """

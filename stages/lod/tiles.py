@@ -23,6 +23,8 @@ from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_glb import tile_glb
 from stages.params import check as check_params
 from stages.params import param, resolve
+from stages.picturing.page.files import FOLDER as PAGE_FOLDER
+from stages.picturing.page.files import INDEX, tiles_page
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.rounding import rounded_up
@@ -63,6 +65,9 @@ class TilesParams:
         "frame of a camera -y is up, so it is in a scan whose poses were not given.",
         choices=tuple(_TURNS),
     )
+    page: bool = param(
+        False, "Write a page beside the tiles, index.html and what it needs, that draws them in a browser."
+    )
 
     def __post_init__(self) -> None:
         check_params(self)
@@ -72,6 +77,7 @@ class TilesKeywords(TypedDict, total=False):
     """TilesParams as keywords of `write_tiles`."""
 
     up: str
+    page: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +126,9 @@ def write_tiles(
 ) -> Tileset:
     """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file for each tile.
 
+    With `page`, `outdir/index.html` and `outdir/page/` draw them in a browser. They have to be served: a page
+    that is opened as a file may not load others.
+
     A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built
     on. A tile's children take its place as one; where it has one child, with hardly more triangles, it is
     left out. Tiles of any levels fit without cracks, as nodes do: all positions lie on one grid.
@@ -162,12 +171,16 @@ def write_tiles(
             progress(done + 1, len(tiles))
         tree = _tileset(placed, tiles, grid, params.up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), "utf-8")
+        for name, content in (tiles_page() if params.page else {}).items():
+            (draft / name).parent.mkdir(parents=True, exist_ok=True)
+            (draft / name).write_bytes(content)
     return Tileset(grid, np.array(sizes, np.int64), np.array(triangles, np.int64), tree)
 
 
 def is_tileset(folder: Path) -> bool:
     """Return whether a folder holds a tileset that scanloom wrote, and nothing else."""
-    if {entry.name for entry in folder.iterdir()} != {TILESET, _FOLDER}:
+    found, own = {entry.name for entry in folder.iterdir()}, {TILESET, _FOLDER}
+    if found not in (own, own | {INDEX, PAGE_FOLDER}):
         return False
     try:
         tree = json.loads(content_of(folder / TILESET))
