@@ -1,10 +1,11 @@
 // Where the picture is taken from. Positions outside this file are in the tileset's frame, metres, z up;
 // three.js has y up.
-import { OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } from "../library.js";
+import { Box3, OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } from "../library.js";
 
 const FIELD_OF_VIEW = 50; // degrees, of the picture's height
 // From the front and somewhat above, as z-up models are turned.
 const FIRST_LOOK = new Vector3(0.45, 0.4, 1).normalize();
+const ROOM = 1.15; // around the model when all of it is seen
 const TURN = Math.PI / 36; // of an arrow key
 const STEP = 0.85; // of + and -, a share of the distance
 // Nothing nearer than this share of the model's radius is drawn: depth has few bits.
@@ -12,6 +13,8 @@ const NEAREST = 1e-3;
 
 const intoScene = ([x, y, z]) => new Vector3(x, z, -y);
 const outOfScene = ({ x, y, z }) => [x, -z, y];
+const cornersOf = ({ min, max }) =>
+  [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z))));
 
 /** A camera that orbits a model, moved by pointer, wheel and keys on a canvas; `onMove` is called when it has moved. */
 export function orbitingCamera(canvas, onMove) {
@@ -19,6 +22,7 @@ export function orbitingCamera(canvas, onMove) {
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
   controls.addEventListener("change", onMove);
+  const box = new Box3();
   const whole = new Sphere(new Vector3(), 1);
 
   /** Fit the depth that is drawn to the model. */
@@ -38,12 +42,17 @@ export function orbitingCamera(canvas, onMove) {
     onMove();
   }
 
-  /** Go where all of the model is seen, whatever the picture's shape. */
+  /** Go where all of the model's box is seen, whatever the picture's shape. */
   function showAll() {
-    const half = (camera.fov * Math.PI) / 360;
-    const narrow = Math.min(half, Math.atan(Math.tan(half) * camera.aspect));
-    const away = (1.02 * whole.radius) / Math.sin(narrow);
-    place(whole.center.clone().addScaledVector(FIRST_LOOK, away), whole.center);
+    const tall = Math.tan((camera.fov * Math.PI) / 360);
+    const right = new Vector3(0, 1, 0).cross(FIRST_LOOK).normalize();
+    const up = FIRST_LOOK.clone().cross(right);
+    const away = cornersOf(box).map((corner) => {
+      const from = corner.sub(whole.center);
+      const needed = Math.max(Math.abs(from.dot(right)) / (tall * camera.aspect), Math.abs(from.dot(up)) / tall);
+      return from.dot(FIRST_LOOK) + ROOM * needed;
+    });
+    place(whole.center.clone().addScaledVector(FIRST_LOOK, Math.max(...away)), whole.center);
   }
 
   const keys = {
@@ -70,9 +79,10 @@ export function orbitingCamera(canvas, onMove) {
     camera,
     fitDepth,
     showAll,
-    /** Tell what there is to be seen: a sphere in the scene. */
-    setModel(sphere) {
-      whole.copy(sphere);
+    /** Tell what there is to be seen: a box in the scene. */
+    setModel(found) {
+      box.copy(found);
+      box.getBoundingSphere(whole);
       controls.minDistance = NEAREST * whole.radius;
       controls.maxDistance = 100 * whole.radius;
     },

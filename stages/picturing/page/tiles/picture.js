@@ -6,15 +6,23 @@ import {
   HemisphereLight,
   MeshoptDecoder,
   Scene,
-  Sphere,
   TilesRenderer,
   WebGLRenderer,
 } from "../library.js";
 import { orbitingCamera } from "./camera.js";
 import { looks } from "./materials.js";
 
-const DEFAULTS = { error: 8, mode: "colors", wireframe: false };
+const DEFAULTS = { error: 2, mode: "colors", wireframe: false };
 const MOST_PIXELS = 2; // of the screen to one of the page: more are not seen
+
+/** Of a tileset at the top of a server the library asks for //tiles/…, which not every server takes for /tiles/… */
+const singleSlash = {
+  preprocessURL(address) {
+    const url = new URL(address);
+    url.pathname = url.pathname.replace(/^\/+/, "/");
+    return url.href;
+  },
+};
 
 /**
  * Draw the tileset at an address on a canvas.
@@ -41,6 +49,7 @@ export function picture(canvas, address, { onReady, onError }) {
 
   const tiles = new TilesRenderer(address);
   tiles.registerPlugin(new GLTFExtensionsPlugin({ meshoptDecoder: MeshoptDecoder, metadata: false, rtc: false }));
+  tiles.registerPlugin(singleSlash);
   tiles.errorTarget = settings.error;
   tiles.group.rotation.x = -Math.PI / 2; // z up as y up
   const scene = new Scene();
@@ -80,7 +89,7 @@ export function picture(canvas, address, { onReady, onError }) {
     tiles.group.updateMatrixWorld(true);
     const box = new Box3();
     tiles.getBoundingBox(box);
-    orbit.setModel(box.applyMatrix4(tiles.group.matrixWorld).getBoundingSphere(new Sphere()));
+    orbit.setModel(box.applyMatrix4(tiles.group.matrixWorld));
     orbit.showAll();
     if (Object.keys(wanted).length) orbit.set(wanted);
     isPlaced = true;
