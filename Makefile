@@ -9,7 +9,11 @@ KERNEL_SOURCES := $(shell find kernels/src -name '*.rs') kernels/Cargo.toml kern
 # Tests start hundreds of Pythons: what they compile of our sources is kept, whatever the surroundings say.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo check test campaign bench format lint python-lint ruff mypy stubtest clippy rust-tests clean
+# Where npm puts what pages are made of and checked with; its own list there is written last.
+PAGE := stages/picturing/page
+PACKAGES := $(PAGE)/node_modules/.package-lock.json
+
+.PHONY: page browser packages demo check test campaign bench format lint python-lint ruff mypy stubtest clippy rust-tests clean
 
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
@@ -22,7 +26,28 @@ check: lint
 # What needs no Python goes on while the kernels are compiled for it, which is one core's work.
 test:
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target python-lint clippy rust-tests
+	@$(MAKE) --no-print-directory browser packages
 	$(BIN)/pytest -n auto --dist worksteal
+
+# Tests of pages need Chromium. Where it cannot be had, they say so: CI fails then, a developer's run skips them.
+browser:
+	@command -v chromium >/dev/null || { \
+	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
+	  $$root apt-get update -qq && \
+	  DEBIAN_FRONTEND=noninteractive $$root apt-get install -y -qq --no-install-recommends chromium >/dev/null; \
+	} || echo "Chromium is missing and cannot be installed from here; on Debian: apt-get install chromium"
+
+packages:
+	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory $(PACKAGES); \
+	else echo "npm is missing: tests of pages and tiles need Node 20 or later; on Debian: apt-get install npm"; fi
+
+$(PACKAGES): $(PAGE)/package-lock.json
+	cd $(PAGE) && npm ci --ignore-scripts --no-audit --no-fund --loglevel=error
+	@touch $@
+
+# The libraries of pages as one file, and their licences. After: npm install NAME@VERSION there, and git diff.
+page: $(PACKAGES)
+	cd $(PAGE) && node build.mjs
 
 # Random damage, kills and meshes for some minutes: make campaign MINUTES=60, with WORDS for its other options.
 MINUTES ?= 10

@@ -43,6 +43,7 @@ from cli.commands import (
     run,
     simplify,
     texture,
+    view,
 )
 from cli.one_line import one_line
 from cli.options import with_options
@@ -67,7 +68,14 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         remesh.remesh,
         decode.decode,
     ),
-    "Look and measure": (check.check, patches.patches, compare.compare, certify.certify, render.render),
+    "Look and measure": (
+        check.check,
+        patches.patches,
+        compare.compare,
+        certify.certify,
+        render.render,
+        view.view,
+    ),
 }
 
 

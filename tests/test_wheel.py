@@ -31,3 +31,8 @@ def test_the_wheel_holds_what_a_user_installs(tmp_path: Path) -> None:
     rooms = ("stages", "pipeline", "cli")
     sources = {p.relative_to(ROOT).as_posix() for room in rooms for p in (ROOT / room).rglob("*.py")}
     assert sources <= names
+
+    page = ROOT / "stages" / "picturing" / "page"
+    shown = {page / "library.js", page / "LICENSES.txt", *(page / "tiles").iterdir()}
+    assert {path.relative_to(ROOT).as_posix() for path in shown} <= names
+    assert not any("node_modules" in name for name in names)

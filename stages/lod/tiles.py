@@ -25,6 +25,8 @@ from stages.lod.tile_glb import tile_glb
 from stages.lod.tile_texture import Piece, TileImage, TileImageParams, figures_of, model_of, with_images
 from stages.params import check as check_params
 from stages.params import param, resolve
+from stages.picturing.page.files import FOLDER as PAGE_FOLDER
+from stages.picturing.page.files import INDEX, tiles_page
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.rounding import rounded_up
@@ -68,6 +70,9 @@ class TilesParams:
         "frame of a camera -y is up, so it is in a scan whose poses were not given.",
         choices=tuple(_TURNS),
     )
+    page: bool = param(
+        False, "Write a page beside the tiles, index.html and what it needs, that draws them in a browser."
+    )
 
     def __post_init__(self) -> None:
         check_params(self)
@@ -77,6 +82,7 @@ class TilesKeywords(TypedDict, total=False):
     """TilesParams as keywords of `write_tiles`."""
 
     up: str
+    page: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +138,9 @@ def write_tiles(
 ) -> Tileset:
     """Write a hierarchy as 3D Tiles 1.1: `outdir/tileset.json` and a GLB file for each tile.
 
+    With `page`, `outdir/index.html` and `outdir/page/` draw them in a browser. They have to be served: a page
+    that is opened as a file may not load others.
+
     A tile is a node's coarse mesh; below each leaf there is one tile more, the mesh the hierarchy was built
     on. A tile's children take its place as one; where it has one child, with hardly more triangles, it is
     left out. Tiles of any levels fit without cracks, as nodes do: all positions lie on one grid.
@@ -185,6 +194,9 @@ def write_tiles(
         of_tiles = tuple(found[number] for number in sorted(found))
         tree = _tileset(placed, tiles, of_tiles, grid, params.up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), "utf-8")
+        for name, content in (tiles_page() if params.page else {}).items():
+            (draft / name).parent.mkdir(parents=True, exist_ok=True)
+            (draft / name).write_bytes(content)
     is_lost = model is not None and is_transparent(model)
     notes = ("tiles left out: the transparency of the model's images.",) if is_lost else ()
     return Tileset(grid, sizes, triangles, tree, of_tiles, notes)
@@ -192,7 +204,8 @@ def write_tiles(
 
 def is_tileset(folder: Path) -> bool:
     """Return whether a folder holds a tileset that scanloom wrote, and nothing else."""
-    if {entry.name for entry in folder.iterdir()} != {TILESET, _FOLDER}:
+    found, own = {entry.name for entry in folder.iterdir()}, {TILESET, _FOLDER}
+    if found not in (own, own | {INDEX, PAGE_FOLDER}):
         return False
     try:
         tree = json.loads(content_of(folder / TILESET))

@@ -11,6 +11,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from browsers import PAGE, node
 from coloured_meshes import assert_same_topology, of_trimesh, sheet
 from numpy.typing import NDArray
 from tiles_read import Tile, chunks, read_tiles
@@ -27,6 +28,7 @@ from stages.surface.raycasting import Surface
 
 CUTS = 1000
 NAMES = ("closed", "open")
+VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 
 
 def closed() -> Mesh:
@@ -549,3 +551,31 @@ def test_figures_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path
     )
     assert figures["triangles"] == sum(len(tile.triangles) for tile in read_tiles(tmp_path / "out").all())
     assert figures["positions"] == "16 bits"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_validator_of_gltf_finds_nothing(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, name: str, single: bool
+) -> None:
+    hierarchy = hierarchies[name]
+    if single:
+        hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
+    lod.write_tiles(hierarchy, tmp_path / "out")
+    said = node(VALIDATE, PAGE, tmp_path / "out" / "tiles")
+    assert len(said) > 5
+    assert not any(said.values()), said
+
+
+def test_a_tileset_with_its_page_is_replaced_as_one(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path
+) -> None:
+    lod.write_tiles(hierarchies["closed"], tmp_path / "out", page=True)
+    assert (tmp_path / "out" / "index.html").is_file()
+    lod.write_tiles(hierarchies["closed"], tmp_path / "out")
+    assert not (tmp_path / "out" / "index.html").exists()
+    lod.write_tiles(hierarchies["closed"], tmp_path / "out", page=True)
+    (tmp_path / "out" / "notes.txt").write_text("of somebody")
+    with pytest.raises(InputError, match="is not a tileset of scanloom"):
+        lod.write_tiles(hierarchies["closed"], tmp_path / "out")

@@ -1,0 +1,40 @@
+// What pages of scanloom use of other people's libraries; `make page` makes library.js of it.
+// three is named piece by piece, so that what no page uses stays out: a fifth of the file.
+export {
+  AmbientLight,
+  AxesHelper,
+  Box3,
+  BufferAttribute,
+  BufferGeometry,
+  Color,
+  DataTexture,
+  DirectionalLight,
+  DoubleSide,
+  Float32BufferAttribute,
+  Group,
+  HemisphereLight,
+  LineBasicMaterial,
+  LineSegments,
+  Matrix4,
+  Mesh,
+  MeshBasicMaterial,
+  MeshLambertMaterial,
+  PerspectiveCamera,
+  Points,
+  PointsMaterial,
+  Quaternion,
+  Raycaster,
+  Scene,
+  ShaderMaterial,
+  Sphere,
+  Spherical,
+  SRGBColorSpace,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+export { OrbitControls } from "three/addons/controls/OrbitControls.js";
+export { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+export { TilesRenderer } from "3d-tiles-renderer/three";
+export { GLTFExtensionsPlugin } from "3d-tiles-renderer/three/plugins";
+export { MeshoptDecoder } from "meshoptimizer/decoder";

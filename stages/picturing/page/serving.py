@@ -1,0 +1,159 @@
+"""Serve a folder with a page to a browser on this machine, and to nobody else.
+
+Any program and any web page on this machine can ask; so only GET and HEAD of regular files of known kinds
+inside the folder are answered, and only under the names this machine has for itself: a page from elsewhere
+whose name was turned to 127.0.0.1 asks under its own (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Mapping
+from functools import lru_cache
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote
+
+from stages.errors import InputError, StageError
+from stages.files.opening import content_of
+from stages.picturing.page.files import INDEX
+
+HOST = "127.0.0.1"
+# What is given, and as what; anything else is not found.
+_KINDS = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".txt": "text/plain; charset=utf-8",
+    ".json": "application/json",
+    ".glb": "model/gltf-binary",
+}
+# What becomes much smaller; tiles hardly do.
+_PACKED = (".html", ".js", ".txt", ".json")
+# A connection that is silent for so long is closed, seconds.
+_SILENCE = 30.0
+
+
+class FolderServer(ThreadingHTTPServer):
+    """Gives the files of one folder, and some that are not in it, on 127.0.0.1; see the module.
+
+    Parameters
+    ----------
+    folder : whose files are given; nothing is written there.
+    port : to listen on; 0 for one that is free.
+    more : contents by their paths, given where the folder has none of that name.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder.
+    StageError
+        If the port is taken, or the system refuses it.
+    """
+
+    daemon_threads = True
+
+    def __init__(self, folder: Path, port: int = 0, more: Mapping[str, bytes] | None = None) -> None:
+        if not folder.is_dir():
+            raise InputError("there is no such folder.", folder)
+        self.folder = folder.resolve()
+        self.more = dict(more or {})
+        try:
+            super().__init__((HOST, port), _Handler)
+        except (OSError, OverflowError) as error:
+            said = getattr(error, "strerror", None) or str(error)
+            raise StageError(f"port {port} cannot be listened on: {said}.") from error
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        return f"http://{HOST}:{self.server_port}/"
+
+    def content(self, path: str) -> bytes | None:
+        """Return what is at a path below the folder, or None; a link is not followed."""
+        parts = path.split("/")
+        if any(part in ("", ".", "..") or "\\" in part or "\0" in part for part in parts):
+            return None
+        file = self.folder.joinpath(*parts)
+        try:
+            if file.resolve(strict=True) == file:
+                return content_of(file)
+        except (OSError, ValueError, RuntimeError):
+            pass
+        return self.more.get(path)
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Let go of a connection that the browser has closed, or that sends what is no request."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "scanloom", ""
+    timeout = _SILENCE
+    server: FolderServer
+
+    def do_GET(self) -> None:
+        self._answer(with_body=True)
+
+    def do_HEAD(self) -> None:
+        self._answer(with_body=False)
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        """Keep quiet: what a browser asks for is no news."""
+
+    def _answer(self, *, with_body: bool) -> None:
+        hosts = self.headers.get_all("Host") or []
+        if "Content-Length" in self.headers or "Transfer-Encoding" in self.headers:
+            # What follows would be taken for the next request.
+            self.close_connection = True
+        if len(hosts) != 1 or hosts[0].strip().lower() not in self._own_names():
+            self._refuse(HTTPStatus.MISDIRECTED_REQUEST)
+            return
+        if not self.path.startswith("/"):
+            self._refuse(HTTPStatus.BAD_REQUEST)
+            return
+        asked = self.path.partition("#")[0].partition("?")[0]
+        try:
+            path = unquote(asked, errors="strict")[1:] or INDEX
+        except UnicodeDecodeError:
+            self._refuse(HTTPStatus.NOT_FOUND)
+            return
+        suffix = Path(path).suffix
+        content = self.server.content(path) if suffix in _KINDS else None
+        if content is None:
+            self._refuse(HTTPStatus.NOT_FOUND)
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", _KINDS[suffix])
+        if suffix in _PACKED:
+            self.send_header("Vary", "Accept-Encoding")
+            if "gzip" in self.headers.get("Accept-Encoding", ""):
+                self.send_header("Content-Encoding", "gzip")
+                content = _packed(content)
+        self._finish(content, with_body=with_body)
+
+    def _own_names(self) -> set[str]:
+        port = self.server.server_port
+        names = {f"{HOST}:{port}", f"localhost:{port}"}
+        return names | {HOST, "localhost"} if port == 80 else names
+
+    def _refuse(self, status: HTTPStatus) -> None:
+        self.close_connection = True
+        self.send_response(status)
+        self.send_header("Content-Type", _KINDS[".txt"])
+        self.send_header("Connection", "close")
+        self._finish(f"{status.phrase}\n".encode(), with_body=self.command != "HEAD")
+
+    def _finish(self, content: bytes, *, with_body: bool) -> None:
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Cache-Control", "no-cache")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.end_headers()
+        if with_body:
+            self.wfile.write(content)
+
+
+@lru_cache(maxsize=32)
+def _packed(content: bytes) -> bytes:
+    return gzip.compress(content, 6, mtime=0)

@@ -1,0 +1,43 @@
+// The controls below the picture, and the figures of what is drawn.
+
+const WHOLE = new Intl.NumberFormat("en");
+
+/** Tie the controls of a form to a picture; `show` puts them where the picture's settings are. */
+export function bar(form, picture) {
+  const { target, mode, wireframe, all } = form.elements;
+  const pixels = form.querySelector("#target-px");
+  const figures = form.querySelector("#figures");
+
+  function show() {
+    const settings = picture.settings();
+    target.value = Math.log2(settings.error);
+    pixels.textContent = `${settings.error < 10 ? +settings.error.toPrecision(2) : Math.round(settings.error)} px`;
+    mode.value = settings.mode;
+    wireframe.checked = settings.wireframe;
+  }
+
+  target.addEventListener("input", () => {
+    picture.set({ error: 2 ** target.valueAsNumber });
+    show();
+  });
+  mode.addEventListener("change", () => picture.set({ mode: mode.value }));
+  wireframe.addEventListener("change", () => picture.set({ wireframe: wireframe.checked }));
+  all.addEventListener("click", () => picture.showAll());
+  form.addEventListener("submit", (event) => event.preventDefault());
+  picture.onChange(() => (figures.textContent = sentence(picture.figures())));
+  show();
+  return { show };
+}
+
+function sentence({ triangles, tilesDrawn, tilesLoaded, errorM }) {
+  const proven = errorM === null ? "" : ` · error at most ${length(errorM)}`;
+  return `${WHOLE.format(triangles)} triangles · ${tilesDrawn} of ${tilesLoaded} loaded tiles drawn${proven}`;
+}
+
+/** A length with three digits, rounded up: it is a bound. */
+function length(metres) {
+  const [value, unit] = metres < 1e-3 ? [metres * 1e6, "µm"] : metres < 1 ? [metres * 1e3, "mm"] : [metres, "m"];
+  if (!(value > 0)) return `0 ${unit}`;
+  const step = 10 ** (Math.floor(Math.log10(value)) - 2);
+  return `${+(Math.ceil(value / step - 1e-9) * step).toPrecision(3)} ${unit}`;
+}

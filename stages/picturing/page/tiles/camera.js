@@ -1,0 +1,100 @@
+// Where the picture is taken from. Positions outside this file are in the tileset's frame, metres, z up;
+// three.js has y up.
+import { Box3, OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } from "../library.js";
+
+const FIELD_OF_VIEW = 50; // degrees, of the picture's height
+// From the front and somewhat above, as z-up models are turned.
+const FIRST_LOOK = new Vector3(0.45, 0.4, 1).normalize();
+const ROOM = 1.15; // around the model when all of it is seen
+const TURN = Math.PI / 36; // of an arrow key
+const STEP = 0.85; // of + and -, a share of the distance
+// Nothing nearer than this share of the model's radius is drawn: depth has few bits.
+const NEAREST = 1e-3;
+
+const intoScene = ([x, y, z]) => new Vector3(x, z, -y);
+const outOfScene = ({ x, y, z }) => [x, -z, y];
+const cornersOf = ({ min, max }) =>
+  [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z))));
+
+/** A camera that orbits a model, moved by pointer, wheel and keys on a canvas; `onMove` is called when it has moved. */
+export function orbitingCamera(canvas, onMove) {
+  const camera = new PerspectiveCamera(FIELD_OF_VIEW, 1);
+  const controls = new OrbitControls(camera, canvas);
+  controls.zoomToCursor = true;
+  controls.addEventListener("change", onMove);
+  const box = new Box3();
+  const whole = new Sphere(new Vector3(), 1);
+
+  /** Fit the depth that is drawn to the model. */
+  function fitDepth() {
+    const away = camera.position.distanceTo(whole.center);
+    camera.near = Math.max(away - 1.05 * whole.radius, NEAREST * whole.radius);
+    camera.far = away + 1.05 * whole.radius;
+    camera.updateProjectionMatrix();
+    camera.updateMatrixWorld();
+  }
+
+  function place(eye, target) {
+    camera.position.copy(eye);
+    controls.target.copy(target);
+    controls.update();
+    fitDepth();
+    onMove();
+  }
+
+  /** Go where all of the model's box is seen, whatever the picture's shape. */
+  function showAll() {
+    const tall = Math.tan((camera.fov * Math.PI) / 360);
+    const right = new Vector3(0, 1, 0).cross(FIRST_LOOK).normalize();
+    const up = FIRST_LOOK.clone().cross(right);
+    const away = cornersOf(box).map((corner) => {
+      const from = corner.sub(whole.center);
+      const needed = Math.max(Math.abs(from.dot(right)) / (tall * camera.aspect), Math.abs(from.dot(up)) / tall);
+      return from.dot(FIRST_LOOK) + ROOM * needed;
+    });
+    place(whole.center.clone().addScaledVector(FIRST_LOOK, Math.max(...away)), whole.center);
+  }
+
+  const keys = {
+    ArrowLeft: (s) => (s.theta -= TURN),
+    ArrowRight: (s) => (s.theta += TURN),
+    ArrowUp: (s) => (s.phi -= TURN),
+    ArrowDown: (s) => (s.phi += TURN),
+    "+": (s) => (s.radius *= STEP),
+    "=": (s) => (s.radius *= STEP),
+    "-": (s) => (s.radius /= STEP),
+  };
+  canvas.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "Home") showAll();
+    else if (event.key in keys) {
+      const offset = new Spherical().setFromVector3(camera.position.clone().sub(controls.target));
+      keys[event.key](offset);
+      place(controls.target.clone().add(new Vector3().setFromSpherical(offset.makeSafe())), controls.target.clone());
+    } else return;
+    event.preventDefault();
+  });
+
+  return {
+    camera,
+    fitDepth,
+    showAll,
+    /** Tell what there is to be seen: a box in the scene. */
+    setModel(found) {
+      box.copy(found);
+      box.getBoundingSphere(whole);
+      controls.minDistance = NEAREST * whole.radius;
+      controls.maxDistance = 100 * whole.radius;
+    },
+    resize(width, height) {
+      camera.aspect = width / height;
+      camera.updateProjectionMatrix();
+    },
+    set({ eye, target, fov }) {
+      if (fov !== undefined) camera.fov = Math.min(fov, 150);
+      const to = target ? intoScene(target) : controls.target.clone();
+      place(eye ? intoScene(eye) : camera.position.clone(), to);
+    },
+    view: () => ({ eye: outOfScene(camera.position), target: outOfScene(controls.target), fov: camera.fov }),
+  };
+}

@@ -1,0 +1,84 @@
+"""view: tiles served to the browser of this machine, until Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from coloured_meshes import sheet
+
+from stages import lod
+
+Run = Callable[..., Any]
+
+
+@pytest.mark.slow
+def test_tiles_without_a_page_are_shown_and_nothing_is_written(tmp_path: Path) -> None:
+    hierarchy = lod.build(sheet(8), cell_triangles=128, root_triangles=100, ratio=4.0, threads=1)
+    lod.write_tiles(hierarchy, tmp_path / "tiles")
+    before = sorted(tmp_path.rglob("*"))
+    words = [sys.executable, "-m", "cli.app", "view", str(tmp_path / "tiles"), "--no-open"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as started:
+        try:
+            assert started.stdout is not None
+            address = started.stdout.readline().split()[0]
+            for name in ("", "page/library.js", "page/tiles/main.js", "tileset.json", "tiles/0.glb"):
+                with urllib.request.urlopen(address + name, timeout=20) as answer:
+                    assert answer.read()
+            started.send_signal(signal.SIGINT)
+            assert started.wait(20) == 0
+            assert started.stderr is not None
+            assert started.stderr.read() == "Ended.\n"
+        finally:
+            started.kill()
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
+    scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from stages.picturing.page.serving import FolderServer
+
+    def interrupted(self: FolderServer) -> None:  # noqa: ARG001
+        raise KeyboardInterrupt
+
+    asked: list[str] = []
+    monkeypatch.setattr(FolderServer, "serve_forever", interrupted)
+    monkeypatch.setattr("webbrowser.open", asked.append)
+    (tmp_path / "tileset.json").write_text("{}")
+    ran = scanloom("view", tmp_path, "--json", "--open")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert asked == [json.loads(ran.stdout)["address"]]
+    assert scanloom("view", tmp_path).exit_code == 0
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("absent",), 3, "absent: there is no such folder; give one that lod tiles made."),
+        (("empty",), 3, "empty: this folder has no tileset.json; give one that lod tiles made."),
+        (("empty", "--port", "70000"), 2, "less than or equal to 65535"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(
+    scanloom: Run,
+    words: tuple[str, ...],
+    code: int,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    ran = scanloom("view", *words)
+    assert ran.exit_code == code
+    assert said in ran.stderr
+    assert len(ran.stderr.splitlines()) == 1

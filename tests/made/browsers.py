@@ -1,0 +1,74 @@
+"""A browser without a window, for tests of pages; and Node, for checks that other people wrote."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PAGE = Path(__file__).resolve().parents[2] / "stages" / "picturing" / "page"
+# Software draws, the same everywhere; and nothing is asked of anybody.
+_WORDS = (
+    *("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic"),
+    *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+
+
+def missing(what: str) -> None:
+    """Skip a test that has no tool; where a change is decided on, fail it."""
+    if os.environ.get("CI"):
+        pytest.fail(what)
+    pytest.skip(what)
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Start Chromium, as playwright has it."""
+    program = shutil.which("chromium")
+    if program is None:
+        missing("Chromium is missing; on Debian: apt-get install chromium")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=list(_WORDS))
+        try:
+            yield started
+        finally:
+            started.close()
+
+
+@contextmanager
+def served(server: Any) -> Iterator[Any]:
+    """Let a server answer while the block runs."""
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def node(script: Path, *words: Path | str) -> Any:
+    """Return what a script prints as JSON; it finds the packages that `make packages` installs."""
+    program = shutil.which("node")
+    if program is None or not (PAGE / "node_modules").is_dir():
+        missing("Node or its packages are missing: make packages")
+    ran = subprocess.run(
+        [str(program), str(script), *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    return json.loads(ran.stdout) if ran.stdout else None

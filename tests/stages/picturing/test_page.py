@@ -1,0 +1,219 @@
+"""The page of tiles in a browser: whole from far, near and in mixed levels, and it asks nobody else."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from browsers import PAGE, browser, node, served
+from numpy.typing import NDArray
+
+from stages import Mesh, lod
+from stages.picturing.page.files import tiles_page
+from stages.picturing.page.serving import FolderServer
+from stages.picturing.render import render
+from stages.picturing.viewpoints import Viewpoint
+from stages.scans.scan import Camera
+
+WIDTH, HEIGHT = 480, 360
+PAPER = {"light": (0xF4, 0xF5, 0xF7), "dark": (0x17, 0x1B, 0x21)}
+# Where the camera stands, and how many pixels a tile's error may have.
+VIEWS = {
+    "far": ((2.0, -15.0, 9.0), (0.0, 0.0, 0.0), 8.0),
+    "near": ((5.5, -2.5, 1.5), (4.5, 0.0, 0.0), 1.0),
+    "mixed": ((8.5, -1.0, 1.2), (-2.0, 0.0, 0.0), 1.5),
+}
+pytestmark = pytest.mark.slow
+
+Mask = NDArray[np.bool_]
+
+
+def long_ring() -> Mesh:
+    """Return a closed mesh, long along x, in colours that no paper has."""
+    import trimesh
+
+    made = trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=24)
+    vertices = np.asarray(made.vertices) * (5.0, 1.5, 1.0)
+    colors = np.stack(
+        [120 + 80 * np.sin(vertices[:, 0]), 40 + 0 * vertices[:, 1], 60 + 20 * vertices[:, 2]], 1
+    )
+    return Mesh(vertices, np.asarray(made.faces, np.int32), np.rint(colors).astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    outdir = tmp_path_factory.mktemp("page") / "tiles"
+    hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
+    lod.write_tiles(hierarchy, outdir, up="+z", page=True)
+    return outdir
+
+
+@dataclass
+class Seen:
+    """A page in the browser: what it said on its console, and what it asked for."""
+
+    page: Any
+    said: list[str]
+    asked: list[str]
+
+    def picture(self, view: str) -> Mask:
+        """Return where the model is seen from a view."""
+        eye, target, error = VIEWS[view]
+        self.page.evaluate(
+            "settings => { scanloom.set(settings); return scanloom.settled(); }",
+            {"eye": eye, "target": target, "error": error},
+        )
+        return self.mask()
+
+    def mask(self) -> Mask:
+        data = np.frombuffer(self.page.screenshot(), np.uint8)
+        image = cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB).astype(int)
+        scheme = (
+            "dark" if self.page.evaluate("matchMedia('(prefers-color-scheme: dark)').matches") else "light"
+        )
+        return np.asarray(np.abs(image - PAPER[scheme]).max(axis=2) > 8)
+
+    def figures(self) -> dict[str, Any]:
+        return dict(self.page.evaluate("scanloom.figures()"))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+def opened(chromium: Any, address: str, scheme: str = "light") -> Seen:
+    page = chromium.new_context(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme=scheme).new_page()
+    seen = Seen(page, [], [])
+    page.on("console", lambda message: seen.said.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: seen.said.append(f"error: {error}"))
+    page.on("request", lambda request: seen.asked.append(request.url))
+    page.goto(address)
+    page.add_style_tag(content="#bar { display: none !important }")
+    page.evaluate("scanloom.settled()")
+    return seen
+
+
+def silhouette(view: str) -> Mask:
+    """Return where our own renderer sees the input from a view, in black."""
+    mesh = long_ring()
+    eye, target = (np.array(point) for point in VIEWS[view][:2])
+    z = (target - eye) / np.linalg.norm(target - eye)
+    x = np.cross(z, (0.0, 0.0, 1.0))
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3] = np.stack([x, np.cross(z, x), z, eye], axis=1)
+    focal = 0.5 * HEIGHT / np.tan(np.radians(50) / 2)
+    camera = Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5)
+    black = Mesh(mesh.vertices, mesh.triangles, np.zeros((len(mesh.vertices), 3), np.uint8))
+    return np.asarray(render(black, Viewpoint(view, camera, pose)).max(axis=2) < 100)
+
+
+def grown(mask: Mask, pixels: int) -> Mask:
+    """Return a mask so many pixels wider, or narrower for less than 0."""
+    kernel = np.ones((2 * abs(pixels) + 1,) * 2, np.uint8)
+    change = cv2.dilate if pixels > 0 else cv2.erode
+    return np.asarray(change(mask.astype(np.uint8), kernel, borderValue=int(pixels < 0)), bool)
+
+
+def holes(seen: Mask, view: str) -> int:
+    """Return how many pixels show the paper where the model is, whatever its error."""
+    return int((grown(silhouette(view), -int(VIEWS[view][2]) - 2) & ~seen).sum())
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_model_is_whole_from_far_near_and_in_mixed_levels(
+    chromium: Any, tiles: Path, scheme: str
+) -> None:
+    with served(FolderServer(tiles)) as server:
+        seen = opened(chromium, server.address, scheme)
+        found = {}
+        for view, (_, _, error) in VIEWS.items():
+            mask, own = seen.picture(view), silhouette(view)
+            assert own.mean() > 0.04
+            assert holes(mask, view) == 0
+            assert not (mask & ~grown(own, int(error) + 2)).any()
+            found[view] = seen.figures()
+        assert found["far"]["triangles"] < found["mixed"]["triangles"]
+        assert found["far"]["errorM"] > found["near"]["errorM"]
+        assert len(set(found["mixed"]["levels"])) > 1
+        assert all(address.startswith(server.address) for address in seen.asked)
+        assert [text for text in seen.said if "versions at 1.1 or higher have limited" not in text] == []
+
+
+def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiles, tmp_path / "tiles")
+    for tile in (tmp_path / "tiles" / "tiles").iterdir():
+        # The last ones of the indices, which end the file: triangles without a size.
+        data = tile.read_bytes()
+        tile.write_bytes(data[:-60] + data[-64:-60] * 15)
+    with served(FolderServer(tmp_path / "tiles")) as server:
+        assert holes(opened(chromium, server.address).picture("near"), "near") > 0
+
+
+def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> None:
+    with served(FolderServer(tiles)) as server:
+        seen = opened(chromium, server.address)
+        mask = seen.mask()
+        assert mask.any(axis=0).mean() > 0.3
+        assert not mask[[0, -1]].any()
+        assert not mask[:, [0, -1]].any()
+        # On a narrow screen too.
+        seen.page.set_viewport_size({"width": 300, "height": 600})
+        seen.page.evaluate("scanloom.showAll(); scanloom.settled()")
+        assert not seen.mask()[:, [0, -1]].any()
+        assert seen.page.evaluate("document.documentElement.scrollWidth") <= 300
+
+
+def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path) -> None:
+    with served(FolderServer(tiles)) as server:
+        seen = opened(chromium, server.address + "#eye=0,-9,3&target=1,0,0&error=4&mode=levels")
+        page = seen.page
+        view = page.evaluate("scanloom.view()")
+        np.testing.assert_allclose([view["eye"], view["target"]], [[0, -9, 3], [1, 0, 0]], atol=1e-9)
+        assert page.evaluate("scanloom.settings()") == {"error": 4, "mode": "levels", "wireframe": False}
+        assert page.input_value("#target") == "2"
+        page.evaluate("document.querySelector('#picture').focus()")
+        page.keyboard.press("+")
+        assert np.linalg.norm(np.subtract(page.evaluate("scanloom.view().eye"), [1, 0, 0])) < 9
+        page.keyboard.press("ArrowLeft")
+        assert page.evaluate("scanloom.view().eye[0]") < 0.1
+        page.keyboard.press("Home")
+        assert page.evaluate("scanloom.view().target") != view["target"]
+        whole = seen.mask().sum()
+        page.evaluate("scanloom.set({wireframe: true, mode: 'colors'}); scanloom.settled()")
+        assert 0 < seen.mask().sum() < whole
+
+
+def test_a_tile_that_is_not_there_is_told(chromium: Any, tiles: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiles, tmp_path / "tiles")
+    for tile in (tmp_path / "tiles" / "tiles").iterdir():
+        tile.unlink()
+    with served(FolderServer(tmp_path / "tiles")) as server:
+        page = chromium.new_page()
+        page.goto(server.address)
+        page.wait_for_selector("#message:has-text('could not be loaded')")
+        page.close()
+
+
+def test_the_library_is_what_its_packages_give(tmp_path: Path) -> None:
+    node(PAGE / "build.mjs", tmp_path)
+    for name in ("library.js", "LICENSES.txt"):
+        assert (tmp_path / name).read_bytes() == (PAGE / name).read_bytes()
+
+
+def test_a_page_is_written_with_its_licences_and_addresses_nobody(tiles: Path) -> None:
+    page = tiles_page()
+    assert {path.relative_to(tiles).as_posix() for path in tiles.rglob("*.*")} >= set(page)
+    for name, content in page.items():
+        assert (tiles / name).read_bytes() == content
+    licences = page["page/LICENSES.txt"].decode()
+    assert all(f"\n{name} " in f"\n{licences}" for name in ("three", "3d-tiles-renderer", "meshoptimizer"))
+    assert "resolved" not in (PAGE / "package-lock.json").read_text("utf-8")
