@@ -28,6 +28,9 @@ from stages.surface.topology import require_measurable
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+# Raised by hand when levels of the same mesh become others.
+RESULT_VERSION = 1
+
 # How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.1, 0.2
 # The first bound over the base's error, where the base has one.
@@ -35,15 +38,9 @@ _FIRST_PER_BASE = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class LodParams:
-    """How levels of detail are made."""
+class LevelsParams:
+    """How levels are made above the finest."""
 
-    base_error: float = param(
-        0.0,
-        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
-        unit="m",
-        low=0,
-    )
     first_error: float | None = param(
         None,
         "Bound of the first level above that; from the mesh itself if not given, so that it has a third to a "
@@ -67,6 +64,18 @@ class LodParams:
 
     def __post_init__(self) -> None:
         check_params(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodParams(LevelsParams):
+    """How levels of detail are made."""
+
+    base_error: float = param(
+        0.0,
+        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
+        unit="m",
+        low=0,
+    )
 
 
 class LodKeywords(TypedDict, total=False):
@@ -118,7 +127,7 @@ def build(
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
         raise InputError("the mesh has no triangles; there are no levels of it.")
-    base, shape, color = _base(_plain(given), params)
+    base, shape, color, progress = _base(_plain(given), params, progress)
     hierarchy = _of_any(base, params, shape, progress)
     if shape:
         hierarchy = replace(
@@ -154,19 +163,32 @@ def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
     return np.rint(np.stack(sums, axis=1) / count[:, None]).clip(0, 255).astype(np.uint8)
 
 
-def _base(mesh: Mesh, params: LodParams) -> tuple[Mesh, float, float]:
-    """Return the finest level, and what is proven of it, in metres and levels."""
+def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, float, float, Progress]:
+    """Return the finest level, what is proven of it, in metres and levels, and the progress of the rest."""
     if params.base_error == 0:
-        return mesh, 0.0, 0.0
+        return mesh, 0.0, 0.0, progress
+    count = len(mesh.triangles)
+    half = count // 2
     light = simplify(
         mesh,
         method="certified",
         max_shape=params.base_error,
         close_bounds=mesh.colors is not None,
         threads=params.threads,
+        progress=_part(progress, 0, half, count),
     )
     details = light.details
-    return light.mesh, float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
+    bounds = float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
+    return light.mesh, *bounds, _part(progress, half, count, count)
+
+
+def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
+    """Return what tells of a part of the work as from `first` to `last` of all."""
+
+    def tell(done: int, total: int) -> object:
+        return progress(first + (last - first) * done // max(total, 1), count)
+
+    return tell
 
 
 def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.errors import InputError, UsageError
 from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
@@ -29,6 +29,9 @@ from stages.rounding import rounded_up
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+# Raised by hand when tiles of the same levels become others.
+RESULT_VERSION = 1
 
 Tree = dict[str, Any]
 Floats = NDArray[np.float64]
@@ -59,13 +62,38 @@ class TilesParams:
 
     up: str = param(
         "-y",
-        "The axis of the mesh that is up, which the tileset turns along z; `none` leaves it as it is. In the "
-        "frame of a camera -y is up, so it is in a scan whose poses were not given.",
-        choices=tuple(_TURNS),
+        "The axis of the mesh that is up (+x, -x, +y, -y, +z, -z), or a direction, as three numbers; the "
+        "tileset turns it along z, and `none` leaves it as it is. In the frame of a camera -y is up, so it "
+        "is in a scan whose poses were not given.",
     )
 
     def __post_init__(self) -> None:
         check_params(self)
+        turn_of(self.up)
+
+
+def turn_of(up: str) -> Floats:
+    """Return the rotation (3, 3) that brings what is up along z: an axis by name, or three numbers.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, or the numbers are no direction.
+    """
+    if up in _TURNS:
+        return np.array(_TURNS[up], np.float64)
+    try:
+        direction = np.array([float(word) for word in up.split()])
+    except ValueError:
+        raise UsageError(f"up is {up!r}; it must be one of {', '.join(_TURNS)}.") from None
+    length = float(np.linalg.norm(direction))
+    if len(direction) != 3 or not 0 < length < math.inf:
+        raise UsageError(f"up is {up!r}; a direction is three numbers, not all of them 0.")
+    towards = direction / length
+    # What is farthest from up gives the other axes.
+    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(towards, across), towards])
 
 
 class TilesKeywords(TypedDict, total=False):
@@ -226,7 +254,7 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
         (described[node],) = below
     root = described[0]
     transform = np.eye(4)
-    transform[:3, :3] = _TURNS[up]
+    transform[:3, :3] = turn_of(up)
     transform[:3, 3] = transform[:3, :3] @ grid.origin
     moves = not np.array_equal(transform, np.eye(4))
     # Where nothing is shown, all of the model is missing.
