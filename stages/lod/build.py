@@ -12,6 +12,7 @@ from stages import _kernels
 from stages.errors import InputError
 from stages.lod.first_error import first_error
 from stages.lod.hierarchy import Hierarchy
+from stages.lod.islands import is_island
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.progress import Progress, silent
@@ -54,6 +55,13 @@ class LevelsParams:
         10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
     )
     root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
+    drop_islands: float = param(
+        0.0,
+        "Loose pieces whose bounding box has a smaller diagonal are dropped first; what is proven then holds "
+        "from each level to the mesh, but back from the mesh without them alone. 0 keeps all.",
+        unit="m",
+        low=0,
+    )
     threads: int | None = param(
         None,
         "Processors to use, with the same result; all if not given.",
@@ -86,6 +94,7 @@ class LodKeywords(TypedDict, total=False):
     ratio: float
     cell_triangles: int
     root_triangles: int
+    drop_islands: float
     threads: int | None
 
 
@@ -101,7 +110,8 @@ def build(
     The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound,
     the cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on
     each level against its part of the mesh that was given (or simplified within `base_error`, which is
-    added): at every point, both ways, in shape and colour. Bounds of levels are never added up.
+    added): at every point, both ways, in shape and colour. With `drop_islands` it is the mesh without these.
+    Bounds of levels are never added up.
 
     After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012),
     with clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
@@ -116,7 +126,7 @@ def build(
     Raises
     ------
     InputError
-        If the mesh has no triangles.
+        If the mesh has no triangles, or no piece that is not dropped.
     MeshError
         If it is no valid mesh, or its coordinates are too large.
     UsageError
@@ -127,7 +137,8 @@ def build(
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
         raise InputError("the mesh has no triangles; there are no levels of it.")
-    base, shape, color, progress = _base(_plain(given), params, progress)
+    kept, islands = _without_islands(_plain(given), params.drop_islands)
+    base, shape, color, progress = _base(kept, params, progress)
     hierarchy = _of_any(base, params, shape, progress)
     if shape:
         hierarchy = replace(
@@ -137,7 +148,12 @@ def build(
             base_shape_bound=shape,
             base_color_bound=color,
         )
-    return replace(hierarchy, input_triangles=len(given.triangles))
+    return replace(
+        hierarchy,
+        input_triangles=len(given.triangles),
+        dropped_islands=islands,
+        dropped_triangles=len(given.triangles) - len(kept.triangles),
+    )
 
 
 def _plain(mesh: Mesh) -> Mesh:
@@ -151,6 +167,23 @@ def _plain(mesh: Mesh) -> Mesh:
         mesh = mesh.with_(colors=_colors_of_vertices(mesh))
         notes += ("lod has taken the texture's colours at the vertices; the image itself was left out.",)
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes)
+
+
+def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
+    """Return a mesh without the pieces that are smaller than a size, and how many were dropped."""
+    if size == 0:
+        return mesh, 0
+    small, islands = is_island(mesh, size)
+    if small.all():
+        raise InputError(f"every piece of the mesh is smaller than {size:g} m; nothing is left of it.")
+    if not islands:
+        return mesh, 0
+    note = (
+        f"{islands:,} loose pieces smaller than {size:g} m, of {int(small.sum()):,} triangles, were dropped: "
+        "of what the mesh has there, nothing is proven."
+    )
+    source = np.flatnonzero(~small)
+    return mesh.with_triangles(mesh.triangles[source], source).with_(notes=(*mesh.notes, note)), islands
 
 
 def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:

@@ -135,6 +135,7 @@ class Tileset:
             "grid_step_m": self.grid.step,
             "grid_share_m": self.grid.share_m,
             "geometric_error_m": float(self.tree["root"]["geometricError"]),
+            "one_sided": "one_sided" in self.tree["asset"]["extras"],
         }
 
 
@@ -155,7 +156,8 @@ def write_tiles(
     The `geometricError` of a tile is what is proven of its shape, both ways and at every point, and how far
     the grid moves it, in metres, rounded up; never less than a child's. The `extras` of its content say the
     same of itself, `shape_bound_m`, and what is proven of its colours, `color_bound_levels`, as displayed
-    values that change evenly over each triangle.
+    values that change evenly over each triangle. Where islands were dropped, all this is one-sided, and the
+    `extras` of each content and of the tileset say so.
 
     Parameters
     ----------
@@ -250,7 +252,7 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
         below = [described[int(child)] for child in placed.children[node]]
         for tile in (own.get((node, True)), own.get((node, False))):
             if tile is not None:
-                below = [_described(tile, box, below, with_colors=placed.colors is not None)]
+                below = [_described(tile, box, below, placed)]
         (described[node],) = below
     root = described[0]
     transform = np.eye(4)
@@ -259,8 +261,15 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
     moves = not np.array_equal(transform, np.eye(4))
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
+    about: Tree = {"scanloom": installed_version()}
+    if placed.is_one_sided:
+        about |= {
+            "one_sided": True,
+            "dropped_islands": placed.dropped_islands,
+            "dropped_triangles": placed.dropped_triangles,
+        }
     return {
-        "asset": {"version": "1.1", "extras": {"scanloom": installed_version()}},
+        "asset": {"version": "1.1", "extras": about},
         "geometricError": max(diagonal, root["geometricError"]),
         "root": {
             **({"transform": transform.T.reshape(-1).tolist()} if moves else {}),
@@ -270,11 +279,13 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], grid: Grid, up: str) -> Tree
     }
 
 
-def _described(tile: _Tile, volume: Tree, below: list[Tree], *, with_colors: bool) -> Tree:
+def _described(tile: _Tile, volume: Tree, below: list[Tree], hierarchy: Hierarchy) -> Tree:
     """Return what tileset.json says of a tile and those below it."""
     extras: Tree = {"shape_bound_m": tile.shape_bound}
-    if with_colors:
+    if hierarchy.colors is not None:
         extras["color_bound_levels"] = tile.color_bound
+    if hierarchy.is_one_sided:
+        extras["one_sided"] = True
     return {
         "boundingVolume": volume,
         "geometricError": max([tile.shape_bound, *(child["geometricError"] for child in below)]),
