@@ -24,7 +24,14 @@ from stages.progress import Progress
 from stages.simplification.methods import METHODS
 
 # What is counted while a stage works.
-_UNITS = {"scan": "files", "depth": "pairs", "fuse": "frames", "simplify": "triangles", "remesh": "levels"}
+_UNITS = {
+    "scan": "files",
+    "depth": "pairs",
+    "fuse": "frames",
+    "simplify": "triangles",
+    "remesh": "levels",
+    "lod": "triangles",
+}
 # What came out of a stage and what was derived for it, in one line; all figures are in report.json. That of
 # simplify is with the method's details.
 _HEADLINES = {
@@ -38,6 +45,8 @@ _HEADLINES = {
     "{texel_size_m:.2g} m",
     "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",
+    "lod": "{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
+    "{file_bytes:,} bytes, {tiles:,} tiles",
     "report": "{pictures} pictures",
 }
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from pipeline.baking import BakeSection
 from pipeline.cache_size import CacheParams
+from pipeline.levels import LodSection
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
@@ -36,6 +37,7 @@ class Config(Sections):
     photos: ScanParams = field(default_factory=ScanParams)
     bake: BakeSection = field(default_factory=BakeSection)
     remesh: RemeshSection = field(default_factory=RemeshSection)
+    lod: LodSection = field(default_factory=LodSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)

@@ -2,12 +2,12 @@
 
 pairs ──depth──▶ frames ──────────fuse──▶ fused ──clean──▶ clean ──simplify──▶ simplified ──report──▶ report
                    ├─register─▶ posed ─▲                                       ├──texture──▶ textured ─▲
-                   └─adjust──▶ adjusted ▲                                      ├──remesh──▶ remeshed ──▲
-                                                                               └──bake──▶ baked
+                   └─adjust──▶ adjusted ▲                       │              ├──remesh──▶ remeshed ──▲
+                                                                └─lod─▶ levels └──bake──▶ baked
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
 register is there where poses are missing; adjust where frames have colour and measured depth, from what
-register found; texture where frames have colour; bake and remesh if they are enabled; bake reads clean, too,
-texture and report what fuse reads, and report frames that were `held_out`)
+register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
+too, texture, lod and report what fuse reads, and report frames that were `held_out`)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them.
 """
@@ -21,7 +21,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline import adjusting, baking, holding_out, registering, remeshing, report, texturing
+from pipeline import adjusting, baking, holding_out, levels, registering, remeshing, report, texturing
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
@@ -35,7 +35,10 @@ from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
 from stages.errors import InputError, UsageError
 from stages.fusion.fuse import fuse
+from stages.fusion.noise import depth_noise
 from stages.inspecting.sanity import require_poses
+from stages.lod.build import build
+from stages.lod.tiles import write_tiles
 from stages.normal_meshes.remesh import remesh
 from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
@@ -150,6 +153,11 @@ def _bake(job: Job) -> Mapping[str, Any]:
 def _remesh(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(job.inputs["simplified"] / "simplified.ply")
     return remeshing.make(job.folder, mesh, job.config.remesh, job.progress)
+
+
+def _lod(job: Job) -> Mapping[str, Any]:
+    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    return levels.make(job.folder, mesh, _frames(job).frames, job.config.lod, job.progress)
 
 
 def _report(job: Job) -> Mapping[str, Any]:
@@ -277,6 +285,14 @@ def _of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]: 
     return {**_stated(remesh, simplify), **{method.name: method.result_version for method in METHODS}}
 
 
+def _of_lod(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+    noise = _stated(depth_noise) if config.lod.base_error is None else {}
+    tiles = _stated(write_tiles) if config.lod.tiles else {}
+    # A base is simplified by `certified`, whose version goes with those of all methods as for remesh.
+    methods = {method.name: method.result_version for method in METHODS}
+    return {**_stated(levels.make, build, simplify), **methods, **noise, **tiles}
+
+
 # Under this name the report reads the frames that were kept from all other stages.
 HELD_OUT = "held_out"
 # And under this one the texture reads other photos than the frames'.
@@ -389,6 +405,17 @@ STAGES: tuple[Stage, ...] = (
         cost=Cost(seconds=2, seconds_per_megapixel=0.5, bytes=300e6),
     ),
     Stage(
+        name="lod",
+        reads=("frames", "posed", "adjusted", "clean"),
+        writes="levels",
+        sections=("lod",),
+        make=_lod,
+        versions=_of_lod,
+        libraries=_KERNELS | _OPENCV | {"scipy": _version("scipy")},
+        results=(levels.FILE, f"{levels.TILES}/"),
+        cost=Cost(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
+    ),
+    Stage(
         name="report",
         reads=(
             "frames",
@@ -462,6 +489,8 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         reasons["bake"] = "is not enabled; set bake.enabled=true"
     if not config.remesh.enabled:
         reasons["remesh"] = "is not enabled; set remesh.enabled=true"
+    if not config.lod.enabled:
+        reasons["lod"] = "is not enabled; set lod.enabled=true"
     return reasons
 
 

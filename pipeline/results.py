@@ -194,8 +194,10 @@ class Results:
             path = self._out / name
             if name not in besides and path.is_file() and file_digest(path) in self._known_contents(name):
                 path.unlink()
-                if path.parent != self._out and not any(path.parent.iterdir()):
-                    path.parent.rmdir()
+                folder = path.parent
+                while folder != self._out and not any(folder.iterdir()):
+                    folder.rmdir()
+                    folder = folder.parent
 
 
 def _reported(path: Path) -> dict[str, dict[str, str]] | None:

@@ -73,8 +73,9 @@ def run(
     scan_folder : read only.
     out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/, where frames
         have colour textured.glb and texture_maps/, where poses were made better adjusted/, for stereo
-        points.ply, with `bake.enabled` baked.glb, and with `remesh.enabled` remeshed.ply, remeshed.snm and
-        levels/. Files there that a run placed and that belong to no current result are removed.
+        points.ply, with `bake.enabled` baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and
+        levels/, and with `lod.enabled` lod.slod and tiles/. Files there that a run placed and that belong to
+        no current result are removed.
     until : the last stage to run.
     force : stages to run even though their results are cached.
     cache_dir : see `cache_folder`.

@@ -16,7 +16,9 @@ ROOMS = r"(?:cli|pipeline|stages|kernels|tests|benches|samples)"
 
 def test_every_parameter_it_names_exists():
     config = Config()
-    named = re.findall(r"`(depth|fuse|clean|simplify|remesh|compare|report)\.(?!json\b)(\w+)`", TEXT)
+    named = re.findall(
+        r"`(depth|fuse|clean|simplify|remesh|lod|compare|report)\.(?!json\b|slod\b)(\w+)`", TEXT
+    )
     assert len(named) > 15
     for section, name in named:
         assert name in described(type(getattr(config, section))), f"{section}.{name}"

@@ -172,15 +172,23 @@ def _text(figures: Mapping[str, Any]) -> str:
             "",
         ]
     )
-    return (
+    text = (
         f"{table_of(rows)}\n\n{figures['stored_triangles']:,} triangles are kept for "
         f"{figures['input_triangles']:,} of the input, in {size_of(figures['bytes'])}."
     )
+    if figures["one_sided"]:
+        text += (
+            f"\n{figures['dropped_islands']:,} loose pieces, of {figures['dropped_triangles']:,} triangles, "
+            "were dropped: what is proven holds from each level to the input, and back from all else of it."
+        )
+    return text
 
 
 def _cut_text(figures: Mapping[str, Any]) -> str:
     color = figures["color_bound_levels"]
     proven = "proven" if figures["proven"] else "of the next coarser level, between two that are proven"
+    if figures["one_sided"]:
+        proven += ", but for the loose pieces that were dropped"
     colors = "" if color is None else f" and {at_most(color)} levels"
     return (
         f"{figures['triangles']:,} triangles of {figures['nodes']:,} cells, "

@@ -91,7 +91,8 @@ def run(
     keeps every tenth frame from all stages and tells how near the result comes to it. With --set
     bake.enabled=true OUT also holds baked.glb: the simplified mesh with a texture that shows all colour of
     the clean one. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all its levels, and
-    remeshed.snm.
+    remeshed.snm. With --set lod.enabled=true it holds levels of detail of the clean mesh, lod.slod, and the
+    same as 3D Tiles in tiles/.
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """

@@ -70,13 +70,8 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     InputError
         If none of the frames looked at can be used.
     """
-    limits = DepthLimits(
-        min_depth=params.min_depth,
-        max_depth=params.max_depth or math.inf,
-        max_jump=params.max_jump,
-        max_angle=params.max_angle,
-    )
-    pairs = _look(frames, limits, where, threads)
+    limits = limits_of(params)
+    pairs = look(frames, limits, where, threads)
     found = survey(pairs)
     noise = found.noise
     voxel_size = params.voxel_size or _two_digits(
@@ -104,10 +99,26 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     return replace(plan, blocks=_expected_blocks(views, plan, len(frames)), triangles=triangles)
 
 
-def _look(
+def limits_of(params: FuseParams) -> DepthLimits:
+    """Return what depth is taken at all, before the scene is known."""
+    return DepthLimits(
+        min_depth=params.min_depth,
+        max_depth=params.max_depth or math.inf,
+        max_jump=params.max_jump,
+        max_angle=params.max_angle,
+    )
+
+
+def look(
     frames: Sequence[Frame], limits: DepthLimits, where: Path | None, threads: int
 ) -> list[tuple[PosedDepth, PosedDepth | None]]:
-    """Read frames at even places, each with the one after it; those that cannot be read are left out."""
+    """Read frames at even places, each with the one after it; those that cannot be read are left out.
+
+    Raises
+    ------
+    InputError
+        If none of them can be read.
+    """
     camera = frames[0].camera
     places = min(max(_PIXELS // (camera.width * camera.height), 2), _PLACES)
     first = np.unique(np.linspace(0, max(len(frames) - 2, 0), places).astype(int))

@@ -12,6 +12,7 @@ from stages import _kernels
 from stages.errors import InputError
 from stages.lod.first_error import first_error
 from stages.lod.hierarchy import Hierarchy
+from stages.lod.islands import is_island
 from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.progress import Progress, silent
@@ -28,6 +29,9 @@ from stages.surface.topology import require_measurable
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+# Raised by hand when levels of the same mesh become others.
+RESULT_VERSION = 1
+
 # How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
 # The first bound over the base's error, where the base has one.
@@ -35,15 +39,9 @@ _FIRST_PER_BASE = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class LodParams:
-    """How levels of detail are made."""
+class LevelsParams:
+    """How levels are made above the finest."""
 
-    base_error: float = param(
-        0.0,
-        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
-        unit="m",
-        low=0,
-    )
     first_error: float | None = param(
         None,
         "Bound of the first level above that; from the mesh itself if not given, so that it has a third to a "
@@ -57,6 +55,13 @@ class LodParams:
         10_000, "Triangles of a cell, at most: what is loaded, refined and drawn as one.", low=64
     )
     root_triangles: int = param(1_000, "Levels end at so few triangles, if bounds allow.", low=4)
+    drop_islands: float = param(
+        0.0,
+        "Loose pieces whose bounding box has a smaller diagonal are dropped first; what is proven then holds "
+        "from each level to the mesh, but back from the mesh without them alone. 0 keeps all.",
+        unit="m",
+        low=0,
+    )
     threads: int | None = param(
         None,
         "Processors to use, with the same result; all if not given.",
@@ -69,6 +74,18 @@ class LodParams:
         check_params(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class LodParams(LevelsParams):
+    """How levels of detail are made."""
+
+    base_error: float = param(
+        0.0,
+        "The finest level is the mesh simplified within this proven distance; 0 for the mesh itself.",
+        unit="m",
+        low=0,
+    )
+
+
 class LodKeywords(TypedDict, total=False):
     """LodParams as keywords of `build`."""
 
@@ -77,6 +94,7 @@ class LodKeywords(TypedDict, total=False):
     ratio: float
     cell_triangles: int
     root_triangles: int
+    drop_islands: float
     threads: int | None
 
 
@@ -92,7 +110,8 @@ def build(
     The surface is cut into cells along its own edges. Level by level it is simplified within a larger bound,
     the cells' borders locked, and neighbouring cells are joined, until there is one. Each cell is proven on
     each level against its part of the mesh that was given (or simplified within `base_error`, which is
-    added): at every point, both ways, in shape and colour. Bounds of levels are never added up.
+    added): at every point, both ways, in shape and colour. With `drop_islands` it is the mesh without these.
+    Bounds of levels are never added up.
 
     After Wang, Lu and Pan, "Dynamic evaluation and modification for progressive mesh hierarchies" (2012),
     with clusters of Garland, Willmott and Heckbert (2001), and fitted collapses in place of half-edge ones.
@@ -107,7 +126,7 @@ def build(
     Raises
     ------
     InputError
-        If the mesh has no triangles.
+        If the mesh has no triangles, or no piece that is not dropped.
     MeshError
         If it is no valid mesh, or its coordinates are too large.
     UsageError
@@ -118,7 +137,8 @@ def build(
     require_measurable(given, "mesh")
     if len(given.triangles) == 0:
         raise InputError("the mesh has no triangles; there are no levels of it.")
-    base, shape, color = _base(_plain(given), params)
+    kept, islands = _without_islands(_plain(given), params.drop_islands)
+    base, shape, color, progress = _base(kept, params, progress)
     hierarchy = _of_any(base, params, shape, progress)
     if shape:
         hierarchy = replace(
@@ -128,7 +148,12 @@ def build(
             base_shape_bound=shape,
             base_color_bound=color,
         )
-    return replace(hierarchy, input_triangles=len(given.triangles))
+    return replace(
+        hierarchy,
+        input_triangles=len(given.triangles),
+        dropped_islands=islands,
+        dropped_triangles=len(given.triangles) - len(kept.triangles),
+    )
 
 
 def _plain(mesh: Mesh) -> Mesh:
@@ -147,6 +172,23 @@ def _plain(mesh: Mesh) -> Mesh:
     return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes)
 
 
+def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:
+    """Return a mesh without the pieces that are smaller than a size, and how many were dropped."""
+    if size == 0:
+        return mesh, 0
+    small, islands = is_island(mesh, size)
+    if small.all():
+        raise InputError(f"every piece of the mesh is smaller than {size:g} m; nothing is left of it.")
+    if not islands:
+        return mesh, 0
+    note = (
+        f"{islands:,} loose pieces smaller than {size:g} m, of {int(small.sum()):,} triangles, were dropped: "
+        "of what the mesh has there, nothing is proven."
+    )
+    source = np.flatnonzero(~small)
+    return mesh.with_triangles(mesh.triangles[source], source).with_(notes=(*mesh.notes, note)), islands
+
+
 def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
     """Return the mean colour (n, 3) of the corners of each vertex, black where there is none."""
     corner = mesh.triangles.reshape(-1)
@@ -157,19 +199,32 @@ def _colors_of_vertices(mesh: Mesh) -> NDArray[np.uint8]:
     return np.rint(np.stack(sums, axis=1) / count[:, None]).clip(0, 255).astype(np.uint8)
 
 
-def _base(mesh: Mesh, params: LodParams) -> tuple[Mesh, float, float]:
-    """Return the finest level, and what is proven of it, in metres and levels."""
+def _base(mesh: Mesh, params: LodParams, progress: Progress) -> tuple[Mesh, float, float, Progress]:
+    """Return the finest level, what is proven of it, in metres and levels, and the progress of the rest."""
     if params.base_error == 0:
-        return mesh, 0.0, 0.0
+        return mesh, 0.0, 0.0, progress
+    count = len(mesh.triangles)
+    half = count // 2
     light = simplify(
         mesh,
         method="certified",
         max_shape=params.base_error,
         close_bounds=mesh.colors is not None,
         threads=params.threads,
+        progress=_part(progress, 0, half, count),
     )
     details = light.details
-    return light.mesh, float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
+    bounds = float(details.shape_bound_m), float(details.color_bound_levels or 0.0)
+    return light.mesh, *bounds, _part(progress, half, count, count)
+
+
+def _part(progress: Progress, first: int, last: int, count: int) -> Progress:
+    """Return what tells of a part of the work as from `first` to `last` of all."""
+
+    def tell(done: int, total: int) -> object:
+        return progress(first + (last - first) * done // max(total, 1), count)
+
+    return tell
 
 
 def _of_any(mesh: Mesh, params: LodParams, base_error: float, progress: Progress) -> Hierarchy:

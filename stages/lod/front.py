@@ -39,6 +39,7 @@ class Cut:
     shape_bound, color_bound : (k,) float64, metres and levels: what is proven of each node's mesh both ways
         against its part of the input; between two levels that of the coarser one, which then is expected.
     is_proven : (k,) bool, whether the node is on a level, and its bound so proven.
+    is_one_sided : whether islands were dropped, which then are near nothing here; the bounds are of the rest.
     """
 
     mesh: Mesh
@@ -48,6 +49,7 @@ class Cut:
     shape_bound: Floats
     color_bound: Floats
     is_proven: NDArray[np.bool_]
+    is_one_sided: bool = False
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -71,6 +73,7 @@ class Cut:
             "shape_bound_m": self.shape_bound_m,
             "color_bound_levels": self.color_bound_levels,
             "proven": bool(self.is_proven.all()),
+            "one_sided": self.is_one_sided,
             "nodes_between_levels": int((~self.is_proven).sum()),
         }
 
@@ -298,6 +301,7 @@ class Front:
             shape_bound=np.where(is_full, h.full_shape_bound[nodes], h.shape_bound[nodes]),
             color_bound=np.where(is_full, h.full_color_bound[nodes], h.color_bound[nodes]),
             is_proven=is_full | (splits == 0),
+            is_one_sided=h.is_one_sided,
         )
 
 

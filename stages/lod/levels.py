@@ -50,6 +50,8 @@ class Levels:
     base_shape_bound, base_color_bound : the same of the mesh the hierarchy was built on.
     input_triangles : of the mesh that was given.
     notes : what a person should know.
+    dropped_islands, dropped_triangles : loose pieces of the mesh that was given and their triangles, which no
+        level has, so that bounds are one-sided: all of a level is near the mesh, but not these near a level.
     """
 
     vertices: Floats
@@ -70,6 +72,8 @@ class Levels:
     base_color_bound: float
     input_triangles: int
     notes: tuple[str, ...] = ()
+    dropped_islands: int = 0
+    dropped_triangles: int = 0
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -78,6 +82,11 @@ class Levels:
     def nodes(self) -> int:
         """How many nodes there are."""
         return len(self.parent)
+
+    @property
+    def is_one_sided(self) -> bool:
+        """Whether something of the mesh that was given is near no level."""
+        return self.dropped_islands > 0
 
     @cached_property
     def children(self) -> tuple[Ids, ...]:
@@ -239,6 +248,9 @@ class Levels:
             "input_triangles": self.input_triangles,
             "base_triangles": base,
             "base_shape_bound_m": self.base_shape_bound,
+            "one_sided": self.is_one_sided,
+            "dropped_islands": self.dropped_islands,
+            "dropped_triangles": self.dropped_triangles,
             "nodes": self.nodes,
             "leaves": len(leaves),
             "levels": levels,

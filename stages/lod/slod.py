@@ -23,7 +23,9 @@ from stages.files.replacing import replacing
 from stages.lod.hierarchy import Hierarchy
 
 _MAGIC = b"SLOD"
-_FORMAT_VERSION = 1
+# 2 tells what was dropped; where nothing was, 1 says the same.
+_FORMAT_VERSION = 2
+_KNOWN = (1, _FORMAT_VERSION)
 # Magic, version, bytes of the tree, their checksum.
 _HEADER = struct.Struct("<4sIQI")
 _CHECKSUM = struct.Struct("<I")
@@ -51,6 +53,9 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         "base_shape_bound": h.base_shape_bound,
         "base_color_bound": h.base_color_bound,
         "input_triangles": h.input_triangles,
+        "one_sided": h.is_one_sided,
+        "dropped_islands": h.dropped_islands,
+        "dropped_triangles": h.dropped_triangles,
         "notes": list(h.notes),
         "nodes": {
             "parent": h.parent.tolist(),
@@ -101,8 +106,8 @@ def read_slod(path: Path | str) -> Hierarchy:
     if len(data) < _HEADER.size or data[:4] != _MAGIC:
         raise InputError(f"{path}: this is no .slod file.")
     _, version, size, checksum = _HEADER.unpack_from(data)
-    if version != _FORMAT_VERSION:
-        raise InputError(f"{path}: this .slod file has version {version}; {_FORMAT_VERSION} is known.")
+    if version not in _KNOWN:
+        raise InputError(f"{path}: this .slod file has version {version}; 1 and 2 are known.")
     text = data[_HEADER.size : _HEADER.size + size]
     if len(text) < size or zlib.crc32(text) != checksum:
         raise InputError(f"{path}: the file is damaged or cut off before its first level.")
@@ -196,6 +201,8 @@ def _joined(
         base_color_bound=float(tree["base_color_bound"]),
         input_triangles=_natural(tree["input_triangles"]),
         notes=tuple(str(note) for note in tree["notes"]),
+        dropped_islands=_natural(tree.get("dropped_islands", 0)),
+        dropped_triangles=_natural(tree.get("dropped_triangles", 0)),
     )
 
 

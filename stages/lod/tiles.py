@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError
+from stages.errors import InputError, UsageError
 from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
@@ -36,6 +36,9 @@ from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
+
+# Raised by hand when tiles of the same levels become others.
+RESULT_VERSION = 1
 
 Tree = dict[str, Any]
 Floats = NDArray[np.float64]
@@ -66,9 +69,9 @@ class TilesParams:
 
     up: str = param(
         "-y",
-        "The axis of the mesh that is up, which the tileset turns along z; `none` leaves it as it is. In the "
-        "frame of a camera -y is up, so it is in a scan whose poses were not given.",
-        choices=tuple(_TURNS),
+        "The axis of the mesh that is up (+x, -x, +y, -y, +z, -z), or a direction, as three numbers; the "
+        "tileset turns it along z, and `none` leaves it as it is. In the frame of a camera -y is up, so it "
+        "is in a scan whose poses were not given.",
     )
     page: bool = param(
         False, "Write a page beside the tiles, index.html and what it needs, that draws them in a browser."
@@ -76,6 +79,31 @@ class TilesParams:
 
     def __post_init__(self) -> None:
         check_params(self)
+        turn_of(self.up)
+
+
+def turn_of(up: str) -> Floats:
+    """Return the rotation (3, 3) that brings what is up along z: an axis by name, or three numbers.
+
+    Raises
+    ------
+    UsageError
+        If it is neither, or the numbers are no direction.
+    """
+    if up in _TURNS:
+        return np.array(_TURNS[up], np.float64)
+    try:
+        direction = np.array([float(word) for word in up.split()])
+    except ValueError:
+        raise UsageError(f"up is {up!r}; it must be one of {', '.join(_TURNS)}.") from None
+    length = float(np.linalg.norm(direction))
+    if len(direction) != 3 or not 0 < length < math.inf:
+        raise UsageError(f"up is {up!r}; a direction is three numbers, not all of them 0.")
+    towards = direction / length
+    # What is farthest from up gives the other axes.
+    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(towards, across), towards])
 
 
 class TilesKeywords(TypedDict, total=False):
@@ -123,6 +151,7 @@ class Tileset:
             "grid_share_m": self.grid.share_m,
             "geometric_error_m": float(self.tree["root"]["geometricError"]),
             "images": figures_of(self.images) if self.images else None,
+            "one_sided": "one_sided" in self.tree["asset"]["extras"],
         }
 
 
@@ -148,7 +177,8 @@ def write_tiles(
     The `geometricError` of a tile is what is proven of its shape, both ways and at every point, and how far
     the grid moves it, in metres, rounded up; never less than a child's. The `extras` of its content say the
     same of itself, `shape_bound_m`, and what is proven of its colours, `color_bound_levels`, as displayed
-    values that change evenly over each triangle.
+    values that change evenly over each triangle. Where islands were dropped, all this is one-sided, and the
+    `extras` of each content and of the tileset say so.
 
     Parameters
     ----------
@@ -317,17 +347,24 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
                 colors = {} if placed.colors is None else {"color_bound_levels": tile.color_bound}
                 if tile.uri in shown:
                     colors = shown[tile.uri].figures()
-                below = [_described(tile, box, below, colors)]
+                below = [_described(tile, box, below, colors, placed.is_one_sided)]
         (described[node],) = below
     root = described[0]
     transform = np.eye(4)
-    transform[:3, :3] = _TURNS[up]
+    transform[:3, :3] = turn_of(up)
     transform[:3, 3] = transform[:3, :3] @ grid.origin
     moves = not np.array_equal(transform, np.eye(4))
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
+    about: Tree = {"scanloom": installed_version()}
+    if placed.is_one_sided:
+        about |= {
+            "one_sided": True,
+            "dropped_islands": placed.dropped_islands,
+            "dropped_triangles": placed.dropped_triangles,
+        }
     return {
-        "asset": {"version": "1.1", "extras": {"scanloom": installed_version()}},
+        "asset": {"version": "1.1", "extras": about},
         "geometricError": max(diagonal, root["geometricError"]),
         "root": {
             **({"transform": transform.T.reshape(-1).tolist()} if moves else {}),
@@ -337,9 +374,11 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
     }
 
 
-def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree) -> Tree:
+def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_one_sided: bool) -> Tree:
     """Return what tileset.json says of a tile, of its colours, and of those below it."""
     extras: Tree = {"shape_bound_m": tile.shape_bound, **colors}
+    if is_one_sided:
+        extras["one_sided"] = True
     return {
         "boundingVolume": volume,
         "geometricError": max([tile.shape_bound, *(child["geometricError"] for child in below)]),

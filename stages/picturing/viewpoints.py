@@ -81,7 +81,7 @@ def viewpoints(
             for i in range(count)
         )
     poses = np.array([frame.world_from_camera for frame in posed])
-    up = _up(poses)
+    up = up_of(poses)
     overview = _looking("overview", points, _downward(poses, up), up, width, cull=True)
     chosen = np.unique(np.linspace(0, len(posed) - 1, 2 * count - 1).round().astype(int)[1::2])
     return (overview, *(_as_seen(posed[i], width) for i in chosen))
@@ -101,11 +101,15 @@ def _as_seen(frame: Frame, width: int) -> Viewpoint:
     return Viewpoint(f"frame-{frame.name}", camera, frame.world_from_camera)
 
 
-def _up(poses: Floats) -> Floats:
-    """Return the direction that is up: square to the cameras' x axes, on the side of their -y axes.
+def up_of(poses: Floats) -> Floats:
+    """Return the direction (3,) that is up: square to the cameras' x axes, on the side of their -y axes.
 
     People hold cameras level, so x axes are horizontal; where all point the same way, as from a car, they
     leave the direction open and the mean -y axis, weighted less, decides.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) camera-to-world, one or more.
     """
     sideways = poses[:, :3, 0]
     upward = -poses[:, :3, 1].mean(axis=0)

@@ -71,6 +71,31 @@ def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: P
     assert "the extension .stl stands for no format; use .glb, .obj, .ply." in ran.stderr
 
 
+def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> None:
+    whole = sheet(40)
+    # One triangle a metre above, as wide as a millimetre.
+    speck = np.array([(0, 0, 1), (0.001, 0, 1), (0, 0.001, 1)])
+    mesh = whole.with_(
+        vertices=np.concatenate([whole.vertices, speck]),
+        triangles=np.concatenate([whole.triangles, np.arange(3)[None] + len(whole.vertices)]).astype(
+            np.int32
+        ),
+        colors=np.concatenate([whole.colors, np.zeros((3, 3), np.uint8)]),
+    )
+    write_ply(tmp_path / "m.ply", mesh)
+    slod = tmp_path / "m.slod"
+    ran = scanloom("lod", "build", tmp_path / "m.ply", slod, "--cell-triangles", 500, "--drop-islands", 0.01)
+    assert ran.exit_code == 0, ran.stderr
+    assert "1 loose pieces" in ran.stderr
+    ran = scanloom("lod", "info", slod)
+    assert "1 loose pieces, of 1 triangles, were dropped" in ran.stdout
+    told = scanloom("lod", "info", slod, "--json").json
+    assert (told["one_sided"], told["dropped_islands"], told["dropped_triangles"]) == (True, 1, 1)
+    ran = scanloom("lod", "cut", slod, tmp_path / "cut.ply", "--max-shape", 0)
+    assert "but for the loose pieces that were dropped" in ran.stdout
+    assert scanloom("lod", "tiles", slod, tmp_path / "tiles", "--json").json["one_sided"]
+
+
 def test_what_cannot_be_met_is_told(scanloom: Run, built: Path, tmp_path: Path) -> None:
     ran = scanloom("lod", "cut", built, tmp_path / "o.ply", "--triangles", 3)
     assert ran.exit_code == 1

@@ -221,6 +221,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
         ("report.width=80", ["report"]),
         ("fuse.memory=3000", []),
         ("remesh.levels=2", []),
+        ("lod.ratio=2", []),
         ("depth.block_size=5", []),
     ],
 )
@@ -420,6 +421,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "depth"}, "depth is not a stage of this scan"),
         ({"force": ["depth"]}, "depth is not a stage of this scan"),
         ({"until": "remesh"}, "remesh is not enabled; set remesh.enabled=true"),
+        ({"until": "lod"}, "lod is not enabled; set lod.enabled=true"),
     ],
 )
 def test_stages_that_are_not_there(rgbd, tmp_path, options, message):

@@ -1,0 +1,34 @@
+"""How exact the depth of a scan is, for stages that ask for nothing else of fusion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.fusion.params import FuseParams
+from stages.fusion.plan import limits_of, look
+from stages.fusion.survey import survey
+from stages.scans.prefetch import workers
+from stages.scans.scan import Frame
+
+RESULT_VERSION = 1
+
+
+def depth_noise(frames: Sequence[Frame], where: Path | None = None) -> float:
+    """Return the standard deviation of a frame's depth at the median depth, along the surface's normal, m.
+
+    It is what neighbouring frames differ by where they see the same, and so also holds what their poses are
+    off; 0 where too few of them do.
+
+    Parameters
+    ----------
+    frames : with depth and poses; a few of them are read.
+    where : the scan's folder, for messages.
+
+    Raises
+    ------
+    InputError
+        If none of the frames looked at can be used.
+    """
+    found = survey(look(frames, limits_of(FuseParams()), where, workers()))
+    return found.noise.at(found.median)

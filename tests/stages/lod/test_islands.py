@@ -1,0 +1,160 @@
+"""Islands that are dropped: what stays keeps its bounds, and everything says that they are one-sided."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from stages import InputError, Mesh, UsageError, lod, topology
+from stages.lod import Hierarchy
+from stages.lod.islands import is_island
+from tests.made.coloured_meshes import ball
+from tests.stages.lod.test_build import base_of, distance, leaves_of, sampled, triangles_in_space
+
+SIZES = (0.02, 0.05, 0.08, 0.3)
+ASKED = {"cell_triangles": 500, "root_triangles": 50}
+
+
+def scattered() -> tuple[Mesh, list[int]]:
+    """Return a ball with ten small ones of each size around it, of diameters SIZES, and triangles of each."""
+    main = ball()
+    random = np.random.default_rng(3)
+    part = trimesh.creation.icosphere(subdivisions=1)
+    vertices, triangles, colors = [main.vertices], [main.triangles], [main.colors]
+    for size in SIZES:
+        for _ in range(10):
+            towards = random.normal(size=3)
+            at = 3 * towards / np.linalg.norm(towards)
+            triangles.append(np.asarray(part.faces) + sum(map(len, vertices)))
+            vertices.append(part.vertices * size / 2 + at)
+            colors.append(random.integers(256, size=(len(part.vertices), 3)).astype(np.uint8))
+    mesh = Mesh(
+        np.concatenate(vertices),
+        np.concatenate(triangles).astype(np.int32),
+        colors=np.concatenate(colors),
+    )
+    return mesh, [len(main.triangles), *(len(part.faces) for _ in SIZES)]
+
+
+@pytest.fixture(scope="module")
+def mesh() -> Mesh:
+    return scattered()[0]
+
+
+@pytest.fixture(scope="module")
+def dropped(mesh: Mesh) -> Hierarchy:
+    """Return levels without the two smallest sizes, whose boxes have diagonals of 0.035 and 0.087."""
+    return lod.build(mesh, drop_islands=0.1, **ASKED)
+
+
+def test_small_pieces_go_and_are_counted(mesh: Mesh, dropped: Hierarchy) -> None:
+    assert (dropped.dropped_islands, dropped.dropped_triangles) == (20, 20 * 80)
+    assert dropped.input_triangles == len(mesh.triangles)
+    kept = mesh.triangles[np.r_[: len(ball().triangles), len(mesh.triangles) - 20 * 80 : len(mesh.triangles)]]
+    leaves = leaves_of(dropped, 0)
+    np.testing.assert_array_equal(
+        triangles_in_space(dropped.mesh(leaves, dropped.splits[leaves])),
+        triangles_in_space(Mesh(mesh.vertices, kept)),
+    )
+    assert topology(dropped.cut(triangles=1).mesh).components == 21
+    figures = dropped.figures()
+    told = [figures[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
+    assert told == [True, 20, 1600]
+    assert any("20 loose pieces smaller than 0.1 m, of 1,600 triangles" in note for note in dropped.notes)
+
+
+def test_bounds_of_what_stays_hold_both_ways_and_those_of_all_one_way(mesh: Mesh, dropped: Hierarchy) -> None:
+    for node in range(dropped.nodes):
+        coarse, base = dropped.mesh([node], [0]), base_of(dropped, node)
+        there, back = (
+            distance(sampled(coarse, 1500, node), base),
+            distance(sampled(base, 1500, node), coarse),
+        )
+        assert max(there, back) <= dropped.shape_bound[node] * (1 + 1e-9)
+        assert distance(sampled(coarse, 1500, node), mesh) <= dropped.shape_bound[node] * (1 + 1e-9)
+    # The other side is what the mark is for: what was dropped is far from every level.
+    finest = dropped.cut(max_shape=0.0)
+    assert finest.is_one_sided
+    assert distance(mesh.vertices, finest.mesh) > 100 * finest.shape_bound_m + 0.1
+
+
+def test_what_is_dropped_need_not_be_paid_for(mesh: Mesh, dropped: Hierarchy) -> None:
+    whole = lod.build(mesh, **ASKED)
+    assert not whole.is_one_sided
+    assert not whole.cut(triangles=1).figures()["one_sided"]
+    assert dropped.coarse[0] < whole.coarse[0] - 20 * 4 + 1
+
+
+def test_with_nothing_to_drop_nothing_changes() -> None:
+    plain, asked = lod.build(ball(), **ASKED), lod.build(ball(), drop_islands=0.5, **ASKED)
+    assert not asked.is_one_sided
+    assert asked.notes == plain.notes
+    np.testing.assert_array_equal(asked.triangles, plain.triangles)
+    np.testing.assert_array_equal(asked.shape_bound, plain.shape_bound)
+
+
+def test_the_size_is_the_diagonal_of_the_box_and_copies_in_one_place_hang_together() -> None:
+    corners = np.array([(0, 0, 0), (3, 0, 0), (0, 4, 0), (3, 4, 0)], float)
+    # Two triangles that share an edge in space, each with vertices of its own: a square of diagonal 5.
+    mesh = Mesh(corners[[0, 1, 2, 2, 1, 3]], np.arange(6, dtype=np.int32).reshape(2, 3))
+    assert [is_island(mesh, size)[1] for size in (5.0, 5.001)] == [0, 1]
+    apart = Mesh(np.concatenate([mesh.vertices[:3], mesh.vertices[3:] + 10]), mesh.triangles)
+    np.testing.assert_array_equal(is_island(apart, 5.001)[0], (True, True))
+    assert is_island(apart, 5.001)[1] == 2
+
+
+def test_a_mesh_of_islands_alone_and_sizes_that_are_none_are_one_sentence() -> None:
+    with pytest.raises(InputError, match="every piece of the mesh is smaller than 100 m"):
+        lod.build(ball(), drop_islands=100.0)
+    with pytest.raises(UsageError, match="drop_islands"):
+        lod.build(ball(), drop_islands=-1.0)
+
+
+def test_the_file_and_the_tiles_say_it(dropped: Hierarchy, tmp_path: Path) -> None:
+    lod.write_slod(tmp_path / "m.slod", dropped)
+    read = lod.read_slod(tmp_path / "m.slod")
+    assert (read.dropped_islands, read.dropped_triangles, read.is_one_sided) == (20, 1600, True)
+    assert read.figures() == dropped.figures()
+    written = lod.write_tiles(read, tmp_path / "tiles")
+    assert written.figures()["one_sided"]
+    tree = json.loads((tmp_path / "tiles" / "tileset.json").read_text())
+    about = tree["asset"]["extras"]
+    assert (about["one_sided"], about["dropped_islands"], about["dropped_triangles"]) == (True, 20, 1600)
+    todo = [tree["root"]]
+    while todo:
+        tile = todo.pop()
+        assert tile["content"]["extras"]["one_sided"] is True
+        todo += tile.get("children", [])
+
+
+def test_two_sided_tiles_say_nothing_of_it(tmp_path: Path) -> None:
+    written = lod.write_tiles(lod.build(ball(), **ASKED), tmp_path / "tiles")
+    assert not written.figures()["one_sided"]
+    assert "one_sided" not in (tmp_path / "tiles" / "tileset.json").read_text()
+
+
+def test_files_of_version_1_are_read_and_later_ones_refused(tmp_path: Path) -> None:
+    hierarchy = lod.build(ball(), **ASKED)
+    path = tmp_path / "m.slod"
+    lod.write_slod(path, hierarchy)
+    data = path.read_bytes()
+    size = struct.unpack_from("<Q", data, 8)[0]
+    tree = json.loads(data[20 : 20 + size])
+    for name in ("one_sided", "dropped_islands", "dropped_triangles"):
+        del tree[name]
+    text = json.dumps(tree).encode()
+    for version in (1, 3):
+        head = struct.pack("<4sIQI", b"SLOD", version, len(text), zlib.crc32(text))
+        path.write_bytes(head + text + data[20 + size :])
+        if version == 1:
+            np.testing.assert_array_equal(lod.read_slod(path).triangles, hierarchy.triangles)
+            assert not lod.read_slod(path).is_one_sided
+        else:
+            with pytest.raises(InputError, match="version 3; 1 and 2 are known"):
+                lod.read_slod(path)
