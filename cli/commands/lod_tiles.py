@@ -45,8 +45,8 @@ def tiles(
 ) -> None:
     """Write levels of detail as 3D Tiles 1.1, which viewers in the browser load by what they show.
 
-    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven. With --texture
-    each tile has an image of its own, in place of vertex colours.
+    OUTDIR gets tileset.json and a GLB file for each tile. A tile's geometricError is proven.
+    With --texture each tile has an image of its own, in place of vertex colours.
 
     Example: scanloom lod tiles clean.slod clean_tiles --texture textured.glb
     """
