@@ -231,13 +231,14 @@ def with_images(
     Raises
     ------
     MeshError
-        If a piece is of needles alone, or in so many pieces that no image of `image_side` has room.
+        If a piece has no area, is of needles alone, or falls into so many charts that no image of
+        `image_side` has room.
     """
-    waiting = list(range(len(pieces)))
+    waiting = set(range(len(pieces)))
     painted: dict[int, tuple[Mesh, float]] = {}
     while waiting:
-        now = [number for number in waiting if all(other in painted for other in pieces[number].below)]
-        waiting = [number for number in waiting if number not in set(now)]
+        now = sorted(number for number in waiting if painted.keys() >= set(pieces[number].below))
+        waiting -= set(now)
         paint = partial(_painted, pieces, model, params, painted)
         done = {}
         threads = workers()
@@ -274,6 +275,7 @@ def _painted(
 ) -> _Painted:
     piece = pieces[number]
     mesh = piece.mesh
+    require_area(mesh, "tile")
     detail = model.detail_on(mesh)
     wanted = max(piece.error / params.texels_per_error, detail)
     pages = in_one(mesh, wanted, max_side=params.image_side)

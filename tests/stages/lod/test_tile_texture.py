@@ -18,6 +18,7 @@ from stages import Mesh, clean, lod, simplify
 from stages.errors import MeshError
 from stages.files.image_bytes import decoded_image
 from stages.lod.hierarchy import Hierarchy
+from stages.lod.tile_texture import Piece, model_of, with_images
 from stages.surface.color import color_at, sampled
 from stages.surface.mesh_files import read_mesh
 from stages.surface.raycasting import Surface
@@ -396,6 +397,13 @@ def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
     written = lod.write_tiles(hierarchy, tmp_path / "out", texture=crumbs)
     assert all(image.color_most <= 2 for image in written.images)
+
+
+def test_a_tile_without_area_is_told(models: dict[str, Mesh]) -> None:
+    line = Mesh(np.array([[0.0, 0, 1], [0, 0, 1], [0, 0, 1]]), np.array([[0, 1, 2]], np.int32))
+    model = model_of(models["ball"], models["ball"], np.zeros(3))
+    with pytest.raises(MeshError, match="tile"):
+        list(with_images([Piece(line, 0.1, ())], model, lod.TileImageParams()))
 
 
 def test_a_model_without_triangles_is_told(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
