@@ -22,6 +22,7 @@ from stages.picturing.viewpoints import Viewpoint
 from stages.scans.scan import Camera
 
 WIDTH, HEIGHT = 480, 360
+COMPRESS = Path(__file__).resolve().parents[2] / "made" / "compress_tiles.mjs"
 PAPER = {"light": (0xF4, 0xF5, 0xF7), "dark": (0x17, 0x1B, 0x21)}
 # Where the camera stands, and how many pixels a tile's error may have.
 VIEWS = {
@@ -156,6 +157,22 @@ def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> Non
         tile.write_bytes(data[:-60] + data[-64:-60] * 15)
     with served(FolderServer(tmp_path / "tiles")) as server:
         assert holes(opened(chromium, server.address).picture("near"), "near") > 0
+
+
+def test_tiles_that_another_tool_compressed_are_drawn(chromium: Any, tiles: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiles, tmp_path / "tiles")
+    node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
+    before, after = (
+        sum(f.stat().st_size for f in (at / "tiles").iterdir()) for at in (tiles, tmp_path / "tiles")
+    )
+    assert after < 0.8 * before
+    with served(FolderServer(tmp_path / "tiles")) as server:
+        seen = opened(chromium, server.address)
+        for view in VIEWS:
+            mask = seen.picture(view)
+            assert holes(mask, view) == 0
+            assert mask.any()
+        assert [text for text in seen.said if "versions at 1.1 or higher have limited" not in text] == []
 
 
 def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> None:
