@@ -137,7 +137,10 @@ export function picture(canvas, address, { onReady, onError }) {
     },
     settings: () => ({ ...settings }),
     view: orbit.view,
-    showAll: orbit.showAll,
+    showAll() {
+      resize(); // the observer tells of a new size later
+      orbit.showAll();
+    },
     async settled() {
       // Quiet for some drawings: what is loaded in one is shown, or asks for more, in the next.
       for (let quiet = 0; quiet < 4; ) {
