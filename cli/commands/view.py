@@ -45,7 +45,7 @@ def view(
         with FolderServer(folder, port, tiles_page()) as server:
             out.result({"address": server.address}, f"{server.address}  (Ctrl-C ends it)")
             if open_browser or (open_browser is None and sys.stdout.isatty()):
-                webbrowser.open(server.address)
+                webbrowser.open_new_tab(server.address)
             server.serve_forever()
     except KeyboardInterrupt:
         out.remark("Ended.")

@@ -327,6 +327,7 @@ COMMANDS = [
         ("simplify",),
         ("compare",),
         ("render",),
+        ("view",),
     ),
     *(("cache", "ls"), ("cache", "verify"), ("cache", "prune")),
 ]

@@ -51,7 +51,7 @@ def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
 
     asked: list[str] = []
     monkeypatch.setattr(FolderServer, "serve_forever", interrupted)
-    monkeypatch.setattr("webbrowser.open", asked.append)
+    monkeypatch.setattr("webbrowser.open_new_tab", asked.append)
     (tmp_path / "tileset.json").write_text("{}")
     ran = scanloom("view", tmp_path, "--json", "--open")
     assert (ran.exit_code, ran.stderr) == (0, "")

@@ -22,6 +22,7 @@ from stages.picturing.viewpoints import Viewpoint
 from stages.scans.scan import Camera
 
 WIDTH, HEIGHT = 480, 360
+COMPRESS = Path(__file__).resolve().parents[2] / "made" / "compress_tiles.mjs"
 PAPER = {"light": (0xF4, 0xF5, 0xF7), "dark": (0x17, 0x1B, 0x21)}
 # Where the camera stands, and how many pixels a tile's error may have.
 VIEWS = {
@@ -29,6 +30,7 @@ VIEWS = {
     "near": ((5.5, -2.5, 1.5), (4.5, 0.0, 0.0), 1.0),
     "mixed": ((8.5, -1.0, 1.2), (-2.0, 0.0, 0.0), 1.5),
 }
+ORIGIN = np.zeros(3)
 pytestmark = pytest.mark.slow
 
 Mask = NDArray[np.bool_]
@@ -62,12 +64,12 @@ class Seen:
     said: list[str]
     asked: list[str]
 
-    def picture(self, view: str) -> Mask:
-        """Return where the model is seen from a view."""
+    def picture(self, view: str, moved: NDArray[np.float64] = ORIGIN) -> Mask:
+        """Return where the model, which may have been moved, is seen from a view."""
         eye, target, error = VIEWS[view]
         self.page.evaluate(
             "settings => { scanloom.set(settings); return scanloom.settled(); }",
-            {"eye": eye, "target": target, "error": error},
+            {"eye": (moved + eye).tolist(), "target": (moved + target).tolist(), "error": error},
         )
         return self.mask()
 
@@ -158,6 +160,36 @@ def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> Non
         assert holes(opened(chromium, server.address).picture("near"), "near") > 0
 
 
+def test_tiles_that_another_tool_compressed_are_drawn(chromium: Any, tiles: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiles, tmp_path / "tiles")
+    node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
+    before, after = (
+        sum(f.stat().st_size for f in (at / "tiles").iterdir()) for at in (tiles, tmp_path / "tiles")
+    )
+    assert after < 0.8 * before
+    with served(FolderServer(tmp_path / "tiles")) as server:
+        seen = opened(chromium, server.address)
+        for view in VIEWS:
+            mask = seen.picture(view)
+            assert holes(mask, view) == 0
+            assert mask.any()
+        assert [text for text in seen.said if "versions at 1.1 or higher have limited" not in text] == []
+
+
+def test_a_model_far_from_its_origin_is_as_whole(chromium: Any, tmp_path: Path) -> None:
+    away = np.array((450_000.0, 5_400_000.0, 120.0))
+    mesh = long_ring()
+    far = Mesh(mesh.vertices + away, mesh.triangles, mesh.colors)
+    hierarchy = lod.build(far, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
+    lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z")
+    with served(FolderServer(tmp_path / "tiles", more=tiles_page())) as server:
+        seen = opened(chromium, server.address)
+        for view in VIEWS:
+            mask = seen.picture(view, away)
+            assert holes(mask, view) == 0
+            assert not (mask & ~grown(silhouette(view), int(VIEWS[view][2]) + 2)).any()
+
+
 def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> None:
     with served(FolderServer(tiles)) as server:
         seen = opened(chromium, server.address)
@@ -187,6 +219,20 @@ def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path
         assert page.evaluate("scanloom.view().eye[0]") < 0.1
         page.keyboard.press("Home")
         assert page.evaluate("scanloom.view().target") != view["target"]
+        # Wheel and pointer.
+        page.mouse.move(WIDTH / 2, HEIGHT / 2)
+        whole = seen.mask().sum()
+        page.mouse.wheel(0, -240)
+        page.evaluate("scanloom.settled()")
+        assert seen.mask().sum() > whole
+        before = page.evaluate("scanloom.view().eye")
+        page.mouse.down()
+        page.mouse.move(WIDTH / 2 + 60, HEIGHT / 2)
+        page.mouse.up()
+        assert np.linalg.norm(np.subtract(page.evaluate("scanloom.view().eye"), before)) > 1
+        page.evaluate("document.querySelector('#picture').focus()")
+        page.keyboard.press("Home")
+        page.evaluate("scanloom.settled()")
         whole = seen.mask().sum()
         page.evaluate("scanloom.set({wireframe: true, mode: 'colors'}); scanloom.settled()")
         assert 0 < seen.mask().sum() < whole

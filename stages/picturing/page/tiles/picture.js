@@ -44,13 +44,15 @@ export function picture(canvas, address, { onReady, onError }) {
   const listeners = [];
   let wanted = {}; // a view that was asked for before there was anything to see
   let isPlaced = false;
+  let hasShown = false;
   let scheduled = 0;
   let drawings = 0;
 
   const tiles = new TilesRenderer(address);
   tiles.registerPlugin(new GLTFExtensionsPlugin({ meshoptDecoder: MeshoptDecoder, metadata: false, rtc: false }));
   tiles.registerPlugin(singleSlash);
-  tiles.errorTarget = settings.error;
+  // The root alone at first: something is seen after its few bytes.
+  tiles.errorTarget = Infinity;
   tiles.group.rotation.x = -Math.PI / 2; // z up as y up
   const scene = new Scene();
   scene.add(tiles.group);
@@ -72,6 +74,11 @@ export function picture(canvas, address, { onReady, onError }) {
     tiles.update();
     renderer.render(scene, orbit.camera);
     drawings += 1;
+    if (!hasShown && tiles.visibleTiles.size) {
+      hasShown = true;
+      tiles.errorTarget = settings.error;
+      request();
+    }
     listeners.forEach((call) => call());
   }
 
@@ -122,7 +129,7 @@ export function picture(canvas, address, { onReady, onError }) {
     set(changes) {
       const { eye, target, fov, ...others } = changes;
       Object.assign(settings, others);
-      tiles.errorTarget = settings.error;
+      if (hasShown) tiles.errorTarget = settings.error;
       const view = Object.fromEntries(Object.entries({ eye, target, fov }).filter(([, value]) => value !== undefined));
       if (!isPlaced) wanted = { ...wanted, ...view };
       else if (Object.keys(view).length) orbit.set(view);
@@ -130,7 +137,10 @@ export function picture(canvas, address, { onReady, onError }) {
     },
     settings: () => ({ ...settings }),
     view: orbit.view,
-    showAll: orbit.showAll,
+    showAll() {
+      resize(); // the observer tells of a new size later
+      orbit.showAll();
+    },
     async settled() {
       // Quiet for some drawings: what is loaded in one is shown, or asks for more, in the next.
       for (let quiet = 0; quiet < 4; ) {
@@ -138,7 +148,7 @@ export function picture(canvas, address, { onReady, onError }) {
         request();
         await new Promise(requestAnimationFrame);
         const { queued, downloading, parsing } = tiles.stats;
-        const isQuiet = isPlaced && drawings > before && !queued && !downloading && !parsing && tiles.visibleTiles.size;
+        const isQuiet = hasShown && drawings > before && !queued && !downloading && !parsing && tiles.visibleTiles.size;
         quiet = isQuiet ? quiet + 1 : 0;
       }
     },
