@@ -1,6 +1,7 @@
 """Levels of detail: what they take, what is proven of them, and whether that holds.
 
     python benches/lod.py DATA [--mesh horse kitchen ...] [--threads 1] [--fronts 100] [--samples 20000]
+    python benches/lod.py DATA --fields
 
 DATA holds `meshes/`. Prints Markdown.
 
@@ -21,6 +22,14 @@ out without. Shape alone: colours bind our levels, too.
 
 "fronts": random nodes with random splits that are together all of the surface: how many have an edge of more
 than two triangles, or other borders than the input.
+
+"fields", alone: the horse in the four fields of the paper's figure 4, by its own rule. The paper gives the
+field's parameter and the triangles, but no eye, no pixels, no near and no far end. "letter" is the rule in
+all measures, for six eyes along the axes: the fewest and the most triangles. "error" is its threshold on
+the error alone, the one part of the rule that the field decides: the parameter is taken for the angle of
+the field in degrees, or for the distance, and what it is short of, pixels per metre, comes from the first
+row; the others follow. "global" is lambda_G with the last row's count as its floor, its far end from the
+first row. "proven" and "sampled" are the distances of "error, distance", over the diagonal.
 """
 
 from __future__ import annotations
@@ -42,6 +51,7 @@ from trimesh.triangles import points_to_barycentric
 from stages import lod
 from stages._open3d import open3d
 from stages.lod import Hierarchy, View
+from stages.lod.measures import global_limit
 from stages.simplification.simplify import simplify
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh
@@ -71,6 +81,12 @@ CLUSTERS = [
         "ratio",
     ),
 ]
+# Of figure 4: the field's parameter, and triangles.
+FIELDS = ((10.6017, 8632), (22.4261, 6553), (37.1169, 4060), (78.9082, 762))
+FIELD = [
+    *("parameter", "paper", "letter, 6 eyes", "global", "error, angle", "off"),
+    *("error, distance", "off", "proven / diagonal", "sampled / diagonal"),
+]
 FRONTS = ["mesh", "fronts", "edges of three triangles", "other borders"]
 
 
@@ -82,7 +98,11 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--fronts", type=int, default=100)
     parser.add_argument("--samples", type=int, default=20_000)
+    parser.add_argument("--fields", action="store_true")
     given = parser.parse_args()
+    if given.fields:
+        print_fields(read_mesh(given.data / "meshes" / MESHES["horse"]), given.threads, given.samples)
+        return
     meshes = {name: read_mesh(given.data / "meshes" / MESHES[name]) for name in given.mesh}
     hierarchies: dict[str, Hierarchy] = {}
     print_head(BUILT)
@@ -100,6 +120,55 @@ def main() -> None:
     print_head(FRONTS)
     for name, hierarchy in hierarchies.items():
         print_fronts(name, hierarchy, given.fronts)
+
+
+def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
+    """Print the table of the paper's fields."""
+    # Levels close to each other, since only whole levels are proven.
+    hierarchy = lod.build(mesh, ratio=1.2, root_triangles=400, cell_triangles=4000, threads=threads)
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    (first, most), (_, least) = FIELDS[0], FIELDS[-1]
+    levels = hierarchy.figures()["levels"]
+    counts = np.log([level["triangles"] for level in levels])
+    bounds = np.log([level["shape_bound_m"] for level in levels])
+    exact = np.interp(np.log(most), counts, bounds)
+    share = (most - least) / (len(mesh.triangles) - least)
+    far = first / (1 - share)
+    print_head(FIELD)
+    for parameter, paper in FIELDS:
+        letter = [triangles_by_letter(hierarchy, parameter, axis) for axis in (*np.eye(3), *-np.eye(3))]
+        overall = global_limit(len(mesh.triangles), least, parameter, near=0.0, far=far)
+        half, first_half = (np.tan(np.radians(p / 2)) for p in (parameter, first))
+        by_angle, count = (
+            round(float(np.exp(np.interp(exact + np.log(more), bounds[::-1], counts[::-1]))))
+            for more in (half / first_half, parameter / first)
+        )
+        cut = hierarchy.cut(triangles=count)
+        found = max(farthest(cut.mesh, mesh, samples), farthest(mesh, cut.mesh, samples))
+        print_row(
+            [
+                f"{parameter:.1f}",
+                f"{paper:,}",
+                f"{min(letter):,} to {max(letter):,}",
+                f"{overall:,.0f}",
+                f"{by_angle:,}",
+                f"{by_angle / paper - 1:+.0%}",
+                f"{count:,}",
+                f"{count / paper - 1:+.0%}",
+                f"{cut.shape_bound_m / diagonal:.2e}",
+                f"{found / diagonal:.2e}",
+            ]
+        )
+
+
+def triangles_by_letter(hierarchy: Hierarchy, field: float, axis: NDArray[np.float64]) -> int:
+    """Return what the paper's letter comes to for an eye along an axis and a field in degrees."""
+    middle, radius = hierarchy.spheres[0][0], hierarchy.spheres[1][0]
+    # The whole model is in the narrowest field.
+    eye = middle + axis * radius / np.sin(np.radians(0.5 * FIELDS[0][0]))
+    view = View(tuple(eye), tuple(middle), tuple(np.roll(axis, 1)), field=field)
+    weights = lod.evaluate(hierarchy, view, rule="paper")
+    return lod.adjust(hierarchy.front(), weights, len(hierarchy.triangles)).triangles
 
 
 def print_built(name: str, mesh: Mesh, hierarchy: Hierarchy, seconds: float) -> None:

@@ -1,0 +1,285 @@
+"""Deform a marked part of a mesh at the detail that it needs: the whole way of docs/recipes/deform.md.
+
+    python docs/recipes/deform.py OUT [--mesh FILE --center X Y Z --radius M --reach M --move X Y Z ...]
+
+Without a mesh it makes a grooved bar. OUT gets front.ply, deformed.ply, adjusted.ply, repaired.ply and
+deform.png, a picture of the four.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_mesh, render, repair, write_mesh
+from stages._open3d import open3d
+from stages.errors import UsageError
+from stages.lod import measures
+from stages.lod.front import Region
+from stages.picturing.render import write_png
+
+Floats = NDArray[np.float64]
+
+# Where neighbouring triangles turn by more than this, degrees, the front is too coarse for the bend.
+MOST_BEND = 6.0
+# A triangle with a smaller angle, degrees, is repaired.
+LEAST_ANGLE = 3.0
+# Triangles that a front may have.
+LIMIT = 20_000
+ITERATIONS = 40
+
+
+@dataclass(frozen=True)
+class Handle:
+    """What is moved: all within a sphere, as one; what is farther than `reach` from its middle stays.
+
+    Attributes
+    ----------
+    center : (x, y, z), metres.
+    radius, reach : metres.
+    move : (x, y, z), metres.
+    turn : degrees about `axis` through the centre.
+    """
+
+    center: tuple[float, float, float]
+    radius: float
+    reach: float
+    move: tuple[float, float, float]
+    turn: float
+    axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+    @property
+    def region(self) -> Sphere:
+        """The part that is marked: all that moves by itself."""
+        return Sphere(center=self.center, radius=self.radius, lock=True)
+
+    def held(self, points: Floats) -> NDArray[np.bool_]:
+        """Return which points (n, 3) stay."""
+        return np.asarray(np.linalg.norm(points - self.center, axis=1) > self.reach)
+
+    def moved(self, points: Floats) -> Floats:
+        """Return points (n, 3) as the handle moves them."""
+        turn = Rotation.from_rotvec(np.radians(self.turn) * np.array(self.axis))
+        return np.asarray(turn.apply(points - self.center) + self.center + self.move)
+
+
+@dataclass(frozen=True)
+class Bent:
+    """Where a deformed front bends: a region of the mesh as it was."""
+
+    tree: cKDTree
+    is_bent: NDArray[np.bool_]
+
+    def holds(self, points: Floats) -> NDArray[np.bool_]:
+        """Return which points (n, 3) have a bent vertex of the front nearest to them."""
+        _, nearest = self.tree.query(points)
+        return np.asarray(self.is_bent[nearest])
+
+
+@dataclass(frozen=True)
+class Deformed:
+    """What comes out, step by step.
+
+    Attributes
+    ----------
+    front : the mesh that was refined where it is marked.
+    deformed : it, deformed.
+    adjusted : what is adjusted to the bend, deformed in the same way.
+    repaired : it without irregular triangles, as far as that goes.
+    bends : the largest turn between neighbours that deforming made, degrees, of deformed and adjusted.
+    irregular : caps, needles, folds and spikes of adjusted and of repaired.
+    moved_m : how far repairs moved the surface at most, proven.
+    """
+
+    front: Mesh
+    deformed: Mesh
+    adjusted: Mesh
+    repaired: Mesh
+    bends: tuple[float, float]
+    irregular: tuple[int, int]
+    moved_m: float
+
+
+def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deformed:
+    """Mark, refine, deform, evaluate, adjust, deform and repair."""
+    hierarchy = lod.build(mesh, cell_triangles=cell_triangles, root_triangles=cell_triangles // 4)
+    view = view_of(mesh)
+    front = lod.adjust(hierarchy.front(), urgency(hierarchy, view, handle.region), LIMIT)
+    before = front.cut().mesh
+    deformed = as_rigid_as_possible(before, handle)
+
+    bend = bends(before, deformed)
+    bent = Bent(cKDTree(before.vertices), bend > MOST_BEND)
+    lod.adjust(front, urgency(hierarchy, view, bent), LIMIT)
+    finer = front.cut().mesh
+    adjusted = as_rigid_as_possible(finer, handle)
+
+    edge = np.linalg.norm(np.diff(finer.vertices[finer.triangles[:, :2]], axis=1), axis=2)
+    repaired = repair(adjusted, corner_angle=LEAST_ANGLE, max_shape=0.25 * float(np.median(edge)))
+    return Deformed(
+        before,
+        deformed,
+        adjusted,
+        repaired.mesh,
+        (float(bend.max()), float(bends(finer, adjusted).max())),
+        (irregular(adjusted), irregular(repaired.mesh)),
+        repaired.bound_m,
+    )
+
+
+def urgency(hierarchy: lod.Hierarchy, view: lod.View, region: Region) -> measures.Weights:
+    """Return the paper's measures for a region; of the view its error counts, and not the outline."""
+    found = lod.evaluate(hierarchy, view, region)
+    nothing = np.zeros(hierarchy.nodes)
+    local = measures.local_measure(found.frustum, nothing, found.error_px, found.marked)
+    for node in range(hierarchy.nodes - 1, 0, -1):
+        local[hierarchy.parent[node]] = max(local[hierarchy.parent[node]], local[node])
+    return replace(found, local=local)
+
+
+def as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:
+    """Return a mesh whose handle has moved.
+
+    After Sorkine and Alexa, "As-rigid-as-possible surface modeling" (2007).
+
+    Raises
+    ------
+    UsageError
+        If nothing of the mesh is in the handle, or nothing is held.
+    """
+    points = mesh.vertices
+    inside, held = handle.region.holds(points), handle.held(points)
+    if not inside.any() or not held.any():
+        raise UsageError("the handle holds no vertex, or nothing is far enough from it to stay.")
+    constrained = np.flatnonzero(inside | held)
+    goals = np.where(inside[:, None], handle.moved(points), points)[constrained]
+    o3d: Any = open3d()
+    given = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(points), o3d.utility.Vector3iVector(mesh.triangles)
+    )
+    places = o3d.utility.IntVector(constrained.astype(np.int32))
+    goal = o3d.utility.Vector3dVector(goals)
+    found = given.deform_as_rigid_as_possible(places, goal, max_iter=ITERATIONS)
+    return mesh.with_(vertices=np.asarray(found.vertices).copy())
+
+
+def bends(before: Mesh, after: Mesh) -> Floats:
+    """Return how much deforming turned triangles at each vertex (n,) against their neighbours, degrees."""
+    sides = np.concatenate([before.triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+    triangle = np.tile(np.arange(len(before.triangles)), 3)
+    order = np.lexsort(np.sort(sides, axis=1).T)
+    same = (np.sort(sides, axis=1)[order][1:] == np.sort(sides, axis=1)[order][:-1]).all(axis=1)
+    first, second = order[:-1][same], order[1:][same]
+    turned = np.abs(
+        angles(after, triangle[first], triangle[second]) - angles(before, triangle[first], triangle[second])
+    )
+    most = np.zeros(len(before.vertices))
+    for corner in range(2):
+        np.maximum.at(most, sides[first, corner], turned)
+    return most
+
+
+def angles(mesh: Mesh, first: NDArray[np.int64], second: NDArray[np.int64]) -> Floats:
+    """Return the angles (k,) between the normals of pairs of triangles, degrees."""
+    corners = mesh.vertices[mesh.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    cosine = np.einsum("ij,ij->i", normals[first], normals[second])
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def irregular(mesh: Mesh) -> int:
+    """Return how much there is that repairs are for: caps, needles, folds, spikes and the like."""
+    found = check(mesh, corner_angle=LEAST_ANGLE).figures()["classes"]
+    return sum(one["count"] for one in found.values() if one["treatment"] == "marking")
+
+
+def view_of(mesh: Mesh) -> lod.View:
+    """Return a view of all of a mesh from the front, small: where nothing is marked, little is wanted."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    eye = middle - np.array((0.0, 1.4 * size, 0.0))
+    return lod.View(tuple(eye), tuple(middle), (0.0, 0.0, 1.0), 150, 150)
+
+
+def bar(around: int = 48, along: int = 90) -> Mesh:
+    """Return a bar along z, 2 m long, with grooves."""
+    angle, height = np.meshgrid(np.arange(around) * 2 * np.pi / around, np.linspace(0, 2, along))
+    radius = 0.25 * (1 + 0.06 * np.sin(8 * angle + 3 * height) + 0.02 * np.sin(20 * height))
+    rings = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=2).reshape(-1, 3)
+    row, column = np.meshgrid(np.arange(along - 1), np.arange(around), indexing="ij")
+    a, b = row * around + column, row * around + (column + 1) % around
+    sides = np.stack([a, b, b + around, a, b + around, a + around], axis=2).reshape(-1, 3)
+    ring, bottom = np.arange(around), len(rings)
+    following = (ring + 1) % around
+    last = (along - 1) * around
+    caps = [
+        np.stack([following, ring, np.full(around, bottom)], axis=1),
+        np.stack([last + ring, last + following, np.full(around, bottom + 1)], axis=1),
+    ]
+    vertices = np.concatenate([rings, [(0, 0, 0), (0, 0, 2)]])
+    return Mesh(vertices, np.concatenate([sides, *caps]).astype(np.int32))
+
+
+def picture(found: Deformed, along: str) -> NDArray[np.uint8]:
+    """Return the four meshes side by side, with their triangles, as seen along x or y, z up."""
+    steps = (found.front, found.deformed, found.adjusted, found.repaired)
+    points = np.concatenate([mesh.vertices for mesh in steps])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float((high - low).max())
+    ahead = np.eye(3)["xyz".index(along)]
+    down = np.array((0.0, 0.0, -1.0))
+    across = float(np.ptp(points, axis=0)["xyz".index("y" if along == "x" else "x")])
+    width = round(240 * min(max(across / size, 0.2) + 0.05, 1.0))
+    camera = Camera(width, 240, 360.0, 360.0, 0.5 * width - 0.5, 119.5)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([np.cross(down, ahead), down, ahead], axis=1)
+    pose[:3, 3] = 0.5 * (low + high) - 1.75 * size * ahead
+    viewpoint = Viewpoint("front", camera, pose)
+    return np.hstack([render(mesh, viewpoint, shading="edges") for mesh in steps])
+
+
+def main(words: Sequence[str] | None = None) -> Deformed:
+    """Do it, write what comes out, and say what happened."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--mesh", type=Path)
+    parser.add_argument("--center", type=float, nargs=3, default=(0.0, 0.0, 2.0))
+    parser.add_argument("--radius", type=float, default=0.35)
+    parser.add_argument("--reach", type=float, help="by default 4 radii")
+    parser.add_argument("--move", type=float, nargs=3, default=(0.75, 0.0, -0.3))
+    parser.add_argument("--turn", type=float, default=70.0)
+    parser.add_argument("--along", choices=("x", "y"), default="y", help="where the picture looks")
+    parser.add_argument("--cell-triangles", type=int, default=800)
+    given = parser.parse_args(words)
+    handle = Handle(
+        tuple(given.center), given.radius, given.reach or 4 * given.radius, tuple(given.move), given.turn
+    )
+    mesh = bar() if given.mesh is None else read_mesh(given.mesh)
+    found = deform(mesh, handle, cell_triangles=given.cell_triangles)
+    given.out.mkdir(parents=True, exist_ok=True)
+    for name in ("front", "deformed", "adjusted", "repaired"):
+        write_mesh(given.out / f"{name}.ply", getattr(found, name))
+    write_png(given.out / "deform.png", picture(found, given.along))
+    sys.stdout.write(
+        f"{len(mesh.triangles):,} triangles; refined where marked: {len(found.front.triangles):,}; "
+        f"adjusted to the bend: {len(found.adjusted.triangles):,}\n"
+        f"largest bend between neighbours: {found.bends[0]:.1f}° before adjusting, {found.bends[1]:.1f}° "
+        "after\n"
+        f"irregular: {found.irregular[0]:,} before repairs, {found.irregular[1]:,} after, which moved the "
+        f"surface by no more than {found.moved_m:.2g} m\n"
+    )
+    return found
+
+
+if __name__ == "__main__":
+    main()

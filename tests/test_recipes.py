@@ -1,0 +1,76 @@
+"""The recipes of docs/ run, and do what their pages say."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from stages import UsageError, read_mesh, topology, write_mesh
+
+RECIPES = Path(__file__).resolve().parents[1] / "docs" / "recipes"
+
+
+@pytest.fixture(scope="module")
+def deform() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("deform", RECIPES / "deform.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Its dataclasses look their module up.
+    sys.modules["deform"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tmp_path: Path) -> None:
+    mesh = deform.bar()
+    write_mesh(tmp_path / "bar.ply", mesh)
+    found = deform.main([str(tmp_path / "out"), "--mesh", str(tmp_path / "bar.ply")])
+    handle = deform.Handle((0.0, 0.0, 2.0), 0.35, 1.4, (0.75, 0.0, -0.3), 70.0)
+
+    front = found.front.vertices
+    marked, held = handle.region.holds(front), handle.held(front)
+    exact = {tuple(vertex) for vertex in read_mesh(tmp_path / "bar.ply").vertices}
+    assert all(tuple(vertex) in exact for vertex in front[marked])
+    assert len(found.front.triangles) < len(mesh.triangles) / 2
+    # The handle is where it was moved to, and what is held stays, but for what iterations leave.
+    after = found.deformed.vertices
+    np.testing.assert_allclose(after[marked], handle.moved(front[marked]), atol=1e-6)
+    np.testing.assert_allclose(after[held], front[held], atol=1e-6)
+
+    assert found.bends[1] < found.bends[0]
+    for step in (found.front, found.deformed, found.adjusted, found.repaired):
+        assert topology(step).is_closed
+        assert topology(step).is_manifold
+    assert found.irregular[1] <= found.irregular[0]
+    assert found.moved_m < 0.05
+    for name in ("front", "deformed", "adjusted", "repaired"):
+        written = read_mesh(tmp_path / "out" / f"{name}.ply")
+        assert len(written.triangles) == len(getattr(found, name).triangles)
+    assert (tmp_path / "out" / "deform.png").stat().st_size > 10_000
+
+
+def test_a_handle_that_holds_nothing_is_refused(deform: ModuleType) -> None:
+    away = deform.Handle((9.0, 0.0, 0.0), 0.1, 0.4, (0.0, 0.0, 1.0), 0.0)
+    with pytest.raises(UsageError, match="the handle holds no vertex"):
+        deform.as_rigid_as_possible(deform.bar(12, 12), away)
+
+
+def test_bends_are_how_much_neighbours_turn(deform: ModuleType) -> None:
+    flat = deform.Mesh(
+        np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], float),
+        np.array([(0, 1, 2), (1, 3, 2)], np.int32),
+    )
+    corner = (0.5, 0.5, np.sqrt(0.5))
+    folded = flat.with_(vertices=np.vstack([flat.vertices[:3], corner]))
+    np.testing.assert_allclose(deform.bends(flat, folded), (0, 90, 90, 0), atol=1e-9)
+
+
+def test_pictures_of_recipes_are_small() -> None:
+    assert all(path.stat().st_size < 150_000 for path in RECIPES.glob("*.png"))
