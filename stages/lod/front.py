@@ -222,17 +222,16 @@ class Front:
         """Return how urgent each node (n,) is: its error over that asked for. It is refined above 1."""
         h = self.hierarchy
         urgency = np.zeros(h.nodes)
-        middle, radius = h.spheres
-        seen = np.ones(h.nodes, bool) if view is None else view.sees(middle, radius)
+        seen, length = np.ones(h.nodes, bool), h.shape_bound
+        if view is not None:
+            seen = view.sees(*h.spheres)
+            length = np.where(seen, view.pixels(h.shape_bound, *h.spheres), 0.0)
         if max_shape is not None:
             urgency = np.where(seen, _over(h.shape_bound, max_shape), urgency)
-        if view is not None:
-            pixels = np.where(seen, view.pixels(h.shape_bound, middle, radius), 0.0)
-            if error_px is not None:
-                urgency = np.maximum(urgency, _over(pixels, error_px))
+        if error_px is not None:
+            urgency = np.maximum(urgency, _over(length, error_px))
         if error_px is None and max_shape is None:
             # Whatever helps most: the order alone counts.
-            length = h.shape_bound if view is None else pixels
             urgency = np.where(length > 0, 1 + length / max(float(length.max(initial=0.0)), 1e-300), 0.0)
         if region is not None:
             urgency = np.where(self._in_region(region), urgency, 0.0)
