@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypedDict
 
@@ -34,6 +35,8 @@ RESULT_VERSION = 1
 
 # How close bounds of nodes come to what is found, relative to that; closer ones cost more than levels do.
 _TOLERANCE_OF_SHAPE, _TOLERANCE_OF_COLOR = 0.15, 0.2
+# Levels between the farthest two colours there are.
+_FARTHEST_COLOR = 255 * math.sqrt(3)
 # The first bound over the base's error, where the base has one.
 _FIRST_PER_BASE = 2.5
 
@@ -144,7 +147,7 @@ def build(
         hierarchy = replace(
             hierarchy,
             shape_bound=hierarchy.shape_bound + shape,
-            color_bound=hierarchy.color_bound + color,
+            color_bound=np.minimum(hierarchy.color_bound + color, _FARTHEST_COLOR),
             base_shape_bound=shape,
             base_color_bound=color,
         )
