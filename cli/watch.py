@@ -31,6 +31,7 @@ _UNITS = {
     "simplify": "triangles",
     "remesh": "levels",
     "lod": "triangles",
+    "tiles": "tiles",
 }
 # What came out of a stage and what was derived for it, in one line; all figures are in report.json. That of
 # simplify is with the method's details.
@@ -46,7 +47,8 @@ _HEADLINES = {
     "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "
     "{exceptions:,} exceptions; {file_bytes:,} bytes",
     "lod": "{levels} levels above {base_triangles:,} triangles within {base_shape_bound_m:at_most} m; "
-    "{file_bytes:,} bytes, {tiles:,} tiles",
+    "{file_bytes:,} bytes",
+    "tiles": "{tiles:,} tiles; {total_bytes:,} bytes, the root {root_bytes:,}",
     "report": "{pictures} pictures",
 }
 

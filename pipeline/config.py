@@ -11,6 +11,7 @@ from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
 from pipeline.texturing import TextureSection
+from pipeline.tiling import TilesSection
 from stages.adjusting.adjust import AdjustParams
 from stages.cleaning.clean import CleanParams
 from stages.comparing.compare import CompareParams
@@ -38,6 +39,7 @@ class Config(Sections):
     bake: BakeSection = field(default_factory=BakeSection)
     remesh: RemeshSection = field(default_factory=RemeshSection)
     lod: LodSection = field(default_factory=LodSection)
+    tiles: TilesSection = field(default_factory=TilesSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)

@@ -4,10 +4,12 @@ pairs ──depth──▶ frames ──────────fuse──▶ fu
                    ├─register─▶ posed ─▲                                       ├──texture──▶ textured ─▲
                    └─adjust──▶ adjusted ▲                       │              ├──remesh──▶ remeshed ──▲
                                                                 └─lod─▶ levels └──bake──▶ baked
+                                                                          └─tiles─▶ tileset
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
 register is there where poses are missing; adjust where frames have colour and measured depth, from what
 register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
-too, texture, lod and report what fuse reads, and report frames that were `held_out`)
+too, tiles clean and textured; texture, lod, tiles and report what fuse reads, and report frames that were
+`held_out`)
 
 Stages that read the scan itself also read its `names` and `times`, if their results tell of them.
 """
@@ -21,7 +23,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline import adjusting, baking, holding_out, levels, registering, remeshing, report, texturing
+from pipeline import adjusting, baking, holding_out, levels, registering, remeshing, report, texturing, tiling
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
@@ -38,6 +40,7 @@ from stages.fusion.fuse import fuse
 from stages.fusion.noise import depth_noise
 from stages.inspecting.sanity import require_poses
 from stages.lod.build import build
+from stages.lod.slod import read_slod
 from stages.lod.tiles import write_tiles
 from stages.normal_meshes.remesh import remesh
 from stages.normal_meshes.unmet import unmet as not_close
@@ -285,12 +288,20 @@ def _of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]: 
     return {**_stated(remesh, simplify), **{method.name: method.result_version for method in METHODS}}
 
 
+def _tiles(job: Job) -> Mapping[str, Any]:
+    hierarchy = read_slod(job.inputs["levels"] / levels.FILE)
+    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    model = read_mesh(job.inputs["textured"] / texturing.FILE) if "textured" in job.inputs else None
+    return tiling.make(
+        job.folder, hierarchy, mesh, _frames(job).frames, model, job.config.tiles, job.progress
+    )
+
+
 def _of_lod(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
     noise = _stated(depth_noise) if config.lod.base_error is None else {}
-    tiles = _stated(write_tiles) if config.lod.tiles else {}
     # A base is simplified by `certified`, whose version goes with those of all methods as for remesh.
     methods = {method.name: method.result_version for method in METHODS}
-    return {**_stated(levels.make, build, simplify), **methods, **noise, **tiles}
+    return {**_stated(levels.make, build, simplify), **methods, **noise}
 
 
 # Under this name the report reads the frames that were kept from all other stages.
@@ -412,8 +423,19 @@ STAGES: tuple[Stage, ...] = (
         make=_lod,
         versions=_of_lod,
         libraries=_KERNELS | _OPENCV | {"scipy": _version("scipy")},
-        results=(levels.FILE, f"{levels.TILES}/"),
+        results=(levels.FILE,),
         cost=Cost(seconds=10, seconds_per_megapixel=2, bytes=500e6, bytes_per_megapixel=10e6),
+    ),
+    Stage(
+        name="tiles",
+        reads=("frames", "posed", "adjusted", "clean", "levels", "textured"),
+        writes="tileset",
+        sections=("tiles",),
+        make=_tiles,
+        versions=_of(tiling.make, write_tiles),
+        libraries=_KERNELS | _OPENCV | _OPEN3D | {"scipy": _version("scipy")},
+        results=(f"{tiling.FOLDER}/",),
+        cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=700e6, bytes_per_megapixel=10e6),
     ),
     Stage(
         name="report",
@@ -451,6 +473,8 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
         if stage.name == "texture" and has_photos:
             plan.append(replace(stage, reads=("simplified", PHOTOS)))
             continue
+        if stage.name == "tiles" and not config.tiles.images:
+            stage = replace(stage, reads=tuple(name for name in stage.reads if name != "textured"))
         # Frames that the depth stage left are numbered, and have no times.
         labels = LABELS if source_of(scan) in stage.reads else ()
         plan.append(
@@ -491,6 +515,10 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         reasons["remesh"] = "is not enabled; set remesh.enabled=true"
     if not config.lod.enabled:
         reasons["lod"] = "is not enabled; set lod.enabled=true"
+    if not config.tiles.enabled:
+        reasons["tiles"] = "is switched off; set tiles.enabled=true"
+    elif not config.lod.enabled:
+        reasons["tiles"] = "is made of levels of detail, which are not enabled; set lod.enabled=true"
     return reasons
 
 

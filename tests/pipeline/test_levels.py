@@ -1,4 +1,4 @@
-"""The optional stage `lod`: what it leaves and tells, and that nothing of it stays when it is left out."""
+"""The optional stages `lod` and `tiles`: what they leave and tell; without them nothing of it stays."""
 
 import json
 from dataclasses import replace
@@ -93,28 +93,33 @@ def ran(result) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
 
-def figures_of(result) -> dict:
-    return result.report["stages"]["lod"]["figures"]
+def figures_of(result, stage: str = "lod") -> dict:
+    return result.report["stages"][stage]["figures"]
 
 
 def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     plain = Scan(frames=(), folder=None, layout="none")
     assert "lod.enabled=true" in left_out(plain, Config())["lod"]
-    assert "lod" not in {stage.name for stage in plan_for(plain, Config())}
+    assert "lod.enabled=true" in left_out(plain, Config())["tiles"]
+    assert not {"lod", "tiles"} & {stage.name for stage in plan_for(plain, Config())}
     stages = {stage.name: stage for stage in plan_for(plain, Config().set(["lod.enabled=true"]))}
     assert stages["lod"].reads == ("frames", "posed", "clean")
-    assert [stage.name for stage in STAGES].index("lod") == len(STAGES) - 2
+    assert stages["tiles"].reads == ("frames", "posed", "clean", "levels")
+    assert [stage.name for stage in STAGES][-3:] == ["lod", "tiles", "report"]
+    without = Config().set(["lod.enabled=true", "tiles.enabled=false"])
+    assert "tiles.enabled=true" in left_out(plain, without)["tiles"]
 
 
 @pytest.mark.slow
 def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
     out = tmp_path / "out"
     result = run(scan, out, quick("lod.enabled=true"))
-    assert ran(result) == ["fuse", "clean", "simplify", "lod", "report"]
+    assert ran(result) == ["fuse", "clean", "simplify", "lod", "tiles", "report"]
     assert names(out) == sorted([*PLAIN, *OWN])
 
     hierarchy = lod.read_slod(out / "lod.slod")
-    told = json.loads((out / "report.json").read_text())["stages"]["lod"]["figures"]
+    stages = json.loads((out / "report.json").read_text())["stages"]
+    told = stages["lod"]["figures"]
     assert told["input_triangles"] == len(read_ply(out / "clean.ply").triangles)
     assert told["base_triangles"] < told["input_triangles"]
     assert (told["base_error_source"], told["base_error_m"]) == ("noise", 0.5 * told["depth_noise_m"])
@@ -126,15 +131,15 @@ def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
     )
     assert told["file_bytes"] == (out / "lod.slod").stat().st_size
     tiles = list((out / "tiles").rglob("*.glb"))
-    assert told["tiles"] == len(tiles)
-    assert told["tileset"]["total_bytes"] == sum(path.stat().st_size for path in tiles)
+    assert stages["tiles"]["figures"]["tiles"] == len(tiles)
+    assert stages["tiles"]["figures"]["total_bytes"] == sum(path.stat().st_size for path in tiles)
     assert ran(run(scan, out, quick("lod.enabled=true"))) == []
 
 
 @pytest.mark.slow
 def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan, tmp_path):
     out = tmp_path / "out"
-    told = figures_of(run(scan, out, quick("lod.enabled=true")))["tileset"]
+    told = figures_of(run(scan, out, quick("lod.enabled=true")), "tiles")
     assert told["up_source"] == "frames"
     np.testing.assert_allclose([float(x) for x in told["up"].split()], -tilt()[:, 1], atol=1e-5)
     transform = np.array(read_tree(out)["root"]["transform"]).reshape(4, 4).T
@@ -144,9 +149,34 @@ def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan
     # The wall's height is what the frames' rows show of it.
     assert np.ptp(up[:, 2]) == pytest.approx(72 / 80, rel=0.1)
 
-    turned = run(scan, out, quick("lod.enabled=true", "lod.up=as-is"))
-    assert ran(turned) == ["lod"]
+    turned = run(scan, out, quick("lod.enabled=true", "tiles.up=as-is"))
+    assert ran(turned) == ["tiles"]
     assert "transform" not in read_tree(out)["root"]
+
+
+@pytest.mark.slow
+def test_tiles_show_what_the_photos_do_and_follow_the_texture_alone(scan, tmp_path):
+    out = tmp_path / "out"
+    textured = ("lod.enabled=true", "texture.enabled=true")
+    result = run(scan, out, quick(*textured))
+    told = figures_of(result, "tiles")
+    assert told["images"]["root_bytes"] > 0
+    assert all(
+        tile["content"]["extras"]["color_rms_levels_sampled"] < 12 for tile in all_of(read_tree(out)["root"])
+    )
+    # What the texture depends on does not build the levels again.
+    again = run(scan, out, quick(*textured, "simplify.ratio=0.3"))
+    assert ran(again) == ["simplify", "texture", "tiles", "report"]
+    plain = run(scan, out, quick(*textured, "simplify.ratio=0.3", "tiles.images=false"))
+    assert ran(plain) == ["tiles"]
+    assert figures_of(plain, "tiles")["images"] is None
+    paged = run(scan, out, quick(*textured, "simplify.ratio=0.3", "tiles.images=false", "tiles.page=true"))
+    assert ran(paged) == ["tiles"]
+    assert (out / "tiles" / "index.html").exists()
+
+
+def all_of(tile: dict) -> list[dict]:
+    return [tile, *(one for child in tile.get("children", ()) for one in all_of(child))]
 
 
 def read_tree(out: Path) -> dict:
@@ -159,10 +189,10 @@ def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_
     run(scan, out, quick())
     assert names(out) == PLAIN
     # No other stage reads what it makes.
-    assert ran(run(scan, out, quick("lod.enabled=true"))) == ["lod"]
+    assert ran(run(scan, out, quick("lod.enabled=true"))) == ["lod", "tiles"]
     assert ran(run(scan, out, quick())) == []
     assert names(out) == PLAIN
-    assert ran(run(scan, out, quick("lod.enabled=true", "lod.tiles=false"))) == ["lod"]
+    assert ran(run(scan, out, quick("lod.enabled=true", "tiles.enabled=false"))) == []
     assert names(out) == sorted([*PLAIN, "lod.slod"])
     assert ran(run(scan, out, quick("lod.enabled=true"))) == []
     assert names(out) == sorted([*PLAIN, *OWN])
@@ -198,7 +228,7 @@ def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_
     assert "how exact their depth is" in figures["warnings"][0]
 
 
-@pytest.mark.parametrize("word", ["lod.ratio=1", "lod.base_error=-1", "lod.up=sideways", "lod.up=0 0 0"])
+@pytest.mark.parametrize("word", ["lod.ratio=1", "lod.base_error=-1", "tiles.up=sideways", "tiles.up=0 0 0"])
 def test_bad_values_are_refused_before_anything_runs(word):
     with pytest.raises(UsageError, match=word.partition("=")[0]):
         Config().set([word])

@@ -222,6 +222,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
         ("fuse.memory=3000", []),
         ("remesh.levels=2", []),
         ("lod.ratio=2", []),
+        ("tiles.page=true", []),
         ("depth.block_size=5", []),
     ],
 )
