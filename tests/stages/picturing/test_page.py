@@ -31,6 +31,7 @@ VIEWS = {
     "mixed": ((8.5, -1.0, 1.2), (-2.0, 0.0, 0.0), 1.5),
 }
 ORIGIN = np.zeros(3)
+GREEN = (20, 200, 60)
 pytestmark = pytest.mark.slow
 
 Mask = NDArray[np.bool_]
@@ -56,6 +57,19 @@ def tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return outdir
 
 
+@pytest.fixture(scope="module")
+def textured_tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Tiles of a grey ring whose images are green."""
+    outdir = tmp_path_factory.mktemp("textured") / "tiles"
+    ring = long_ring()
+    grey = ring.with_(colors=np.full((len(ring.vertices), 3), 128, np.uint8))
+    green = ring.with_(colors=np.tile(np.array(GREEN, np.uint8), (len(ring.vertices), 1)))
+    hierarchy = lod.build(grey, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
+    images = lod.TileImageParams(image_side=128)
+    lod.write_tiles(hierarchy, outdir, texture=green, images=images, up="+z", page=True)
+    return outdir
+
+
 @dataclass
 class Seen:
     """A page in the browser: what it said on its console, and what it asked for."""
@@ -73,9 +87,13 @@ class Seen:
         )
         return self.mask()
 
-    def mask(self) -> Mask:
+    def image(self) -> NDArray[np.int64]:
+        """Return what the page shows (h, w, 3), RGB."""
         data = np.frombuffer(self.page.screenshot(), np.uint8)
-        image = cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB).astype(int)
+        return np.asarray(cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB).astype(int))
+
+    def mask(self) -> Mask:
+        image = self.image()
         scheme = (
             "dark" if self.page.evaluate("matchMedia('(prefers-color-scheme: dark)').matches") else "light"
         )
@@ -263,3 +281,14 @@ def test_a_page_is_written_with_its_licences_and_addresses_nobody(tiles: Path) -
     licences = page["page/LICENSES.txt"].decode()
     assert all(f"\n{name} " in f"\n{licences}" for name in ("three", "3d-tiles-renderer", "meshoptimizer"))
     assert "resolved" not in (PAGE / "package-lock.json").read_text("utf-8")
+
+
+def test_images_of_tiles_are_shown(chromium: Any, textured_tiles: Path) -> None:
+    with served(FolderServer(textured_tiles)) as server:
+        seen = opened(chromium, server.address)
+        for view in VIEWS:
+            assert seen.picture(view).any()
+            there = grown(silhouette(view), -int(VIEWS[view][2]) - 2)
+            # All but a few pixels along outlines, which are mixed with what is behind.
+            assert np.quantile(np.abs(seen.image()[there] - GREEN).max(axis=1), 0.999) <= 4, view
+        assert [line for line in seen.said if "tiles versions" not in line] == []
