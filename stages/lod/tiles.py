@@ -51,6 +51,8 @@ WHAT = "a tileset of scanloom"
 _MOST_OF_CHILD = 0.8
 # Digits of a bound, rounded up.
 _DIGITS = 6
+# Of its area: what of a surface looks one way on balance where it was seen from one side; 0 if it is closed.
+_ONE_SIDED = 0.1
 # The turns that bring an axis up, along z.
 _TURNS = {
     "+x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
@@ -357,6 +359,9 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     about: Tree = {"scanloom": installed_version()}
+    facing = _facing(placed.mesh([0], [0]), turn_of(up))
+    if facing is not None:
+        about["facing"] = facing
     if placed.is_one_sided:
         about |= {
             "one_sided": True,
@@ -372,6 +377,15 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
             **root,
         },
     }
+
+
+def _facing(mesh: Mesh, turn: Floats) -> list[float] | None:
+    """Return where a surface looks that was seen from one side, so that a first view is from there."""
+    corners = mesh.vertices[mesh.triangles]
+    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    toward, area = turn @ doubled.sum(axis=0), np.linalg.norm(doubled, axis=1).sum()
+    length = float(np.linalg.norm(toward))
+    return (toward / length).round(4).tolist() if length > _ONE_SIDED * area else None
 
 
 def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_one_sided: bool) -> Tree:

@@ -158,6 +158,14 @@ def test_no_attack_passes_a_tiles_geometric_error(
     assert np.median(found) > 0.5
 
 
+def test_what_was_seen_from_one_side_says_from_which(folders: dict[str, Path]) -> None:
+    about = {
+        name: json.loads((folders[name] / "tileset.json").read_text())["asset"]["extras"] for name in NAMES
+    }
+    assert "facing" not in about["closed"]
+    assert np.linalg.norm(about["open"]["facing"]) == pytest.approx(1, abs=1e-3)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_tiles_say_what_is_proven_and_how_far_the_grid_moves_them(
     hierarchies: dict[str, Hierarchy], folders: dict[str, Path], name: str
@@ -226,6 +234,15 @@ def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folder
 
 
 BOX = {"type": "array", "items": {"type": "number"}, "minItems": 12, "maxItems": 12}
+ABOUT = {
+    "type": "object",
+    "properties": {
+        "scanloom": {"const": __version__},
+        "facing": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+    },
+    "required": ["scanloom"],
+    "additionalProperties": False,
+}
 EXTRAS = {
     "type": "object",
     "properties": {
@@ -267,7 +284,7 @@ TILESET = {
     "properties": {
         "asset": {
             "type": "object",
-            "properties": {"version": {"const": "1.1"}, "extras": {"const": {"scanloom": __version__}}},
+            "properties": {"version": {"const": "1.1"}, "extras": ABOUT},
             "required": ["version", "extras"],
             "additionalProperties": False,
         },

@@ -292,3 +292,23 @@ def test_images_of_tiles_are_shown(chromium: Any, textured_tiles: Path) -> None:
             # All but a few pixels along outlines, which are mixed with what is behind.
             assert np.quantile(np.abs(seen.image()[there] - GREEN).max(axis=1), 0.999) <= 4, view
         assert [line for line in seen.said if "tiles versions" not in line] == []
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_wall_is_first_seen_from_the_side_it_was_scanned_from(
+    chromium: Any, tmp_path: Path, side: float
+) -> None:
+    x, z = np.meshgrid(np.linspace(-2, 2, 40), np.linspace(0, 2, 20))
+    places = np.stack([x, 0.1 * np.sin(3 * x), z], 2).reshape(-1, 3)
+    at = np.arange(800).reshape(20, 40)
+    a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]
+    faces = np.stack([a, b, d, a, d, c], 2).reshape(-1, 3)
+    # Counter-clockwise from -y, or from +y.
+    wall = Mesh(places, (faces if side < 0 else faces[:, ::-1]).astype(np.int32))
+    hierarchy = lod.build(wall, cell_triangles=256, root_triangles=100)
+    lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", page=True)
+    with served(FolderServer(tmp_path / "tiles")) as server:
+        seen = opened(chromium, server.address)
+        eye = seen.page.evaluate("scanloom.view()")["eye"]
+        assert side * eye[1] > 1
+        assert seen.mask().any()

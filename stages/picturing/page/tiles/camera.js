@@ -5,6 +5,7 @@ import { Box3, OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } fr
 const FIELD_OF_VIEW = 50; // degrees, of the picture's height
 // From the front and somewhat above, as z-up models are turned.
 const FIRST_LOOK = new Vector3(0.45, 0.4, 1).normalize();
+const LEVEL = 0.2; // of where a surface looks: less says nothing of a side
 const ROOM = 1.15; // around the model when all of it is seen
 const TURN = Math.PI / 36; // of an arrow key
 const STEP = 0.85; // of + and -, a share of the distance
@@ -24,6 +25,7 @@ export function orbitingCamera(canvas, onMove) {
   controls.addEventListener("change", onMove);
   const box = new Box3();
   const whole = new Sphere(new Vector3(), 1);
+  const look = FIRST_LOOK.clone(); // from the model to the eye, when all of it is shown
 
   /** Fit the depth that is drawn to the model. */
   function fitDepth() {
@@ -45,14 +47,14 @@ export function orbitingCamera(canvas, onMove) {
   /** Go where all of the model's box is seen, whatever the picture's shape. */
   function showAll() {
     const tall = Math.tan((camera.fov * Math.PI) / 360);
-    const right = new Vector3(0, 1, 0).cross(FIRST_LOOK).normalize();
-    const up = FIRST_LOOK.clone().cross(right);
+    const right = new Vector3(0, 1, 0).cross(look).normalize();
+    const up = look.clone().cross(right);
     const away = cornersOf(box).map((corner) => {
       const from = corner.sub(whole.center);
       const needed = Math.max(Math.abs(from.dot(right)) / (tall * camera.aspect), Math.abs(from.dot(up)) / tall);
-      return from.dot(FIRST_LOOK) + ROOM * needed;
+      return from.dot(look) + ROOM * needed;
     });
-    place(whole.center.clone().addScaledVector(FIRST_LOOK, Math.max(...away)), whole.center);
+    place(whole.center.clone().addScaledVector(look, Math.max(...away)), whole.center);
   }
 
   const keys = {
@@ -79,9 +81,13 @@ export function orbitingCamera(canvas, onMove) {
     camera,
     fitDepth,
     showAll,
-    /** Tell what there is to be seen: a box in the scene. */
-    setModel(found) {
+    /** Tell what there is to be seen: a box in the scene, and where its surface looks, if it was seen from one side. */
+    setModel(found, facing) {
       box.copy(found);
+      const toward = facing ? intoScene(facing) : new Vector3();
+      const front = new Vector3(toward.x, 0, toward.z);
+      // What looks up or down is seen as all else is.
+      if (front.length() > LEVEL) look.copy(front.normalize()).setY(FIRST_LOOK.y / FIRST_LOOK.z).normalize();
       box.getBoundingSphere(whole);
       controls.minDistance = NEAREST * whole.radius;
       controls.maxDistance = 100 * whole.radius;

@@ -96,7 +96,7 @@ export function picture(canvas, address, { onReady, onError }) {
     tiles.group.updateMatrixWorld(true);
     const box = new Box3();
     tiles.getBoundingBox(box);
-    orbit.setModel(box.applyMatrix4(tiles.group.matrixWorld));
+    orbit.setModel(box.applyMatrix4(tiles.group.matrixWorld), tiles.rootTileset.asset.extras?.facing);
     orbit.showAll();
     if (Object.keys(wanted).length) orbit.set(wanted);
     isPlaced = true;
