@@ -11,7 +11,7 @@ import numpy as np
 
 from stages.lod.hierarchy import Hierarchy
 from stages.lod.tile_texture import TileImageParams
-from stages.lod.tiles import turn_of, write_tiles
+from stages.lod.tiles import COMPRESSIONS, turn_of, write_tiles
 from stages.params import param
 from stages.picturing.viewpoints import up_of
 from stages.progress import Progress
@@ -41,6 +41,12 @@ class TilesSection(TileImageParams):
         "colours of vertices.",
     )
     page: bool = param(False, "Write a page beside the tiles that draws them in a browser.")
+    compress: str = param(
+        "none",
+        "How the geometry of tiles is packed, without loss: meshopt makes it smaller, and asks viewers for "
+        "EXT_meshopt_compression; tiles that it would not make smaller stay as they are.",
+        choices=COMPRESSIONS,
+    )
     up: str | None = param(
         None,
         "What is up in the scan, which the tiles turn along z: an axis (+x, -x, +y, -y, +z, -z), a direction "
@@ -74,7 +80,14 @@ def make(
     up, source = _up(mesh, frames) if params.up is None else (_words_of(params.up), "given")
     images = TileImageParams(**{field.name: getattr(params, field.name) for field in fields(TileImageParams)})
     written = write_tiles(
-        hierarchy, folder / FOLDER, texture=model, images=images, up=up, page=params.page, progress=progress
+        hierarchy,
+        folder / FOLDER,
+        texture=model,
+        images=images,
+        up=up,
+        page=params.page,
+        compress=params.compress,
+        progress=progress,
     )
     return written.figures() | {"up": up, "up_source": source, "warnings": list(written.notes)}
 

@@ -37,6 +37,8 @@ __all__ = [
     "certify",
     "color_weight",
     "decode_normal_mesh",
+    "encode_rows",
+    "encode_triangles",
     "fit",
     "intersecting_triangles",
     "lay_out",
@@ -49,6 +51,7 @@ __all__ = [
     "simplify_planar",
     "simplify_seams",
     "spatial_order",
+    "strip_order",
     "texels",
     "weld_sheets",
     "zbuffer",
@@ -755,3 +758,12 @@ def remesh(
 
 def decode_normal_mesh(data: bytes, level: int) -> NormalMesh:
     """Decode an `.snm` file up to a level, or all of it with -1."""
+
+def strip_order(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32]:
+    """Return triangles (m, 3) of so many vertices in an order that packs well."""
+
+def encode_rows(rows: NDArray[np.uint8]) -> bytes:
+    """Pack rows (n, k) of bytes, k a multiple of 4 up to 256, as EXT_meshopt_compression's ATTRIBUTES."""
+
+def encode_triangles(triangles: NDArray[np.int32], vertices: int) -> bytes:
+    """Pack triangles (m, 3) as EXT_meshopt_compression's TRIANGLES."""

@@ -1,8 +1,8 @@
 """The GLB file of one tile.
 
 Khronos Group, "glTF 2.0 specification", 2021, section 4.4 (the container); KHR_mesh_quantization;
-KHR_materials_unlit; EXT_texture_webp. glTF is y-up, and viewers of 3D Tiles turn it to z-up: what is
-(x, y, z) in a tileset is (x, z, -y) here.
+KHR_materials_unlit; EXT_texture_webp; EXT_meshopt_compression. glTF is y-up, and viewers of 3D Tiles turn
+it to z-up: what is (x, y, z) in a tileset is (x, z, -y) here.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.lod.grid import Grid
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.formats.gltf_container import Tree
@@ -29,9 +30,10 @@ _FULL = 0xFFFF  # the far end of an image in texture coordinates of 16 bits
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 _WEBP, _WEBP_TYPE = "EXT_texture_webp", "image/webp"
 _QUANTIZED, _UNLIT = "KHR_mesh_quantization", "KHR_materials_unlit"
+_PACKED = "EXT_meshopt_compression"
 
 
-def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
+def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
     """Return a tile as the bytes of a GLB file.
 
     Positions are steps from the tile's own place on the grid, in 16 bits, which its node moves and scales
@@ -46,8 +48,13 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
         1/131070 of the image's side. Vertices are then there once for each place in the image: their
         positions stay what they are.
     grid : of all tiles.
+    pack : the buffers, by EXT_meshopt_compression. The same triangles, vertices and values come out of them,
+        in another order; the image is kept as it is.
     """
+    image = None if mesh.texture is None else mesh.texture.images[0]
     mesh, uvs = _split_along_seams(mesh)
+    if pack:
+        mesh, uvs = _in_strips(mesh, uvs)
     views: list[tuple[NDArray[Any], int]] = []
     accessors: list[Tree] = []
 
@@ -97,18 +104,19 @@ def tile_glb(mesh: Mesh, grid: Grid) -> bytes:
         "materials": [material],
         "accessors": accessors,
     }
-    if mesh.texture is not None:
-        (image,) = mesh.texture.images
+    if image is not None:
         used += _add_image(tree, image, len(views))
         views.append((np.frombuffer(image.file_bytes, np.uint8), 0))
+    if pack:
+        used.append(_PACKED)
     if used:
         tree["extensionsRequired"] = list(used)
-    if mesh.colors is not None or mesh.texture is not None:
+    if mesh.colors is not None or image is not None:
         material["extensions"] = {_UNLIT: {}}
         used.append(_UNLIT)
     if used:
         tree["extensionsUsed"] = used
-    return _container(tree, views)
+    return _container(tree, views, pack)
 
 
 def _split_along_seams(mesh: Mesh) -> tuple[Mesh, NDArray[np.uint16] | None]:
@@ -120,8 +128,19 @@ def _split_along_seams(mesh: Mesh) -> tuple[Mesh, NDArray[np.uint16] | None]:
     wedges, index = np.unique(
         (mesh.triangles.reshape(-1).astype(np.int64) << 32) | (u << 16) | v, return_inverse=True
     )
-    split = Mesh(mesh.vertices[wedges >> 32], index.reshape(-1, 3).astype(np.int32), texture=mesh.texture)
+    split = Mesh(mesh.vertices[wedges >> 32], index.reshape(-1, 3).astype(np.int32))
     return split, np.stack([wedges >> 16 & _FULL, wedges & _FULL], axis=1).astype(np.uint16)
+
+
+def _in_strips(mesh: Mesh, uvs: NDArray[np.uint16] | None) -> tuple[Mesh, NDArray[np.uint16] | None]:
+    """Return a mesh with triangles, and vertices as these name them first, in an order that packs well."""
+    triangles = _kernels.strip_order(mesh.triangles, len(mesh.vertices))
+    named, first = np.unique(triangles, return_index=True)
+    order = named[np.argsort(first)]
+    place = np.zeros(len(mesh.vertices), np.int32)
+    place[order] = np.arange(len(order))
+    colors = None if mesh.colors is None else mesh.colors[order]
+    return Mesh(mesh.vertices[order], place[triangles], colors), None if uvs is None else uvs[order]
 
 
 def _add_image(tree: Tree, image: Image, view: int) -> list[str]:
@@ -135,21 +154,50 @@ def _add_image(tree: Tree, image: Image, view: int) -> list[str]:
     return [_WEBP] if is_webp else []
 
 
-def _container(tree: Tree, views: list[tuple[NDArray[Any], int]]) -> bytes:
-    """Return a description and its buffer as one file."""
-    tree["bufferViews"], pieces, size = [], [], 0
+def _container(tree: Tree, views: list[tuple[NDArray[Any], int]], pack: bool) -> bytes:
+    """Return a description and its buffer as one file.
+
+    What is packed says of itself where it would be in a second buffer, which is not there.
+    """
+    tree["bufferViews"], pieces, size, plain_size = [], [], 0, 0
     for values, target in views:
-        data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
-        view = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
+        values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        data = values.tobytes()
+        stride = values.shape[1] * values.itemsize if target == _VERTICES else values.itemsize
+        view: Tree = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
         if target:
             view["target"] = target
         if target == _VERTICES:
-            view["byteStride"] = values.shape[1] * values.itemsize
+            view["byteStride"] = stride
+        if pack and target:
+            view |= {"buffer": 1, "byteOffset": plain_size}
+            plain_size += len(data) + -len(data) % 4
+            data, mode = _packed(values, target)
+            view["extensions"] = {
+                _PACKED: {
+                    "buffer": 0,
+                    "byteOffset": size,
+                    "byteLength": len(data),
+                    "byteStride": stride,
+                    "count": len(values),
+                    "mode": mode,
+                }
+            }
         tree["bufferViews"].append(view)
         pieces += [data, bytes(-len(data) % 4)]
         size += len(data) + -len(data) % 4
     tree["buffers"] = [{"byteLength": size}]
+    if pack:
+        tree["buffers"].append({"byteLength": plain_size, "extensions": {_PACKED: {"fallback": True}}})
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     head = b"glTF" + np.array([2, 12 + 8 + len(text) + 8 + size, len(text), _JSON], "<u4").tobytes()
     return b"".join([head, text, np.array([size, _BIN], "<u4").tobytes(), *pieces])
+
+
+def _packed(values: NDArray[Any], target: int) -> tuple[bytes, str]:
+    """Return a view of the buffer, and the way in which it is packed."""
+    if target == _VERTICES:
+        return _kernels.encode_rows(values.view(np.uint8)), "ATTRIBUTES"
+    triangles = values.reshape(-1, 3).astype(np.int32)
+    return _kernels.encode_triangles(triangles, int(triangles.max()) + 1), "TRIANGLES"

@@ -34,7 +34,12 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert ran.json["geometric_error_m"] == root.tree["geometricError"]
     assert ran.json["grid_share_m"] < root.tree["geometricError"]
     assert "transform" not in root.tree
-    # Once more, over them, with the default and with words.
+    # Once more, over them, packed.
+    ran = scanloom("lod", "tiles", slod, target, "--compress", "meshopt", "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    assert any(b"EXT_meshopt_compression" in file.read_bytes() for file in (target / "tiles").iterdir())
+    assert scanloom("lod", "tiles", slod, target, "--compress", "draco").exit_code == 2
+    # Once more, with the default and with words.
     ran = scanloom("lod", "tiles", slod, target)
     assert ran.exit_code == 0
     assert ran.stdout.startswith(f"{target / 'tileset.json'}: {len(list(root.all()))} tiles, ")

@@ -58,6 +58,9 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
         "intersecting_triangles": partial(
             kernels.intersecting_triangles, mesh.vertices, mesh.triangles, wanted_threads=2, **told
         ),
+        "strip_order": partial(kernels.strip_order, mesh.triangles, count),
+        "encode_rows": partial(kernels.encode_rows, mesh.vertices.view(np.uint8)),
+        "encode_triangles": partial(kernels.encode_triangles, mesh.triangles, count),
         "spatial_order": partial(kernels.spatial_order, mesh.vertices, mesh.triangles),
         "build_levels": partial(
             kernels.build_levels,

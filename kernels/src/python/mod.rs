@@ -7,6 +7,7 @@ mod atlas;
 mod certified;
 mod certify;
 mod color_weight;
+mod compression;
 mod detached;
 mod fit;
 mod guarded;
@@ -102,6 +103,9 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<lod::Front>()?;
     module.add_function(wrap_pyfunction!(lod::build_levels, module)?)?;
     module.add_function(wrap_pyfunction!(lod::assemble_front, module)?)?;
+    module.add_function(wrap_pyfunction!(compression::strip_order, module)?)?;
+    module.add_function(wrap_pyfunction!(compression::encode_rows, module)?)?;
+    module.add_function(wrap_pyfunction!(compression::encode_triangles, module)?)?;
     module.add_class::<certify::Certified>()?;
     module.add_function(wrap_pyfunction!(certify::certify, module)?)
 }

@@ -16,7 +16,7 @@ from coloured_meshes import assert_same_topology, of_trimesh, sheet
 from numpy.typing import NDArray
 from tiles_read import Tile, chunks, read_tiles
 
-from stages import __version__, clean, lod, simplify
+from stages import __version__, _kernels, bake, clean, lod, simplify
 from stages.errors import InputError, StageError, UsageError
 from stages.lod.grid import on_grid
 from stages.lod.hierarchy import Hierarchy
@@ -28,6 +28,7 @@ from stages.surface.raycasting import Surface
 
 CUTS = 1000
 NAMES = ("closed", "open")
+UNPACK = Path(__file__).resolve().parents[2] / "made" / "unpack_tiles.mjs"
 VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 
 
@@ -596,3 +597,63 @@ def test_a_tileset_with_its_page_is_replaced_as_one(
     (tmp_path / "out" / "notes.txt").write_text("of somebody")
     with pytest.raises(InputError, match="is not a tileset of scanloom"):
         lod.write_tiles(hierarchies["closed"], tmp_path / "out")
+
+
+def corners(tile: Tile) -> list[tuple[tuple[float, ...], ...]]:
+    """Return the triangles of a tile by what is at their corners, whatever their order in the file."""
+    known = [tile.vertices, tile.colors, tile.uvs]
+    rows = np.hstack([np.asarray(values, np.float64) for values in known if values is not None])
+    found = []
+    for triangle in rows[tile.triangles].tolist():
+        at = [tuple(corner) for corner in triangle]
+        first = at.index(min(at))
+        found.append((at[first], at[(first + 1) % 3], at[(first + 2) % 3]))
+    return sorted(found)
+
+
+@pytest.mark.parametrize("kind", ["closed", "open", "image", "single"])
+def test_packed_tiles_hold_the_same(hierarchies: dict[str, Hierarchy], tmp_path: Path, kind: str) -> None:
+    hierarchy, model = hierarchies["closed" if kind in ("closed", "single") else "open"], None
+    if kind == "single":
+        hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
+    if kind == "image":
+        model = bake(open_sheet(), open_sheet()).mesh
+    for name, compress in (("plain", "none"), ("packed", "meshopt"), ("again", "meshopt")):
+        lod.write_tiles(hierarchy, tmp_path / name, texture=model, compress=compress)
+    files = sorted((tmp_path / "plain" / "tiles").iterdir())
+    for file in files:
+        packed = (tmp_path / "packed" / "tiles" / file.name).read_bytes()
+        assert packed == (tmp_path / "again" / "tiles" / file.name).read_bytes()
+        assert len(packed) <= file.stat().st_size
+    tileset = "tileset.json"
+    assert (tmp_path / "packed" / tileset).read_bytes() == (tmp_path / "plain" / tileset).read_bytes()
+    node(UNPACK, PAGE, tmp_path / "packed" / "tiles")
+    pairs = zip(read_tiles(tmp_path / "plain").all(), read_tiles(tmp_path / "packed").all(), strict=True)
+    for plain, packed_tile in pairs:
+        assert corners(packed_tile) == corners(plain)
+        assert packed_tile.image == plain.image
+        assert packed_tile.gltf["nodes"] == plain.gltf["nodes"]
+    assert not any(node(VALIDATE, PAGE, tmp_path / "packed" / "tiles").values())
+
+
+def test_packed_tiles_are_smaller(tmp_path: Path) -> None:
+    hierarchy = lod.build(sheet(60), cell_triangles=2000, root_triangles=1000, ratio=4.0, threads=1)
+    plain, packed = (
+        lod.write_tiles(hierarchy, tmp_path / name, compress=name) for name in ("none", "meshopt")
+    )
+    assert packed.sizes.sum() < 0.7 * plain.sizes.sum()
+    assert (packed.triangles == plain.triangles).all()
+
+
+def test_buffers_that_cannot_be_packed_are_errors() -> None:
+    for rows in (np.zeros((5, 6), np.uint8), np.zeros((5, 0), np.uint8), np.zeros((5, 260), np.uint8)):
+        with pytest.raises(ValueError, match="it must have a multiple of 4 up to 256"):
+            _kernels.encode_rows(rows)
+    for triangles in (np.array([[0, 1, 3]], np.int32), np.array([[0, 1, -1]], np.int32)):
+        for call in (_kernels.strip_order, _kernels.encode_triangles):
+            with pytest.raises(_kernels.InvalidMeshError, match="only 3 vertices"):
+                call(triangles, 3)
+    for call in (_kernels.strip_order, _kernels.encode_triangles):
+        with pytest.raises(ValueError, match="three corners"):
+            call(np.zeros((1, 2), np.int32), 3)
+    assert _kernels.strip_order(np.zeros((0, 3), np.int32), 0).shape == (0, 3)

@@ -178,9 +178,14 @@ def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> Non
         assert holes(opened(chromium, server.address).picture("near"), "near") > 0
 
 
-def test_tiles_that_another_tool_compressed_are_drawn(chromium: Any, tiles: Path, tmp_path: Path) -> None:
-    shutil.copytree(tiles, tmp_path / "tiles")
-    node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
+@pytest.mark.parametrize("packed_by", ["scanloom", "another tool"])
+def test_packed_tiles_are_drawn(chromium: Any, tiles: Path, tmp_path: Path, packed_by: str) -> None:
+    if packed_by == "scanloom":
+        hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
+        lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", page=True, compress="meshopt")
+    else:
+        shutil.copytree(tiles, tmp_path / "tiles")
+        node(COMPRESS, PAGE, tmp_path / "tiles" / "tiles")
     before, after = (
         sum(f.stat().st_size for f in (at / "tiles").iterdir()) for at in (tiles, tmp_path / "tiles")
     )
