@@ -28,7 +28,7 @@ COMMANDS = {
     "clean, with repairs": "clean mesh.ply out.ply --repair",
     "check": "check mesh.ply",
     "lod": "lod build mesh.ply out.slod --cell-triangles 1000",
-    "lod tiles": "lod tiles made.slod tiles-{} --texture mesh.ply",
+    "lod tiles": "lod tiles made.slod tiles-{} --texture mesh.ply --compress meshopt",
     "lod cut": "lod cut made.slod out.glb --triangles 1000 --texture mesh.ply",
     "compare": "compare mesh.ply light.ply",
     "certify": "certify light.ply mesh.ply",

@@ -48,7 +48,8 @@ pub fn strip_order(
             }
             ordered
         });
-        triangle_array(py, ordered.as_chunks().0)
+        let rows: Vec<_> = ordered.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect();
+        triangle_array(py, &rows)
     })
 }
 
@@ -56,7 +57,7 @@ pub fn strip_order(
 #[pyfunction]
 pub fn encode_rows(py: Python<'_>, rows: PyReadonlyArray2<'_, u8>) -> PyResult<Py<PyBytes>> {
     let (count, size) = rows.as_array().dim();
-    if size == 0 || size > 256 || !size.is_multiple_of(4) {
+    if size == 0 || size > 256 || size % 4 != 0 {
         return Err(PyValueError::new_err(format!(
             "a row has {size} bytes; it must have a multiple of 4 up to 256"
         )));
@@ -121,7 +122,7 @@ fn checked(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<V
     }
     // What is negative is too large as well.
     let found: Vec<[u32; 3]> =
-        rows.rows().into_iter().map(|row| [row[0], row[1], row[2]].map(i32::cast_unsigned)).collect();
+        rows.rows().into_iter().map(|row| [row[0], row[1], row[2]].map(|at| at as u32)).collect();
     check_indices(vertices, &found)?;
     Ok(found.into_iter().flatten().collect())
 }
