@@ -31,6 +31,7 @@ from cli.commands import (
     config,
     decode,
     depth,
+    export,
     fuse,
     inspect,
     lod,
@@ -67,6 +68,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         bake.bake,
         remesh.remesh,
         decode.decode,
+        export.export,
     ),
     "Look and measure": (
         check.check,

@@ -42,6 +42,7 @@ _HEADLINES = {
     "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",
     "clean": "{triangles:,} triangles; {islands:,} islands removed",
+    "upright": "what is up is told by: {up_source}",
     "texture": "{photos} photos on {triangles:,} triangles; {seen_share:.0%} of the surface seen, texels of "
     "{texel_size_m:.2g} m",
     "remesh": "{triangles:,} triangles after {levels} levels from {base_triangles:,}; "

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.standing import Up
 from stages.params import param
 from stages.progress import Progress
 from stages.surface.mesh import Mesh
@@ -26,9 +27,14 @@ class BakeSection(BakeParams):
 
 
 def make(
-    folder: Path, light: Mesh, original: Mesh, params: BakeSection, progress: Progress
+    folder: Path,
+    light: Mesh,
+    original: Mesh,
+    up: Up | None,
+    params: BakeSection,
+    progress: Progress,
 ) -> dict[str, Any]:
-    """Write baked.glb and return the figures."""
+    """Write baked.glb, which stands by what is up, and return the figures."""
     baked = bake(light, original, params, progress=progress)
-    write_mesh(folder / "baked.glb", baked.mesh)
+    write_mesh(folder / "baked.glb", baked.mesh.with_(up=up))
     return baked.figures()

@@ -6,12 +6,14 @@ from dataclasses import dataclass, field
 
 from pipeline.baking import BakeSection
 from pipeline.cache_size import CacheParams
+from pipeline.exporting import ExportSection
 from pipeline.levels import LodSection
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
 from pipeline.texturing import TextureSection
 from pipeline.tiling import TilesSection
+from pipeline.upright import UprightSection
 from stages.adjusting.adjust import AdjustParams
 from stages.cleaning.clean import CleanParams
 from stages.comparing.compare import CompareParams
@@ -32,6 +34,7 @@ class Config(Sections):
     adjust: AdjustParams = field(default_factory=AdjustParams)
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
+    upright: UprightSection = field(default_factory=UprightSection)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
     texture: TextureSection = field(default_factory=TextureSection)
     # How the folder of `texture.images` is read, as `scan` says it of the scan's.
@@ -40,6 +43,7 @@ class Config(Sections):
     remesh: RemeshSection = field(default_factory=RemeshSection)
     lod: LodSection = field(default_factory=LodSection)
     tiles: TilesSection = field(default_factory=TilesSection)
+    export: ExportSection = field(default_factory=ExportSection)
     # Fewer samples than `compare` alone takes: a report waits for them in every run.
     compare: CompareParams = field(default_factory=lambda: CompareParams(samples=200_000))
     report: ReportParams = field(default_factory=ReportParams)

@@ -5,6 +5,8 @@ pairs ──depth──▶ frames ──────────fuse──▶ fu
                    └─adjust──▶ adjusted ▲                       │              ├──remesh──▶ remeshed ──▲
                                                                 └─lod─▶ levels └──bake──▶ baked
                                                                           └─tiles─▶ tileset
+(upright makes `standing` of clean, which all read that write glTF or tiles: texture, bake, tiles, export;
+export makes of simplified, or textured, what other programs open)
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
 register is there where poses are missing; adjust where frames have colour and measured depth, from what
 register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
@@ -23,19 +25,33 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline import adjusting, baking, holding_out, levels, registering, remeshing, report, texturing, tiling
+from pipeline import (
+    adjusting,
+    baking,
+    exporting,
+    holding_out,
+    levels,
+    registering,
+    remeshing,
+    report,
+    texturing,
+    tiling,
+    upright,
+)
 from pipeline.config import Config
 from pipeline.depth_maps import write_depth_maps
 from pipeline.engine import Job, Stage
 from pipeline.expectation import Cost
 from pipeline.own_paths import from_folder
 from pipeline.skipped import said_of_skipped
+from pipeline.standing import Up, read_up
 from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.certify import certify
 from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
 from stages.errors import InputError, UsageError
+from stages.exporting.export import export
 from stages.fusion.fuse import fuse
 from stages.fusion.noise import depth_noise
 from stages.inspecting.sanity import require_poses
@@ -134,6 +150,15 @@ def _clean(job: Job) -> Mapping[str, Any]:
     return {**cleaned.figures(), **told}
 
 
+def _upright(job: Job) -> Mapping[str, Any]:
+    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    return upright.make(job.folder, mesh, _frames(job).frames, job.config.upright)
+
+
+def _up(job: Job) -> Up | None:
+    return read_up(job.inputs["standing"])
+
+
 def _simplify(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(job.inputs["clean"] / "clean.ply")
     simplified = simplify(mesh, job.config.simplify, progress=job.progress)
@@ -144,13 +169,13 @@ def _simplify(job: Job) -> Mapping[str, Any]:
 def _texture(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs[PHOTOS] if PHOTOS in job.inputs else _frames(job)
     mesh = read_ply(job.inputs["simplified"] / "simplified.ply")
-    figures = texturing.make(job.folder, mesh, scan.frames, job.config.texture, job.progress)
+    figures = texturing.make(job.folder, mesh, scan.frames, job.config.texture, _up(job), job.progress)
     return from_folder(_with_skipped(figures), scan.folder)
 
 
 def _bake(job: Job) -> Mapping[str, Any]:
     light, original = (read_ply(job.inputs[name] / f"{name}.ply") for name in ("simplified", "clean"))
-    return baking.make(job.folder, light, original, job.config.bake, job.progress)
+    return baking.make(job.folder, light, original, _up(job), job.config.bake, job.progress)
 
 
 def _remesh(job: Job) -> Mapping[str, Any]:
@@ -161,6 +186,14 @@ def _remesh(job: Job) -> Mapping[str, Any]:
 def _lod(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(job.inputs["clean"] / "clean.ply")
     return levels.make(job.folder, mesh, _frames(job).frames, job.config.lod, job.progress)
+
+
+def _export(job: Job) -> Mapping[str, Any]:
+    if "textured" in job.inputs:
+        mesh, name = read_mesh(job.inputs["textured"] / texturing.FILE), None
+    else:
+        mesh, name = read_ply(job.inputs["simplified"] / "simplified.ply"), exporting.FILE
+    return exporting.make(job.folder, mesh.with_(up=_up(job)), name, job.config.export)
 
 
 def _report(job: Job) -> Mapping[str, Any]:
@@ -290,11 +323,8 @@ def _of_remesh(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]: 
 
 def _tiles(job: Job) -> Mapping[str, Any]:
     hierarchy = read_slod(job.inputs["levels"] / levels.FILE)
-    mesh = read_ply(job.inputs["clean"] / "clean.ply")
     model = read_mesh(job.inputs["textured"] / texturing.FILE) if "textured" in job.inputs else None
-    return tiling.make(
-        job.folder, hierarchy, mesh, _frames(job).frames, model, job.config.tiles, job.progress
-    )
+    return tiling.make(job.folder, hierarchy, model, job.config.tiles, _up(job), job.progress)
 
 
 def _of_lod(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
@@ -370,6 +400,15 @@ STAGES: tuple[Stage, ...] = (
         cost=Cost(seconds_per_megapixel=0.08),
     ),
     Stage(
+        name="upright",
+        reads=("frames", "posed", "adjusted", "clean"),
+        writes="standing",
+        sections=("upright",),
+        make=_upright,
+        versions=_of(upright.make),
+        cost=Cost(seconds=0.5),
+    ),
+    Stage(
         name="simplify",
         reads=("clean",),
         writes="simplified",
@@ -383,7 +422,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="texture",
-        reads=("frames", "posed", "adjusted", "simplified", "names", PHOTOS),
+        reads=("frames", "posed", "adjusted", "simplified", "standing", "names", PHOTOS),
         writes="textured",
         sections=("texture",),
         make=_texture,
@@ -394,7 +433,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="bake",
-        reads=("clean", "simplified"),
+        reads=("clean", "simplified", "standing"),
         writes="baked",
         sections=("bake",),
         make=_bake,
@@ -428,7 +467,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="tiles",
-        reads=("frames", "posed", "adjusted", "clean", "levels", "textured"),
+        reads=("standing", "levels", "textured"),
         writes="tileset",
         sections=("tiles",),
         make=_tiles,
@@ -436,6 +475,17 @@ STAGES: tuple[Stage, ...] = (
         libraries=_KERNELS | _OPENCV | _OPEN3D | {"scipy": _version("scipy")},
         results=(f"{tiling.FOLDER}/",),
         cost=Cost(seconds=10, seconds_per_megapixel=1, bytes=700e6, bytes_per_megapixel=10e6),
+    ),
+    Stage(
+        name="export",
+        reads=("simplified", "standing", "textured"),
+        writes="exported",
+        sections=("export",),
+        make=_export,
+        versions=_of(export),
+        libraries=_KERNELS | _OPENCV,
+        results=(exporting.FILE, exporting.WEB),
+        cost=Cost(seconds=1, bytes=300e6),
     ),
     Stage(
         name="report",
@@ -471,7 +521,7 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
     plan = []
     for stage in stages:
         if stage.name == "texture" and has_photos:
-            plan.append(replace(stage, reads=("simplified", PHOTOS)))
+            plan.append(replace(stage, reads=("simplified", "standing", PHOTOS)))
             continue
         if stage.name == "tiles" and not config.tiles.images:
             stage = replace(stage, reads=tuple(name for name in stage.reads if name != "textured"))
@@ -519,6 +569,8 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         reasons["tiles"] = "is switched off; set tiles.enabled=true"
     elif not config.lod.enabled:
         reasons["tiles"] = "is made of levels of detail, which are not enabled; set lod.enabled=true"
+    if "texture" not in reasons and not config.export.web:
+        reasons["export"] = "has nothing to write: textured.glb is there; export.web=true makes a small one"
     return reasons
 
 

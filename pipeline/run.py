@@ -73,7 +73,8 @@ def run(
     scan_folder : read only.
     out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/, where frames
         have colour textured.glb and texture_maps/, where poses were made better adjusted/, for stereo
-        points.ply, with `bake.enabled` baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and
+        points.ply, where there is no texture simplified.glb, with `export.web` web.glb, with `bake.enabled`
+        baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and
         levels/, and with `lod.enabled` lod.slod and tiles/. Files there that a run placed and that belong to
         no current result are removed.
     until : the last stage to run.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.standing import Up
 from stages.files.images import read_stored
 from stages.params import param
 from stages.picturing.render import Model, Viewpoint, write_png
@@ -49,11 +50,16 @@ class TextureSection(TextureParams):
 
 
 def make(
-    folder: Path, mesh: Mesh, frames: Sequence[Frame], params: TextureSection, progress: Progress
+    folder: Path,
+    mesh: Mesh,
+    frames: Sequence[Frame],
+    params: TextureSection,
+    up: Up | None,
+    progress: Progress,
 ) -> dict[str, Any]:
-    """Write textured.glb and the maps of its images, and return the figures."""
+    """Write textured.glb, which stands by what is up, and the maps of its images, and return the figures."""
     textured = texture(mesh, frames, params, progress=progress)
-    write_mesh(folder / FILE, textured.mesh)
+    write_mesh(folder / FILE, textured.mesh.with_(up=up))
     (folder / MAPS).mkdir()
     write_maps(folder / MAPS, textured)
     return textured.figures()

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from stages.comparing.certify import Certificate, CertifyParams, certify
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
+    from stages.exporting.export import Exported, ExportParams, export
+    from stages.exporting.presets import preset
     from stages.fusion.fuse import Fused, fuse
     from stages.fusion.params import FuseParams
     from stages.inspecting.inspect import Inspection, inspect
@@ -64,6 +66,8 @@ _NAMES_OF = {
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
+    "exporting.export": ("ExportParams", "Exported", "export"),
+    "exporting.presets": ("preset",),
     "fusion.fuse": ("Fused", "fuse"),
     "fusion.params": ("FuseParams",),
     "inspecting.inspect": ("Inspection", "inspect"),
@@ -115,6 +119,8 @@ __all__ = [
     "Comparison",
     "DepthMap",
     "DepthParams",
+    "ExportParams",
+    "Exported",
     "Frame",
     "FuseParams",
     "Fused",
@@ -160,10 +166,12 @@ __all__ = [
     "decode",
     "depth",
     "depth_scan",
+    "export",
     "fuse",
     "inspect",
     "load_record",
     "planar_patches",
+    "preset",
     "read_mesh",
     "read_scan",
     "register",

@@ -36,7 +36,9 @@ __all__ = [
     "build_levels",
     "certify",
     "color_weight",
+    "decode_indices",
     "decode_normal_mesh",
+    "decode_rows",
     "encode_rows",
     "encode_triangles",
     "fit",
@@ -764,6 +766,12 @@ def strip_order(triangles: NDArray[np.int32], vertices: int) -> NDArray[np.int32
 
 def encode_rows(rows: NDArray[np.uint8]) -> bytes:
     """Pack rows (n, k) of bytes, k a multiple of 4 up to 256, as EXT_meshopt_compression's ATTRIBUTES."""
+
+def decode_rows(packed: bytes, count: int, size: int, filtered: str) -> bytes:
+    """Return rows of `size` bytes of what is packed as ATTRIBUTES; ValueError if it is damaged."""
+
+def decode_indices(packed: bytes, count: int, size: int, mode: str) -> bytes:
+    """Return indices of 2 or 4 bytes of what is packed as TRIANGLES or INDICES; else ValueError."""
 
 def encode_triangles(triangles: NDArray[np.int32], vertices: int) -> bytes:
     """Pack triangles (m, 3) as EXT_meshopt_compression's TRIANGLES."""

@@ -92,7 +92,8 @@ def run(
     bake.enabled=true OUT also holds baked.glb: the simplified mesh with a texture that shows all colour of
     the clean one. With --set remesh.enabled=true it holds a normal mesh: remeshed.ply, all its levels, and
     remeshed.snm. With --set lod.enabled=true it holds levels of detail of the clean mesh, lod.slod, and the
-    same as 3D Tiles in tiles/.
+    same as 3D Tiles in tiles/. Where frames have no colour, simplified.glb stands for textured.glb; both are
+    turned upright. With --set export.web=true it holds web.glb, of a few bytes for viewers of the web.
 
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 
 import stages
 from cli.baked import TEXTURED_SUFFIXES
@@ -14,7 +16,8 @@ from cli.output import Output
 from cli.paths import new_folder, require_new_file
 from cli.scan_argument import ScanFolder, read_scan
 from cli.skipped import tell_skipped
-from stages import ScanParams, TextureParams
+from stages import Mesh, Scan, ScanParams, TextureParams
+from stages.surface.upright import direction_of, up_of_place
 from stages.texturing.maps import write_maps
 
 
@@ -33,6 +36,16 @@ def texture(
     scan: ScanParams,
     params: TextureParams,
     out: Output,
+    up: Annotated[
+        str | None,
+        typer.Option(
+            "--up",
+            metavar="AXIS",
+            help="What is up in the scan, so that a .glb stands: +x, -x, +y, -y, +z, -z, three numbers, or "
+            "none, which turns nothing. By default where most of the surface looks.",
+            show_default=False,
+        ),
+    ] = None,
     maps: Annotated[
         Path | None,
         typer.Option(
@@ -53,15 +66,26 @@ def texture(
     Example: scanloom texture my_scan light.ply light.glb
     """
     require_new_file(target, TEXTURED_SUFFIXES)
+    given = None if up is None else direction_of(up)
     mesh = read_file(mesh_file, out)
     source = read_scan(folder, scan, out)
     with out.progress("texture", "‰") as progress, about_file(mesh_file):
         textured = stages.texture(mesh, source, params, progress=progress)
     tell_notes(target, textured.mesh.notes[len(mesh.notes) :], out)
-    write_file(target, textured.mesh, out)
+    standing = given if up is not None else _up_in(textured.mesh, source)
+    write_file(target, textured.mesh.with_(up=None if standing is None else tuple(standing.tolist())), out)
     if maps is not None:
         with new_folder(maps) as draft:
             write_maps(draft, textured)
     figures = textured.figures()
     tell_skipped(out, "texture", figures["frames_skipped"])
-    out.result({"output": str(target), **figures})
+    told = None if standing is None else standing.tolist()
+    out.result({"output": str(target), **figures, "up": told})
+
+
+def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
+    """Return what is up by the mesh itself, or by the frames; None if neither tells."""
+    if mesh.up is not None:
+        return np.array(mesh.up)
+    poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
+    return up_of_place(mesh, np.array(poses))[0] if poses else None

@@ -172,7 +172,7 @@ def _plain(mesh: Mesh) -> Mesh:
             "lod has taken the texture's colours at the vertices; the image itself was left out, and comes "
             "back with lod tiles --texture and lod cut --texture.",
         )
-    return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes)
+    return Mesh(mesh.vertices, mesh.triangles, colors=mesh.colors, notes=notes, up=mesh.up)
 
 
 def _without_islands(mesh: Mesh, size: float) -> tuple[Mesh, int]:

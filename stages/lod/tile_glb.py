@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages import _kernels
 from stages.lod.grid import Grid
 from stages.surface.formats.colors import linear_from_srgb
 from stages.surface.formats.gltf_container import Tree
+from stages.surface.formats.gltf_materials import UNLIT
+from stages.surface.formats.gltf_packing import INDICES, PACKED, QUANTIZED, VERTICES, packed, strips
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image
 
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
-_VERTICES, _INDICES = 34962, 34963
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _NONE = np.iinfo(np.uint16).max  # stands for no vertex in some programs
 # The amount of light of each displayed value.
@@ -29,8 +29,6 @@ _LIGHT = np.rint(linear_from_srgb(np.arange(256) / 255) * 65535).astype(np.uint1
 _FULL = 0xFFFF  # the far end of an image in texture coordinates of 16 bits
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 _WEBP, _WEBP_TYPE = "EXT_texture_webp", "image/webp"
-_QUANTIZED, _UNLIT = "KHR_mesh_quantization", "KHR_materials_unlit"
-_PACKED = "EXT_meshopt_compression"
 
 
 def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
@@ -81,20 +79,20 @@ def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
         positions = (steps * grid.step).astype(np.float32)
         code = _FLOAT
     bounds = {"min": positions[:, :3].min(axis=0).tolist(), "max": positions[:, :3].max(axis=0).tolist()}
-    attributes = {"POSITION": accessor(positions, "VEC3", code, _VERTICES, **bounds)}
+    attributes = {"POSITION": accessor(positions, "VEC3", code, VERTICES, **bounds)}
     if mesh.colors is not None:
         light = np.pad(_LIGHT[mesh.colors], ((0, 0), (0, 1)), constant_values=_LIGHT[-1])
-        attributes["COLOR_0"] = accessor(light, "VEC4", _SHORT, _VERTICES, normalized=True)
+        attributes["COLOR_0"] = accessor(light, "VEC4", _SHORT, VERTICES, normalized=True)
     if uvs is not None:
-        attributes["TEXCOORD_0"] = accessor(uvs, "VEC2", _SHORT, _VERTICES, normalized=True)
+        attributes["TEXCOORD_0"] = accessor(uvs, "VEC2", _SHORT, VERTICES, normalized=True)
     narrow = len(mesh.vertices) < _NONE
     indices = mesh.triangles.reshape(-1).astype(np.uint16 if narrow else np.uint32)
-    index = accessor(indices, "SCALAR", _SHORT if narrow else _INT, _INDICES)
+    index = accessor(indices, "SCALAR", _SHORT if narrow else _INT, INDICES)
     material: Tree = {
         "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
         "doubleSided": True,
     }
-    used = [_QUANTIZED] if grid.in_16_bits else []
+    used = [QUANTIZED] if grid.in_16_bits else []
     tree: Tree = {
         "asset": {"version": "2.0", "generator": "scanloom"},
         "scene": 0,
@@ -108,12 +106,12 @@ def tile_glb(mesh: Mesh, grid: Grid, *, pack: bool = False) -> bytes:
         used += _add_image(tree, image, len(views))
         views.append((np.frombuffer(image.file_bytes, np.uint8), 0))
     if pack:
-        used.append(_PACKED)
+        used.append(PACKED)
     if used:
         tree["extensionsRequired"] = list(used)
     if mesh.colors is not None or image is not None:
-        material["extensions"] = {_UNLIT: {}}
-        used.append(_UNLIT)
+        material["extensions"] = {UNLIT: {}}
+        used.append(UNLIT)
     if used:
         tree["extensionsUsed"] = used
     return _container(tree, views, pack)
@@ -134,13 +132,9 @@ def _split_along_seams(mesh: Mesh) -> tuple[Mesh, NDArray[np.uint16] | None]:
 
 def _in_strips(mesh: Mesh, uvs: NDArray[np.uint16] | None) -> tuple[Mesh, NDArray[np.uint16] | None]:
     """Return a mesh with triangles, and vertices as these name them first, in an order that packs well."""
-    triangles = _kernels.strip_order(mesh.triangles, len(mesh.vertices))
-    named, first = np.unique(triangles, return_index=True)
-    order = named[np.argsort(first)]
-    place = np.zeros(len(mesh.vertices), np.int32)
-    place[order] = np.arange(len(order))
+    triangles, order = strips(mesh.triangles, len(mesh.vertices))
     colors = None if mesh.colors is None else mesh.colors[order]
-    return Mesh(mesh.vertices[order], place[triangles], colors), None if uvs is None else uvs[order]
+    return Mesh(mesh.vertices[order], triangles, colors), None if uvs is None else uvs[order]
 
 
 def _add_image(tree: Tree, image: Image, view: int) -> list[str]:
@@ -163,18 +157,18 @@ def _container(tree: Tree, views: list[tuple[NDArray[Any], int]], pack: bool) ->
     for values, target in views:
         values = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
         data = values.tobytes()
-        stride = values.shape[1] * values.itemsize if target == _VERTICES else values.itemsize
+        stride = values.shape[1] * values.itemsize if target == VERTICES else values.itemsize
         view: Tree = {"buffer": 0, "byteOffset": size, "byteLength": len(data)}
         if target:
             view["target"] = target
-        if target == _VERTICES:
+        if target == VERTICES:
             view["byteStride"] = stride
         if pack and target:
             view |= {"buffer": 1, "byteOffset": plain_size}
             plain_size += len(data) + -len(data) % 4
-            data, mode = _packed(values, target)
+            data, mode = packed(values, target)
             view["extensions"] = {
-                _PACKED: {
+                PACKED: {
                     "buffer": 0,
                     "byteOffset": size,
                     "byteLength": len(data),
@@ -188,16 +182,8 @@ def _container(tree: Tree, views: list[tuple[NDArray[Any], int]], pack: bool) ->
         size += len(data) + -len(data) % 4
     tree["buffers"] = [{"byteLength": size}]
     if pack:
-        tree["buffers"].append({"byteLength": plain_size, "extensions": {_PACKED: {"fallback": True}}})
+        tree["buffers"].append({"byteLength": plain_size, "extensions": {PACKED: {"fallback": True}}})
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     head = b"glTF" + np.array([2, 12 + 8 + len(text) + 8 + size, len(text), _JSON], "<u4").tobytes()
     return b"".join([head, text, np.array([size, _BIN], "<u4").tobytes(), *pieces])
-
-
-def _packed(values: NDArray[Any], target: int) -> tuple[bytes, str]:
-    """Return a view of the buffer, and the way in which it is packed."""
-    if target == _VERTICES:
-        return _kernels.encode_rows(values.view(np.uint8)), "ATTRIBUTES"
-    triangles = values.reshape(-1, 3).astype(np.int32)
-    return _kernels.encode_triangles(triangles, int(triangles.max()) + 1), "TRIANGLES"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.errors import InputError, UsageError
+from stages.errors import InputError
 from stages.files.opening import content_of
 from stages.files.replacing_folder import replacing_folder
 from stages.files.written_by import installed_version
@@ -28,11 +28,12 @@ from stages.params import param, resolve
 from stages.picturing.page.files import FOLDER as PAGE_FOLDER
 from stages.picturing.page.files import INDEX, tiles_page
 from stages.printing import by_figures, table
+from stages.printing.rounding import rounded_up
 from stages.progress import Progress, silent
-from stages.rounding import rounded_up
 from stages.surface.color import is_transparent
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
+from stages.surface.upright import direction_of, turn_along_z
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -54,16 +55,6 @@ _MOST_OF_CHILD = 0.8
 _DIGITS = 6
 # Of its area: what of a surface looks one way on balance where it was seen from one side; 0 if it is closed.
 _ONE_SIDED = 0.1
-# The turns that bring an axis up, along z.
-_TURNS = {
-    "+x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
-    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-    "+y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "+z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
-    "none": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,31 +79,7 @@ class TilesParams:
 
     def __post_init__(self) -> None:
         check_params(self)
-        turn_of(self.up)
-
-
-def turn_of(up: str) -> Floats:
-    """Return the rotation (3, 3) that brings what is up along z: an axis by name, or three numbers.
-
-    Raises
-    ------
-    UsageError
-        If it is neither, or the numbers are no direction.
-    """
-    if up in _TURNS:
-        return np.array(_TURNS[up], np.float64)
-    try:
-        direction = np.array([float(word) for word in up.split()])
-    except ValueError:
-        raise UsageError(f"up is {up!r}; it must be one of {', '.join(_TURNS)}.") from None
-    length = float(np.linalg.norm(direction))
-    if len(direction) != 3 or not 0 < length < math.inf:
-        raise UsageError(f"up is {up!r}; a direction is three numbers, not all of them 0.")
-    towards = direction / length
-    # What is farthest from up gives the other axes.
-    across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
-    across /= np.linalg.norm(across)
-    return np.stack([across, np.cross(towards, across), towards])
+        direction_of(self.up)
 
 
 class TilesKeywords(TypedDict, total=False):
@@ -363,13 +330,13 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
         (described[node],) = below
     root = described[0]
     transform = np.eye(4)
-    transform[:3, :3] = turn_of(up)
+    transform[:3, :3] = turn_along_z(direction_of(up))
     transform[:3, 3] = transform[:3, :3] @ grid.origin
     moves = not np.array_equal(transform, np.eye(4))
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     about: Tree = {"scanloom": installed_version()}
-    facing = _facing(placed.mesh([0], [0]), turn_of(up))
+    facing = _facing(placed.mesh([0], [0]), turn_along_z(direction_of(up)))
     if facing is not None:
         about["facing"] = facing
     if placed.is_one_sided:

@@ -259,13 +259,18 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
     return normal_mesh_of(found, level_notes=())
 
 
-def normal_mesh_of(found: _kernels.NormalMesh, level_notes: tuple[str, ...], **known: Any) -> NormalMesh:
+def normal_mesh_of(
+    found: _kernels.NormalMesh,
+    level_notes: tuple[str, ...],
+    up: tuple[float, float, float] | None = None,
+    **known: Any,
+) -> NormalMesh:
     """Return what a kernel found, with `level_notes` for each of its meshes and what else is known of it."""
     numbers = range(found.levels + 1)
     confidence = tuple(values for level in numbers if (values := found.confidence(level)) is not None)
     return NormalMesh(
         levels=tuple(
-            Mesh(found.vertices(level), found.triangles(level), found.colors(level), notes=level_notes)
+            Mesh(found.vertices(level), found.triangles(level), found.colors(level), notes=level_notes, up=up)
             for level in numbers
         ),
         offsets=tuple(

@@ -238,6 +238,7 @@ def remesh(
     return normal_mesh_of(
         found,
         level_notes=(*start.mesh.notes, *_left_out(mesh), *notes),
+        up=start.mesh.up,
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=tuple(triangles.astype(np.int32) for triangles in hits),
         max_distances_m=tuple(found.reached),

@@ -14,6 +14,7 @@ from stages.scans.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.raycasting import Floats, is_used
 from stages.surface.topology import require_measurable
+from stages.surface.upright import up_of_cameras
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001
@@ -81,7 +82,7 @@ def viewpoints(
             for i in range(count)
         )
     poses = np.array([frame.world_from_camera for frame in posed])
-    up = up_of(poses)
+    up = up_of_cameras(poses)
     overview = _looking("overview", points, _downward(poses, up), up, width, cull=True)
     chosen = np.unique(np.linspace(0, len(posed) - 1, 2 * count - 1).round().astype(int)[1::2])
     return (overview, *(_as_seen(posed[i], width) for i in chosen))
@@ -99,23 +100,6 @@ def _as_seen(frame: Frame, width: int) -> Viewpoint:
         cy=(given.cy + 0.5) * scale - 0.5,
     )
     return Viewpoint(f"frame-{frame.name}", camera, frame.world_from_camera)
-
-
-def up_of(poses: Floats) -> Floats:
-    """Return the direction (3,) that is up: square to the cameras' x axes, on the side of their -y axes.
-
-    People hold cameras level, so x axes are horizontal; where all point the same way, as from a car, they
-    leave the direction open and the mean -y axis, weighted less, decides.
-
-    Parameters
-    ----------
-    poses : (n, 4, 4) camera-to-world, one or more.
-    """
-    sideways = poses[:, :3, 0]
-    upward = -poses[:, :3, 1].mean(axis=0)
-    spread = sideways.T @ sideways / len(poses) - 0.1 * np.outer(upward, upward)
-    up = np.linalg.eigh(spread)[1][:, 0]
-    return np.asarray(up if up @ upward >= 0 else -up)
 
 
 def _downward(poses: Floats, up: Floats) -> Floats:

@@ -131,4 +131,4 @@ def as_result(
         notes += (f"{who} {TEXTURE_LEFT_OUT}",)
     if names:
         notes += (f"{who} left out: {', '.join(names)}; method seams carries them.",)
-    return Mesh(vertices, triangles, colors=colors, normals=normals, notes=notes)
+    return Mesh(vertices, triangles, colors=colors, normals=normals, notes=notes, up=mesh.up)

@@ -23,6 +23,9 @@ Vertices = NDArray[np.float64]
 Triangles = NDArray[np.int32]
 Colors = NDArray[np.uint8]
 
+# A direction is as long as this share about 1, or is made so.
+_UNIT = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -39,6 +42,8 @@ class Mesh:
         differ, as along sharp edges, 0 where a corner has none; `normals` is then None or holds means.
     part_ids : (m,) int32 into `part_names`, -1 for none; or None. Objects and groups of OBJ, nodes of glTF.
     part_names : of the parts; names may repeat.
+    up : (3,) of length 1, the direction that is up, where that is known: glTF, which is y-up, is written so
+        that it stands, and read back as it was. Positions do not follow it.
     """
 
     vertices: Vertices
@@ -51,6 +56,7 @@ class Mesh:
     part_names: tuple[str, ...] = ()
     # What a reader met on the way and a person should know: a missing image, polygons that were split.
     notes: tuple[str, ...] = field(default=())
+    up: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
         return line(self, self._facts())
@@ -120,6 +126,7 @@ class MeshKeywords(TypedDict, total=False):
     part_ids: NDArray[np.int32] | None
     part_names: tuple[str, ...]
     notes: tuple[str, ...]
+    up: tuple[float, float, float] | None
 
 
 def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
@@ -161,7 +168,20 @@ def validated(mesh: Mesh, where: str = "mesh") -> Mesh:
         texture=texture,
         corner_normals=corner_normals,
         part_ids=part_ids,
+        up=None if mesh.up is None else _direction(mesh.up, where),
     )
+
+
+def _direction(up: Any, where: str) -> tuple[float, float, float]:
+    array = np.asarray(up)
+    is_vector = array.shape == (3,) and array.dtype.kind in "iuf"
+    length = float(np.linalg.norm(array)) if is_vector else 0.0
+    if not 0 < length < np.inf:
+        raise MeshError(f"up is {up}; three numbers, not all of them 0, are expected.", where)
+    if abs(length - 1) > _UNIT:
+        array = array / length
+    x, y, z = array.tolist()
+    return x, y, z
 
 
 def _part_ids(data: Any, triangle_count: int, part_count: int, where: str) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""What is up in a mesh of a place, found from where most of its surface looks."""
+"""What is up in a mesh: as it is said, or from where most of the surface looks and how cameras were held."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.errors import UsageError
 from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
@@ -21,6 +22,104 @@ _WITHIN = 60.0
 _LEAST_SHARE = 0.03
 # As many triangles tell it.
 _ENOUGH = 40_000
+# An axis as near as this to what is up is up, degrees.
+_SAME = 1.0
+_AXES = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "+z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+# The turns that bring an axis up, along z.
+_TURNS = {
+    "+x": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "-x": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "+y": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+    "-y": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "+z": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "-z": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+}
+_Y_UP_FROM_Z_UP = np.array(((1, 0, 0), (0, 0, 1), (0, -1, 0)), np.float64)
+
+
+def direction_of(up: str) -> Floats | None:
+    """Return the direction (3,) of length 1 that words tell, an axis or three numbers; None for `none`.
+
+    Raises
+    ------
+    UsageError
+        If it is none of these, or the numbers are no direction.
+    """
+    if up == "none":
+        return None
+    if up in _AXES:
+        return np.array(_AXES[up])
+    try:
+        direction = np.array([float(word) for word in up.split()])
+    except ValueError:
+        raise UsageError(f"up is {up!r}; it must be one of {', '.join((*_AXES, 'none'))}.") from None
+    length = float(np.linalg.norm(direction))
+    if len(direction) != 3 or not 0 < length < math.inf:
+        raise UsageError(f"up is {up!r}; a direction is three numbers, not all of them 0.")
+    return direction / length
+
+
+def turn_along_z(up: Floats | None) -> Floats:
+    """Return the rotation (3, 3) that brings a direction (3,) of length 1 along z; None turns nothing."""
+    if up is None:
+        return np.eye(3)
+    for name, axis in _AXES.items():
+        if np.array_equal(up, axis):
+            return np.array(_TURNS[name], np.float64)
+    # What is farthest from up gives the other axes.
+    across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(up, across), up])
+
+
+def turn_along_y(up: Floats) -> Floats:
+    """Return the rotation (3, 3) that brings a direction (3,) of length 1 along y, which is up in glTF."""
+    if np.array_equal(up, _AXES["+y"]):
+        return np.eye(3)
+    # Not by a product where there are axes alone, so that no zero becomes a negative one.
+    return np.asarray(_Y_UP_FROM_Z_UP @ turn_along_z(up) + 0.0)
+
+
+def up_of_place(mesh: Mesh, poses: Floats) -> tuple[Floats, str]:
+    """Return what is up in a scan of a place, (3,) of length 1, and what told it: `surface` or `cameras`.
+
+    An axis of the poses' world that is within a degree of it is taken for it: worlds that know of gravity
+    have one there, and a floor is not known better.
+
+    Parameters
+    ----------
+    mesh : of the place, in the poses' world.
+    poses : (n, 4, 4) camera-to-world, one or more.
+    """
+    held = up_of_cameras(poses)
+    found = up_of_surface(mesh, held)
+    up, told = (held, "cameras") if found is None else (found, "surface")
+    nearest = max(_AXES.values(), key=lambda axis: float(np.dot(axis, up)))
+    return (np.array(nearest) if np.dot(nearest, up) > math.cos(math.radians(_SAME)) else up), told
+
+
+def up_of_cameras(poses: Floats) -> Floats:
+    """Return the direction (3,) that is up: square to the cameras' x axes, on the side of their -y axes.
+
+    People hold cameras level, so x axes are horizontal; where all point the same way, as from a car, they
+    leave the direction open and the mean -y axis, weighted less, decides.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) camera-to-world, one or more.
+    """
+    sideways = poses[:, :3, 0]
+    upward = -poses[:, :3, 1].mean(axis=0)
+    spread = sideways.T @ sideways / len(poses) - 0.1 * np.outer(upward, upward)
+    up = np.linalg.eigh(spread)[1][:, 0]
+    return np.asarray(up if up @ upward >= 0 else -up)
 
 
 def up_of_surface(mesh: Mesh, guess: Floats) -> Floats | None:

@@ -34,6 +34,8 @@ COMMANDS = {
     "certify": "certify light.ply mesh.ply",
     "patches": "patches mesh.ply out.ply",
     "bake": "bake mesh.ply light.ply out.glb",
+    "export": "export mesh.ply out.glb --preset web",
+    "export, USD": "export mesh.ply out.usdz",
     "replay": "replay made.npz out.ply --ratio 0.5",
     "render": "render mesh.ply out.png",
     "inspect": "inspect rgbd --picture out.png",

@@ -407,7 +407,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
     assert "fuse: first run" in ran.stdout
     found = scanloom(*words, "--json").json
     assert found["dry_run"]
-    assert list(found["stages"]) == ["adjust", "fuse", "clean", "simplify", "texture", "report"]
+    assert list(found["stages"]) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
     assert found["stages"]["fuse"]["expected_seconds"] > 0
     assert list(tmp_path.iterdir()) == []
     scanloom(*words[:-1], "--until", "clean")

@@ -33,7 +33,14 @@ Call = Callable[[], object]
 def call_of(kernel: str, side: int) -> Call:
     """Return a call of a kernel, with all its arrays made before."""
     if kernel == "decode_normal_mesh":
-        return partial(_decoded, _made_elsewhere(side))
+        return partial(_decoded, _made_elsewhere(lambda: _remeshed(sheet(side)).data))
+    if kernel == "decode_rows":
+        packed = _made_elsewhere(lambda: kernels.encode_rows(np.zeros((side * side, 16), np.uint8)))
+        return partial(kernels.decode_rows, packed, side * side, 16, "NONE")
+    if kernel == "decode_indices":
+        same = np.tile(np.array([[0, 1, 2]], np.int32), (side * side, 1))
+        packed = _made_elsewhere(lambda: kernels.encode_triangles(same, 3))
+        return partial(kernels.decode_indices, packed, same.size, 4, "TRIANGLES")
     return _calls(sheet(side))[kernel]
 
 
@@ -212,13 +219,13 @@ def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
     )
 
 
-def _made_elsewhere(side: int) -> bytes:
-    """Return a normal mesh made by another process: runs would begin with what is freed in this one."""
+def _made_elsewhere(make: Callable[[], bytes]) -> bytes:
+    """Return what another process makes: runs would begin with what is freed in this one."""
     reading, writing = os.pipe()
     if os.fork() == 0:
         os.close(reading)
         with os.fdopen(writing, "wb") as file:
-            file.write(_remeshed(sheet(side)).data)
+            file.write(make())
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading, "rb") as file:

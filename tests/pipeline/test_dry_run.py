@@ -45,8 +45,10 @@ def cached(found: DryRun) -> dict[str, bool]:
 def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
     found = foresee(SCAN, tmp_path / "out", config())
     assert list(tmp_path.iterdir()) == []
-    assert cached(found) == dict.fromkeys(("adjust", "fuse", "clean", "simplify", "report"), False)
-    assert [one.reason for one in found.stages] == ["first run"] * 5
+    assert cached(found) == dict.fromkeys(
+        ("adjust", "fuse", "clean", "upright", "simplify", "export", "report"), False
+    )
+    assert [one.reason for one in found.stages] == ["first run"] * 7
     assert {one.expected.basis for one in found.stages if one.expected} == {"estimated"}
     assert found.seconds > 0
     assert found.memory_bytes > BASE_BYTES
@@ -60,7 +62,11 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
         ((), {}),
         (
             ("simplify.ratio=0.4",),
-            {"simplify": "params changed: ratio 0.3 → 0.4", "report": "follows simplify, which runs"},
+            {
+                "simplify": "params changed: ratio 0.3 → 0.4",
+                "export": "follows simplify, which runs",
+                "report": "follows simplify, which runs",
+            },
         ),
         (
             ("fuse.voxel_size=0.05", "report.width=65"),
@@ -68,6 +74,8 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
                 "fuse": "params changed: voxel_size 0.04 → 0.05",
                 "clean": "follows fuse, which runs",
                 "simplify": "params changed: ratio 0.4 → 0.3; follows clean, which runs",
+                "upright": "follows clean, which runs",
+                "export": "follows simplify, upright, which run",
                 "report": "params changed: report.width 64 → 65; follows fuse, clean, simplify, which run",
             },
         ),
@@ -95,7 +103,7 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     before = traces(tmp_path)
     found = foresee(SCAN, out, config())
     assert traces(tmp_path) == before
-    assert [one.cached for one in found.stages] == [True, True, False, False, False]
+    assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False]
     assert found.stages[2].reason.startswith("its cached result is damaged: clean.ply")
     assert found.refused is not None
     assert found.refused.startswith(f"{out / 'simplified.ply'}: no run has placed this")

@@ -31,7 +31,7 @@ QUICK = (
     "lod.root_triangles=100",
 )
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply"]
+PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.glb", "simplified.ply"]
 OWN = ["lod.slod", "tiles"]
 NOISE = 0.004
 
@@ -104,8 +104,8 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
     assert not {"lod", "tiles"} & {stage.name for stage in plan_for(plain, Config())}
     stages = {stage.name: stage for stage in plan_for(plain, Config().set(["lod.enabled=true"]))}
     assert stages["lod"].reads == ("frames", "posed", "clean")
-    assert stages["tiles"].reads == ("frames", "posed", "clean", "levels")
-    assert [stage.name for stage in STAGES][-3:] == ["lod", "tiles", "report"]
+    assert stages["tiles"].reads == ("standing", "levels")
+    assert [stage.name for stage in STAGES][-3:] == ["tiles", "export", "report"]
     without = Config().set(["lod.enabled=true", "tiles.enabled=false"])
     assert "tiles.enabled=true" in left_out(plain, without)["tiles"]
 
@@ -114,7 +114,7 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
 def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
     out = tmp_path / "out"
     result = run(scan, out, quick("lod.enabled=true"))
-    assert ran(result) == ["fuse", "clean", "simplify", "lod", "tiles", "report"]
+    assert ran(result) == ["fuse", "clean", "upright", "simplify", "lod", "tiles", "export", "report"]
     assert names(out) == sorted([*PLAIN, *OWN])
 
     hierarchy = lod.read_slod(out / "lod.slod")
@@ -139,9 +139,9 @@ def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
 @pytest.mark.slow
 def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan, tmp_path):
     out = tmp_path / "out"
-    told = figures_of(run(scan, out, quick("lod.enabled=true")), "tiles")
-    assert told["up_source"] == "frames"
-    np.testing.assert_allclose([float(x) for x in told["up"].split()], -tilt()[:, 1], atol=1e-5)
+    told = figures_of(run(scan, out, quick("lod.enabled=true")), "upright")
+    assert told["up_source"] == "cameras"
+    np.testing.assert_allclose(told["up"], -tilt()[:, 1], atol=1e-5)
     transform = np.array(read_tree(out)["root"]["transform"]).reshape(4, 4).T
     np.testing.assert_allclose(transform[:3, :3] @ -tilt()[:, 1], (0, 0, 1), atol=1e-5)
     assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
@@ -149,8 +149,8 @@ def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan
     # The wall's height is what the frames' rows show of it.
     assert np.ptp(up[:, 2]) == pytest.approx(72 / 80, rel=0.1)
 
-    turned = run(scan, out, quick("lod.enabled=true", "tiles.up=as-is"))
-    assert ran(turned) == ["tiles"]
+    turned = run(scan, out, quick("lod.enabled=true", "upright.up=as-is"))
+    assert ran(turned) == ["upright", "tiles", "export"]
     assert "transform" not in read_tree(out)["root"]
 
 
@@ -228,7 +228,9 @@ def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_
     assert "how exact their depth is" in figures["warnings"][0]
 
 
-@pytest.mark.parametrize("word", ["lod.ratio=1", "lod.base_error=-1", "tiles.up=sideways", "tiles.up=0 0 0"])
+@pytest.mark.parametrize(
+    "word", ["lod.ratio=1", "lod.base_error=-1", "upright.up=sideways", "upright.up=0 0 0"]
+)
 def test_bad_values_are_refused_before_anything_runs(word):
     with pytest.raises(UsageError, match=word.partition("=")[0]):
         Config().set([word])

@@ -31,7 +31,7 @@ QUICK = (
     "remesh.levels=2",
 )
 CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
-PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.ply"]
+PLAIN = ["clean.ply", "fused.ply", "pictures", "report.json", "simplified.glb", "simplified.ply"]
 OWN = ["levels", "remeshed.ply", "remeshed.snm"]
 
 
@@ -75,7 +75,7 @@ def ran(result) -> list[str]:
 def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, tmp_path):
     out = tmp_path / "out"
     result = run(scan, out, quick("remesh.enabled=true"))
-    assert ran(result) == ["adjust", "fuse", "clean", "simplify", "remesh", "report"]
+    assert ran(result) == ["adjust", "fuse", "clean", "upright", "simplify", "remesh", "export", "report"]
     assert names(out) == sorted([*PLAIN, *OWN])
     assert sorted(path.name for path in (out / "levels").iterdir()) == [f"level_{i}.ply" for i in range(3)]
     decoded = decode(out / "remeshed.snm")
@@ -100,7 +100,15 @@ def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, 
 def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
     out = tmp_path / "out"
     plain = run(scan, out, quick())
-    assert [outcome.stage for outcome in plain.stages] == ["adjust", "fuse", "clean", "simplify", "report"]
+    assert [outcome.stage for outcome in plain.stages] == [
+        "adjust",
+        "fuse",
+        "clean",
+        "upright",
+        "simplify",
+        "export",
+        "report",
+    ]
     assert names(out) == PLAIN
     assert plain.report["normal_mesh"] is None
     before = sorted(path.name for path in (out / "pictures").iterdir())
@@ -118,7 +126,7 @@ def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
     run(scan, out, quick("remesh.enabled=true"))
     finer = run(scan, out, quick("remesh.enabled=true", "remesh.levels=3"))
     assert ran(finer) == ["remesh", "report"]
-    assert "levels 2 → 3" in finer.stages[4].reason
+    assert "levels 2 → 3" in finer.stages[5].reason
     run(scan, out, quick("remesh.enabled=true"))
     assert ran(run(scan, out, quick("remesh.enabled=true", "remesh.threads=1"))) == []
     assert not (out / "levels" / "level_3.ply").exists()
@@ -126,7 +134,14 @@ def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
 
 def test_until_remesh_has_no_report(scan, tmp_path):
     result = run(scan, tmp_path / "out", quick("remesh.enabled=true"), until="remesh")
-    assert [outcome.stage for outcome in result.stages] == ["adjust", "fuse", "clean", "simplify", "remesh"]
+    assert [outcome.stage for outcome in result.stages] == [
+        "adjust",
+        "fuse",
+        "clean",
+        "upright",
+        "simplify",
+        "remesh",
+    ]
     assert result.report["normal_mesh"] is None
 
 

@@ -158,9 +158,9 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     result = run(rgbd, out, quick(), events=events.append)
     assert snapshot(rgbd) == before, "the scan is only read"
     assert events[0] == RunStarted(
-        "plain-rgbd", 6, (), ("adjust", "fuse", "clean", "simplify", "texture", "report")
+        "plain-rgbd", 6, (), ("adjust", "fuse", "clean", "upright", "simplify", "texture", "report")
     )
-    assert ran(result) == ["adjust", "fuse", "clean", "simplify", "texture", "report"]
+    assert ran(result) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
     assert names(out) == PLAIN
 
     report = json.loads((out / "report.json").read_text())
@@ -168,7 +168,7 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     assert result.figures()["out"] == str(out)
     assert report["schema"] == SCHEMA
     assert report["scan"] == {"layout": "plain-rgbd", "frames": 6, "frames_skipped": [], "warnings": []}
-    assert list(report["stages"]) == ["adjust", "fuse", "clean", "simplify", "texture", "report"]
+    assert list(report["stages"]) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
     for stage in report["stages"].values():
         assert stage["cached"] is False
         assert stage["reason"] == "first run"
@@ -204,10 +204,10 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
     )
     started = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[True, True, True, True, True, True] set()"
+    assert done.stdout.strip() == "[True, True, True, True, True, True, True] set()"
     assert time.perf_counter() - started < 10
     report = json.loads((out / "report.json").read_text())
-    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 6
+    assert [stage["cached"] for stage in report["stages"].values()] == [True] * 7
     assert report["mesh"]["triangles"] > 0
 
 
@@ -215,7 +215,7 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
 @pytest.mark.parametrize(
     ("assignment", "expected"),
     [
-        ("fuse.voxel_size=0.03", ["fuse", "clean", "simplify", "texture", "report"]),
+        ("fuse.voxel_size=0.03", ["fuse", "clean", "upright", "simplify", "texture", "report"]),
         ("simplify.ratio=0.5", ["simplify", "texture", "report"]),
         ("compare.seed=1", ["report"]),
         ("report.width=80", ["report"]),
@@ -417,7 +417,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
         (
             {"force": ["all"]},
-            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, simplify, texture, ",
+            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, upright, simplify, ",
         ),
         ({"until": "depth"}, "depth is not a stage of this scan"),
         ({"force": ["depth"]}, "depth is not a stage of this scan"),

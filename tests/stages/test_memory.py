@@ -34,6 +34,8 @@ SIDES = {
     "strip_order": 400,
     "encode_rows": 400,
     "encode_triangles": 400,
+    "decode_rows": 1500,
+    "decode_indices": 2000,
     "lay_out": 100,
     "texels": 100,
     "zbuffer": 100,

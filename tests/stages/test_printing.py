@@ -4,6 +4,7 @@ import base64
 import re
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -47,6 +48,11 @@ def frames(count: int = 4) -> list[Frame]:
     for i, pose in enumerate(poses):
         pose[0, 3] = 0.01 * i
     return [Frame(f"{i}", CAMERA, color, depth=depth, world_from_camera=p) for i, p in enumerate(poses)]
+
+
+def exported(mesh: Mesh) -> stages.Exported:
+    with TemporaryDirectory() as folder:
+        return stages.export(mesh, Path(folder) / "a.glb", stages.preset("web"))
 
 
 def registration() -> Registration:
@@ -125,6 +131,7 @@ def everything():
         stages.Sphere((0, 0, 1.5), 0.25, importance=20.0),
         stages.Box((0, 0, 0), (1, 1, 1), lock=True),
         stages.viewpoints(mesh)[0],
+        exported(mesh),
     ]
 
 

@@ -1,4 +1,5 @@
-//! `stages._kernels.strip_order`, `encode_rows` and `encode_triangles`: buffers as EXT_meshopt_compression keeps them.
+//! `stages._kernels.strip_order`, `encode_rows`, `encode_triangles`, `decode_rows`, `decode_indices` and `unfilter`:
+//! buffers as EXT_meshopt_compression keeps them.
 //!
 //! The work is meshoptimizer's. It takes its own memory by C++, where a failure would end the process: what it needs is
 //! asked for before.
@@ -19,6 +20,10 @@ use crate::mesh::connect::check_indices;
 const VERSION: i32 = 0;
 /// Without a meaning in that version.
 const LEVEL: i32 = 2;
+/// Bytes of rows, and indices, that one packed byte stands for at most: blocks of 256 rows whose bytes are all the same
+/// take a quarter of a byte for each column, and a triangle takes one.
+const MOST_IN_A_BYTE: usize = 1024;
+const INDICES_IN_A_BYTE: usize = 3;
 /// Bytes that ordering takes for each vertex and triangle: lists of the triangles around vertices, and marks.
 const NEEDED: usize = 64;
 
@@ -113,6 +118,102 @@ pub fn encode_triangles(
         });
         bytes_of(py, &packed)
     })
+}
+
+/// Rows of `size` bytes, `count` of them, of what was packed in the mode ATTRIBUTES.
+///
+/// `filtered` tells what was done to them before, which is undone: "NONE", "OCTAHEDRAL", "QUATERNION" or "EXPONENTIAL".
+#[pyfunction]
+pub fn decode_rows(
+    py: Python<'_>,
+    packed: &[u8],
+    count: usize,
+    size: usize,
+    filtered: &str,
+) -> PyResult<Py<PyBytes>> {
+    if size == 0 || size > 256 || size % 4 != 0 {
+        return Err(PyValueError::new_err(format!(
+            "a row has {size} bytes; it must have a multiple of 4 up to 256"
+        )));
+    }
+    let undo = undoing(filtered, size)?;
+    require_held(count.saturating_mul(size), packed.len(), MOST_IN_A_BYTE)?;
+    let filled = PyBytes::new_with(py, count * size, |rows| {
+        // SAFETY: there is room for `count` rows of `size`, and the decoder reads no more than it is told there is.
+        let code = unsafe {
+            ffi::meshopt_decodeVertexBuffer(
+                rows.as_mut_ptr().cast(),
+                count,
+                size,
+                packed.as_ptr(),
+                packed.len(),
+            )
+        };
+        if code != 0 {
+            return Err(damaged());
+        }
+        if let Some(undo) = undo {
+            // SAFETY: as above; the filter's own demands on `size` are met.
+            unsafe { undo(rows.as_mut_ptr().cast(), count, size) };
+        }
+        Ok(())
+    })?;
+    Ok(filled.unbind())
+}
+
+/// Indices of `size` bytes, 2 or 4, `count` of them, of what was packed in the mode TRIANGLES or INDICES.
+#[pyfunction]
+pub fn decode_indices(
+    py: Python<'_>,
+    packed: &[u8],
+    count: usize,
+    size: usize,
+    mode: &str,
+) -> PyResult<Py<PyBytes>> {
+    if size != 2 && size != 4 {
+        return Err(PyValueError::new_err(format!("an index has {size} bytes; it must have 2 or 4")));
+    }
+    let decode = match mode {
+        "TRIANGLES" if count % 3 == 0 => ffi::meshopt_decodeIndexBuffer,
+        "INDICES" => ffi::meshopt_decodeIndexSequence,
+        _ => return Err(PyValueError::new_err(format!("{count} indices cannot be of the mode {mode}"))),
+    };
+    require_held(count, packed.len(), INDICES_IN_A_BYTE)?;
+    let filled = PyBytes::new_with(py, count * size, |indices| {
+        // SAFETY: there is room for `count` indices of `size`, and the decoder reads no more than it is told there is.
+        let code = unsafe { decode(indices.as_mut_ptr().cast(), count, size, packed.as_ptr(), packed.len()) };
+        if code == 0 { Ok(()) } else { Err(damaged()) }
+    })?;
+    Ok(filled.unbind())
+}
+
+type Filter = unsafe extern "C" fn(*mut std::os::raw::c_void, usize, usize);
+
+/// What undoes a filter; all of them work in place.
+fn undoing(filter: &str, size: usize) -> PyResult<Option<Filter>> {
+    let (undo, fits): (Filter, bool) = match filter {
+        "NONE" => return Ok(None),
+        "OCTAHEDRAL" => (ffi::meshopt_decodeFilterOct, size == 4 || size == 8),
+        "QUATERNION" => (ffi::meshopt_decodeFilterQuat, size == 8),
+        "EXPONENTIAL" => (ffi::meshopt_decodeFilterExp, true),
+        _ => return Err(PyValueError::new_err(format!("there is no filter {filter}"))),
+    };
+    if !fits {
+        return Err(PyValueError::new_err(format!("the filter {filter} is not for rows of {size} bytes")));
+    }
+    Ok(Some(undo))
+}
+
+/// A few bytes must not ask for any amount of memory.
+fn require_held(asked: usize, held: usize, most: usize) -> PyResult<()> {
+    if asked > held.saturating_mul(most) {
+        return Err(damaged());
+    }
+    Ok(())
+}
+
+fn damaged() -> PyErr {
+    PyValueError::new_err("the data is damaged or cut short")
 }
 
 fn checked(triangles: &PyReadonlyArray2<'_, i32>, vertices: usize) -> PyResult<Vec<u32>> {

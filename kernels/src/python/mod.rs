@@ -104,6 +104,8 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(lod::build_levels, module)?)?;
     module.add_function(wrap_pyfunction!(lod::assemble_front, module)?)?;
     module.add_function(wrap_pyfunction!(compression::strip_order, module)?)?;
+    module.add_function(wrap_pyfunction!(compression::decode_indices, module)?)?;
+    module.add_function(wrap_pyfunction!(compression::decode_rows, module)?)?;
     module.add_function(wrap_pyfunction!(compression::encode_rows, module)?)?;
     module.add_function(wrap_pyfunction!(compression::encode_triangles, module)?)?;
     module.add_class::<certify::Certified>()?;

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.printing import by_fields, table
-from stages.rounding import DIGITS, rounded_up
+from stages.printing.rounding import DIGITS, rounded_up
 from stages.simplification.crowding import crowded_by_topology
 from stages.simplification.result import Details, Simplified
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.printing import counted
-from stages.rounding import rounded_up
+from stages.printing.rounding import rounded_up
 from stages.surface.mesh import Mesh
 
 # Places that are named.

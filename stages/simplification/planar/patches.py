@@ -102,4 +102,4 @@ def colored_by_patch(mesh: Mesh, triangle_patch: Ids) -> Mesh:
         else np.zeros((0, 3), np.uint8)
     )
     triangles = number.reshape(-1, 3).astype(np.int32)
-    return Mesh(mesh.vertices[corners[first]], triangles, colors=colors)
+    return Mesh(mesh.vertices[corners[first]], triangles, colors=colors, up=mesh.up)

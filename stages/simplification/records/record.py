@@ -164,7 +164,7 @@ class CollapseRecord:
         about: dict[str, Any] = {"content": "collapses of vertices", "collapses": len(self.removed)}
         if self.wedges is None:
             # Nothing else of it can be replayed.
-            mesh = Mesh(mesh.vertices, mesh.triangles, mesh.colors, mesh.normals)
+            mesh = Mesh(mesh.vertices, mesh.triangles, mesh.colors, mesh.normals, up=mesh.up)
         else:
             about["content"] += " and wedges"
             of_wedges, about["wedges"] = stored_wedges(self.wedges)

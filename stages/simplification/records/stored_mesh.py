@@ -26,6 +26,8 @@ def stored_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:
         "part_ids": mesh.part_ids,
     }
     words: dict[str, Any] = {"part_names": mesh.part_names}
+    if mesh.up is not None:
+        words["up"] = mesh.up
     texture = mesh.texture
     if texture is not None:
         number = {id(image): i for i, image in enumerate(texture.images)}
@@ -65,7 +67,13 @@ def mesh_of(arrays: Arrays, words: dict[str, Any]) -> Mesh:
         arrays.get("corner_normals"),
         arrays.get("part_ids"),
         tuple(map(str, words.get("part_names", ()))),
+        up=_direction(words["up"]) if "up" in words else None,
     )
+
+
+def _direction(given: Any) -> tuple[float, float, float]:
+    x, y, z = map(float, given)
+    return x, y, z
 
 
 def _bytes(array: NDArray[Any]) -> bytes:

@@ -1,8 +1,9 @@
 """Read glTF files: all meshes of the scene, where its nodes place them.
 
-Coordinates stay as they are (metres, y up). Vertex colours are amounts of light in glTF and become what is
-displayed, except from programs known to write them as displayed. Animations, skins and morph targets are left
-out, points and lines too.
+Coordinates stay as they are (metres, y up), but for a file that says how its scan was turned upright: it
+comes back in the axes of the scan, and `Mesh.up` says what is up. Vertex colours are amounts of light in glTF
+and become what is displayed, except from programs known to write them as displayed. Animations, skins and
+morph targets are left out, points and lines too.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.surface.formats.colors import srgb_from_linear, to_uint8
-from stages.surface.formats.gltf_container import COMPRESSED, Gltf, Tree, read_container
+from stages.surface.formats.gltf_container import COMPRESSED, SCAN_FROM_WORLD, Gltf, Tree, read_container
 from stages.surface.formats.gltf_materials import MaterialReader, Placement
 from stages.surface.mesh import Mesh, validated
 from stages.surface.texture import Texture
@@ -25,6 +26,8 @@ from stages.surface.welding import merge_vertices
 # These write vertex colours as they are displayed, whatever the specification says.
 _DISPLAYED = ("https://github.com/mikedh/trimesh", "Open3D")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+# How far a matrix may be from a rotation.
+_ROTATION = 1e-6
 # Many nodes may place one large mesh: more corners than this do not fit into memory, nor are they meant.
 _MOST_CORNERS = 1 << 29
 
@@ -101,7 +104,8 @@ def _read_scene(gltf: Gltf) -> Mesh:
         if gltf.items(name):
             reading.note(f"{what} are left out")
     parts: list[_Part] = []
-    nodes = _placed_nodes(gltf)
+    turn = _scan_from_world(reading)
+    nodes = _placed_nodes(gltf, np.eye(4) if turn is None else turn)
     for number, (node, matrix) in enumerate(nodes):
         mesh = gltf.item("meshes", node["mesh"])
         if "EXT_mesh_gpu_instancing" in node.get("extensions", {}):
@@ -109,11 +113,40 @@ def _read_scene(gltf: Gltf) -> Mesh:
         name = str(node.get("name") or mesh.get("name") or ("" if len(nodes) == 1 else f"node {number}"))
         found = (_part(reading, primitive, matrix, number, name) for primitive in mesh["primitives"])
         parts += [part for part in found if part is not None]
-    return _assembled(reading, parts)
+    assembled = _assembled(reading, parts)
+    if turn is None:
+        return assembled
+    x, y, z = turn[:3, 1].tolist()
+    return assembled.with_(up=(x, y, z))
 
 
-def _placed_nodes(gltf: Gltf) -> list[tuple[Tree, Floats]]:
-    """Return the nodes with a mesh, in the scene's order, and world_from_node (4, 4) of each."""
+def _scan_from_world(reading: _Reading) -> Floats | None:
+    """Return the turn (4, 4) back to the axes of the scan that a file is of; None if it tells none."""
+    extras = reading.gltf.tree["asset"].get("extras")
+    given = extras.get(SCAN_FROM_WORLD) if isinstance(extras, dict) else None
+    if given is None:
+        return None
+    matrix = _turn(given)
+    if matrix is None:
+        reading.note(f"{SCAN_FROM_WORLD} is left out: it is no rotation")
+    return matrix
+
+
+def _turn(given: Any) -> Floats | None:
+    try:
+        matrix = np.array(given, float).reshape(4, 4).T
+    except (ValueError, TypeError):
+        return None
+    turn = matrix[:3, :3]
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION) or np.linalg.det(turn) < 0:
+        return None
+    alone = np.eye(4)
+    alone[:3, :3] = turn
+    return alone if np.array_equal(matrix, alone) else None
+
+
+def _placed_nodes(gltf: Gltf, world: Floats) -> list[tuple[Tree, Floats]]:
+    """Return the nodes with a mesh, in the scene's order, and where they are, (4, 4), in `world` (4, 4)."""
     nodes, scenes = gltf.items("nodes"), gltf.items("scenes")
     if scenes:
         roots = gltf.item("scenes", gltf.tree.get("scene", 0)).get("nodes", [])
@@ -121,7 +154,7 @@ def _placed_nodes(gltf: Gltf) -> list[tuple[Tree, Floats]]:
         children = {child for node in nodes for child in node.get("children", [])}
         roots = [number for number in range(len(nodes)) if number not in children]
     found = []
-    waiting = [(number, np.eye(4)) for number in reversed(roots)]
+    waiting = [(number, world) for number in reversed(roots)]
     seen: set[int] = set()
     while waiting:
         number, parent = waiting.pop()
@@ -129,7 +162,10 @@ def _placed_nodes(gltf: Gltf) -> list[tuple[Tree, Floats]]:
             raise ValueError("a node has two parents")
         seen.add(number)
         node = gltf.item("nodes", number)
-        matrix = parent @ _matrix(node)
+        own = _matrix(node)
+        # A turn and the same back are nothing, also where their product is not quite.
+        undone = number in roots and np.array_equal(own, world.T)
+        matrix = np.eye(4) if undone else parent @ own
         if "mesh" in node:
             found.append((node, matrix))
         waiting += [(child, matrix) for child in reversed(node.get("children", []))]

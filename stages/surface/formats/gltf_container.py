@@ -16,13 +16,19 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.errors import InputError
 from stages.files.opening import content_of
 from stages.surface.formats.textures import beside
 
 Tree = dict[str, Any]
 
-COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+# What is not read: a codec of meshes, of which there is no well-kept package without a compiler.
+COMPRESSED = ("KHR_draco_mesh_compression",)
+_PACKED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+
+# Where `asset.extras` of a file holds the turn that was given to it so that it stands.
+SCAN_FROM_WORLD = "scan_from_world"
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -37,12 +43,14 @@ class Gltf:
     Attributes
     ----------
     tree : the description.
-    buffers : the bytes of each buffer.
+    buffers : the bytes of each buffer; none of one that only says where packed views would be.
+    unpacked : views that were packed, by their numbers.
     """
 
     path: Path
     tree: Tree
     buffers: list[bytes] = field(default_factory=list)
+    unpacked: dict[int, bytes] = field(default_factory=dict)
 
     def items(self, name: str) -> list[Any]:
         """Return a list of the description, such as its "nodes"; empty if it has none."""
@@ -63,6 +71,28 @@ class Gltf:
     def view_bytes(self, index: Any) -> memoryview:
         """Return what a buffer view spans."""
         view = self.item("bufferViews", index)
+        packed = packing_of(view)
+        if packed is not None:
+            if index not in self.unpacked:
+                self.unpacked[index] = self._unpack(packed)
+            return memoryview(self.unpacked[index])
+        return self._span(view)
+
+    def _unpack(self, packed: Tree) -> bytes:
+        """Return what a view holds that meshoptimizer packed, by its numbers of rows or indices."""
+        data = bytes(self._span(packed))
+        count, size = natural(packed["count"]), natural(packed["byteStride"])
+        try:
+            if packed["mode"] == "ATTRIBUTES":
+                return _kernels.decode_rows(data, count, size, str(packed.get("filter", "NONE")))
+            return _kernels.decode_indices(data, count, size, str(packed["mode"]))
+        except (ValueError, OverflowError) as error:
+            raise InputError(
+                f"has a buffer view that cannot be unpacked ({error}); {_DAMAGED}", self.path
+            ) from error
+
+    def _span(self, view: Tree) -> memoryview:
+        """Return the bytes that a view, or what is packed in its place, spans."""
         buffer = self.buffers[natural(view["buffer"])]
         start, length = natural(view.get("byteOffset", 0)), natural(view["byteLength"])
         if start + length > len(buffer):
@@ -119,6 +149,12 @@ class Gltf:
         return elements
 
 
+def packing_of(view: Tree) -> Tree | None:
+    """Return what a buffer view says of how it is packed; None if it is not."""
+    extensions = view.get("extensions", {})
+    return next((extensions[name] for name in _PACKED if name in extensions), None)
+
+
 def natural(value: Any) -> int:
     """Return a whole number of the description that must not be negative."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
@@ -150,6 +186,11 @@ def read_container(path: Path) -> Gltf:
     # First of all: a buffer that is there for its size only is no damage.
     _require_uncompressed(gltf)
     for number, buffer in enumerate(gltf.items("buffers")):
+        if any(buffer.get("extensions", {}).get(name, {}).get("fallback") for name in _PACKED) and (
+            "uri" not in buffer
+        ):
+            gltf.buffers.append(b"")
+            continue
         content = _buffer(path, buffer, binary if number == 0 else b"")
         promised = natural(buffer["byteLength"])
         if len(content) < promised:

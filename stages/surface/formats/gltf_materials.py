@@ -28,6 +28,7 @@ _TRANSFORM = "KHR_texture_transform"
 # What the core of glTF allows; WebP is an extension that most programs know.
 _EMBEDDABLE = ("image/png", "image/jpeg", "image/webp")
 _WEBP = "EXT_texture_webp"
+UNLIT = "KHR_materials_unlit"
 # What a material of version 2.0 may say; anything else is of no standard.
 _KNOWN = (
     *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
@@ -35,6 +36,7 @@ _KNOWN = (
 )
 # A material without further statements would be metal. Read back, this one says nothing.
 _PLAIN: Tree = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
+_PLAIN_UNLIT: Tree = {**_PLAIN, "extensions": {UNLIT: {}}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,7 @@ class MaterialReader:
             return -1, Placement()
         if index not in self._found:
             tree = self._gltf.item("materials", index)
-            if tree == _PLAIN:
+            if tree in (_PLAIN, _PLAIN_UNLIT):
                 return -1, Placement()
             material, placement = self._material(copy.deepcopy(tree), with_colors)
             self._found[index] = len(self.materials), placement
@@ -212,11 +214,13 @@ class MaterialWriter:
     Attributes
     ----------
     tree : gets the lists "materials", "textures" and "samplers", and "extensionsUsed".
+    unlit : materials are shown without further light, as a scan has its own.
     images : the bytes of each image, its media type and name; textures name them by position.
     """
 
-    def __init__(self, tree: Tree) -> None:
+    def __init__(self, tree: Tree, *, unlit: bool = False) -> None:
         self.tree = tree
+        self._unlit = unlit
         self.images: list[tuple[bytes, str, str]] = []
         self._image_numbers: dict[int, int | None] = {}
 
@@ -227,7 +231,9 @@ class MaterialWriter:
         them.
         """
         if material is None:
-            return self._number("materials", _PLAIN)
+            if self._unlit:
+                self._number("extensionsUsed", UNLIT)
+            return self._number("materials", _PLAIN_UNLIT if self._unlit else _PLAIN)
         kept = material.kept if isinstance(material.kept, GltfStatements) else GltfStatements(_PLAIN)
         tree = copy.deepcopy(kept.tree)
         for holder, key in list(_texture_holders(tree)):
@@ -253,6 +259,8 @@ class MaterialWriter:
             )
             if number is not None:
                 surface["baseColorTexture"] = {"index": number}
+        if self._unlit:
+            tree.setdefault("extensions", {})[UNLIT] = {}
         for name in sorted(_extensions(tree)):
             self._number("extensionsUsed", name)
         return self._number("materials", tree)

@@ -3,7 +3,8 @@
 Khronos Group, "glTF 2.0 specification", 2021: sections 3.6 (alignment, bounds), 4 (the GLB container).
 Positions, normals and texture coordinates are single precision, which is all the format has; a mesh far from
 its origin is moved there by its node, so that it keeps its digits. Vertex colours are written as amounts of
-light in 16 bits, from which the 8 bits that are displayed come back exactly.
+light, from which the 8 bits that are displayed come back exactly. For the web, all of these can be whole
+numbers, and packed.
 """
 
 from __future__ import annotations
@@ -20,15 +21,27 @@ from numpy.typing import NDArray
 from stages.errors import MeshError, StageError
 from stages.files.replacing import replacing
 from stages.surface.formats.colors import linear_from_srgb
-from stages.surface.formats.gltf_container import Tree
+from stages.surface.formats.gltf_container import SCAN_FROM_WORLD, Tree
 from stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
+from stages.surface.formats.gltf_packing import (
+    INDICES,
+    PACKED,
+    QUANTIZED,
+    VERTICES,
+    Lattice,
+    lattice_of,
+    packed,
+    quantized_unit,
+    quantized_uvs,
+    strips,
+)
 from stages.surface.formats.textures import write_images
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material
+from stages.surface.upright import turn_along_y
 from stages.surface.welding import same_rows
 
-_FLOAT, _SHORT, _INT, _BYTE = 5126, 5123, 5125, 5121
-_VERTICES, _INDICES = 34962, 34963  # what a buffer view is for
+_FLOAT, _SHORT, _INT, _BYTE, _SIGNED_BYTE = 5126, 5123, 5125, 5121, 5120
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _LARGEST = 1 << 32
 _LARGEST_FLOAT = float(np.finfo(np.float32).max)
@@ -42,28 +55,30 @@ Rows = NDArray[np.int64]
 
 
 class _Buffer:
-    """The binary part of a file, as its views and accessors describe it."""
+    """The binary part of a file, as its views and accessors describe it.
 
-    def __init__(self, tree: Tree) -> None:
+    What is packed says of itself where it would be in a second buffer, which is not there.
+    """
+
+    def __init__(self, tree: Tree, lattice: Lattice | None, *, pack: bool) -> None:
         self._tree = tree
+        self.lattice = lattice
+        self.pack = pack
         self.pieces: list[bytes] = []
         self.size = 0
+        self.plain_size = 0
 
-    def view(self, data: bytes, **details: int) -> int:
+    def view(self, data: bytes, **details: Any) -> int:
         """Append bytes, aligned for every type; return the number of the view."""
         views: list[Tree] = self._tree.setdefault("bufferViews", [])
-        views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(data), **details})
-        padding = -len(data) % 4
-        self.pieces += [data, bytes(padding)]
-        self.size += len(data) + padding
+        views.append({"buffer": 0, "byteOffset": self._append(data), "byteLength": len(data), **details})
         return len(views) - 1
 
     def accessor(self, values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
-        """Append numbers; return the number of the accessor."""
+        """Append numbers, rows of them with their filling; return the number of the accessor."""
         accessors: list[Tree] = self._tree.setdefault("accessors", [])
-        data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
         accessors.append({
-            "bufferView": self.view(data, target=target),
+            "bufferView": self._rows(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
             "componentType": code,
             "count": len(values),
             "type": kind,
@@ -71,11 +86,62 @@ class _Buffer:
         })  # fmt: skip
         return len(accessors) - 1
 
+    def _rows(self, values: NDArray[Any], target: int) -> int:
+        row = values[0].nbytes
+        strides = {"byteStride": row} if target == VERTICES and self.lattice is not None else {}
+        if not self.pack:
+            return self.view(values.tobytes(), target=target, **strides)
+        data, mode = packed(values, target)
+        views: list[Tree] = self._tree.setdefault("bufferViews", [])
+        views.append({
+            "buffer": 1,
+            "byteOffset": self.plain_size,
+            "byteLength": values.nbytes,
+            "target": target,
+            **strides,
+            "extensions": {
+                PACKED: {
+                    "buffer": 0,
+                    "byteOffset": self._append(data),
+                    "byteLength": len(data),
+                    "byteStride": row,
+                    "count": len(values),
+                    "mode": mode,
+                }
+            },
+        })  # fmt: skip
+        self.plain_size += values.nbytes + -values.nbytes % 4
+        return len(views) - 1
 
-def write_gltf(path: Path | str, mesh: Mesh) -> None:
+    def _append(self, data: bytes) -> int:
+        at, padding = self.size, -len(data) % 4
+        self.pieces += [data, bytes(padding)]
+        self.size += len(data) + padding
+        return at
+
+    def described(self, **details: Any) -> list[Tree]:
+        """Return what the file says of its buffers."""
+        buffers: list[Tree] = [{"byteLength": self.size, **details}]
+        if self.pack:
+            buffers.append({"byteLength": self.plain_size, "extensions": {PACKED: {"fallback": True}}})
+        return buffers
+
+
+def write_gltf(path: Path | str, mesh: Mesh, *, compress: str = "none", unlit: bool = False) -> None:
     """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
 
-    Triangles of one part and material are put together. Parts that share no vertices become nodes.
+    Triangles of one part and material are put together. Parts that share no vertices become nodes. Where the
+    mesh says what is up, a node above all turns it along y, and `asset.extras.scan_from_world` holds the turn
+    back.
+
+    Parameters
+    ----------
+    compress : of COMPRESSIONS. `quantize`: positions in steps, a power of two, of which 65,535 span the
+        longest side; normals in 8 bits, coordinates within the image in 16; viewers need
+        KHR_mesh_quantization. `meshopt`: the same, packed without loss, triangles and vertices in another
+        order; viewers need EXT_meshopt_compression.
+    unlit : shown in the colours that are there, without further light, and without normals; of no effect on a
+        mesh without colours.
 
     Raises
     ------
@@ -86,8 +152,17 @@ def write_gltf(path: Path | str, mesh: Mesh) -> None:
     """
     path = Path(path)
     tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
-    buffer = _Buffer(tree)
-    materials = MaterialWriter(tree)
+    unlit = unlit and (mesh.colors is not None or mesh.texture is not None)
+    if unlit:
+        mesh = mesh.with_(normals=None, corner_normals=None)
+    small = compress != "none" and len(mesh.triangles) > 0
+    # Vertices that no triangle names are not written.
+    lattice = lattice_of(mesh.vertices[np.unique(mesh.triangles)]) if small else None
+    buffer = _Buffer(tree, lattice, pack=small and compress == "meshopt")
+    if small:
+        needed = [QUANTIZED, PACKED] if buffer.pack else [QUANTIZED]
+        tree |= {"extensionsUsed": [*needed], "extensionsRequired": [*needed]}
+    materials = MaterialWriter(tree, unlit=unlit)
     _add_nodes(tree, buffer, materials, mesh)
     if path.suffix.lower() == ".gltf":
         _write_apart(path, tree, buffer, materials)
@@ -100,8 +175,13 @@ def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mes
         return
     if abs(mesh.vertices).max() > _LARGEST_FLOAT:
         raise MeshError("vertices lie farther out than single precision can tell; write PLY.", "mesh")
-    move = _move(mesh.vertices)
-    mesh = mesh.with_(vertices=mesh.vertices - move)
+    lattice = buffer.lattice
+    place: Tree = {}
+    if lattice is not None:
+        place = {"translation": lattice.low.tolist(), "scale": [lattice.step] * 3}
+    elif (move := _move(mesh.vertices)).any():
+        mesh = mesh.with_(vertices=mesh.vertices - move)
+        place = {"translation": move.tolist()}
     parts = np.full(len(mesh.triangles), -1, np.int32) if mesh.part_ids is None else mesh.part_ids
     one_node = _share_vertices(mesh, parts)
     nodes: dict[int, tuple[str, list[Tree]]] = {}
@@ -117,12 +197,27 @@ def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mes
     tree["nodes"], tree["meshes"] = [], []
     for name, primitives in nodes.values():
         label = {"name": name} if name else {}
-        node: Tree = {"mesh": len(tree["meshes"]), **label}
-        if move.any():
-            node["translation"] = move.tolist()
+        tree["nodes"].append({"mesh": len(tree["meshes"]), **label, **place})
         tree["meshes"].append({"primitives": primitives, **label})
-        tree["nodes"].append(node)
     tree["scenes"] = [{"nodes": list(range(len(tree["nodes"])))}]
+    if mesh.up is not None:
+        up = np.array(mesh.up)
+        _set_upright(tree, turn_along_y(up / np.linalg.norm(up)))
+
+
+def _set_upright(tree: Tree, turn: Floats) -> None:
+    """Put a node above all others that turns what is up along y, and say what turns it back."""
+    tree["asset"]["extras"] = {SCAN_FROM_WORLD: _matrix_numbers(turn.T)}
+    if not np.array_equal(turn, np.eye(3)):
+        tree["nodes"].append({"matrix": _matrix_numbers(turn), "children": tree["scenes"][0]["nodes"]})
+        tree["scenes"] = [{"nodes": [len(tree["nodes"]) - 1]}]
+
+
+def _matrix_numbers(turn: Floats) -> list[float]:
+    """Return a rotation as glTF writes a matrix: 16 numbers, column by column."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    return [float(value) for value in matrix.T.reshape(-1)]
 
 
 def _move(vertices: Floats) -> Floats:
@@ -196,29 +291,49 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     else:
         source, index = np.unique(corners, return_inverse=True)
         wedges = np.zeros(0, np.int64)
+    if buffer.pack:
+        ordered, order = strips(index.reshape(-1, 3).astype(np.int32), len(source))
+        index, source = ordered.reshape(-1).astype(np.int64), source[order]
+        wedges = wedges[order] if len(wedges) else wedges
     if normals is not None:
         normals = normals[wedges]
     elif mesh.corner_normals is None and mesh.normals is not None:
         normals = mesh.normals[source]
     attributes = {"POSITION": _positions(buffer, mesh.vertices[source])}
     if normals is not None and (unit := _unit(normals)) is not None:
-        attributes["NORMAL"] = buffer.accessor(unit, "VEC3", _FLOAT, _VERTICES)
+        attributes["NORMAL"] = _normals(buffer, unit)
     if uvs is not None:
-        turned = (uvs[wedges] * (1, -1) + (0, 1)).clip(-_LARGEST_FLOAT, _LARGEST_FLOAT)
-        attributes["TEXCOORD_0"] = buffer.accessor(turned.astype(np.float32), "VEC2", _FLOAT, _VERTICES)
+        attributes["TEXCOORD_0"] = _coordinates(buffer, uvs[wedges] * (1, -1) + (0, 1))
     if mesh.colors is not None:
         shown = material is None or material.image is None or multiplies_colors(material)
         attributes |= _colors(buffer, mesh.colors[source], shown=shown)
     narrow = len(source) < np.iinfo(np.uint16).max  # the last value stands for none in some programs
     indices = index.astype(np.uint16 if narrow else np.uint32).reshape(-1)
     code = _SHORT if narrow else _INT
-    return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, _INDICES)}
+    return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, INDICES)}
 
 
 def _positions(buffer: _Buffer, vertices: Floats) -> int:
-    positions = vertices.astype(np.float32)
-    bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
-    return buffer.accessor(positions, "VEC3", _FLOAT, _VERTICES, **bounds)
+    positions: NDArray[Any]
+    if buffer.lattice is None:
+        positions, code = vertices.astype(np.float32), _FLOAT
+    else:
+        positions, code = buffer.lattice.steps(vertices), _SHORT
+    bounds = {"min": positions[:, :3].min(axis=0).tolist(), "max": positions[:, :3].max(axis=0).tolist()}
+    return buffer.accessor(positions, "VEC3", code, VERTICES, **bounds)
+
+
+def _normals(buffer: _Buffer, unit: NDArray[np.float32]) -> int:
+    if buffer.lattice is None:
+        return buffer.accessor(unit, "VEC3", _FLOAT, VERTICES)
+    return buffer.accessor(quantized_unit(unit), "VEC3", _SIGNED_BYTE, VERTICES, normalized=True)
+
+
+def _coordinates(buffer: _Buffer, uvs: Floats) -> int:
+    if buffer.lattice is not None and (places := quantized_uvs(uvs)) is not None:
+        return buffer.accessor(places, "VEC2", _SHORT, VERTICES, normalized=True)
+    held = uvs.clip(-_LARGEST_FLOAT, _LARGEST_FLOAT).astype(np.float32)
+    return buffer.accessor(held, "VEC2", _FLOAT, VERTICES)
 
 
 def _unit(normals: Floats) -> NDArray[np.float32] | None:
@@ -234,10 +349,14 @@ def _colors(buffer: _Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[
     """Add vertex colours; beside an image, which they would darken, as one that programs pass over."""
     if not shown:
         padded = np.pad(colors, ((0, 0), (0, 1)), constant_values=255)
-        return {"_COLOR_DISPLAYED": buffer.accessor(padded, "VEC4", _BYTE, _VERTICES, normalized=True)}
-    light = np.rint(linear_from_srgb(np.arange(256) / 255) * 65535).astype(np.uint16)
+        return {"_COLOR_DISPLAYED": buffer.accessor(padded, "VEC4", _BYTE, VERTICES, normalized=True)}
+    light = linear_from_srgb(np.arange(256) / 255)
+    if buffer.lattice is None:
+        # Programs that take whole numbers of 16 bits for others read these rightly.
+        return {"COLOR_0": buffer.accessor(light.astype(np.float32)[colors], "VEC3", _FLOAT, VERTICES)}
+    light = np.rint(light * 65535).astype(np.uint16)
     padded = np.pad(light[colors], ((0, 0), (0, 1)), constant_values=65535)
-    return {"COLOR_0": buffer.accessor(padded, "VEC4", _SHORT, _VERTICES, normalized=True)}
+    return {"COLOR_0": buffer.accessor(padded, "VEC4", _SHORT, VERTICES, normalized=True)}
 
 
 def _write_one(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWriter) -> None:
@@ -246,7 +365,7 @@ def _write_one(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWrite
         image = {"bufferView": buffer.view(data), "mimeType": mime, **label}
         tree.setdefault("images", []).append(image)
     if buffer.size:
-        tree["buffers"] = [{"byteLength": buffer.size}]
+        tree["buffers"] = buffer.described()
     text = json.dumps(tree, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + (8 + buffer.size if buffer.size else 0)
@@ -266,7 +385,7 @@ def _write_apart(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWri
         tree.setdefault("images", []).append({"uri": quote(name)})
     if buffer.size:
         binary = path.with_name(f"{path.stem}.bin")
-        tree["buffers"] = [{"byteLength": buffer.size, "uri": quote(binary.name)}]
+        tree["buffers"] = buffer.described(uri=quote(binary.name))
         with replacing(binary) as part, part.open("wb") as file:
             file.writelines(buffer.pieces)
     with replacing(path) as part:

@@ -1,0 +1,70 @@
+"""The command `export`."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import stages
+from cli.mesh_arguments import MeshFile, about_file, read_file
+from cli.output import Output
+from cli.paths import require_writable
+from stages import ExportParams
+from stages.errors import InputError
+from stages.exporting.export import GLTF, SUFFIXES, require_fitting
+from stages.exporting.presets import PRESETS, preset
+
+
+def export(
+    source: MeshFile,
+    target: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help=f"File to write ({', '.join(SUFFIXES)}).", show_default=False),
+    ],
+    params: ExportParams,
+    out: Output,
+    intent: Annotated[
+        str | None,
+        typer.Option(
+            "--preset",
+            metavar="NAME",
+            help=f"What it is for: {', '.join(PRESETS)}. Options that are given count more.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Write a mesh for the program that it is made for: the web, a game engine, Blender, a printer.
+
+    glTF and USD stand upright wherever they are opened; the other formats can be turned, scaled and set on
+    the floor. --preset print also says, with exit code 1, why a mesh is not watertight, if it is not.
+
+    Example: scanloom export out/textured.glb web.glb --preset web
+    """
+    wanted = params if intent is None else _over(preset(intent, target.suffix), params)
+    require_fitting(target, wanted)
+    if target.is_dir():
+        raise InputError("this is a folder; give the name of a file.", target)
+    require_writable(target.parent)
+    mesh = read_file(source, out)
+    if mesh.up is None and source.suffix.lower() in GLTF:
+        mesh = mesh.with_(up=(0.0, 1.0, 0.0))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with about_file(source):
+        written = stages.export(mesh, target, wanted)
+    for note in written.notes:
+        out.warn(f"{target}: {note}.")
+    for sentence in written.unmet:
+        out.unmet(f"{source}: {sentence}")
+    out.remark(f"{target}: {written.triangles:,} triangles, {written.bytes:,} bytes")
+    out.result({**written.figures(), "output": str(target)})
+
+
+def _over(of_preset: ExportParams, given: ExportParams) -> ExportParams:
+    """Return a preset with what was given in place of it: all that is not a default."""
+    default = ExportParams()
+    names = [field.name for field in fields(ExportParams)]
+    changes = {name: getattr(given, name) for name in names if getattr(given, name) != getattr(default, name)}
+    return replace(of_preset, **changes)

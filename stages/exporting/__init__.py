@@ -1,0 +1,1 @@
+"""Meshes as other programs want them: turned, scaled, small, in their formats."""

@@ -1,0 +1,249 @@
+"""A mesh as another program wants it: turned, scaled, with images it reads, small enough to send."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict
+
+import numpy as np
+
+from stages.cleaning.check import check
+from stages.errors import UsageError
+from stages.exporting.images import FORMATS, with_images
+from stages.exporting.usd import SUFFIXES as USD
+from stages.exporting.usd import require_usd, write_usd
+from stages.params import check as check_params
+from stages.params import param, resolve
+from stages.printing import by_figures, table
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
+from stages.surface.formats.gltf_writer import write_gltf
+from stages.surface.mesh import Mesh
+from stages.surface.mesh_files import EXTENSIONS, write_mesh
+from stages.surface.upright import direction_of, turn_along_y, turn_along_z
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+# Raised by hand when the same mesh and parameters come to another file.
+RESULT_VERSION = 1
+
+SUFFIXES = (*EXTENSIONS, *USD)
+GLTF = (".glb", ".gltf")
+# They say themselves what is up, and are in metres.
+STANDING = (*GLTF, *USD)
+SHAPE_ALONE = (".off", ".stl")
+
+AXES = ("scan", "y-up", "z-up")
+_FACTORS = {"m": 1.0, "mm": 1000.0}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportParams:
+    """What a file for another program is like."""
+
+    up: str | None = param(
+        None,
+        "What is up in the mesh: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `none`, "
+        "which turns nothing. By default what its file says: glTF is y-up, and that of a scan tells how it "
+        "was turned.",
+    )
+    axes: str = param(
+        "scan",
+        "The axes of positions in formats that do not say what is up (PLY, OBJ, OFF, STL): those of the mesh "
+        "as it is, or with y or z up. glTF and USD are y-up.",
+        choices=AXES,
+    )
+    unit: str = param("m", "The unit of positions in PLY, OBJ, OFF and STL.", choices=tuple(_FACTORS))
+    on_floor: bool = param(False, "Move the mesh so that it stands on height 0, in the middle, in these.")
+    compress: str = param(
+        "none",
+        "How a glTF file is made small: positions, normals and coordinates in whole numbers "
+        "(KHR_mesh_quantization), or these packed by meshopt (EXT_meshopt_compression); viewers have to "
+        "know these.",
+        choices=COMPRESSIONS,
+    )
+    unlit: bool = param(
+        False, "Show the colours of a glTF file as they are, without further light: a scan has its own."
+    )
+    images: str = param("keep", "How texture images are kept.", choices=FORMATS)
+    quality: int = param(90, "Of JPEG and WebP images that are made.", low=1, high=100)
+    image_size: int = param(
+        16384, "Larger images are made smaller: their longer side.", unit="pixels", low=16
+    )
+    watertight: bool = param(False, "Say why the mesh has no inside to print, if it has none.")
+
+    def __post_init__(self) -> None:
+        check_params(self)
+        if self.up is not None:
+            direction_of(self.up)
+
+
+class ExportKeywords(TypedDict, total=False):
+    """ExportParams as keywords of `export`."""
+
+    up: str | None
+    axes: str
+    unit: str
+    on_floor: bool
+    compress: str
+    unlit: bool
+    images: str
+    quality: int
+    image_size: int
+    watertight: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """What was written.
+
+    Attributes
+    ----------
+    file : its path.
+    triangles : of the mesh.
+    bytes : of the file, without what stands beside it.
+    up : (3,) what is up in the mesh; None where nothing tells.
+    position_error : metres by which whole numbers move a vertex at most; 0 where there are none.
+    notes : what the format does not hold, and what was taken for granted.
+    unmet : why it cannot be printed, if that was asked.
+    """
+
+    file: Path
+    triangles: int
+    bytes: int
+    up: tuple[float, float, float] | None
+    position_error: float
+    notes: tuple[str, ...]
+    unmet: tuple[str, ...]
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was written, in words fit for JSON."""
+        return {
+            "output": self.file.name,
+            "triangles": self.triangles,
+            "bytes": self.bytes,
+            "up": self.up,
+            "position_error_m": self.position_error,
+            "notes": list(self.notes),
+            "unmet": list(self.unmet),
+        }
+
+
+def export(
+    mesh: MeshLike,
+    path: Path | str,
+    params: ExportParams | None = None,
+    **changes: Unpack[ExportKeywords],
+) -> Exported:
+    """Write a mesh for another program; the extension tells the format, of SUFFIXES.
+
+    Parameters
+    ----------
+    mesh : Mesh, Open3D or trimesh triangle mesh, or (vertices, triangles), in metres.
+    path : the file is replaced; images and materials of .obj, .ply, .gltf and .usda stand beside it.
+    params : ExportParams; single fields can be given by name instead.
+
+    Raises
+    ------
+    UsageError
+        For an unknown extension, a parameter out of range or of no effect on the format, or USD where
+        `usd-core` is not installed.
+    MeshError
+        If it is no valid mesh.
+    StageError
+        If the system refuses to write.
+    """
+    params = resolve(ExportParams, params, changes)
+    path = Path(path)
+    require_fitting(path, params)
+    given = as_mesh(mesh)
+    notes: list[str] = []
+    if params.up is not None:
+        direction = direction_of(params.up)
+        given = given.with_(up=None if direction is None else (direction[0], direction[1], direction[2]))
+    written, lost = with_images(given, params.images, params.quality, params.image_size)
+    notes += lost
+    suffix = path.suffix.lower()
+    if suffix not in STANDING:
+        written = _placed(written, params, notes)
+        if suffix in SHAPE_ALONE and (given.colors is not None or given.texture is not None):
+            notes.append(f"{suffix} holds the shape alone: the colours are left out; write .ply or .glb")
+    if suffix in GLTF:
+        write_gltf(path, written, compress=params.compress, unlit=params.unlit)
+    elif suffix in USD:
+        notes += write_usd(path, written)
+    else:
+        write_mesh(path, written)
+    is_small = suffix in GLTF and params.compress != "none" and len(given.triangles) > 0
+    return Exported(
+        file=path,
+        triangles=len(given.triangles),
+        bytes=path.stat().st_size,
+        up=given.up,
+        position_error=lattice_of(given.vertices[np.unique(given.triangles)]).farthest if is_small else 0.0,
+        notes=tuple(notes),
+        unmet=tuple(_unprintable(given)) if params.watertight else (),
+    )
+
+
+def require_fitting(path: Path, params: ExportParams) -> None:
+    """Refuse an extension that is none, and what a format has no place for, before any work.
+
+    Raises
+    ------
+    UsageError
+        Naming it.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        ending = path.suffix or "(none)"
+        raise UsageError(f"{path}: the extension {ending} stands for no format; use {', '.join(SUFFIXES)}.")
+    if suffix not in GLTF and (params.compress != "none" or params.unlit):
+        raise UsageError(f"{path}: compress and unlit are of glTF; write .glb.")
+    if suffix in STANDING and (params.unit != "m" or params.on_floor):
+        raise UsageError(f"{path}: {suffix} is in metres, and placed by its own axes; write .stl or .obj.")
+    if suffix in USD:
+        require_usd()
+
+
+def _placed(mesh: Mesh, params: ExportParams, notes: list[str]) -> Mesh:
+    """Return the mesh with its positions turned, scaled and moved as asked."""
+    if params.axes != "scan":
+        if mesh.up is None:
+            notes.append(f"nothing tells what is up: the axes are taken to be {params.axes} already; give up")
+        else:
+            up = np.array(mesh.up)
+            mesh = _turned(mesh, turn_along_y(up) if params.axes == "y-up" else turn_along_z(up))
+    vertices = mesh.vertices
+    if params.on_floor and len(vertices):
+        height = 1 if params.axes == "y-up" else 2
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        origin = (low + high) / 2
+        origin[height] = low[height]
+        vertices = vertices - origin
+    return mesh.with_(vertices=vertices * _FACTORS[params.unit])
+
+
+def _turned(mesh: Mesh, turn: np.ndarray) -> Mesh:
+    x, y, z = (turn @ np.array(mesh.up)).round(12).tolist()
+    return mesh.with_(
+        vertices=mesh.vertices @ turn.T,
+        normals=None if mesh.normals is None else mesh.normals @ turn.T,
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals @ turn.T,
+        up=(x, y, z),
+    )
+
+
+def _unprintable(mesh: Mesh) -> list[str]:
+    """Return why a mesh has no inside that could be printed."""
+    found = check(mesh)
+    return [
+        *found.unmet(["watertight"]),
+        *([] if found.unmet(["watertight"]) else found.unmet(["outward"])),
+        *found.unmet(["no-intersecting-triangles"]),
+    ]

@@ -1,0 +1,74 @@
+"""The texture images of a mesh in another format or size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stages._opencv import require_opencv
+from stages.errors import MeshError
+from stages.files.image_bytes import encoded_image
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Image
+
+FORMATS = ("keep", "jpeg", "webp", "png")
+_SUFFIX = {"jpeg": ".jpg", "webp": ".webp", "png": ".png"}
+_MIME = {"jpeg": "image/jpeg", "webp": "image/webp", "png": "image/png"}
+
+
+def with_images(mesh: Mesh, kind: str, quality: int, most: int) -> tuple[Mesh, list[str]]:
+    """Return the mesh with its images encoded anew, and sentences on what was lost.
+
+    An image that has this format and is small enough already stays as it is, byte for byte. One with
+    transparency becomes PNG where JPEG is asked for.
+
+    Parameters
+    ----------
+    kind : of FORMATS.
+    quality : 1 to 100, of JPEG and WebP.
+    most : pixels of the longer side; larger images are made smaller.
+    """
+    if mesh.texture is None:
+        return mesh, []
+    notes: list[str] = []
+    made = {id(image): _encoded(image, kind, quality, most, notes) for image in mesh.texture.images}
+    materials = tuple(
+        material if material.image is None else replace(material, image=made[id(material.image)])
+        for material in mesh.texture.materials
+    )
+    if all(new.image is old.image for new, old in zip(materials, mesh.texture.materials, strict=True)):
+        return mesh, notes
+    return mesh.with_(texture=replace(mesh.texture, materials=materials)), notes
+
+
+def _encoded(image: Image, kind: str, quality: int, most: int, notes: list[str]) -> Image:
+    has_format = kind == "keep" or image.mime == _MIME[kind]
+    try:
+        pixels = image.pixels
+    except MeshError as error:
+        notes.append(str(error))
+        return image
+    longest = max(pixels.shape[:2])
+    if has_format and longest <= most:
+        return image
+    if kind == "keep":
+        kind = next((name for name, mime in _MIME.items() if image.mime == mime), "png")
+    if longest > most:
+        pixels = _reduced(pixels, most / longest)
+    if pixels.shape[2] == 4 and kind == "jpeg":
+        if (pixels[:, :, 3] < 255).any():
+            notes.append(f"the image {image.name or 'without a name'} is transparent: it is kept as PNG")
+            kind = "png"
+        else:
+            pixels = pixels[:, :, :3]
+    stem = image.name.rpartition(".")[0] or image.name
+    return Image(stem + _SUFFIX[kind] if stem else "", encoded_image(pixels, kind, quality))
+
+
+def _reduced(pixels: np.ndarray, share: float) -> np.ndarray:
+    require_opencv()
+    import cv2
+
+    height, width = (max(1, round(size * share)) for size in pixels.shape[:2])
+    return np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

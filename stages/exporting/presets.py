@@ -1,0 +1,41 @@
+"""What the programs that meshes are made for want, under one word each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stages.errors import UsageError
+from stages.exporting.export import GLTF, STANDING, ExportKeywords, ExportParams
+
+PRESETS: dict[str, ExportKeywords] = {
+    "web": {"compress": "meshopt", "unlit": True, "images": "webp", "quality": 85, "image_size": 2048},
+    "unity": {"axes": "y-up", "images": "jpeg", "quality": 90},
+    "blender": {"axes": "z-up"},
+    "print": {"axes": "z-up", "unit": "mm", "on_floor": True, "watertight": True},
+}
+
+
+# What these formats have no place for.
+_OF_GLTF = ("compress", "unlit")
+_OF_OTHERS = ("axes", "unit", "on_floor")
+
+
+def preset(name: str, suffix: str = ".glb") -> ExportParams:
+    """Return what a preset sets for a format, over the defaults.
+
+    Parameters
+    ----------
+    name : of PRESETS.
+    suffix : the extension of the file; what the preset sets and this format has no place for is left out.
+
+    Raises
+    ------
+    UsageError
+        If there is none of this name.
+    """
+    if name not in PRESETS:
+        raise UsageError(f"there is no preset {name!r}; there are {', '.join(PRESETS)}.")
+    suffix = suffix.lower()
+    left_out = (*(() if suffix in GLTF else _OF_GLTF), *(_OF_OTHERS if suffix in STANDING else ()))
+    kept: Any = {key: value for key, value in PRESETS[name].items() if key not in left_out}
+    return ExportParams(**kept)

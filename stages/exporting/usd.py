@@ -1,0 +1,225 @@
+"""Write USD: .usda as text with its images beside, .usdz as one file that phones open.
+
+Pixar, "Universal Scene Description", UsdGeom and UsdPreviewSurface; by `usd-core`, which is an extra.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import StageError, UsageError
+from stages.files.image_bytes import encoded_png
+from stages.files.replacing import replacing
+from stages.surface.formats.colors import linear_from_srgb
+from stages.surface.mesh import Mesh
+from stages.surface.texture import Image, Material, Texture
+from stages.surface.upright import turn_along_y
+
+SUFFIXES = (".usda", ".usdz")
+# What phones and the previewer of USD show.
+_SHOWN = {"image/jpeg": ".jpg", "image/png": ".png"}
+_WRAPS = {"repeat": "repeat", "clamp": "clamp", "mirror": "mirror"}
+
+
+def require_usd() -> None:
+    """Say what to install where the library is not there.
+
+    Raises
+    ------
+    UsageError
+        If `usd-core` is not installed.
+    """
+    try:
+        import pxr  # noqa: F401
+    except ImportError:
+        raise UsageError("USD is written by usd-core; install scanloom[usd].") from None
+
+
+def write_usd(path: Path, mesh: Mesh) -> list[str]:
+    """Write a mesh as .usda or .usdz, y up, in metres; return sentences on what the format does not hold.
+
+    Positions stay as they are, under a transform that turns what is up along y. Images become JPEG or PNG.
+
+    Raises
+    ------
+    UsageError
+        If `usd-core` is not installed, or the extension is neither.
+    StageError
+        If the file cannot be written.
+    """
+    require_usd()
+    if path.suffix.lower() not in SUFFIXES:
+        raise UsageError(f"{path}: USD is written as {', '.join(SUFFIXES)}.")
+    with tempfile.TemporaryDirectory(prefix="scanloom-") as kept:
+        folder = Path(kept)
+        text = folder / f"{path.stem}.usda"
+        images, notes = _write_stage(text, mesh)
+        if path.suffix.lower() == ".usda":
+            for name in images:
+                with replacing(path.with_name(name)) as part:
+                    shutil.copyfile(folder / name, part)
+            with replacing(path) as part:
+                shutil.copyfile(text, part)
+        else:
+            _pack(text, folder / "packed.usdz", path)
+    return notes
+
+
+def _pack(text: Path, packed: Path, path: Path) -> None:
+    from pxr import UsdUtils
+
+    if not UsdUtils.CreateNewUsdzPackage(str(text), str(packed)):
+        raise StageError(f"{path}: usd-core could not make the package.")
+    with replacing(path) as part:
+        shutil.copyfile(packed, part)
+
+
+def _write_stage(path: Path, mesh: Mesh) -> tuple[list[str], list[str]]:
+    """Write the text with its images beside it; return their names, and what is left out."""
+    from pxr import Gf, Sdf, Usd, UsdGeom
+
+    stage: Any = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, "/scan")
+    stage.SetDefaultPrim(root.GetPrim())
+    if mesh.up is not None:
+        turn = np.eye(4)
+        turn[:3, :3] = turn_along_y(np.array(mesh.up))
+        # USD has rows of vectors: its matrix is the transposed one.
+        root.AddTransformOp().Set(Gf.Matrix4d(*turn.T.reshape(-1).tolist()))
+    shape = UsdGeom.Mesh.Define(stage, "/scan/mesh")
+    from pxr import Vt
+
+    shape.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32)))
+    shape.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.triangles), 3, np.int32)))
+    shape.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.triangles.reshape(-1)))
+    shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    shape.CreateDoubleSidedAttr(True)
+    if len(mesh.vertices):
+        low, high = (side.astype(float).tolist() for side in (mesh.vertices.min(0), mesh.vertices.max(0)))
+        shape.CreateExtentAttr([Gf.Vec3f(*low), Gf.Vec3f(*high)])
+    _add_normals(shape, mesh)
+    primvars = UsdGeom.PrimvarsAPI(shape)
+    if mesh.colors is not None:
+        light = linear_from_srgb(mesh.colors / 255).astype(np.float32)
+        primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex).Set(
+            Vt.Vec3fArray.FromNumpy(light)
+        )
+    notes = ["parts are left out: USD is written as one mesh"] if mesh.part_ids is not None else []
+    names = [] if mesh.texture is None else _add_texture(stage, shape, mesh.texture, path.parent, notes)
+    if mesh.texture is None and mesh.colors is not None:
+        _add_colors_material(stage, shape)
+    stage.GetRootLayer().Save()
+    return names, notes
+
+
+def _add_normals(shape: Any, mesh: Mesh) -> None:
+    from pxr import UsdGeom, Vt
+
+    normals: NDArray[np.float64] | None = None
+    if mesh.corner_normals is not None:
+        normals, where = mesh.corner_normals.reshape(-1, 3), UsdGeom.Tokens.faceVarying
+    elif mesh.normals is not None:
+        normals, where = mesh.normals, UsdGeom.Tokens.vertex
+    if normals is not None:
+        shape.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals.astype(np.float32)))
+        shape.SetNormalsInterpolation(where)
+
+
+def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path, notes: list[str]) -> list[str]:
+    """Add coordinates and materials; return the names of the images that were written."""
+    from pxr import Sdf, UsdGeom, UsdShade, Vt
+
+    primvars = UsdGeom.PrimvarsAPI(shape)
+    primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying).Set(
+        Vt.Vec2fArray.FromNumpy(texture.uvs.reshape(-1, 2).astype(np.float32))
+    )
+    names: dict[int, str] = {}
+    for number, material in enumerate(texture.materials):
+        rows = np.flatnonzero(texture.material_ids == number).astype(np.int32)
+        if len(rows) == 0:
+            continue
+        name = None
+        if material.image is not None:
+            if id(material.image) not in names:
+                names[id(material.image)] = _written(material.image, len(names), folder, notes)
+            name = names[id(material.image)]
+        made = _material(stage, f"/scan/material{number}", material, name)
+        part = UsdGeom.Subset.CreateGeomSubset(
+            shape, f"material{number}", UsdGeom.Tokens.face, Vt.IntArray.FromNumpy(rows), "materialBind"
+        )
+        UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(made)
+    return [name for name in names.values() if name]
+
+
+def _written(image: Image, number: int, folder: Path, notes: list[str]) -> str:
+    """Write an image as a previewer reads it, and return its name."""
+    mime = image.mime
+    if mime in _SHOWN:
+        data, suffix = image.file_bytes, _SHOWN[mime]
+    else:
+        data, suffix = encoded_png(image.pixels), ".png"
+        notes.append(f"the image {image.name or number} is written as PNG, which USD shows")
+    name = f"texture{number}{suffix}"
+    (folder / name).write_bytes(data)
+    return name
+
+
+def _material(stage: Any, path: str, material: Material, image: str | None) -> Any:
+    from pxr import Gf, Sdf, UsdShade
+
+    made = UsdShade.Material.Define(stage, path)
+    surface = _surface(stage, made, path)
+    color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    base = material.base_color or (1.0, 1.0, 1.0, 1.0)
+    light = [float(value) for value in linear_from_srgb(np.array(base[:3]))]
+    if image is None:
+        color.Set(Gf.Vec3f(*light))
+        return made
+    reader = UsdShade.Shader.Define(stage, f"{path}/coordinates")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    place = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+    picture = UsdShade.Shader.Define(stage, f"{path}/image")
+    picture.CreateIdAttr("UsdUVTexture")
+    picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{image}"))
+    picture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
+    for axis, wrap in zip("ST", material.wrap, strict=True):
+        picture.CreateInput(f"wrap{axis}", Sdf.ValueTypeNames.Token).Set(_WRAPS[wrap])
+    if light != [1.0, 1.0, 1.0]:
+        picture.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(*light, 1.0))
+    picture.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(place)
+    color.ConnectToSource(picture.CreateOutput("rgb", Sdf.ValueTypeNames.Float3))
+    return made
+
+
+def _add_colors_material(stage: Any, shape: Any) -> None:
+    """Show the vertices' colours, which previewers without a material leave grey."""
+    from pxr import Sdf, UsdShade
+
+    made = UsdShade.Material.Define(stage, "/scan/colors")
+    surface = _surface(stage, made, "/scan/colors")
+    reader = UsdShade.Shader.Define(stage, "/scan/colors/reader")
+    reader.CreateIdAttr("UsdPrimvarReader_float3")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
+    color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+    color.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
+    UsdShade.MaterialBindingAPI.Apply(shape.GetPrim()).Bind(made)
+
+
+def _surface(stage: Any, made: Any, path: str) -> Any:
+    from pxr import Sdf, UsdShade
+
+    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
+    surface.CreateIdAttr("UsdPreviewSurface")
+    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(1.0)
+    surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
+    made.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))
+    return surface

@@ -1,0 +1,85 @@
+"""export on files: what is written, what is told, and what bad input is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from coloured_sheet import UP, ball, sheet, textured_sheet
+
+from stages.surface.mesh_files import read_mesh, write_mesh
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    write_mesh(tmp_path / "model.glb", textured_sheet(40))
+    return tmp_path / "model.glb"
+
+
+def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) -> None:
+    target = tmp_path / "new" / "web.glb"
+    ran = scanloom("export", model, target, "--preset", "web", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["bytes"] == target.stat().st_size < 0.7 * model.stat().st_size
+    assert ran.json["up"] == list(UP)
+    assert 0 < ran.json["position_error_m"] < 1e-4
+    np.testing.assert_allclose(
+        np.sort(read_mesh(target).vertices, axis=0), np.sort(read_mesh(model).vertices, axis=0), atol=1e-4
+    )
+    (image,) = read_mesh(target).texture.images
+    assert image.mime == "image/webp"
+    # What is given counts more than the preset.
+    assert scanloom("export", model, target, "--preset", "web", "--images", "jpeg").exit_code == 0
+    (image,) = read_mesh(target).texture.images
+    assert image.mime == "image/jpeg"
+
+
+def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -> None:
+    ran = scanloom("export", model, tmp_path / "a.stl", "--preset", "print")
+    assert ran.exit_code == 1
+    assert "edges of one triangle" in ran.stderr
+    assert "shape alone" in ran.stderr
+    write_mesh(tmp_path / "ball.ply", ball())
+    ran = scanloom("export", tmp_path / "ball.ply", tmp_path / "b.stl", "--preset", "print", "--up", "-y")
+    assert (ran.exit_code, "unmet" in ran.stderr) == (0, False)
+    assert read_mesh(tmp_path / "b.stl").vertices[:, 2].max() == pytest.approx(100, abs=0.01)
+
+
+def test_gltf_of_others_has_y_up(scanloom: Run, tmp_path: Path) -> None:
+    write_mesh(tmp_path / "a.glb", sheet())
+    ran = scanloom("export", tmp_path / "a.glb", tmp_path / "a.ply", "--axes", "z-up")
+    assert ran.exit_code == 0
+    heights = np.sort(read_mesh(tmp_path / "a.ply").vertices[:, 2])
+    np.testing.assert_allclose(heights, np.sort(sheet().vertices[:, 1]), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("out.fbx",), 2, "stands for no format"),
+        (("out.glb", "--preset", "paper"), 2, "there is no preset"),
+        (("out.glb", "--up", "sideways"), 2, "up"),
+        (("out.glb", "--unit", "mm"), 2, "is in metres"),
+        (("out.stl", "--compress", "meshopt"), 2, "are of glTF"),
+        (("folder.glb",), 3, "this is a folder"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(
+    scanloom: Run, model: Path, tmp_path: Path, words: tuple[str, ...], code: int, message: str
+) -> None:
+    (tmp_path / "folder.glb").mkdir()
+    before = sorted(tmp_path.iterdir())
+    ran = scanloom("export", model, tmp_path / words[0], *words[1:])
+    assert ran.exit_code == code
+    assert message in ran.stderr
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_missing_file_is_told(scanloom: Run, tmp_path: Path) -> None:
+    ran = scanloom("export", tmp_path / "none.glb", tmp_path / "out.glb")
+    assert (ran.exit_code, "there is no such file" in ran.stderr) == (3, True)

@@ -1,0 +1,42 @@
+"""A coloured sheet, one with an image, and a ball, for what is written and read."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from stages import Image, Material, Mesh, Texture
+from stages.files.image_bytes import encoded_image
+
+UP = (0.0, -1.0, 0.0)
+
+
+def sheet(side: int = 12) -> Mesh:
+    """Return a bumpy coloured sheet around (1, 2, 3), in single precision."""
+    rng = np.random.default_rng(5)
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side)))
+    vertices = np.stack([x, y, 0.05 * rng.random(len(x))], axis=1) + np.array((1, 2, 3))
+    at = np.arange(side * side).reshape(side, side)
+    quads = np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1]], axis=-1).reshape(-1, 4)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+    colors = rng.integers(0, 256, (len(vertices), 3)).astype(np.uint8)
+    return Mesh(vertices.astype(np.float32).astype(np.float64), triangles, colors)
+
+
+def textured_sheet(side: int = 12, kind: str = "png") -> Mesh:
+    """Return a sheet with an image of noise of 64 × 48 pixels, in two materials of one image."""
+    mesh = sheet(side)
+    uvs = mesh.vertices[mesh.triangles][:, :, :2] - (1, 2)
+    pixels = np.random.default_rng(3).integers(0, 256, (48, 64, 3)).astype(np.uint8)
+    image = Image(given=pixels)
+    if kind != "png":
+        image = Image(f"a.{kind}", encoded_image(pixels, kind, 95))
+    ids = (np.arange(len(uvs)) % 2).astype(np.int32)
+    materials = (Material("one", image), Material("two", image, base_color=(0.5, 0.25, 1.0, 1.0)))
+    return mesh.with_(colors=None, texture=Texture(uvs, ids, materials), up=UP)
+
+
+def ball() -> Mesh:
+    """Return a ball of 5 cm around (1, 1, 1)."""
+    made = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
+    return Mesh(np.array(made.vertices) + 1, np.array(made.faces, np.int32), up=UP)

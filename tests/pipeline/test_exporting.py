@@ -1,0 +1,60 @@
+"""The stages `upright` and `export` of a run: what stands, and what is small."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.config import Config
+from pipeline.graph import left_out
+from pipeline.run import CACHE_VARIABLE, run
+from pipeline.upright import UprightSection, make
+from stages.scans.read import read_scan
+from stages.surface.mesh_files import read_mesh
+from tests.made.coloured_sheet import sheet
+
+SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
+QUICK = ("fuse.voxel_size=0.04", "report.width=64", "report.viewpoints=1", "compare.samples=1000")
+
+
+def config(*more: str) -> Config:
+    return Config().set([*QUICK, *more])
+
+
+@pytest.mark.slow
+def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(tmp_path, monkeypatch):
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+    run(SCAN, tmp_path, config("texture.enabled=false"))
+    plain, light = read_mesh(tmp_path / "simplified.ply"), read_mesh(tmp_path / "simplified.glb")
+    np.testing.assert_allclose(light.vertices, plain.vertices, atol=1e-6)
+    np.testing.assert_array_equal(light.colors, plain.colors)
+    # The sample's world has z up.
+    assert light.up == pytest.approx((0, 0, 1))
+    told = json.loads((tmp_path / "report.json").read_text())["stages"]["upright"]["figures"]
+    assert (told["up"], told["up_source"]) == ([0, 0, 1], "surface")
+
+    run(SCAN, tmp_path, config("upright.up=+x", "export.web=true"))
+    assert not (tmp_path / "simplified.glb").exists()
+    textured, web = read_mesh(tmp_path / "textured.glb"), read_mesh(tmp_path / "web.glb")
+    assert textured.up == web.up == pytest.approx((1, 0, 0))
+    np.testing.assert_allclose(textured.vertices.min(axis=0), plain.vertices.min(axis=0), atol=1e-5)
+    assert len(web.triangles) == len(textured.triangles)
+    assert (tmp_path / "web.glb").stat().st_size < 0.6 * (tmp_path / "textured.glb").stat().st_size
+
+    run(SCAN, tmp_path, config("upright.up=as-is"))
+    assert read_mesh(tmp_path / "textured.glb").up is None
+    assert not (tmp_path / "web.glb").exists()
+
+
+def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
+    scan = read_scan(SCAN)
+    assert "export.web=true" in left_out(scan, Config())["export"]
+    assert "export" not in left_out(scan, Config().set(["export.web=true"]))
+    assert "export" not in left_out(scan, Config().set(["texture.enabled=false"]))
+
+
+def test_frames_without_poses_tell_nothing(tmp_path):
+    assert make(tmp_path, sheet(), (), UprightSection()) == {"up": None, "up_source": "nothing"}

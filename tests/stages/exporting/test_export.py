@@ -1,0 +1,141 @@
+"""Meshes for other programs: turned, scaled, small; each format read again by another library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browsers import PAGE, node
+from coloured_sheet import UP, ball, sheet, textured_sheet
+
+from stages import Image, Material, export, preset, read_mesh
+from stages.errors import UsageError
+from stages.exporting.export import AXES, SUFFIXES, require_fitting
+from stages.exporting.presets import PRESETS
+from stages.surface.formats.gltf_packing import COMPRESSIONS
+
+VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
+
+
+@pytest.mark.parametrize("suffix", [s for s in SUFFIXES if not s.startswith(".usd")])
+@pytest.mark.parametrize("made", [sheet, textured_sheet, ball])
+def test_every_format_holds_the_shape_where_it_was(tmp_path, suffix, made):
+    mesh = made().with_(up=UP)
+    written = export(mesh, tmp_path / f"a{suffix}")
+    assert written.triangles == len(mesh.triangles)
+    assert written.bytes == (tmp_path / f"a{suffix}").stat().st_size
+    back = read_mesh(tmp_path / f"a{suffix}")
+    np.testing.assert_allclose(np.sort(back.vertices, axis=0), np.sort(mesh.vertices, axis=0), atol=1e-6)
+    is_bare = suffix in (".stl", ".off") and (mesh.colors is not None or mesh.texture is not None)
+    assert any("shape alone" in note for note in written.notes) == is_bare
+
+
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off"])
+def test_formats_that_do_not_say_what_is_up_are_turned_where_asked(tmp_path, axes, suffix):
+    mesh = sheet().with_(colors=None, up=UP, normals=np.tile((0.0, 0.0, 1.0), (144, 1)))
+    export(mesh, tmp_path / f"a{suffix}", axes=axes)
+    back = read_mesh(tmp_path / f"a{suffix}")
+    height = {"scan": -back.vertices[:, 1], "y-up": back.vertices[:, 1], "z-up": back.vertices[:, 2]}[axes]
+    np.testing.assert_allclose(np.sort(height), np.sort(-mesh.vertices[:, 1]), atol=1e-6)
+    if suffix == ".ply":
+        corners = back.vertices[back.triangles]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert (np.einsum("ij,ij->i", across, back.normals[back.triangles[:, 0]]) > 0).all()
+
+
+def test_where_nothing_tells_what_is_up_it_is_said(tmp_path):
+    written = export(sheet(), tmp_path / "a.obj", axes="y-up")
+    assert any("what is up" in note for note in written.notes)
+    given = export(sheet(), tmp_path / "a.obj", axes="y-up", up="+z")
+    assert given.notes == ()
+    back = read_mesh(tmp_path / "a.obj")
+    np.testing.assert_allclose(np.sort(back.vertices[:, 1]), np.sort(sheet().vertices[:, 2]), atol=1e-6)
+
+
+def test_for_a_printer_it_stands_on_the_plate_in_millimetres(tmp_path):
+    written = export(ball(), tmp_path / "a.stl", preset("print", ".stl"))
+    assert written.unmet == ()
+    low, high = (f(read_mesh(tmp_path / "a.stl").vertices, axis=0) for f in (np.min, np.max))
+    np.testing.assert_allclose(low, (-50, -50, 0), atol=1e-3)
+    np.testing.assert_allclose(high, (50, 50, 100), atol=1e-3)
+    open_one = export(sheet(), tmp_path / "b.stl", preset("print", ".stl"))
+    assert any("edges of one triangle" in sentence for sentence in open_one.unmet)
+    turned_in = ball().with_(triangles=np.ascontiguousarray(ball().triangles[:, ::-1]))
+    assert any("inwards" in s for s in export(turned_in, tmp_path / "c.stl", preset("print", ".stl")).unmet)
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "webp", "png"])
+@pytest.mark.parametrize("given", ["jpeg", "webp", "png"])
+def test_images_are_encoded_anew_only_where_they_must_be(tmp_path, kind, given):
+    mesh = textured_sheet(kind=given)
+    export(mesh, tmp_path / "a.glb", images=kind)
+    (image,) = read_mesh(tmp_path / "a.glb").texture.images
+    assert image.mime == f"image/{kind}"
+    if kind == given:
+        assert image.file_bytes == mesh.texture.images[0].file_bytes
+    assert image.pixels.shape == (48, 64, 3)
+    export(mesh, tmp_path / "b.glb", images=kind, image_size=32)
+    assert read_mesh(tmp_path / "b.glb").texture.images[0].pixels.shape == (24, 32, 3)
+    assert len(read_mesh(tmp_path / "b.glb").texture.materials) == 2
+
+
+def test_transparency_is_not_lost_to_jpeg(tmp_path):
+    mesh = textured_sheet()
+    pixels = np.dstack([mesh.texture.images[0].pixels, np.full((48, 64), 9, np.uint8)])
+    clear = replace(mesh.texture, materials=(Material("one", Image("clear.png", given=pixels)),) * 2)
+    written = export(mesh.with_(texture=clear), tmp_path / "a.glb", images="jpeg")
+    assert any("transparent" in note for note in written.notes)
+    np.testing.assert_array_equal(read_mesh(tmp_path / "a.glb").texture.images[0].pixels, pixels)
+
+
+@pytest.mark.slow
+def test_the_validator_of_gltf_finds_nothing(tmp_path):
+    folder = tmp_path / "files"
+    folder.mkdir()
+    for name, made in (("colours", sheet), ("image", textured_sheet), ("ball", ball)):
+        for way in COMPRESSIONS:
+            for unlit in (False, True):
+                for up in (UP, (0.6, 0.0, 0.8)):
+                    path = folder / f"{name}-{way}-{unlit}-{up[1]}.glb"
+                    export(made().with_(up=up), path, compress=way, unlit=unlit)
+    export(textured_sheet(), folder / "web.glb", preset("web"))
+    said = node(VALIDATE, PAGE, folder)
+    assert len(said) == 37
+    worse = {name: [m for m in found if m["severity"] < 2] for name, found in said.items()}
+    assert not any(worse.values()), worse
+
+
+def test_a_file_for_the_web_is_small(tmp_path):
+    plain = export(textured_sheet(120, "jpeg"), tmp_path / "a.glb").bytes
+    assert export(textured_sheet(120, "jpeg"), tmp_path / "b.glb", preset("web")).bytes < 0.3 * plain
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("a.fbx", {}, "stands for no format"),
+        ("a", {}, "stands for no format"),
+        ("a.obj", {"compress": "meshopt"}, "are of glTF"),
+        ("a.ply", {"unlit": True}, "are of glTF"),
+        ("a.glb", {"unit": "mm"}, "is in metres"),
+        ("a.usdz", {"on_floor": True}, "is in metres"),
+        ("a.glb", {"up": "sideways"}, "up is"),
+        ("a.glb", {"compress": "draco"}, "compress"),
+        ("a.glb", {"quality": 0}, "quality"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_and_nothing_is_written(tmp_path, name, changes, message):
+    with pytest.raises(UsageError, match=message):
+        export(sheet(), tmp_path / name, **changes)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_presets_fit_every_format_that_they_are_used_with():
+    for name in PRESETS:
+        for suffix in SUFFIXES:
+            require_fitting(Path(f"a{suffix}"), preset(name, suffix))
+    with pytest.raises(UsageError, match="there are web, unity, blender, print"):
+        preset("paper")

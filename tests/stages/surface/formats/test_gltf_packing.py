@@ -1,0 +1,176 @@
+"""glTF files in few bytes: whole numbers, packed rows, and what comes back of them."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from coloured_sheet import sheet
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stages import Image, Material, Mesh, Texture, _kernels, read_mesh
+from stages.errors import InputError
+from stages.surface.formats.gltf_container import read_container
+from stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
+from stages.surface.formats.gltf_writer import write_gltf
+
+SMALL = [way for way in COMPRESSIONS if way != "none"]
+
+
+def textured() -> Mesh:
+    """Return a sheet with an image that is cut in two along a seam."""
+    mesh = sheet()
+    flat = mesh.vertices[mesh.triangles][:, :, :2] - (1, 2)
+    uvs = flat * (0.45, 0.9) + 0.02
+    uvs[len(uvs) // 2 :, :, 0] += 0.5
+    image = Image(given=np.random.default_rng(3).integers(0, 256, (32, 32, 3)).astype(np.uint8))
+    ids = np.zeros(len(uvs), np.int32)
+    return mesh.with_(colors=None, texture=Texture(uvs, ids, (Material("m", image),)))
+
+
+def parted() -> Mesh:
+    """Return two sheets that are parts, with normals of vertices."""
+    one = sheet()
+    count = len(one.vertices)
+    up = np.tile((0.0, 0.0, 1.0), (2 * count, 1))
+    return Mesh(
+        np.concatenate([one.vertices, one.vertices + np.array((3, 0, 0))]),
+        np.concatenate([one.triangles, one.triangles + count]).astype(np.int32),
+        normals=up,
+        part_ids=np.repeat([0, 1], len(one.triangles)).astype(np.int32),
+        part_names=("one", "two"),
+    )
+
+
+def in_order(mesh: Mesh) -> np.ndarray:
+    """Return the corners' positions of all triangles, in an order of their own."""
+    corners = mesh.vertices[mesh.triangles]
+    first = np.lexsort(corners.transpose(2, 0, 1).reshape(3, len(corners), 3)[::-1].max(axis=0).T)
+    rolled = np.stack([np.roll(c, -int(np.lexsort(c.T)[0]), axis=0) for c in corners[first]])
+    return rolled[np.lexsort(rolled.reshape(len(rolled), 9).T)]
+
+
+@pytest.mark.parametrize("way", SMALL)
+@pytest.mark.parametrize("made", [sheet, textured, parted])
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_what_is_packed_comes_back_within_half_a_step(tmp_path, way, made, suffix):
+    mesh = made().with_(up=(0.0, -1.0, 0.0))
+    path = tmp_path / f"a{suffix}"
+    write_gltf(path, mesh, compress=way)
+    back = read_mesh(path)
+    lattice = lattice_of(mesh.vertices)
+    kept = replace(mesh, vertices=lattice.low + lattice.steps(mesh.vertices)[:, :3] * lattice.step)
+    assert np.abs(kept.vertices - mesh.vertices).max() <= lattice.step / 2 * (1 + 1e-9)
+    np.testing.assert_allclose(in_order(back), in_order(kept), atol=1e-9)
+    assert back.part_names == mesh.part_names
+    assert back.up == pytest.approx((0, -1, 0))
+    if mesh.colors is not None:
+
+        def colored(one):
+            found = zip(one.vertices.round(6).tolist(), one.colors.tolist(), strict=True)
+            return sorted((*p, *c) for p, c in found)
+
+        np.testing.assert_allclose(colored(back), colored(kept))
+    if mesh.texture is not None:
+        assert back.texture.images[0].file_bytes == mesh.texture.images[0].file_bytes
+
+        def placed(one):
+            rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)
+            return rows[np.lexsort(rows.round(4).T)]
+
+        np.testing.assert_allclose(placed(back), placed(kept), atol=1e-4)
+    if mesh.normals is not None:
+        np.testing.assert_allclose(back.normals, np.tile((0, 0, 1), (len(back.vertices), 1)), atol=0.01)
+
+
+def test_each_way_is_smaller_than_the_one_before(tmp_path):
+    sizes = []
+    for way in COMPRESSIONS:
+        write_gltf(tmp_path / "a.glb", sheet(60), compress=way)
+        sizes.append((tmp_path / "a.glb").stat().st_size)
+    assert sizes[1] < 0.9 * sizes[0]
+    assert sizes[2] < 0.8 * sizes[1]
+
+
+def test_coordinates_beyond_the_image_stay_as_they_are(tmp_path):
+    mesh = textured()
+    texture = replace(mesh.texture, uvs=mesh.texture.uvs * 7 - 3)
+    write_gltf(tmp_path / "a.glb", mesh.with_(texture=texture), compress="meshopt")
+    back = read_mesh(tmp_path / "a.glb").texture.uvs
+    np.testing.assert_allclose([back.min(), back.max()], [texture.uvs.min(), texture.uvs.max()], atol=1e-6)
+
+
+def test_unlit_has_no_normals_and_shows_colours_as_they_are(tmp_path):
+    write_gltf(tmp_path / "a.glb", textured().with_(normals=np.tile((0.0, 0, 1), (144, 1))), unlit=True)
+    tree = read_container(tmp_path / "a.glb").tree
+    assert tree["extensionsUsed"] == ["KHR_materials_unlit"]
+    assert all("KHR_materials_unlit" in material["extensions"] for material in tree["materials"])
+    assert "NORMAL" not in tree["meshes"][0]["primitives"][0]["attributes"]
+    back = read_mesh(tmp_path / "a.glb")
+    assert back.texture.materials[0].name == "m"
+    # A surface without any colour needs light to be seen.
+    write_gltf(tmp_path / "b.glb", sheet().with_(colors=None), unlit=True)
+    assert "extensionsUsed" not in read_container(tmp_path / "b.glb").tree
+    # And colours of vertices alone are no material when they come back.
+    write_gltf(tmp_path / "c.glb", sheet(), unlit=True)
+    assert read_mesh(tmp_path / "c.glb").texture is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 300), st.integers(1, 16), st.integers(0, 2**32 - 1), st.booleans())
+def test_rows_come_back_to_the_bit(count, quarter, seed, smooth):
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(0, 256, (count, 4 * quarter)).astype(np.uint8)
+    if smooth:
+        rows[:] = rows[0]
+    packed = _kernels.encode_rows(rows)
+    assert _kernels.decode_rows(packed, count, 4 * quarter, "NONE") == rows.tobytes()
+    for cut in (packed[:-1], packed[: len(packed) // 2], b""):
+        with pytest.raises(ValueError, match="damaged"):
+            _kernels.decode_rows(cut, count, 4 * quarter, "NONE")
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=400), st.integers(0, 2**40), st.sampled_from([4, 8, 12, 256]))
+def test_any_bytes_are_rows_or_refused(data, count, size):
+    for of_mode in ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"):
+        try:
+            found = _kernels.decode_rows(b"\xa0" + data, count, size, of_mode)
+        except ValueError:
+            continue
+        assert len(found) == count * size
+    for mode, head in (("TRIANGLES", b"\xe0"), ("TRIANGLES", b"\xe1"), ("INDICES", b"\xd1")):
+        try:
+            found = _kernels.decode_indices(head + data, count, 4, mode)
+        except ValueError:
+            continue
+        assert len(found) == count * 4
+
+
+MAY_DO = ({"count": 143}, {"filter": "OCTAHEDRAL", "byteStride": 12})
+
+
+def test_half_the_bytes_of_a_view_are_damage(tmp_path):
+    write_gltf(tmp_path / "a.gltf", sheet(), compress="meshopt")
+    whole = (tmp_path / "a.gltf").read_text()
+    for change in (
+        {"byteLength": 7},
+        {"count": 10**9},
+        {"count": 143},
+        {"byteStride": 5},
+        {"mode": "SPELLS"},
+        {"filter": "OCTAHEDRAL", "byteStride": 12},
+        {"byteOffset": 10**9},
+    ):
+        for number in range(3):
+            tree = json.loads(whole)
+            tree["bufferViews"][number]["extensions"]["EXT_meshopt_compression"] |= change
+            (tmp_path / "a.gltf").write_text(json.dumps(tree))
+            # Fewer rows, or another way to read them, may still make a mesh.
+            how = suppress(InputError) if change in MAY_DO else pytest.raises(InputError)
+            with how:
+                read_mesh(tmp_path / "a.gltf")

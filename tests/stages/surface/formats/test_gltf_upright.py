@@ -1,0 +1,134 @@
+"""glTF files stand: a root turns them y up, and they come back in the axes of their scan."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from coloured_sheet import sheet
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stages import read_mesh, simplify, write_mesh
+from stages.errors import MeshError, UsageError
+from stages.surface.formats.colors import linear_from_srgb
+from stages.surface.formats.gltf_container import read_container
+from stages.surface.upright import direction_of, turn_along_y, turn_along_z
+
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+def up_as(word: str) -> tuple[float, float, float]:
+    direction = direction_of(word)
+    assert direction is not None
+    x, y, z = direction.tolist()
+    return x, y, z
+
+
+@pytest.mark.parametrize("word", AXES)
+def test_what_is_up_in_the_scan_is_up_in_the_file(tmp_path, word):
+    mesh = sheet().with_(up=up_as(word))
+    write_mesh(tmp_path / "a.glb", mesh)
+    # An independent reader, which places nodes.
+    seen = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
+    heights = mesh.vertices @ np.array(mesh.up)
+    np.testing.assert_allclose(seen.vertices[:, 1], heights, atol=1e-6)
+    assert np.linalg.det(turn_along_y(np.array(mesh.up))) == pytest.approx(1)
+    # Beside a material it forgets colours of vertices.
+    seen = trimesh.load(tmp_path / "a.glb", force="mesh", process=False, skip_materials=True)
+    light = np.rint(255 * linear_from_srgb(mesh.colors / 255))
+    np.testing.assert_allclose(seen.visual.vertex_colors[:, :3], light, atol=1)
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3))
+def test_any_direction_turns_along_y_and_z(direction):
+    words = " ".join(map(repr, direction))
+    up = direction_of(words)
+    assert up is not None
+    for turn, axis in ((turn_along_y(up), 1), (turn_along_z(up), 2)):
+        np.testing.assert_allclose(turn @ up, np.eye(3)[axis], atol=1e-12)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(turn) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("up", ["sideways", "0 0 0", "1 2", "nan 0 0", "inf 0 0"])
+def test_what_is_no_direction_is_refused(up):
+    with pytest.raises(UsageError):
+        direction_of(up)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+@pytest.mark.parametrize("up", [*map(up_as, AXES), (0.6, 0.0, 0.8), (0.01055, -0.001654, 0.9999)])
+def test_a_file_comes_back_in_the_axes_of_its_scan_to_the_bit(tmp_path, suffix, up):
+    mesh = sheet().with_(up=up)
+    write_mesh(tmp_path / f"a{suffix}", mesh)
+    back = read_mesh(tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(back.vertices, mesh.vertices)
+    np.testing.assert_array_equal(back.triangles, mesh.triangles)
+    np.testing.assert_allclose(back.up, np.array(up) / np.linalg.norm(up), atol=1e-12)
+    assert back.notes == ()
+    # And so again: nothing wanders.
+    write_mesh(tmp_path / f"b{suffix}", back)
+    np.testing.assert_array_equal(read_mesh(tmp_path / f"b{suffix}").vertices, mesh.vertices)
+
+
+def test_far_from_the_origin_too(tmp_path):
+    mesh = sheet().with_(vertices=sheet().vertices + np.array((4e5, 0, -3e5)), up=(0.6, 0.0, 0.8))
+    write_mesh(tmp_path / "a.glb", mesh)
+    back = read_mesh(tmp_path / "a.glb")
+    np.testing.assert_allclose(back.vertices, mesh.vertices, atol=1e-6)
+
+
+def test_without_a_word_nothing_is_turned(tmp_path):
+    write_mesh(tmp_path / "a.glb", sheet())
+    gltf = read_container(tmp_path / "a.glb")
+    assert "extras" not in gltf.tree["asset"]
+    assert not any("matrix" in node for node in gltf.tree["nodes"])
+    assert read_mesh(tmp_path / "a.glb").up is None
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [1.0] * 16,
+        [0.0] * 16,
+        [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1],
+        [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+        [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 0, 0, 1],
+        [1, 0, 0],
+        "upwards",
+        {"a": 1},
+        [float("nan")] * 16,
+        [1e400] * 16,
+    ],
+)
+def test_a_turn_that_is_none_is_told_and_left_out(tmp_path, given):
+    write_mesh(tmp_path / "a.gltf", sheet().with_(up=up_as("-y")))
+    tree = json.loads((tmp_path / "a.gltf").read_text())
+    tree["asset"]["extras"]["scan_from_world"] = given
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    back = read_mesh(tmp_path / "a.gltf")
+    assert back.up is None
+    assert any("scan_from_world" in note for note in back.notes)
+    # As the file places it.
+    np.testing.assert_allclose(back.vertices, sheet().vertices * (1, -1, -1))
+
+
+def test_another_program_that_moved_the_model_is_followed(tmp_path):
+    """It is turned back by what the file says, and stays where it was put."""
+    write_mesh(tmp_path / "a.gltf", sheet().with_(up=up_as("-y")))
+    tree = json.loads((tmp_path / "a.gltf").read_text())
+    root = tree["scenes"][0]["nodes"][0]
+    tree["nodes"][root]["matrix"][12:15] = [10, 20, 30]
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    np.testing.assert_allclose(
+        read_mesh(tmp_path / "a.gltf").vertices, sheet().vertices + np.array((10, -20, -30))
+    )
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (np.nan, 0, 0), (1, 0), "up"])
+def test_what_is_no_direction_is_no_mesh(up):
+    with pytest.raises(MeshError, match="up is"):
+        simplify(sheet().with_(up=up), ratio=0.5)
