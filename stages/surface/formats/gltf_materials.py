@@ -236,6 +236,11 @@ class MaterialWriter:
             return self._number("materials", _PLAIN_UNLIT if self._unlit else _PLAIN)
         kept = material.kept if isinstance(material.kept, GltfStatements) else GltfStatements(_PLAIN)
         tree = copy.deepcopy(kept.tree)
+        surface = tree.setdefault("pbrMetallicRoughness", {})
+        has_other_image = material.image is not kept.image or material.wrap != kept.wrap
+        if has_other_image:
+            # Before images are stored: that one is not of this file.
+            surface.pop("baseColorTexture", None)
         for holder, key in list(_texture_holders(tree)):
             number = self._texture(*kept.textures[holder[key]["index"]])
             if number is None:
@@ -245,18 +250,14 @@ class MaterialWriter:
         tree.pop("name", None)
         if material.name:
             tree["name"] = material.name
-        surface = tree.setdefault("pbrMetallicRoughness", {})
         hidden = with_colors and not kept.multiplies
         if material.base_color != kept.color or hidden:
             surface.pop("baseColorFactor", None)
             if material.base_color is not None and not hidden:
                 light = linear_from_srgb(np.array(material.base_color[:3])).tolist()
                 surface["baseColorFactor"] = [*light, float(material.base_color[3])]
-        if material.image is not kept.image or material.wrap != kept.wrap:
-            surface.pop("baseColorTexture", None)
-            number = (
-                None if material.image is None else self._texture(material.image, _sampler(material.wrap))
-            )
+        if has_other_image and material.image is not None:
+            number = self._texture(material.image, _sampler(material.wrap))
             if number is not None:
                 surface["baseColorTexture"] = {"index": number}
         if self._unlit:

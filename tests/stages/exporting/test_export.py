@@ -14,6 +14,7 @@ from stages import Image, Material, export, preset, read_mesh
 from stages.errors import UsageError
 from stages.exporting.export import AXES, SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS
+from stages.surface.formats.gltf_container import read_container
 from stages.surface.formats.gltf_packing import COMPRESSIONS
 
 VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
@@ -74,6 +75,10 @@ def test_images_are_encoded_anew_only_where_they_must_be(tmp_path, kind, given):
     export(mesh, tmp_path / "a.glb", images=kind)
     (image,) = read_mesh(tmp_path / "a.glb").texture.images
     assert image.mime == f"image/{kind}"
+    assert len(read_container(tmp_path / "a.glb").tree["images"]) == 1
+    # One that was read and replaced is not kept beside the new one.
+    export(read_mesh(tmp_path / "a.glb"), tmp_path / "c.glb", images="webp", image_size=40)
+    assert len(read_container(tmp_path / "c.glb").tree["images"]) == 1
     if kind == given:
         assert image.file_bytes == mesh.texture.images[0].file_bytes
     assert image.pixels.shape == (48, 64, 3)
