@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from stages.cleaning.check import Checked, CheckParams, check
     from stages.cleaning.clean import Cleaned, CleanParams, clean
     from stages.cleaning.repair import Repaired, RepairParams, repair
+    from stages.comparing.align import Alignment, align
     from stages.comparing.certify import Certificate, CertifyParams, certify
     from stages.comparing.compare import CompareParams, Comparison, compare
+    from stages.comparing.deviations import DeviationParams, Deviations, deviations
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
@@ -63,8 +65,10 @@ _NAMES_OF = {
     "cleaning.check": ("CheckParams", "Checked", "check"),
     "cleaning.clean": ("Cleaned", "CleanParams", "clean"),
     "cleaning.repair": ("RepairParams", "Repaired", "repair"),
+    "comparing.align": ("Alignment", "align"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
+    "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),
@@ -104,6 +108,7 @@ _NOW_CALLED = {"View": "Viewpoint"}
 __all__ = [
     "AdjustParams",
     "Adjusted",
+    "Alignment",
     "BakeParams",
     "Baked",
     "Box",
@@ -119,6 +124,8 @@ __all__ = [
     "Comparison",
     "DepthMap",
     "DepthParams",
+    "DeviationParams",
+    "Deviations",
     "ExportParams",
     "Exported",
     "Frame",
@@ -157,6 +164,7 @@ __all__ = [
     "Viewpoint",
     "__version__",
     "adjust",
+    "align",
     "as_mesh",
     "bake",
     "certify",
@@ -166,6 +174,7 @@ __all__ = [
     "decode",
     "depth",
     "depth_scan",
+    "deviations",
     "export",
     "fuse",
     "inspect",

@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import typer
 
 import stages
-from cli.mesh_arguments import read_file
+from cli.deviation_picture import write_deviation_picture
+from cli.mesh_arguments import about_file, read_file, write_file
 from cli.output import Output, table_of
 from cli.overlap import require_overlap
-from stages import CompareParams
+from cli.paths import MESH_SUFFIXES, require_new_file
+from stages import CompareParams, DeviationParams, UsageError
 
 
 def compare(
@@ -21,18 +23,71 @@ def compare(
     ],
     other: Annotated[Path, typer.Argument(metavar="B", help="Mesh file to measure.", show_default=False)],
     params: CompareParams,
+    told: DeviationParams,
     out: Output,
+    how: Annotated[
+        str,
+        typer.Option(
+            "--align",
+            metavar="WAY",
+            help="`icp` moves B onto A first, rigidly, if it lies there roughly, and tells how. Or `none`.",
+        ),
+    ] = "none",
+    save_aligned: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Mesh file for B as it was moved.", show_default=False),
+    ] = None,
+    save_ply: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="PLY file for B in the colours of its deviation from A.", show_default=False
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="PNG file for a picture of that and its scale.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Measure how far two meshes are apart, in shape (both ways) and in colour.
+
+    Where A is oriented, the deviations of B from it have signs: positive on the side that A looks to. Of them
+    percentiles are told, the worst places, and what share is within --tolerance; colours also as ΔE2000.
 
     Meshes that lie apart by more than the smaller one's size are not of one thing: the exit code is then 1.
     Relative distances refer to the diagonal of the bounding box of A.
 
     Example: scanloom compare fused.ply simplified.ply --json
     """
+    if how not in ("none", "icp"):
+        raise UsageError(f"--align is {how!r}; it must be none or icp.")
+    if save_aligned is not None:
+        if how == "none":
+            raise UsageError("--save-aligned needs --align icp: nothing is moved without it.")
+        require_new_file(save_aligned, MESH_SUFFIXES)
+    for path, suffix in ((save_ply, ".ply"), (picture, ".png")):
+        if path is not None:
+            require_new_file(path, (suffix,))
     mesh_a, mesh_b = read_file(reference, out), read_file(other, out)
+    alignment = None
+    if how == "icp":
+        with about_file(other), about_file(reference, "reference"):
+            mesh_b, alignment = stages.align(mesh_b, mesh_a)
     figures = stages.compare(mesh_a, mesh_b, params).figures()
     require_overlap(other, mesh_b, reference, mesh_a, out)
+    found = stages.deviations(mesh_a, mesh_b, told)
+    if save_aligned is not None:
+        write_file(save_aligned, mesh_b, out)
+    if save_ply is not None:
+        write_file(save_ply, found.painted, out)
+    if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        write_deviation_picture(picture, found, told.palette)
+    figures |= {
+        "deviation": found.figures(),
+        "alignment": None if alignment is None else alignment.figures(),
+    }
     out.result(figures, None if out.as_json else _comparison_text(figures))
 
 
@@ -59,5 +114,38 @@ def _comparison_text(figures: Mapping[str, Any]) -> str:
             psnr = "equal" if color["psnr_db"] is None else f"{color['psnr_db']:.1f}"
             rows.append([name, f"{color['rmse_levels']:.3g}", psnr, f"{color['maximum_levels']:.3g}"])
         text += "\n\n" + table_of(rows)
+    text += "\n\n" + _deviation_text(figures["deviation"])
+    if figures["alignment"] is not None:
+        moved = figures["alignment"]
+        text += (
+            f"\n\nB was moved onto A by {moved['moved_rms_m']:.4g} m RMS, and turned by "
+            f"{moved['angle_degrees']:.4g} degrees; {moved['overlap']:.0%} of it has a partner."
+        )
     diagonal, samples = figures["diagonal_m"], figures["samples_per_side"]
     return f"{text}\n\nDiagonal of A {diagonal:.4g} m; {samples:,} samples on each mesh."
+
+
+def _deviation_text(told: Mapping[str, Any]) -> str:
+    distances = told["absolute_percentiles_m"]
+    rows = [["deviation of B from A", "m"]]
+    rows += [[f"{p} % are within", f"{d:.4g}"] for p, d in distances.items()]
+    rows.append(["RMS", f"{told['rms_m']:.4g}"])
+    if told["is_signed"]:
+        rows.append(["mean, with signs", f"{told['mean_m']:+.4g}"])
+        rows.append(["standard deviation", f"{told['standard_deviation_m']:.4g}"])
+        rows.append(["lowest, highest", f"{told['lowest_m']:+.4g}, {told['highest_m']:+.4g}"])
+    worst = told["worst"][0]
+    place = ", ".join(f"{x:.4g}" for x in worst["point_m"])
+    sign = "+" if told["is_signed"] else ""
+    rows.append([f"worst, at ({place})", f"{worst['distance_m']:{sign}.4g}"])
+    text = table_of(rows)
+    if told["share_within"] is not None:
+        text += f"\n\n{told['share_within']:.2%} within {told['tolerance_m']:g} m"
+        if told["is_signed"]:
+            text += f", {told['share_over']:.2%} over, {told['share_under']:.2%} under"
+        text += "."
+    if told["delta_e_2000"] is not None:
+        of_color = told["delta_e_2000"]
+        most = of_color["percentiles"]["95"]
+        text += f"\n\nΔE2000 of colours: {of_color['mean']:.3g} on average, 95 % within {most:.3g}."
+    return text

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.comparing.needles import WithNeedles
+from stages.comparing.sampling import sampled
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated
+from stages.surface.raycasting import Floats, Surface, bounding_box, chunks, interpolated
 from stages.surface.topology import areas, require_area
 
 if TYPE_CHECKING:
@@ -240,7 +241,7 @@ def _one_way(mesh: Mesh, other: WithNeedles, count: int, seed: tuple[int, int]) 
     colored = has_color(mesh) and has_color(other.mesh)
     sums = _Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
     for rows in chunks(count):
-        at = _sampled(cumulative, rows, count, rng)
+        at = sampled(cumulative, rows, count, rng)
         colors = color_at(mesh, at.triangles, at.weights) if colored else None
         sums = sums.merged(_measured(interpolated(mesh.vertices, mesh, at), colors, other))
     at_vertices = list(_at_vertices(mesh, other))
@@ -271,18 +272,3 @@ def _measured(points: Floats, colors: NDArray[np.floating] | None, other: WithNe
         difference = np.abs(colors - seen)
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
     return _Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)
-
-
-def _sampled(cumulative: Floats, rows: slice, count: int, rng: np.random.Generator) -> Located:
-    """Draw samples `rows` of `count`: one in each of `count` equal shares of the area, in triangle order.
-
-    Neighbours in this order are neighbours in space, which the closest-point search gains from.
-    """
-    number = np.arange(rows.start, rows.stop)
-    u, v, w = rng.random((3, len(number)))
-    triangles = np.searchsorted(cumulative, (number + u) * (cumulative[-1] / count), side="right")
-    # The last share can round up to the full area, behind the last triangle that has any.
-    triangles = np.minimum(triangles, np.searchsorted(cumulative, cumulative[-1]))
-    root = np.sqrt(v)  # uniform on a triangle: Osada et al. 2002, "Shape distributions", eq. 1
-    weights = np.stack([1 - root, root * (1 - w), root * w], axis=1)
-    return Located(triangles, weights, np.zeros(len(number)))

@@ -1,4 +1,4 @@
-"""A coloured sheet, one with an image, and a ball, for what is written and read."""
+"""A coloured sheet, one with an image, a ball and a body, for what is written and read."""
 
 from __future__ import annotations
 
@@ -40,3 +40,14 @@ def ball() -> Mesh:
     """Return a ball of 5 cm around (1, 1, 1)."""
     made = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
     return Mesh(np.array(made.vertices) + 1, np.array(made.faces, np.int32), up=UP)
+
+
+def bumpy(seed: int = 1) -> Mesh:
+    """Return a closed body that no turn or move maps onto itself."""
+    made = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
+    rng = np.random.default_rng(seed)
+    vertices = np.array(made.vertices)
+    for centre in rng.normal(size=(12, 3)):
+        centre = centre / np.linalg.norm(centre)
+        vertices *= 1 + 0.2 * rng.random() * np.exp(-8 * (1 - made.vertices @ centre))[:, None]
+    return Mesh(vertices * (1, 0.8, 0.6), np.array(made.faces, np.int32))

@@ -132,6 +132,8 @@ def everything():
         stages.Box((0, 0, 0), (1, 1, 1), lock=True),
         stages.viewpoints(mesh)[0],
         exported(mesh),
+        stages.align(mesh, mesh)[1],
+        stages.deviations(mesh, mesh),
     ]
 
 

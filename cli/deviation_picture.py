@@ -1,0 +1,46 @@
+"""A picture of a mesh in the colours of its deviations, with the scale beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import Deviations
+from stages._opencv import require_opencv
+from stages.comparing.palette import colors_of
+from stages.picturing.render import Model, write_png
+from stages.picturing.viewpoints import viewpoints
+from stages.surface.raycasting import Surface
+
+_WIDTH, _BAR, _MARGIN = 1000, 28, 200
+_INK, _PAPER = (40, 44, 52), 250
+_STEPS = 9
+
+
+def write_deviation_picture(path: Path, found: Deviations, palette: str) -> None:
+    """Write the mesh from two sides in the colours of its deviations, and what these stand for."""
+    views = viewpoints(found.painted, 4, width=_WIDTH)
+    model = Model(Surface(found.painted))
+    drawn = [model.draw(view, "color") for view in (views[0], views[2])]
+    height = drawn[0].shape[0]
+    write_png(path, np.ascontiguousarray(np.hstack([*drawn, _scale(found, palette, height)])))
+
+
+def _scale(found: Deviations, palette: str, height: int) -> NDArray[np.uint8]:
+    require_opencv()
+    import cv2
+
+    panel = np.full((height, _MARGIN, 3), _PAPER, np.uint8)
+    top, bottom = 50, height - 30
+    most, lowest = found.color_range, -found.color_range if found.is_signed else 0.0
+    values = np.linspace(most, lowest, bottom - top)
+    panel[top:bottom, 20 : 20 + _BAR] = colors_of(values, found.within, most, palette)[:, None]
+    cv2.putText(panel, "mm", (20, 32), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
+    for value in np.linspace(most, lowest, _STEPS):
+        row = round(top + (most - value) / (most - lowest) * (bottom - top - 1))
+        text = f"{1000 * value:+.3g}" if found.is_signed else f"{1000 * value:.3g}"
+        at = (20 + _BAR + 10, row + 6)
+        cv2.putText(panel, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)
+    return panel

@@ -1,0 +1,158 @@
+"""Bring a mesh to where another one is, by a rigid motion: iterated closest points, point to plane.
+
+Chen and Medioni, "Object modelling by registration of multiple range images", 1992; by Open3D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._open3d import open3d
+from stages.comparing.sampling import sampled
+from stages.errors import InputError
+from stages.printing import by_figures, table
+from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import bounding_box
+from stages.surface.topology import areas, require_area
+from stages.surface.vertex_normals import vertex_normals
+
+# Points on each surface.
+_POINTS = 60_000
+_SEED = 0
+# How far partners may be apart, as shares of the smaller mesh's diagonal: coarse to fine.
+_REACHES = (0.1, 0.03, 0.01, 0.003)
+_ITERATIONS = 60
+# Fewer points that find a partner than this share hold nothing in place.
+_LEAST_OVERLAP = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """How a mesh was moved.
+
+    Attributes
+    ----------
+    reference_from_mesh : (4, 4) float64, a rotation and a translation in metres.
+    overlap : share of the mesh's points that have a partner in the end.
+    rms : of the distances to these partners' planes, metres.
+    moved_rms, angle : how far its points moved, RMS in metres, and by which angle it turned, degrees.
+    """
+
+    reference_from_mesh: NDArray[np.float64]
+    overlap: float
+    rms: float
+    moved_rms: float
+    angle: float
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return the motion and how well it fits, units in the names."""
+        return {
+            "reference_from_mesh": self.reference_from_mesh.tolist(),
+            "overlap": self.overlap,
+            "rms_m": self.rms,
+            "moved_rms_m": self.moved_rms,
+            "angle_degrees": self.angle,
+        }
+
+
+def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
+    """Return a mesh moved onto a reference, and the motion; its size stays.
+
+    It has to lie there roughly already, within a tenth of its size: nearest points are taken for partners.
+
+    Parameters
+    ----------
+    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres.
+
+    Raises
+    ------
+    MeshError
+        If a mesh has no area.
+    InputError
+        If the two do not overlap enough for it.
+    """
+    moving, fixed = as_mesh(mesh, "mesh"), as_mesh(reference, "reference")
+    for one, where in ((moving, "mesh"), (fixed, "reference")):
+        require_area(one, where)
+    o3d = open3d()
+    pipeline = o3d.pipelines.registration
+    centre = bounding_box(fixed).mean(axis=0)
+    source, target = (_cloud(one, centre, o3d) for one in (moving, fixed))
+    size = min(float(np.linalg.norm(np.diff(bounding_box(one), axis=0))) for one in (moving, fixed))
+    motion = np.eye(4)
+    for share in _REACHES:
+        found = pipeline.registration_icp(
+            source,
+            target,
+            share * size,
+            motion,
+            pipeline.TransformationEstimationPointToPlane(),
+            pipeline.ICPConvergenceCriteria(1e-9, 1e-9, _ITERATIONS),
+        )
+        if found.fitness < _LEAST_OVERLAP:
+            break
+        motion = found.transformation
+    check = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
+    if check.fitness < _LEAST_OVERLAP:
+        raise InputError(
+            f"the two meshes cannot be aligned: {check.fitness:.0%} of the points have a partner nearby; "
+            "bring them roughly into place first."
+        )
+    motion = _rigid(motion)
+    # Told of the world, not of the points around the centre.
+    motion[:3, 3] += centre - motion[:3, :3] @ centre
+    vertices = moving.vertices @ motion[:3, :3].T + motion[:3, 3]
+    moved = np.linalg.norm(vertices - moving.vertices, axis=1)
+    cosine = np.clip((np.trace(motion[:3, :3]) - 1) / 2, -1, 1)
+    alignment = Alignment(
+        reference_from_mesh=motion,
+        overlap=float(check.fitness),
+        rms=float(check.inlier_rmse),
+        moved_rms=float(np.sqrt((moved**2).mean())),
+        angle=float(np.degrees(np.arccos(cosine))),
+    )
+    return _moved(moving, motion), alignment
+
+
+def _moved(mesh: Mesh, motion: NDArray[np.float64]) -> Mesh:
+    turn = motion[:3, :3]
+    up = None
+    if mesh.up is not None:
+        x, y, z = (turn @ np.array(mesh.up)).tolist()
+        up = (x, y, z)
+    return mesh.with_(
+        vertices=mesh.vertices @ turn.T + motion[:3, 3],
+        normals=None if mesh.normals is None else mesh.normals @ turn.T,
+        corner_normals=None if mesh.corner_normals is None else mesh.corner_normals @ turn.T,
+        up=up,
+    )
+
+
+def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a motion whose rotation is one to the last digit."""
+    u, _, v = np.linalg.svd(motion[:3, :3])
+    rigid = np.array(motion)
+    rigid[:3, :3] = u @ np.diag((1, 1, np.sign(np.linalg.det(u @ v)))) @ v
+    return rigid
+
+
+def _cloud(mesh: Mesh, centre: NDArray[np.float64], o3d: Any) -> Any:
+    """Return points spread evenly over a mesh, with the normals of its vertices."""
+    cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
+    at = sampled(cumulative, slice(0, _POINTS), _POINTS, np.random.default_rng(_SEED))
+    rows = mesh.triangles[at.triangles]
+    normals = np.einsum("kc,kcx->kx", at.weights, vertex_normals(mesh)[rows])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    cloud = o3d.geometry.PointCloud()
+    points = np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]) - centre
+    cloud.points = o3d.utility.Vector3dVector(points)
+    cloud.normals = o3d.utility.Vector3dVector(normals / np.maximum(lengths, np.finfo(float).tiny))
+    return cloud

@@ -1,0 +1,70 @@
+"""Signed distances from an oriented surface: positive on the side that it looks to.
+
+Bærentzen and Aanæs, "Signed distance computation using the angle weighted pseudonormal", 2005: where the
+nearest point lies on an edge or a vertex, the normal of one triangle there can tell the wrong side; the mean
+of the two, or of all by their angles, never does on a closed surface.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.edges import edges_of
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Floats, Located, interpolated, unit_normals
+from stages.surface.topology import repeats_vertex
+
+# A weight below this: the point is on the side opposite to that corner.
+_ON_SIDE = 1e-6
+
+
+class Sides:
+    """Normals of triangles, edges and vertices of a surface, which tell on which side of it a point is.
+
+    Parameters
+    ----------
+    mesh : oriented; what its border looks to is told as of its inside.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+        self._of_triangles = unit_normals(mesh)
+        self._of_vertices = _by_angle(mesh, self._of_triangles)
+        kept = ~repeats_vertex(mesh.triangles)
+        edges = edges_of(mesh.triangles[kept], len(mesh.vertices))
+        sums = np.zeros((len(edges.ends), 3))
+        owners = np.repeat(np.flatnonzero(kept), 3)
+        for axis in range(3):
+            sums[:, axis] = np.bincount(
+                edges.of_halfedge, self._of_triangles[owners, axis], minlength=len(edges.ends)
+            )
+        self._of_sides = np.zeros((len(mesh.triangles), 3, 3))
+        self._of_sides[kept] = sums[edges.of_halfedge].reshape(-1, 3, 3)
+
+    def signs(self, points: Floats, nearest: Located) -> Floats:
+        """Return 1 where points (k, 3) are on the side that the surface looks to, -1 on the other."""
+        outside = nearest.weights < _ON_SIDE
+        normals = self._of_triangles[nearest.triangles].copy()
+        one, two = outside.sum(axis=1) == 1, outside.sum(axis=1) >= 2
+        # The side that runs from corner k is opposite to corner k + 2.
+        side = (np.argmax(outside[one], axis=1) + 1) % 3
+        normals[one] = self._of_sides[nearest.triangles[one], side]
+        corner = np.argmax(nearest.weights[two], axis=1)
+        normals[two] = self._of_vertices[self._mesh.triangles[nearest.triangles[two], corner]]
+        away = points - interpolated(self._mesh.vertices, self._mesh, nearest)
+        return np.where(np.einsum("kx,kx->k", away, normals) < 0, -1.0, 1.0)
+
+
+def _by_angle(mesh: Mesh, normals: Floats) -> Floats:
+    """Return the sum of the normals around each vertex (n, 3), each by its triangle's angle there."""
+    corners = mesh.vertices[mesh.triangles]
+    sums: NDArray[np.float64] = np.zeros((len(mesh.vertices), 3))
+    for k in range(3):
+        first, second = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        across = np.linalg.norm(np.cross(first, second), axis=1)
+        angles = np.arctan2(across, np.einsum("kx,kx->k", first, second))
+        for axis in range(3):
+            weighted = angles * normals[:, axis]
+            sums[:, axis] += np.bincount(mesh.triangles[:, k], weighted, minlength=len(sums))
+    return sums
