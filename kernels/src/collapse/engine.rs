@@ -159,8 +159,7 @@ pub struct Engine<const D: usize, M: Measure<D>> {
     /// their edges then need not be fetched from memory.
     stuck: Vec<bool>,
     marks: Marks,
-    /// Edges in the queue whose priority has changed since they were put there.
-    stale: Vec<bool>,
+    changes: Changes,
     star: Star<D>,
     ring: Vec<VertexId>,
     merges: Vec<Merge>,
@@ -210,7 +209,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             refusals,
             stuck,
             marks: Marks::new(vertices),
-            stale: if M::REACH == Reach::Ring { vec![false; slots] } else { vec![] },
+            changes: if M::REACH == Reach::Ring { Changes::new(vertices, slots) } else { Changes::new(0, 0) },
             star: Star::default(),
             ring: vec![],
             merges: vec![],
@@ -253,9 +252,10 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             return;
         }
         while let Some((edge, _)) = self.queue.first() {
-            if !std::mem::replace(&mut self.stale[edge.index()], false) {
+            if !self.changes.is_stale(edge, self.mesh.connectivity.ends(edge)) {
                 break;
             }
+            self.changes.freshen(edge);
             offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
         }
     }
@@ -348,16 +348,13 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
                 }
             }
             Reach::Ring => {
+                self.changes.next();
                 for (edge, v) in connectivity.spokes(centre) {
-                    for (outer, _) in connectivity.spokes(v) {
-                        self.stale[outer.index()] = true;
-                    }
+                    self.changes.around(v);
+                    self.changes.freshen(edge);
                     if !on_rim(&self.mesh, edge) {
                         offer(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                     }
-                }
-                for (edge, _) in connectivity.spokes(centre) {
-                    self.stale[edge.index()] = false;
                 }
             }
         }
@@ -406,6 +403,42 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
     /// All that the engine leaves.
     pub fn into_parts(self) -> Parts<D, M> {
         (self.mesh, self.measure, self.refusals, self.merges, self.path)
+    }
+}
+
+/// Which edges in the queue may have another priority than when they were put there. To note it at vertices saves
+/// walking around each of them after every collapse.
+struct Changes {
+    /// How many there were.
+    count: u32,
+    /// The last one beside each vertex.
+    beside: Vec<u32>,
+    /// The last one each edge's priority knows of.
+    known: Vec<u32>,
+}
+
+impl Changes {
+    fn new(vertices: usize, edges: usize) -> Self {
+        Self { count: 0, beside: vec![0; vertices], known: vec![0; edges] }
+    }
+
+    /// The next change begins.
+    fn next(&mut self) {
+        self.count += 1;
+    }
+
+    /// It changes what the edges of a vertex cost.
+    fn around(&mut self, v: VertexId) {
+        self.beside[v.index()] = self.count;
+    }
+
+    /// The priority of an edge is brought up to date.
+    fn freshen(&mut self, edge: EdgeId) {
+        self.known[edge.index()] = self.count;
+    }
+
+    fn is_stale(&self, edge: EdgeId, ends: [VertexId; 2]) -> bool {
+        ends.iter().any(|v| self.beside[v.index()] > self.known[edge.index()])
     }
 }
 

@@ -8,16 +8,29 @@ use crate::base::ids::EdgeId;
 const ARITY: usize = 4;
 const ABSENT: u32 = u32::MAX;
 
-#[derive(Clone, Copy, Debug)]
-struct Entry {
-    key: f64,
-    edge: EdgeId,
-}
+/// A key and its edge as one whole number, which is smaller for what comes first: compared without a branch.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+struct Entry(u128);
 
 impl Entry {
     #[inline]
-    fn before(&self, other: &Self) -> bool {
-        self.key < other.key || (self.key == other.key && self.edge < other.edge)
+    fn new(key: f64, edge: EdgeId) -> Self {
+        debug_assert!(!key.is_nan());
+        // Zero has two signs, and is one key.
+        let bits = (key + 0.0).to_bits();
+        let rank = if bits >> 63 == 0 { bits | 1 << 63 } else { !bits };
+        Self(u128::from(rank) << 64 | u128::from(edge.0))
+    }
+
+    #[inline]
+    fn key(self) -> f64 {
+        let rank = (self.0 >> 64) as u64;
+        f64::from_bits(if rank >> 63 == 1 { rank & !(1 << 63) } else { !rank })
+    }
+
+    #[inline]
+    fn edge(self) -> EdgeId {
+        EdgeId(self.0 as u32)
     }
 }
 
@@ -32,9 +45,8 @@ impl Queue {
     pub fn new(slots: usize, entries: impl Iterator<Item = (EdgeId, f64)>) -> Self {
         let mut queue = Self { heap: Vec::with_capacity(slots), place: vec![ABSENT; slots] };
         for (edge, key) in entries {
-            debug_assert!(!key.is_nan());
             queue.place[edge.index()] = queue.heap.len() as u32;
-            queue.heap.push(Entry { key, edge });
+            queue.heap.push(Entry::new(key, edge));
         }
         for at in (0..queue.heap.len().div_ceil(ARITY)).rev() {
             queue.sift_down(at);
@@ -53,7 +65,7 @@ impl Queue {
     /// The edge with the smallest key, and that key.
     #[inline]
     pub fn first(&self) -> Option<(EdgeId, f64)> {
-        self.heap.first().map(|entry| (entry.edge, entry.key))
+        self.heap.first().map(|entry| (entry.edge(), entry.key()))
     }
 
     #[inline]
@@ -63,23 +75,22 @@ impl Queue {
 
     /// All keys, in no order.
     pub fn keys(&self) -> impl Iterator<Item = f64> + '_ {
-        self.heap.iter().map(|entry| entry.key)
+        self.heap.iter().map(|entry| entry.key())
     }
 
     /// Take out the edge with the smallest key.
     pub fn pop(&mut self) -> Option<EdgeId> {
-        let edge = self.heap.first()?.edge;
+        let edge = self.heap.first()?.edge();
         self.discard(edge);
         Some(edge)
     }
 
     /// Insert an edge, or change its key.
     pub fn set(&mut self, edge: EdgeId, key: f64) {
-        debug_assert!(!key.is_nan());
         if edge.index() >= self.place.len() {
             self.place.resize(edge.index() + 1, ABSENT);
         }
-        let entry = Entry { key, edge };
+        let entry = Entry::new(key, edge);
         let place = self.place[edge.index()];
         if place == ABSENT {
             self.heap.push(entry);
@@ -87,7 +98,7 @@ impl Queue {
             return;
         }
         let at = place as usize;
-        let sooner = entry.before(&self.heap[at]);
+        let sooner = entry < self.heap[at];
         self.heap[at] = entry;
         if sooner { self.sift_up(at) } else { self.sift_down(at) }
     }
@@ -103,7 +114,7 @@ impl Queue {
         if at == self.heap.len() {
             return;
         }
-        let sooner = last.before(&self.heap[at]);
+        let sooner = last < self.heap[at];
         self.heap[at] = last;
         if sooner { self.sift_up(at) } else { self.sift_down(at) }
     }
@@ -112,7 +123,7 @@ impl Queue {
         let entry = self.heap[at];
         while at > 0 {
             let parent = (at - 1) / ARITY;
-            if !entry.before(&self.heap[parent]) {
+            if entry >= self.heap[parent] {
                 break;
             }
             self.put(at, self.heap[parent]);
@@ -124,16 +135,14 @@ impl Queue {
     fn sift_down(&mut self, mut at: usize) {
         let entry = self.heap[at];
         loop {
-            let first = ARITY * at + 1;
-            let children = first..(first + ARITY).min(self.heap.len());
-            let Some(child) = children.reduce(|a, b| if self.heap[b].before(&self.heap[a]) { b } else { a })
-            else {
-                break;
-            };
-            if !self.heap[child].before(&entry) {
+            let begin = ARITY * at + 1;
+            let end = (begin + ARITY).min(self.heap.len());
+            let children = self.heap[begin.min(end)..end].iter().copied().zip(begin..);
+            let Some((least, child)) = children.reduce(|a, b| if b.0 < a.0 { b } else { a }) else { break };
+            if least >= entry {
                 break;
             }
-            self.put(at, self.heap[child]);
+            self.put(at, least);
             at = child;
         }
         self.put(at, entry);
@@ -142,7 +151,7 @@ impl Queue {
     #[inline]
     fn put(&mut self, at: usize, entry: Entry) {
         self.heap[at] = entry;
-        self.place[entry.edge.index()] = at as u32;
+        self.place[entry.edge().index()] = at as u32;
     }
 }
 
@@ -174,6 +183,19 @@ mod tests {
         queue.discard(EdgeId(1));
         assert_eq!(queue.len(), 5);
         assert_eq!(drain(&mut queue), [5, 3, 2, 0, 4]);
+    }
+
+    #[test]
+    fn keys_of_both_signs_come_in_their_order_and_zero_has_none() {
+        let keys = [0.0, 1e-300, -0.0, -2.5, f64::INFINITY, -1e-300, 7.0];
+        let mut queue = Queue::new(7, (0..).map(EdgeId).zip(keys));
+        let mut order = vec![];
+        while let Some((edge, key)) = queue.first() {
+            assert_eq!(key, keys[edge.index()]);
+            order.push(edge.0);
+            queue.pop();
+        }
+        assert_eq!(order, [3, 5, 0, 2, 1, 6, 4]);
     }
 
     #[test]

@@ -106,12 +106,17 @@ impl Hit {
 /// so far, as long as that helps.
 fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<Hit> {
     let mut best: Option<(f64, TriangleId, [f64; 3])> = None;
-    let mut from = start;
+    let (mut before, mut from) = (VertexId::NONE, start);
     loop {
         let mut closer = false;
         for h in mesh.connectivity.fan(from) {
             let triangle = Connectivity::triangle(h);
-            let corners = mesh.connectivity.corners(triangle).map(|v| position(mesh.point(v)));
+            let corners = mesh.connectivity.corners(triangle);
+            // What touches the vertex before has been looked at.
+            if corners.contains(&before) {
+                continue;
+            }
+            let corners = corners.map(|v| position(mesh.point(v)));
             let (at, distance2) = nearest_on_triangle(p, corners.each_ref());
             if best.is_none_or(|(least, _, _)| distance2 < least) {
                 best = Some((distance2, triangle, at));
@@ -123,7 +128,7 @@ fn nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<
         // On a side or a corner, the surface may come closer beyond it.
         let beyond = (0..3).find(|&i| at[i] > EDGE && corners[i] != from);
         match beyond {
-            Some(i) if closer && at.iter().any(|&x| x <= EDGE) => from = corners[i],
+            Some(i) if closer && at.iter().any(|&x| x <= EDGE) => (before, from) = (from, corners[i]),
             _ => return Some(Hit { triangle, at: [at[1] as f32, at[2] as f32] }),
         }
     }

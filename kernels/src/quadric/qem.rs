@@ -38,11 +38,15 @@ pub struct QemRecords<const K: usize> {
 impl<const D: usize, const K: usize> Qem<D, K> {
     fn new(mesh: &Mesh<D>, weight: f64, importance: Vec<f64>) -> Self {
         let mut qem = Self { weight, quadrics: vec![Quadric::default(); mesh.points.len()], importance };
-        for t in mesh.connectivity.triangles() {
-            let corners = mesh.connectivity.corners(t);
-            let importance = corners.map(|v| qem.importance(v));
-            let quadric = qem.of_triangle(corners.map(|v| mesh.point(v)), importance);
-            corners.iter().for_each(|v| qem.quadrics[v.index()].add(&quadric));
+        let mut triangles = mesh.connectivity.triangles();
+        while let Some(first) = triangles.next() {
+            let second = triangles.next();
+            let corners = [first, second.unwrap_or(first)].map(|t| mesh.connectivity.corners(t));
+            let importance = corners.map(|c| c.map(|v| qem.importance(v)));
+            let quadrics = qem.of_triangles(corners.map(|c| c.map(|v| mesh.point(v))), importance);
+            for (corners, quadric) in corners.iter().zip(&quadrics).take(1 + usize::from(second.is_some())) {
+                corners.iter().for_each(|v| qem.quadrics[v.index()].add(quadric));
+            }
         }
         for edge in mesh.connectivity.edges().filter(|&e| mesh.connectivity.is_boundary_edge(e)) {
             for v in mesh.connectivity.ends(edge) {
@@ -64,13 +68,24 @@ impl<const D: usize, const K: usize> Qem<D, K> {
         self.importance.get(v.index()).copied().unwrap_or(1.0)
     }
 
-    #[inline]
     fn of_triangle(&self, points: [&[f64; D]; 3], importance: [f64; 3]) -> Quadric<K> {
-        let mut quadric = Quadric::of_triangle(points, self.weight);
-        if !self.importance.is_empty() {
-            quadric.scale(importance.iter().sum::<f64>() / 3.0);
-        }
+        let [quadric] = self.of_triangles([points], [importance]);
         quadric
+    }
+
+    #[inline]
+    fn of_triangles<const N: usize>(
+        &self,
+        points: [[&[f64; D]; 3]; N],
+        importance: [[f64; 3]; N],
+    ) -> [Quadric<K>; N] {
+        let mut quadrics = Quadric::of_triangles(points, self.weight);
+        if !self.importance.is_empty() {
+            for (quadric, importance) in quadrics.iter_mut().zip(importance) {
+                quadric.scale(importance.iter().sum::<f64>() / 3.0);
+            }
+        }
+        quadrics
     }
 
     /// Add the squared distance to the wall that stands on a boundary edge, at a right angle to its triangle.
@@ -152,24 +167,28 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
     /// Every triangle of the star has changed: take its old quadric out of its corners and put its new one in.
     fn commit(&mut self, mesh: &Mesh<D>, star: &Star<D>, collapsed: &Collapsed, (): ()) {
         let ends = star.ends.map(|v| self.importance(v));
-        for (_, apex, apex_point) in &star.vanishing {
-            let importance = [ends[0], ends[1], self.importance(*apex)];
-            let [first, second] = &star.end_points;
-            let old = self.of_triangle([first, second, apex_point], importance);
-            self.quadrics[apex.index()].subtract(&old);
+        // On a boundary there is one, which then is computed beside itself.
+        let sides = [0, star.vanishing.len() - 1].map(|side| &star.vanishing[side]);
+        let [first, second] = &star.end_points;
+        let corners = sides.map(|(_, _, apex_point)| [first, second, apex_point]);
+        let importance = sides.map(|(_, apex, _)| [ends[0], ends[1], self.importance(*apex)]);
+        let vanished = self.of_triangles(corners, importance);
+        for ((_, apex, _), old) in star.vanishing.iter().zip(&vanished) {
+            self.quadrics[apex.index()].subtract(old);
         }
         let survivor = collapsed.survivor;
         let most = ends[0].max(ends[1]);
         let mut own = Quadric::default();
         for wing in &star.wings {
-            let ring = [self.importance(wing.from), self.importance(wing.to)];
             let (from, to) = (&wing.from_point, &wing.to_point);
-            let old =
-                self.of_triangle([star.end_point(wing.end), from, to], [ends[wing.end], ring[0], ring[1]]);
-            let new = self.of_triangle([mesh.point(survivor), from, to], [most, ring[0], ring[1]]);
+            let corners = [star.end_point(wing.end), mesh.point(survivor)].map(|tip| [tip, from, to]);
+            let ring = [self.importance(wing.from), self.importance(wing.to)];
+            let importance = [ends[wing.end], most].map(|tip| [tip, ring[0], ring[1]]);
+            let [old, new] = self.of_triangles(corners, importance);
             own.add(&new);
+            let difference = new.minus(&old);
             for v in [wing.from, wing.to] {
-                self.quadrics[v.index()].replace(&old, &new);
+                self.quadrics[v.index()].add(&difference);
             }
         }
         if !self.importance.is_empty() {
