@@ -83,8 +83,13 @@ def run(
             show_default=False,
         ),
     ] = None,
+    page: Annotated[
+        bool, typer.Option("--page/--no-page", help="Write report.html, a page that shows the result.")
+    ] = True,
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
+
+    report.html shows the result in a browser, without a network: --no-page leaves it out.
 
     OUT then holds fused.ply, clean.ply, simplified.ply, textured.glb (the simplified mesh with what the
     photos show), report.json and pictures. A second run does only what has changed since. --hold-out 10
@@ -121,7 +126,13 @@ def run(
         result = run_pipeline(scan, target, config, **how, events=events)
     for sentence in result.unmet:
         out.unmet(sentence)
-    out.result(result.figures(), _summary(result))
+    shown = None
+    if page and result.report["mesh"] is not None:
+        from cli.page_of import write_page
+
+        shown = write_page(result.out, out, changed=any(not stage.cached for stage in result.stages))
+    told = result.figures() | {"page": None if shown is None else str(shown)}
+    out.result(told, _summary(result, () if shown is None else (shown.name,)))
 
 
 def _tell_dry_run(found: DryRun, out: Output) -> None:
@@ -159,7 +170,7 @@ _BASES = {
 }
 
 
-def _summary(result: RunResult) -> str:
+def _summary(result: RunResult, more: tuple[str, ...]) -> str:
     """Say how good the final mesh is, and where the results are."""
     mesh = result.report["mesh"]
     lines = []
@@ -181,5 +192,5 @@ def _summary(result: RunResult) -> str:
         )
     placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
     names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)
-    lines.append(f"results in {result.out}: {', '.join([*names, 'report.json'])}")
+    lines.append(f"results in {result.out}: {', '.join([*names, 'report.json', *more])}")
     return "\n".join(lines)

@@ -5,22 +5,44 @@ from __future__ import annotations
 import sys
 import webbrowser
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
 from cli.output import Output
-from stages.errors import InputError
+from cli.page_of import page_of
+from cli.paths import require_new_file
+from stages.errors import InputError, UsageError
+from stages.files.replacing import replacing
 from stages.lod.tiles import TILESET
-from stages.picturing.page.files import tiles_page
+from stages.picturing.page.files import INDEX, tiles_page
 from stages.picturing.page.serving import FolderServer
 
 
 def view(
-    folder: Annotated[
-        Path, typer.Argument(metavar="OUTDIR", help="Folder of tiles, from lod tiles.", show_default=False)
+    what: Annotated[
+        Path,
+        typer.Argument(
+            metavar="WHAT",
+            help="Mesh file, the OUT of a run, or a folder of tiles, from lod tiles.",
+            show_default=False,
+        ),
     ],
     out: Output,
+    target: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Write the page to this file (.html), which opens without a server or a network.",
+            show_default=False,
+        ),
+    ] = None,
+    page_size: Annotated[
+        float, typer.Option(help="Megabytes that a page may take; models are made lighter for it.", min=1.2)
+    ] = 5.0,
     port: Annotated[int, typer.Option(help="Port to listen on; 0 for a free one.", min=0, max=65535)] = 0,
     open_browser: Annotated[
         bool | None,
@@ -31,18 +53,37 @@ def view(
         ),
     ] = None,
 ) -> None:
-    """Show tiles in the browser, from a server that answers this machine alone.
+    """Show a mesh, a run's results or tiles in the browser, from a server that answers this machine alone.
 
-    Nothing is written: tiles without a page are shown with the one of scanloom. Ctrl-C ends it.
+    Of a run the page shows the result, the clean mesh it came from and how far it deviates, with one camera
+    for all, and tells stages, warnings and parameters. Nothing is written without -o. Ctrl-C ends it.
 
-    Example: scanloom view clean_tiles
+    Example: scanloom view my_mesh -o my_mesh/report.html
     """
-    if not folder.is_dir():
-        raise InputError("there is no such folder; give one that lod tiles made.", folder)
-    if not (folder / TILESET).is_file():
-        raise InputError(f"this folder has no {TILESET}; give one that lod tiles made.", folder)
+    if target is not None:
+        require_new_file(target, (".html",))
+    if not what.exists():
+        raise InputError("there is no such file or folder.", what)
+    is_tiles = (what / TILESET).is_file()
+    if is_tiles and target is not None:
+        raise UsageError("tiles are many files; lod tiles --page writes their page beside them.")
+    if is_tiles:
+        _serve(what, tiles_page(), port, open_browser, out)
+        return
+    page = page_of(what, out, int(1e6 * page_size))
+    if target is None:
+        with TemporaryDirectory(prefix="scanloom-") as empty:
+            _serve(Path(empty), {INDEX: page}, port, open_browser, out)
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(target) as draft:
+        draft.write_bytes(page)
+    out.result({"output": str(target), "bytes": len(page)})
+
+
+def _serve(folder: Path, pages: dict[str, bytes], port: int, open_browser: bool | None, out: Output) -> None:
     try:
-        with FolderServer(folder, port, tiles_page()) as server:
+        with FolderServer(folder, port, pages) as server:
             out.result({"address": server.address}, f"{server.address}  (Ctrl-C ends it)")
             if open_browser or (open_browser is None and sys.stdout.isatty()):
                 webbrowser.open_new_tab(server.address)

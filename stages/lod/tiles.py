@@ -27,6 +27,7 @@ from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.picturing.page.files import FOLDER as PAGE_FOLDER
 from stages.picturing.page.files import INDEX, tiles_page
+from stages.picturing.page.standing import facing
 from stages.printing import by_figures, table
 from stages.printing.rounding import rounded_up
 from stages.progress import Progress, silent
@@ -53,8 +54,6 @@ WHAT = "a tileset of scanloom"
 _MOST_OF_CHILD = 0.8
 # Digits of a bound, rounded up.
 _DIGITS = 6
-# Of its area: what of a surface looks one way on balance where it was seen from one side; 0 if it is closed.
-_ONE_SIDED = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -336,9 +335,9 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     about: Tree = {"scanloom": installed_version()}
-    facing = _facing(placed.mesh([0], [0]), turn_along_z(direction_of(up)))
-    if facing is not None:
-        about["facing"] = facing
+    look = facing(placed.mesh([0], [0]), turn_along_z(direction_of(up)))
+    if look is not None:
+        about["facing"] = look
     if placed.is_one_sided:
         about |= {
             "one_sided": True,
@@ -354,15 +353,6 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
             **root,
         },
     }
-
-
-def _facing(mesh: Mesh, turn: Floats) -> list[float] | None:
-    """Return where a surface looks that was seen from one side, so that a first view is from there."""
-    corners = mesh.vertices[mesh.triangles]
-    doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    toward, area = turn @ doubled.sum(axis=0), np.linalg.norm(doubled, axis=1).sum()
-    length = float(np.linalg.norm(toward))
-    return (toward / length).round(4).tolist() if length > _ONE_SIDED * area else None
 
 
 def _described(tile: _Tile, volume: Tree, below: list[Tree], colors: Tree, is_one_sided: bool) -> Tree:

@@ -424,3 +424,27 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
         "simplified.ply: no run has placed this, or it was changed since; move it, name another output "
         "folder, or give --overwrite."
     )
+
+
+@pytest.mark.slow
+def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    words = ("run", tiny_scan, "-o", tmp_path / "out")
+    assert scanloom(*words, "--no-page").exit_code == 0
+    page = tmp_path / "out" / "report.html"
+    assert not page.exists()
+    ran = scanloom(*words, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["page"] == str(page.resolve())
+    assert 1_000_000 < page.stat().st_size < 5_000_000
+    text = page.read_text()
+    assert all(f'"{name}"' in text for name in ("result", "clean mesh", "deviation"))
+    # Nothing has changed: it stays.
+    before = page.stat().st_mtime_ns
+    assert scanloom(*words).exit_code == 0
+    assert page.stat().st_mtime_ns == before
+    assert scanloom(*words, "--set", "simplify.ratio=0.5").exit_code == 0
+    assert page.stat().st_mtime_ns != before
+    page.write_text("mine")
+    kept = scanloom(*words, "--set", "simplify.ratio=0.4")
+    assert (kept.exit_code, "no page" in kept.stderr) == (0, True)
+    assert page.read_text() == "mine"

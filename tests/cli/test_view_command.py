@@ -63,8 +63,8 @@ def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (("absent",), 3, "absent: there is no such folder; give one that lod tiles made."),
-        (("empty",), 3, "empty: this folder has no tileset.json; give one that lod tiles made."),
+        (("absent",), 3, "absent: there is no such file or folder."),
+        (("empty",), 3, "empty: holds none of textured.glb, simplified.glb, simplified.ply, nor tiles; "),
         (("empty", "--port", "70000"), 2, "less than or equal to 65535"),
     ],
 )
@@ -82,3 +82,41 @@ def test_what_is_wrong_is_said_in_one_sentence(
     assert ran.exit_code == code
     assert said in ran.stderr
     assert len(ran.stderr.splitlines()) == 1
+
+
+def test_a_page_of_a_mesh_is_one_file(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+    target = tmp_path / "new" / "page.html"
+    ran = scanloom("view", clean_ball, "-o", target, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["bytes"] == target.stat().st_size < 2_000_000
+    text = target.read_text()
+    assert "http:" not in text.split("<!--")[0].replace("http://www.w3.org", "")
+    small = scanloom("view", clean_ball, "-o", target, "--page-size", 1.2, "--json")
+    assert small.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("none.ply",), 3, "no such file or folder"),
+        ((".",), 3, "holds none of textured.glb"),
+        (("none.ply", "-o", "page.txt"), 2, "stands for no format"),
+        (("notes.txt",), 3, "unknown format"),
+        (("tiles", "-o", "page.html"), 2, "tiles are many files"),
+    ],
+)
+def test_what_cannot_be_shown(
+    scanloom: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    code: int,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("notes.txt").write_text("mine")
+    Path("tiles").mkdir()
+    Path("tiles/tileset.json").write_text("{}")
+    ran = scanloom("view", *words)
+    assert (ran.exit_code, message in ran.stderr) == (code, True), ran.stderr
+    assert not Path("page.html").exists()

@@ -1,0 +1,62 @@
+// What is told of a run below its picture: warnings first, then stages, then all else.
+
+/** Fill an element with what the content holds; nothing of it is read as HTML. */
+export function tell(place, { warnings = [], tables = [], texts = [] }) {
+  if (!warnings.length && !tables.length && !texts.length) return;
+  document.body.classList.add("told");
+  if (warnings.length) {
+    place.append(heading("Warnings"));
+    for (const text of warnings) place.append(element("p", text, "warning"));
+  }
+  for (const { title, head, rows, places } of tables) {
+    place.append(heading(title), table(head, rows, places));
+  }
+  for (const { title, text } of texts) {
+    const folded = document.createElement("details");
+    folded.append(element("summary", title), element("pre", text));
+    place.append(folded);
+  }
+}
+
+function table(head, rows, places) {
+  const made = document.createElement("table");
+  const top = made.createTHead().insertRow();
+  for (const name of head) {
+    const cell = element("th", name);
+    cell.scope = "col";
+    top.append(cell);
+  }
+  const body = made.createTBody();
+  rows.forEach((row, number) => {
+    const line = body.insertRow();
+    for (const value of row) {
+      const cell = line.insertCell();
+      cell.textContent = value;
+      if (/^[+−-]?[\d.,]+( [^ ]+)?$/.test(value)) cell.className = "number";
+    }
+    if (places) line.insertCell().append(flight(places[number]));
+  });
+  const wide = element("div", "", "wide");
+  wide.append(made);
+  return wide;
+}
+
+/** A button that brings the camera to a place. */
+function flight({ target, away }) {
+  const button = element("button", "fly there");
+  button.type = "button";
+  button.addEventListener("click", () => {
+    window.scanloom.flyTo(target, away);
+    document.getElementById("picture").scrollIntoView({ block: "nearest" });
+  });
+  return button;
+}
+
+const heading = (text) => element("h2", text);
+
+function element(kind, text, name = "") {
+  const made = document.createElement(kind);
+  made.textContent = text;
+  if (name) made.className = name;
+  return made;
+}

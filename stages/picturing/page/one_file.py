@@ -1,0 +1,94 @@
+"""A page of models in one file, which opens from a disk without a network."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stages.files.opening import content_of
+
+_HERE = Path(__file__).parent
+_MODULES = (
+    "library.js",
+    "tiles/camera.js",
+    *(f"model/{name}.js" for name in ("main", "bar", "picture", "told")),
+)
+# Modules out of addresses have no folder: what they import gets a name of its own.
+_IMPORT = re.compile(r'(from\s+|import\s+)"(\.[^"]+)"')
+
+
+@dataclass(frozen=True)
+class PageModel:
+    """A model of a page.
+
+    Attributes
+    ----------
+    name : what it is chosen by.
+    glb : a GLB file that stands; EXT_meshopt_compression is understood.
+    triangles : of it.
+    note : a few words beside their number.
+    facing : (3,) where its surface looks if it was seen from one side, z up; None if all around.
+    """
+
+    name: str
+    glb: bytes
+    triangles: int
+    note: str = ""
+    facing: list[float] | None = None
+
+
+def one_file(title: str, models: Sequence[PageModel], told: Mapping[str, Any] | None = None) -> bytes:
+    """Return a page that shows models in one place, one at a time, and tells what belongs to them.
+
+    Parameters
+    ----------
+    title : of the page.
+    models : one or more.
+    told : for JSON: `warnings`, sentences; `tables`, each with `title`, `head`, `rows` of words, and `places`
+        to fly to, `target` (3,) in the upright frame, z up, and how far `away`; `texts`, each with `title`
+        and `text`.
+    """
+    content = {
+        "title": title,
+        "models": [
+            {
+                "name": model.name,
+                "glb": base64.b64encode(model.glb).decode(),
+                "triangles": model.triangles,
+                "note": model.note,
+                "facing": model.facing,
+            }
+            for model in models
+        ],
+        **(told or {}),
+    }
+    imports = {f"scanloom/{name}": _address(name) for name in _MODULES}
+    page = content_of(_HERE / "model" / "index.html").decode()
+    licenses = content_of(_HERE / "LICENSES.txt").decode().replace("--", "- -")
+    page = page.replace("IMPORTS", json.dumps({"imports": imports}), 1)
+    # In a script element only what looks like its end, or a comment's start, would be read as HTML.
+    page = page.replace("CONTENT", json.dumps(content).replace("<", "\\u003c"), 1)
+    return f"{page}<!--\n{licenses}\n-->\n".encode()
+
+
+def _address(name: str) -> str:
+    text = content_of(_HERE / name).decode()
+    folder = Path(name).parent
+
+    def named(found: re.Match[str]) -> str:
+        parts: list[str] = []
+        for part in (folder / found[2]).parts:
+            if part == "..":
+                parts.pop()
+            else:
+                parts.append(part)
+        return f'{found[1]}"scanloom/{"/".join(parts)}"'
+
+    if name != "library.js":
+        text = _IMPORT.sub(named, text)
+    return f"data:text/javascript;base64,{base64.b64encode(text.encode()).decode()}"
