@@ -35,7 +35,6 @@ COMMANDS = {
     "patches": "patches mesh.ply out.ply",
     "bake": "bake mesh.ply light.ply out.glb",
     "export": "export mesh.ply out.glb --preset web",
-    "export, USD": "export mesh.ply out.usdz",
     "view": "view mesh.ply -o page.html",
     "replay": "replay made.npz out.ply --ratio 0.5",
     "render": "render mesh.ply out.png",
