@@ -123,7 +123,7 @@ def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
             size = max(web.image_size >> max(halvings - 1, 0), 512)
             stages.export(light, path, web, image_size=size)
             look = facing(light, _turn(mesh))
-            yield PageModel(name, path.read_bytes(), len(light.triangles), words, look)
+            yield PageModel(name, content_of(path), len(light.triangles), words, look)
 
 
 def _turn(mesh: Mesh) -> NDArray[np.float64]:
