@@ -30,6 +30,9 @@ _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 # What the models of a page are made smaller by, until it is small enough.
 _HALVINGS = 6
 _LEAST_TRIANGLES = 2_000
+# Of the models beside the first, which is what a page is for, and is made lighter last: so many triangles at most.
+_MOST_BESIDE = 150_000
+_LAST = 2
 _SAMPLES = 100_000
 # How large a page is unless it is said.
 PAGE_BYTES = 5_000_000
@@ -112,15 +115,19 @@ def _standing(path: Path, mesh: Mesh) -> Mesh:
 def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
     """Give the models as files, with fewer triangles and smaller images the more often they are halved."""
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
-        for name, (mesh, note) in models.items():
+        for number, (name, (mesh, note)) in enumerate(models.items()):
             light, words = mesh, note
-            target = max(len(mesh.triangles) >> halvings, _LEAST_TRIANGLES)
-            if halvings and len(mesh.triangles) > target:
+            count = len(mesh.triangles)
+            halved = (
+                count >> max(halvings - _LAST, 0) if number == 0 else min(count, _MOST_BESIDE) >> halvings
+            )
+            target = max(halved, _LEAST_TRIANGLES)
+            if count > target:
                 light = stages.simplify(mesh, triangles=target).mesh.with_(up=mesh.up)
-                words = ", ".join(filter(None, (note, f"of {len(mesh.triangles):,}, for this page")))
+                words = ", ".join(filter(None, (note, f"of {count:,}, for this page")))
             path = Path(folder) / "model.glb"
             web = stages.preset("web")
-            size = max(web.image_size >> max(halvings - 1, 0), 512)
+            size = max(web.image_size >> max(halvings - _LAST, 0), 512)
             stages.export(light, path, web, image_size=size)
             look = facing(light, _turn(mesh))
             yield PageModel(name, content_of(path), len(light.triangles), words, look)
