@@ -30,7 +30,7 @@ _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 # What the models of a page are made smaller by, until it is small enough.
 _HALVINGS = 6
 _LEAST_TRIANGLES = 2_000
-# Of the models beside the first, which is what a page is for, and is made lighter last: so many triangles at most.
+# The first model is what a page is for, and is made lighter last; those beside it have at most so many.
 _MOST_BESIDE = 150_000
 _LAST = 2
 _SAMPLES = 100_000
