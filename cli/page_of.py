@@ -21,6 +21,7 @@ from stages.files.opening import content_of
 from stages.files.replacing import replacing
 from stages.picturing.page.one_file import PageModel, one_file
 from stages.picturing.page.standing import facing
+from stages.printing import at_most
 from stages.surface.upright import turn_along_z
 
 REPORT, PAGE = "report.json", "report.html"
@@ -102,7 +103,8 @@ def _of_run(folder: Path, out: Output) -> tuple[Models, dict[str, Any]]:
         figures = found.figures()
         models["clean mesh"] = (clean, "before simplification")
         models["deviation"] = (found.painted, _range_in_words(figures))
-        told["tables"] = [*_deviation(figures, result), *told["tables"]]
+        proven = _at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
+        told["tables"] = [*_deviation(figures, result, proven), *told["tables"]]
     return models, told
 
 
@@ -187,9 +189,11 @@ def _range_in_words(told: Mapping[str, Any]) -> str:
     return f"{sides}, last colour at {most:.3g} mm; green is near"
 
 
-def _deviation(told: Mapping[str, Any], result: Mesh) -> list[dict[str, Any]]:
+def _deviation(told: Mapping[str, Any], result: Mesh, proven: float | None) -> list[dict[str, Any]]:
     rows = [[f"{p} % are within", f"{1000 * d:.4g} mm"] for p, d in told["absolute_percentiles_m"].items()]
     rows.append(["RMS", f"{1000 * told['rms_m']:.4g} mm"])
+    if proven is not None:
+        rows.append(["proven: no point is farther off than", f"{at_most(1000 * proven)} mm"])
     if told["share_within"] is not None:
         rows.append([f"within the bound of {1000 * told['tolerance_m']:g} mm", f"{told['share_within']:.2%}"])
     if told["delta_e_2000"] is not None:

@@ -444,6 +444,10 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.stat().st_mtime_ns == before
     assert scanloom(*words, "--set", "simplify.ratio=0.5").exit_code == 0
     assert page.stat().st_mtime_ns != before
+    assert "no point is farther" not in page.read_text()
+    # What is proven stands beside what was sampled.
+    assert scanloom(*words, "--set", "simplify.max_shape=0.02").exit_code == 0
+    assert "no point is farther" in page.read_text()
     page.write_text("mine")
     kept = scanloom(*words, "--set", "simplify.ratio=0.4")
     assert (kept.exit_code, "no page" in kept.stderr) == (0, True)
