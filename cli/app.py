@@ -31,6 +31,7 @@ from cli.commands import (
     config,
     decode,
     depth,
+    doctor,
     export,
     fuse,
     inspect,
@@ -77,6 +78,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         certify.certify,
         render.render,
         view.view,
+        doctor.doctor,
     ),
 }
 
@@ -112,7 +114,9 @@ app = _app()
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"scanloom {__version__}")
+        from stages.inspecting.machine import kernels_build
+
+        typer.echo(f"scanloom {__version__} ({kernels_build()})")
         raise typer.Exit
 
 

@@ -36,6 +36,7 @@ COMMANDS = {
     "bake": "bake mesh.ply light.ply out.glb",
     "export": "export mesh.ply out.glb --preset web",
     "view": "view mesh.ply -o page.html",
+    "doctor": "doctor --bundle out.zip",
     "replay": "replay made.npz out.ply --ratio 0.5",
     "render": "render mesh.ply out.png",
     "inspect": "inspect rgbd --picture out.png",

@@ -1,0 +1,81 @@
+"""The command `doctor`."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cli.output import Output, size_of, table_of
+from cli.paths import require_new_file
+from stages.errors import InputError, UsageError
+from stages.files.opening import text_in
+from stages.files.replacing import replacing
+from stages.inspecting.machine import machine
+
+_REPORT = "report.json"
+
+
+def doctor(
+    out: Output,
+    bundle: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Zip file to write for a bug report: this, and a run's report.json. No images, no meshes; "
+            "your home folder is written as ~.",
+            show_default=False,
+        ),
+    ] = None,
+    of_run: Annotated[
+        Path | None,
+        typer.Option("--run", metavar="OUT", help="Output folder of the run for it.", show_default=False),
+    ] = None,
+) -> None:
+    """Say what is there to work with: versions, processor, memory, disk, extras; for a bug report.
+
+    Example: scanloom doctor --bundle report.zip --run my_mesh
+    """
+    found = machine()
+    if bundle is None:
+        if of_run is not None:
+            raise UsageError("--run needs --bundle: it says which run goes into it.")
+    else:
+        require_new_file(bundle, (".zip",))
+        _write(bundle, found, of_run)
+        out.remark(f"{bundle}: look into it before you send it")
+    out.result(found, None if out.as_json else _text(found))
+
+
+def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
+    texts = {"doctor.json": json.dumps(found, indent=1)}
+    if of_run is not None:
+        report = of_run / _REPORT
+        if not report.is_file():
+            raise InputError(f"holds no {_REPORT}; give the OUT of a run.", of_run)
+        texts[_REPORT] = text_in(report, "utf-8")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    home = str(Path.home())
+    with replacing(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, text in texts.items():
+            # A home of "/" would make every path start with ~.
+            packed.writestr(name, text.replace(home, "~") if len(home) > 1 else text)
+
+
+def _text(found: Mapping[str, Any]) -> str:
+    rows = [["", ""]]
+    for name, value in found.items():
+        if isinstance(value, dict):
+            rows += [[key, "not installed" if version is None else version] for key, version in value.items()]
+        elif value is None:
+            rows.append([name.removesuffix("_bytes").replace("_", " "), "not known"])
+        elif name.endswith("_bytes"):
+            rows.append([name.removesuffix("_bytes").replace("_", " "), size_of(value)])
+        else:
+            words = ", ".join(value) if isinstance(value, list) else str(value)
+            rows.append([name.replace("_", " "), words])
+    return table_of(rows)

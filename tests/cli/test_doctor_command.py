@@ -1,0 +1,69 @@
+"""doctor: what is there, as text, JSON and a bundle that gives nothing away."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stages import _kernels
+
+Run = Callable[..., Any]
+
+
+def test_it_says_what_is_there(scanloom: Run) -> None:
+    ran = scanloom("doctor", "--json")
+    assert (ran.exit_code, ran.stderr) == (0, "")
+    told = ran.json
+    assert told["libraries"]["numpy"] == metadata.version("numpy")
+    assert None not in told["libraries"].values()
+    assert told["kernels"].endswith(hashlib.sha256(Path(_kernels.__file__).read_bytes()).hexdigest()[:12])
+    assert 0 < told["threads"] <= os.cpu_count()
+    assert told["disk_free_bytes"] > 0
+    text = scanloom("doctor").stdout
+    assert metadata.version("trimesh") in text
+    assert told["kernels"] in text
+    assert told["kernels"] in scanloom("--version").stdout
+
+
+def test_the_bundle_holds_no_home(scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    out = tmp_path / "home" / "out"
+    out.mkdir(parents=True)
+    (out / "report.json").write_text(json.dumps({"folder": str(out)}))
+    (out / "photo.png").write_bytes(b"private")
+    ran = scanloom("doctor", "--bundle", tmp_path / "new" / "b.zip", "--run", out)
+    assert ran.exit_code == 0, ran.stderr
+    with zipfile.ZipFile(tmp_path / "new" / "b.zip") as packed:
+        assert sorted(packed.namelist()) == ["doctor.json", "report.json"]
+        assert json.loads(packed.read("report.json")) == {"folder": "~/out"}
+        assert str(tmp_path / "home").encode() not in packed.read("doctor.json")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (("--run", "out"), 2, "needs --bundle"),
+        (("--bundle", "b.tar"), 2, "stands for no format"),
+        (("--bundle", "b.zip", "--run", "none"), 3, "holds no report.json"),
+    ],
+)
+def test_what_cannot_be(
+    scanloom: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    code: int,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = scanloom("doctor", *words)
+    assert (ran.exit_code, message in ran.stderr) == (code, True)
+    assert list(tmp_path.iterdir()) == []
