@@ -116,7 +116,7 @@ def _print_version(wanted: bool) -> None:
     if wanted:
         from stages.inspecting.machine import kernels_build
 
-        typer.echo(f"scanloom {__version__} ({kernels_build()})")
+        typer.echo(f"scanloom {__version__}\nkernels {kernels_build()}")
         raise typer.Exit
 
 

@@ -11,8 +11,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from stages import __version__, _kernels
+from stages import _kernels
 from stages.files.opening import content_of, text_in
+from stages.files.written_by import installed_version
 
 # What the kernels and the libraries are fast with.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd")
@@ -37,7 +38,7 @@ _EXTRAS = {"usd": ("usd-core",)}
 def machine() -> dict[str, Any]:
     """Return what is there, units in the names; None for what cannot be told. Nothing large is imported."""
     return {
-        "scanloom": __version__,
+        "scanloom": installed_version(),
         "kernels": kernels_build(),
         "python": platform.python_version(),
         "system": platform.platform(),

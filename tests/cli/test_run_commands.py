@@ -356,7 +356,7 @@ def test_the_installed_program_knows_its_version() -> None:
     ran = subprocess.run([*SCANLOOM, "--help"], capture_output=True, text=True, check=True)
     assert "inspect" in ran.stdout
     version = subprocess.run([*SCANLOOM, "--version"], capture_output=True, text=True, check=True)
-    assert re.fullmatch(r"scanloom \d+\.\d+\.\d+\n", version.stdout)
+    assert re.fullmatch(r"scanloom \d+\.\d+\.\d+\nkernels \S+ [0-9a-f]{12}\n", version.stdout)
 
 
 def test_help_imports_no_heavy_library() -> None:
