@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +13,16 @@ from numpy.typing import NDArray
 import stages
 from cli.mesh_arguments import read_file
 from cli.output import Output
+from cli.page_told import at, deviation_tables, told_of
+from pipeline.photos import FILE as CAMERAS
 from stages import Mesh
+from stages.comparing.palette import colors_of
 from stages.errors import InputError
 from stages.files.documents import read_document
 from stages.files.opening import content_of
 from stages.files.replacing import replacing
-from stages.picturing.page.one_file import PageModel, one_file
+from stages.picturing.page.one_file import PageCamera, PageModel, PageScale, one_file
 from stages.picturing.page.standing import facing
-from stages.printing import at_most
 from stages.surface.upright import turn_along_z
 
 REPORT, PAGE = "report.json", "report.html"
@@ -35,8 +36,8 @@ _LEAST_TRIANGLES = 2_000
 _MOST_BESIDE = 150_000
 _LAST = 2
 _SAMPLES = 100_000
-# How large a page is unless it is said.
-PAGE_BYTES = 5_000_000
+# Of the scale of deviations.
+_STEPS = 40
 # How far from a place the camera flies to, as a share of the model's size.
 _NEAR = 0.25
 
@@ -50,19 +51,20 @@ def page_of(path: Path, out: Output, most_bytes: int) -> bytes:
         If it is neither.
     """
     if path.is_dir():
-        models, told = _of_run(path, out)
+        models, told, cameras = _of_run(path, out)
     else:
-        models, told = {path.stem: (_standing(path, read_file(path, out)), "")}, {}
+        models = {path.stem: Shown(_standing(path, read_file(path, out)))}
+        told, cameras = {}, []
     page = b""
     for halvings in range(_HALVINGS):
-        page = one_file(path.resolve().name, list(_packed(models, halvings)), told)
+        page = one_file(path.resolve().name, list(_packed(models, halvings)), told, cameras)
         if len(page) <= most_bytes:
             return page
     out.warn(f"{path}: its page takes {len(page):,} bytes, more than {most_bytes:,}, as small as it gets.")
     return page
 
 
-def write_page(folder: Path, out: Output, *, changed: bool) -> Path | None:
+def write_page(folder: Path, out: Output, most_bytes: int, *, changed: bool) -> Path | None:
     """Write report.html into the OUT of a run; return it, or None where a file of others is in the way.
 
     Parameters
@@ -78,34 +80,46 @@ def write_page(folder: Path, out: Output, *, changed: bool) -> Path | None:
             return None
         if not changed:
             return target
-    page = page_of(folder, out, PAGE_BYTES)
+    page = page_of(folder, out, most_bytes)
     with replacing(target) as draft:
         draft.write_bytes(page)
     return target
 
 
-Models = dict[str, tuple[Mesh, str]]
+class Shown(NamedTuple):
+    """A model of a page before it is packed; see `PageModel`."""
+
+    mesh: Mesh
+    note: str = ""
+    scale: PageScale | None = None
 
 
-def _of_run(folder: Path, out: Output) -> tuple[Models, dict[str, Any]]:
+Models = dict[str, Shown]
+
+
+def _of_run(folder: Path, out: Output) -> tuple[Models, dict[str, Any], list[PageCamera]]:
     name = next((name for name in _RESULTS if (folder / name).is_file()), None)
     if name is None:
         known = ", ".join(_RESULTS)
         raise InputError(f"holds none of {known}, nor tiles; give a mesh file, or the OUT of a run.", folder)
     result = _standing(folder / name, read_file(folder / name, out))
     report = read_document(folder / REPORT) if (folder / REPORT).is_file() else {}
-    told = _told(report)
-    models: Models = {"result": (result, name)}
+    told = told_of(report)
+    models: Models = {"result": Shown(result, name)}
     if (folder / "clean.ply").is_file():
         clean = read_file(folder / "clean.ply", out).with_(up=result.up)
-        bound = _at(report, "stages", "simplify", "params", "simplify", "max_shape")
+        bound = at(report, "stages", "simplify", "params", "simplify", "max_shape")
         found = stages.deviations(clean, result, tolerance=bound, signed_samples=_SAMPLES)
         figures = found.figures()
-        models["clean mesh"] = (clean, "before simplification")
-        models["deviation"] = (found.painted, _range_in_words(figures))
-        proven = _at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
-        told["tables"] = [*_deviation(figures, result, proven), *told["tables"]]
-    return models, told
+        models["clean mesh"] = Shown(clean, "before simplification")
+        models["deviation"] = Shown(found.painted, _range_in_words(figures), _scale(found))
+        proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
+        turn, away = _turn(result), _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
+        places = [
+            {"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in figures["worst"]
+        ]
+        told["tables"] = [*deviation_tables(figures, proven, places), *told["tables"]]
+    return models, told, _cameras(folder, result)
 
 
 def _standing(path: Path, mesh: Mesh) -> Mesh:
@@ -117,7 +131,7 @@ def _standing(path: Path, mesh: Mesh) -> Mesh:
 def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
     """Give the models as files, with fewer triangles and smaller images the more often they are halved."""
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
-        for number, (name, (mesh, note)) in enumerate(models.items()):
+        for number, (name, (mesh, note, scale)) in enumerate(models.items()):
             light, words = mesh, note
             count = len(mesh.triangles)
             halved = (
@@ -132,7 +146,7 @@ def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
             size = max(web.image_size >> max(halvings - _LAST, 0), 512)
             stages.export(light, path, web, image_size=size)
             look = facing(light, _turn(mesh))
-            yield PageModel(name, content_of(path), len(light.triangles), words, look)
+            yield PageModel(name, content_of(path), len(light.triangles), words, look, scale)
 
 
 def _turn(mesh: Mesh) -> NDArray[np.float64]:
@@ -140,83 +154,35 @@ def _turn(mesh: Mesh) -> NDArray[np.float64]:
     return turn_along_z(np.array((0.0, 1.0, 0.0) if mesh.up is None else mesh.up))
 
 
-def _told(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what report.json says, warnings first."""
-    scan, ran = report.get("scan", {}), report.get("stages", {})
-    warnings = list(scan.get("warnings", []))
-    for stage, about in ran.items():
-        said = [*_at(about, "figures", "warnings", otherwise=[]), *about.get("unmet", [])]
-        warnings += [f"{stage}: {text}" for text in said]
-    tables = []
-    if ran:
-        rows = [
-            [
-                stage,
-                "cached" if about["cached"] else f"{about['seconds']:.1f} s",
-                f"{about['made_in_s']:.1f} s",
-                f"{about['peak_memory_mb']:,.0f} MB",
-                about["reason"],
-            ]
-            for stage, about in ran.items()
-        ]
-        head = ["stage", "this run", "when it was made", "memory", "why it ran"]
-        tables.append({"title": "Stages", "head": head, "rows": rows})
-    skipped = scan.get("frames_skipped", [])
-    if skipped:
-        rows = [[one["frame"], one["reason"]] for one in skipped]
-        tables.append({"title": "Frames that were skipped", "head": ["frame", "why"], "rows": rows})
-    texts = []
-    if ran:
-        texts = [
-            {"title": "All parameters, as TOML", "text": _toml(ran)},
-            {"title": "report.json", "text": json.dumps(report, indent=1, ensure_ascii=False)},
-        ]
-    return {"warnings": warnings, "tables": tables, "texts": texts}
-
-
-def _toml(ran: Mapping[str, Any]) -> str:
-    lines: list[str] = []
-    for about in ran.values():
-        for section, values in about.get("params", {}).items():
-            lines += ["", f"[{section}]"]
-            lines += [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
-    return "\n".join(lines).strip() + "\n"
-
-
 def _range_in_words(told: Mapping[str, Any]) -> str:
-    most = 1000 * told["color_range_m"]
-    sides = "red outside, blue inside" if told["is_signed"] else "red far"
-    return f"{sides}, last colour at {most:.3g} mm; green is near"
+    return "red outside, blue inside; green is near" if told["is_signed"] else "red far, green near"
 
 
-def _deviation(told: Mapping[str, Any], result: Mesh, proven: float | None) -> list[dict[str, Any]]:
-    rows = [[f"{p} % are within", f"{1000 * d:.4g} mm"] for p, d in told["absolute_percentiles_m"].items()]
-    rows.append(["RMS", f"{1000 * told['rms_m']:.4g} mm"])
-    if proven is not None:
-        rows.append(["proven: no point is farther off than", f"{at_most(1000 * proven)} mm"])
-    if told["share_within"] is not None:
-        rows.append([f"within the bound of {1000 * told['tolerance_m']:g} mm", f"{told['share_within']:.2%}"])
-    if told["delta_e_2000"] is not None:
-        rows.append(["ΔE2000 of colours, on average", f"{told['delta_e_2000']['mean']:.3g}"])
-    turn = _turn(result)
-    away = _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
-    worst = told["worst"]
-    return [
-        {"title": "Deviation of the result from the clean mesh, by samples", "head": ["", ""], "rows": rows},
-        {
-            "title": "Where it is farthest off",
-            "head": ["deviation", "at, in the axes of the scan, m", ""],
-            "rows": [
-                [f"{1000 * one['distance_m']:+.3g} mm", ", ".join(f"{x:.4g}" for x in one["point_m"])]
-                for one in worst
-            ],
-            "places": [{"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in worst],
-        },
-    ]
+def _scale(found: stages.Deviations) -> PageScale:
+    most = found.color_range
+    low = -most if found.is_signed else 0.0
+    edges = np.linspace(low, most, _STEPS + 1)
+    colors = colors_of((edges[1:] + edges[:-1]) / 2, found.within, most)
+    # What lies beyond the scale has its last colours.
+    shares = np.histogram(found.samples.clip(low, most), edges)[0] / len(found.samples)
+    css = [f"rgb({r}, {g}, {b})" for r, g, b in colors.tolist()]
+    return PageScale("mm", 1000 * low, 1000 * most, 1000 * found.within, css, shares.round(5).tolist())
 
 
-def _at(document: Mapping[str, Any], *names: str, otherwise: Any = None) -> Any:
-    found: Any = document
-    for name in names:
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return otherwise if found is None else found
+def _cameras(folder: Path, mesh: Mesh) -> list[PageCamera]:
+    """Return the cameras of the scan that a run has told of, standing as the models do."""
+    path = folder / "pictures" / CAMERAS
+    if not path.is_file():
+        return []
+    turn = _turn(mesh)
+    cameras = []
+    for one in read_document(path)["cameras"]:
+        if "fx" not in one:
+            continue
+        pose = turn @ np.array(one["world_from_camera"]).reshape(4, 4)[:3]
+        photo = None if one["photo"] is None else content_of(path.parent / one["photo"])
+        focal, center = [one["fx"], one["fy"]], [one["cx"], one["cy"]]
+        cameras.append(
+            PageCamera(one["frame"], pose.round(6).ravel().tolist(), one["size"], focal, center, photo)
+        )
+    return cameras

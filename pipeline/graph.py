@@ -210,7 +210,7 @@ def _report(job: Job) -> Mapping[str, Any]:
             pictures, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
-    if "textured" in job.inputs:
+    if "textured" in job.inputs and params.pictures:
         viewpoints = report.viewpoints_of(meshes["fused"], frames, params)
         made["pictures"] += texturing.report(pictures, job.inputs["textured"], viewpoints)
     if HELD_OUT in job.inputs:
@@ -498,6 +498,7 @@ STAGES: tuple[Stage, ...] = (
             "simplified",
             "textured",
             "remeshed",
+            "names",
             HELD_OUT,
         ),
         writes="report",
@@ -569,6 +570,8 @@ def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
         reasons["tiles"] = "is switched off; set tiles.enabled=true"
     elif not config.lod.enabled:
         reasons["tiles"] = "is made of levels of detail, which are not enabled; set lod.enabled=true"
+    if not config.report.enabled:
+        reasons["report"] = "is switched off; set report.enabled=true"
     if "texture" not in reasons and not config.export.web:
         reasons["export"] = "has nothing to write: textured.glb is there; export.web=true makes a small one"
     return reasons

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.engine import Outcome
+from pipeline.photos import write_photos
 from pipeline.schema import SCHEMA
 from stages import __version__
 from stages.comparing.compare import CompareParams, compare_surfaces
@@ -30,18 +31,39 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 
 @with_former_names
 @dataclass(frozen=True, kw_only=True)
 class ReportParams:
-    """Pictures of each stage's mesh."""
+    """What is measured on the result, and shown of it."""
+
+    enabled: bool = param(
+        True,
+        "Measure the result against the meshes it came from, draw them, and make a page that shows all.",
+        # It decides whether the stage is there, not what comes out of it.
+        invalidates=False,
+    )
+    pictures: bool = param(True, "Draw each stage's mesh, as PNG files.")
 
     viewpoints: int = param(
         3, "Number of viewpoints; every mesh is drawn from each.", low=1, high=100, was="views"
     )
     width: int = param(800, "Width of a picture.", unit="px", low=64, high=4096)
+    photos: int = param(
+        24,
+        "How many small photos, spread evenly over the scan, the page can lay over the result.",
+        low=0,
+        high=1000,
+    )
+    page_size: float = param(
+        5.0,
+        "What the page may take; its models are made lighter for that.",
+        unit="MB",
+        low=1.2,
+        invalidates=False,
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -74,9 +96,10 @@ def make(
     surfaces = {name: Surface(mesh, box) for name, mesh in meshes.items()}
     with ThreadPoolExecutor(1) as beside:
         measured = beside.submit(measure, surfaces, compared)
-        drawn = draw(folder, surfaces, frames, params)
+        drawn = draw(folder, surfaces, frames, params) if params.pictures else []
+        photos = write_photos(folder, frames, params.photos)
         progress(1, 2)
-        return {"mesh": measured.result(), "pictures": drawn}
+        return {"mesh": measured.result(), "pictures": drawn, "photos": photos}
 
 
 def measure(surfaces: Mapping[str, Surface], params: CompareParams) -> dict[str, Any]:

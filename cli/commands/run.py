@@ -86,6 +86,14 @@ def run(
     page: Annotated[
         bool, typer.Option("--page/--no-page", help="Write report.html, a page that shows the result.")
     ] = True,
+    report: Annotated[
+        bool,
+        typer.Option(
+            "--report/--no-report",
+            help="Measure the result and draw it; without, there is no page either. As report.enabled.",
+            show_default=False,
+        ),
+    ] = True,
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
 
@@ -109,7 +117,7 @@ def run(
 
     require_scan(scan)
     config = Config.load(config_file) if config_file is not None else Config()
-    config = config.set(settings or ())
+    config = config.set((*(settings or ()), *([] if report else ["report.enabled=false"])))
     config = replace(config, scan=replace(config.scan, **scan_options))
     chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
     require_writable(target)
@@ -130,7 +138,8 @@ def run(
     if page and result.report["mesh"] is not None:
         from cli.page_of import write_page
 
-        shown = write_page(result.out, out, changed=any(not stage.cached for stage in result.stages))
+        size = int(1e6 * config.report.page_size)
+        shown = write_page(result.out, out, size, changed=any(not stage.cached for stage in result.stages))
     told = result.figures() | {"page": None if shown is None else str(shown)}
     out.result(told, _summary(result, () if shown is None else (shown.name,)))
 

@@ -143,7 +143,7 @@ def names(out: Path) -> list[str]:
 
 def results(out: Path) -> dict[str, bytes]:
     """Every result but the report, which tells of seconds."""
-    paths = [*out.glob("*.ply"), *out.glob("pictures/*")]
+    paths = [*out.glob("*.ply"), *(path for path in out.glob("pictures/**/*") if path.is_file())]
     return {str(path.relative_to(out)): path.read_bytes() for path in paths}
 
 

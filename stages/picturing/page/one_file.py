@@ -16,10 +16,31 @@ _HERE = Path(__file__).parent
 _MODULES = (
     "library.js",
     "tiles/camera.js",
-    *(f"model/{name}.js" for name in ("main", "bar", "picture", "told")),
+    *(f"model/{path.stem}.js" for path in sorted((_HERE / "model").glob("*.js"))),
 )
 # Modules out of addresses have no folder: what they import gets a name of its own.
 _IMPORT = re.compile(r'(from\s+|import\s+)"(\.[^"]+)"')
+
+
+@dataclass(frozen=True)
+class PageScale:
+    """What the colours of a model stand for, in steps of one width.
+
+    Attributes
+    ----------
+    unit : of the values.
+    low, high : where the first step begins, and where the last ends.
+    within : what is nearer to 0 is well.
+    colors : of the steps, as CSS has them.
+    shares : of the surface, that have a step's values.
+    """
+
+    unit: str
+    low: float
+    high: float
+    within: float
+    colors: list[str]
+    shares: list[float]
 
 
 @dataclass(frozen=True)
@@ -33,6 +54,7 @@ class PageModel:
     triangles : of it.
     note : a few words beside their number.
     facing : (3,) where its surface looks if it was seen from one side, z up; None if all around.
+    scale : what its colours stand for; None if they are the thing's own.
     """
 
     name: str
@@ -40,10 +62,38 @@ class PageModel:
     triangles: int
     note: str = ""
     facing: list[float] | None = None
+    scale: PageScale | None = None
 
 
-def one_file(title: str, models: Sequence[PageModel], told: Mapping[str, Any] | None = None) -> bytes:
-    """Return a page that shows models in one place, one at a time, and tells what belongs to them.
+@dataclass(frozen=True)
+class PageCamera:
+    """A camera of the scan that a page's models come from.
+
+    Attributes
+    ----------
+    frame : its name.
+    pose : 12 numbers, row by row: takes points of the camera (OpenCV axes) to the upright frame, z up,
+        metres.
+    size : width and height of its image, pixels.
+    focal, center : fx, fy, and cx, cy, pixels.
+    photo : a JPEG file without lens distortion, of any size; None without one.
+    """
+
+    frame: str
+    pose: list[float]
+    size: list[int]
+    focal: list[float]
+    center: list[float]
+    photo: bytes | None = None
+
+
+def one_file(
+    title: str,
+    models: Sequence[PageModel],
+    told: Mapping[str, Any] | None = None,
+    cameras: Sequence[PageCamera] = (),
+) -> bytes:
+    """Return a page that shows models in one place, one or two at a time, and tells what belongs to them.
 
     Parameters
     ----------
@@ -52,6 +102,7 @@ def one_file(title: str, models: Sequence[PageModel], told: Mapping[str, Any] | 
     told : for JSON: `warnings`, sentences; `tables`, each with `title`, `head`, `rows` of words, and `places`
         to fly to, `target` (3,) in the upright frame, z up, and how far `away`; `texts`, each with `title`
         and `text`.
+    cameras : of the scan, in order.
     """
     content = {
         "title": title,
@@ -62,9 +113,11 @@ def one_file(title: str, models: Sequence[PageModel], told: Mapping[str, Any] | 
                 "triangles": model.triangles,
                 "note": model.note,
                 "facing": model.facing,
+                "scale": None if model.scale is None else vars(model.scale),
             }
             for model in models
         ],
+        "cameras": [{**vars(camera), "photo": _photo(camera.photo)} for camera in cameras],
         **(told or {}),
     }
     imports = {f"scanloom/{name}": _address(name) for name in _MODULES}
@@ -74,6 +127,10 @@ def one_file(title: str, models: Sequence[PageModel], told: Mapping[str, Any] | 
     # In a script element only what looks like its end, or a comment's start, would be read as HTML.
     page = page.replace("CONTENT", json.dumps(content).replace("<", "\\u003c"), 1)
     return f"{page}<!--\n{licenses}\n-->\n".encode()
+
+
+def _photo(data: bytes | None) -> str | None:
+    return None if data is None else f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 
 def _address(name: str) -> str:

@@ -13,7 +13,7 @@ import pytest
 from browsers import browser
 
 from stages import Mesh, export, preset
-from stages.picturing.page.one_file import PageModel, one_file
+from stages.picturing.page.one_file import PageCamera, PageModel, PageScale, one_file
 from stages.picturing.page.standing import facing
 from stages.picturing.render import render
 from stages.picturing.viewpoints import Viewpoint
@@ -25,6 +25,31 @@ WIDTH, HEIGHT = 480, 360
 ABOVE = 170
 UP = (0.0, -1.0, 0.0)
 EVIL = "</script><script>window.evil = 1</script><!--"
+
+
+SCALE = PageScale("mm", -2.0, 2.0, 0.5, ["rgb(1, 2, 3)", "rgb(4, 5, 6)"], [0.25, 0.75])
+
+
+def camera_at(frame: str, eye: tuple[float, float, float], photo: bytes | None) -> PageCamera:
+    """Return a camera that looks along +y of the upright frame; 100 × 80 pixels, to 45° at its sides."""
+    rows = [[1, 0, 0, eye[0]], [0, 0, 1, eye[1]], [0, -1, 0, eye[2]]]
+    return PageCamera(
+        frame, [float(x) for row in rows for x in row], [100, 80], [50, 50], [49.5, 39.5], photo
+    )
+
+
+def half_green() -> bytes:
+    """Return a photo, white but for its left half, which is green; smaller than its camera's image."""
+    pixels = np.full((40, 50, 3), 255, np.uint8)
+    pixels[:, :25] = (0, 200, 0)
+    return cv2.imencode(".jpg", pixels)[1].tobytes()
+
+
+CAMERAS = [
+    camera_at(EVIL, (0, -3, 0), half_green()),
+    camera_at("second", (2, -3, 0), None),
+    camera_at("third", (2, -4, 0.5), half_green()),
+]
 
 
 def body(color: tuple[int, int, int]) -> Mesh:
@@ -48,14 +73,14 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     models = []
     for name, color in (("red", (200, 20, 20)), ("blue", (20, 20, 200))):
         export(body(color), folder / "m.glb", preset("web"))
-        models.append(PageModel(name, (folder / "m.glb").read_bytes(), 24))
+        models.append(PageModel(name, (folder / "m.glb").read_bytes(), 24, scale=SCALE if models else None))
     told = {
         "warnings": [EVIL],
         "tables": [{"title": "Places", "head": ["a", ""], "rows": [[EVIL]],
                     "places": [{"target": [1, 0, 1], "away": 2}]}],
         "texts": [{"title": "text", "text": EVIL}],
     }  # fmt: skip
-    (folder / "page.html").write_bytes(one_file(EVIL, models, told))
+    (folder / "page.html").write_bytes(one_file(EVIL, models, told, CAMERAS))
     return folder / "page.html"
 
 
@@ -167,6 +192,109 @@ def test_places_are_flown_to_and_words_are_no_html(page: Any) -> None:
     np.testing.assert_allclose(after["target"], (1, 0, 1), atol=1e-6)
     assert after["eye"] != before["eye"]
     assert np.linalg.norm(np.array(after["eye"]) - after["target"]) == pytest.approx(2, rel=0.01)
+
+
+def green(pixels: np.ndarray) -> np.ndarray:
+    return np.asarray(pixels[..., 1] - pixels[..., [0, 2]].max(axis=2) > 60)
+
+
+def columns(seen: np.ndarray) -> tuple[int, int]:
+    """Return the first and last column in which something is seen."""
+    found = np.flatnonzero(seen.any(axis=0))
+    return int(found[0]), int(found[-1])
+
+
+def test_two_models_meet_at_the_divider(page: Any) -> None:
+    page.select_option("#beside", "1")
+    page.evaluate("scanloom.look({ eye: [0, -4, 0], target: [0, 0, 0], fov: 50 })")
+    wait_for(page, "!document.getElementById('divider').hidden")
+    for share in (0.5, 0.3):
+        page.evaluate("share => scanloom.divide(share)", share)
+        seen = image(page)[:ABOVE]
+        edge = share * seen.shape[1]
+        assert columns(blue(seen))[1] == pytest.approx(edge, abs=12)
+        assert columns(red(seen))[0] == pytest.approx(edge, abs=12)
+    page.locator("#divider").focus()
+    page.keyboard.press("ArrowRight")
+    assert page.get_attribute("#divider", "aria-valuenow") == "32"
+    assert "left blue, right red" in page.inner_text("#figures")
+    page.select_option("#beside", "none")
+    assert not blue(image(page)[:ABOVE]).any()
+
+
+def test_a_cut_leaves_out_what_is_beyond_it(page: Any) -> None:
+    page.evaluate("scanloom.look({ eye: [0, -4, 0], target: [0, 0, 0], fov: 50 })")
+    whole = columns(red(image(page)[:ABOVE]))
+    page.select_option("#cut", "x")
+    cut = columns(red(image(page)[:ABOVE]))
+    assert cut[0] == whole[0]
+    # Half the box of 3 m, from the front: in its middle.
+    assert cut[1] == pytest.approx(sum(whole) / 2, abs=10)
+    page.select_option("#cut", "z")
+    page.evaluate("scanloom.set({ at: 0 })")
+    assert not red(image(page)[:ABOVE]).any()
+    # What is cut away is not measured, either.
+    page.evaluate("scanloom.set({ measuring: true })")
+    assert not page.evaluate("scanloom.pick(240, 100)")
+
+
+def test_a_photo_lies_over_the_model_where_it_was_taken(page: Any) -> None:
+    page.add_style_tag(
+        content="form, #scale { display: none !important } #stage { height: 360px !important }"
+    )
+    page.evaluate("scanloom.set({ cameras: true })")
+    page.evaluate("scanloom.look({ eye: [0, -9, 0], target: [0, -3, 0], fov: 50 })")
+    assert page.evaluate("scanloom.pickCamera(240, 180)") == 0
+    wait_for(page, "scanloom.settings().photo === 0")
+    view = page.evaluate("scanloom.view()")
+    np.testing.assert_allclose(view["eye"], (0, -3, 0), atol=1e-6)
+    np.testing.assert_allclose(view["target"][::2], (0, 0), atol=1e-6)
+    page.evaluate("scanloom.set({ opacity: 1 })")
+    wait_for(page, "scanloom.drawn().then(() => true)")
+    seen = image(page)
+    height, width = seen.shape[:2]
+    focal = height / 2 / np.tan(np.radians(view["fov"] / 2))
+    left, right = columns(green(seen))
+    assert left == pytest.approx(width / 2 - focal, abs=4)
+    assert right == pytest.approx(width / 2, abs=4)
+    rows = np.flatnonzero(green(seen).any(axis=1))
+    assert np.ptp(rows) == pytest.approx(2 * 0.8 * focal, abs=6)
+    page.evaluate("scanloom.set({ opacity: 0 })")
+    assert not green(image(page)).any()
+    assert red(image(page)).any()
+    page.keyboard.press("Escape")
+    wait_for(page, "scanloom.settings().photo === null")
+    assert page.evaluate("scanloom.view().fov") == 50
+
+
+def test_cameras_from_above_and_their_photos_are_chosen_by_keys(page: Any) -> None:
+    circles = page.locator(".plan circle")
+    assert circles.count() == 3
+    buttons = page.locator(".plan circle[role=button]")
+    assert buttons.count() == 2
+    assert buttons.nth(0).get_attribute("aria-label") == f"Photo of frame {EVIL}"
+    at = [float(circles.nth(k).get_attribute(axis)) for k in (0, 2) for axis in ("cx", "cy")]
+    assert at[2] > at[0], "x to the right"
+    assert at[3] > at[1], "y away from the reader"
+    buttons.nth(1).focus()
+    page.keyboard.press("Enter")
+    wait_for(page, "scanloom.settings().photo === 2")
+    np.testing.assert_allclose(page.evaluate("scanloom.view()")["eye"], (2, -4, 0.5), atol=1e-6)
+    assert page.locator("#photo option").count() == 3
+
+
+def test_colours_that_stand_for_something_have_a_scale(page: Any) -> None:
+    assert page.locator("#legend").is_hidden()
+    page.keyboard.press("2")
+    wait_for(page, "!document.getElementById('legend').hidden")
+    words = page.inner_text("#legend").split()
+    assert words[0] == "mm"
+    assert {"+2", "-2", "+0.5", "-0.5"} <= set(words)
+    bars = page.locator("#legend .share")
+    # Highest first.
+    assert bars.nth(0).bounding_box()["width"] == pytest.approx(
+        3 * bars.nth(1).bounding_box()["width"], rel=0.05
+    )
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(360, "dark"), (1400, "light")])

@@ -1,15 +1,29 @@
 // The controls below the picture.
 const WHOLE = new Intl.NumberFormat("en");
+const NONE = "none";
 
-/** Tie the controls of a form to a picture of several models. */
-export function bar(form, drawn, models) {
-  const { model, mode, measure, all } = form.elements;
+/** Tie the controls of a form to a picture of several models, and of cameras. */
+export function bar(form, drawn, models, cameras) {
+  const { model, beside, mode, cut, at, cameras: shown, photo, opacity, measure, all } = form.elements;
   const figures = form.querySelector("#figures");
-  models.forEach(({ name }, number) => model.add(new Option(name, number)));
-  model.closest("label").hidden = models.length < 2;
+  models.forEach(({ name }, number) => {
+    model.add(new Option(name, number));
+    beside.add(new Option(name, number));
+  });
+  cameras.forEach(({ frame, photo: image }, number) => image && photo.add(new Option(frame, number)));
+  hide(models.length < 2, model, beside);
+  hide(!cameras.length, shown);
+  hide(photo.options.length < 2, photo);
 
+  const numbered = ({ value }) => (value === NONE ? null : Number(value));
   model.addEventListener("change", () => drawn.show(Number(model.value)));
+  beside.addEventListener("change", () => drawn.showBeside(numbered(beside)));
   mode.addEventListener("change", () => drawn.set({ mode: mode.value }));
+  cut.addEventListener("change", () => drawn.set({ cut: cut.value }));
+  at.addEventListener("input", () => drawn.set({ at: Number(at.value) }));
+  shown.addEventListener("change", () => drawn.set({ cameras: shown.checked }));
+  photo.addEventListener("change", () => drawn.showPhoto(numbered(photo)));
+  opacity.addEventListener("input", () => drawn.set({ opacity: Number(opacity.value) }));
   measure.addEventListener("click", () => drawn.set({ measuring: !drawn.settings().measuring }));
   all.addEventListener("click", () => drawn.showAll());
   form.addEventListener("submit", (event) => event.preventDefault());
@@ -21,15 +35,27 @@ export function bar(form, drawn, models) {
   drawn.onChange(() => {
     const settings = drawn.settings();
     model.value = settings.model;
+    beside.value = settings.beside ?? NONE;
     mode.value = settings.mode;
+    cut.value = settings.cut;
+    shown.checked = settings.cameras;
+    photo.value = settings.photo ?? NONE;
+    hide(settings.cut === NONE, at);
+    hide(settings.photo === null, opacity);
     measure.setAttribute("aria-pressed", String(settings.measuring));
-    figures.textContent = sentence(settings, models[settings.model], drawn);
+    figures.textContent = sentence(settings, models, drawn);
   });
 }
 
-function sentence(settings, { triangles, note }, drawn) {
+function hide(isHidden, ...controls) {
+  for (const control of controls) control.closest("label").hidden = isHidden;
+}
+
+function sentence({ model, beside, measuring }, models, drawn) {
   const distance = drawn.distance();
   if (distance !== null) return `${distance.toPrecision(4)} m between the two points`;
-  if (settings.measuring) return drawn.points().length ? "Now the second point." : "Click two points of the surface.";
-  return `${WHOLE.format(triangles)} triangles${note ? ` · ${note}` : ""}`;
+  if (measuring) return drawn.points().length ? "Now the second point." : "Click two points of the surface.";
+  const { triangles, note } = models[model];
+  const words = `${WHOLE.format(triangles)} triangles${note ? ` · ${note}` : ""}`;
+  return beside === null || beside === model ? words : `left ${models[beside].name}, right ${models[model].name}: ${words}`;
 }

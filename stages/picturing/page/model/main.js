@@ -1,6 +1,8 @@
 // The page of one or more models in one file: a picture, a bar of controls, what is told below, and
 // `window.scanloom` for scripts.
 import { bar } from "./bar.js";
+import { divider } from "./divider.js";
+import { legend } from "./legend.js";
 import { picture } from "./picture.js";
 import { tell } from "./told.js";
 
@@ -14,10 +16,18 @@ function fail(text) {
 
 async function start() {
   document.title = content.title;
+  const { models, cameras = [] } = content;
+  const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), models, cameras);
+  const line = document.getElementById("divider");
+  const moved = divider(line, (split) => drawn.set({ split }));
+  bar(document.getElementById("bar"), drawn, models, cameras);
+  drawn.onChange(() => {
+    const { model, beside } = drawn.settings();
+    line.hidden = beside === null || beside === model;
+    legend(document.getElementById("legend"), models[model].scale ?? models[beside]?.scale);
+  });
+  window.scanloom = { ...drawn, divide: moved.set };
   tell(document.getElementById("told"), content);
-  const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), content.models);
-  bar(document.getElementById("bar"), drawn, content.models);
-  window.scanloom = drawn;
   await drawn.show(0);
   message.hidden = true;
 }

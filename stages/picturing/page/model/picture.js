@@ -13,6 +13,7 @@ import {
   MeshBasicMaterial,
   MeshLambertMaterial,
   MeshoptDecoder,
+  Plane,
   Points,
   PointsMaterial,
   Raycaster,
@@ -21,17 +22,21 @@ import {
   Vector3,
   WebGLRenderer,
 } from "../library.js";
-import { orbitingCamera } from "../tiles/camera.js";
+import { orbitingCamera, outOfScene } from "../tiles/camera.js";
+import { camerasOf } from "./cameras.js";
 
 const MOST_PIXELS = 2; // of the screen to one of the page: more are not seen
 const STILL = 5; // pixels that a click may move
 const BAR = 0.22; // of the picture's width, the longest scale bar
 const MARK = "#e6009e";
+const FRAMED = 1.08; // of a photo's size, what is seen from its place
+// Which way a cut looks, in the scene; what is beyond it is left out.
+const CUTS = { x: [-1, 0, 0], y: [0, 0, 1], z: [0, -1, 0] };
 
 const clay = new MeshLambertMaterial({ color: "#cfccc6", side: DoubleSide, flatShading: true });
 const lines = new MeshBasicMaterial({ color: "#3a4657", wireframe: true });
 
-export function picture(canvas, scale, models) {
+export function picture(canvas, scale, models, cameras = []) {
   const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: false });
   renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
   const scene = new Scene();
@@ -43,10 +48,14 @@ export function picture(canvas, scale, models) {
   const loaded = new Map();
   const view = orbitingCamera(canvas, change);
   const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
-  const state = { model: 0, mode: "colors", measuring: false };
+  // `beside`: a model left of `split`, a share of the width; `cut`: an axis, at a share of the model's box.
+  const state = { model: 0, mode: "colors", measuring: false, beside: null, split: 0.5, cut: "none", at: 0.5, cameras: false, photo: null, opacity: 0.6 };
+  const box = new Box3();
+  const frustums = camerasOf(cameras, scene, change);
   let shown = null;
   let points = [];
   let waiting = false;
+  let usual; // field of view, without a photo
 
   function change() {
     if (waiting) return;
@@ -66,7 +75,20 @@ export function picture(canvas, scale, models) {
     }
     view.fitDepth();
     sun.position.copy(view.camera.position);
-    renderer.render(scene, view.camera);
+    const other = otherModel();
+    if (other) {
+      const edge = Math.round(width * state.split);
+      renderer.setScissorTest(true);
+      for (const [model, left, wide] of [[other, 0, edge], [shown, edge, width - edge]]) {
+        if (wide <= 0) continue;
+        other.visible = model === other;
+        shown.visible = model === shown;
+        renderer.setScissor(left, 0, wide, height);
+        renderer.render(scene, view.camera);
+      }
+      renderer.setScissorTest(false);
+      shown.visible = other.visible = true;
+    } else renderer.render(scene, view.camera);
     drawScale(width, height);
   }
 
@@ -99,11 +121,28 @@ export function picture(canvas, scale, models) {
     return loaded.get(number);
   }
 
+  /** The model that is seen left of the divider, if there are two. */
+  function otherModel() {
+    const other = state.beside === null || state.beside === state.model ? null : loaded.get(state.beside);
+    return shown && other ? other : null;
+  }
+
   function dress() {
-    shown?.traverse((one) => {
-      if (!one.isMesh) return;
-      one.material = state.mode === "clay" ? clay : state.mode === "triangles" ? lines : one.userData.own;
-    });
+    for (const model of loaded.values()) {
+      model.traverse((one) => {
+        if (!one.isMesh) return;
+        one.material = state.mode === "clay" ? clay : state.mode === "triangles" ? lines : one.userData.own;
+      });
+      if (model.parent && model !== shown && model !== otherModel()) scene.remove(model);
+    }
+    if (otherModel()) scene.add(otherModel());
+    const normal = CUTS[state.cut];
+    const along = normal && new Vector3(...normal);
+    // The share goes from the side that is kept to the other.
+    const ends = along && [box.min, box.max].map((corner) => -along.dot(corner)).sort((a, b) => a - b);
+    renderer.clippingPlanes = along ? [new Plane(along, ends[0] + (ends[1] - ends[0]) * state.at)] : [];
+    frustums.visible = state.cameras && state.photo === null;
+    frustums.opacity = state.opacity;
   }
 
   function changed() {
@@ -120,12 +159,49 @@ export function picture(canvas, scale, models) {
     change();
   }
 
+  function hitOf(caster, model) {
+    const hits = model ? caster.intersectObject(model, true) : [];
+    return hits.find(({ point }) => renderer.clippingPlanes.every((plane) => plane.distanceToPoint(point) >= 0));
+  }
+
+  /** Look from the camera of a frame, its photo over the model; null goes on without. */
+  async function showPhoto(number) {
+    if (state.photo === null) usual = view.view().fov;
+    state.photo = number;
+    if (number === null) {
+      view.set({ fov: usual });
+      await frustums.show(null);
+      return changed();
+    }
+    const { eye, ahead, corners } = frustums.all[number];
+    const forward = ahead.clone().sub(eye);
+    const caster = new Raycaster(eye, forward);
+    const depth = (hitOf(caster, shown) ?? { distance: 0.5 * box.getSize(new Vector3()).length() }).distance;
+    await frustums.show(number, depth);
+    // Upright, and so much that all of the photo is seen.
+    const right = forward.clone().cross(new Vector3(0, 1, 0)).normalize();
+    const up = right.clone().cross(forward).normalize();
+    const most = (axis) => Math.max(...corners.map((corner) => Math.abs(corner.clone().sub(eye).dot(axis))));
+    const tall = FRAMED * Math.max(most(up), most(right) / view.camera.aspect);
+    view.set({ eye: outOfScene(eye), target: outOfScene(eye.clone().addScaledVector(forward, depth)), fov: (2 * Math.atan(tall) * 180) / Math.PI });
+    changed();
+  }
+
+  function pickCamera(x, y) {
+    const { clientWidth: width, clientHeight: height } = canvas;
+    const caster = new Raycaster();
+    caster.setFromCamera(new Vector2((2 * x) / width - 1, 1 - (2 * y) / height), view.camera);
+    const found = frustums.under(caster.ray);
+    if (found !== null) showPhoto(found);
+    return found;
+  }
+
   /** Take the point of the surface at a place of the canvas, in pixels of the page; whether there is one. */
   function pick(x, y) {
     const { clientWidth: width, clientHeight: height } = canvas;
     const caster = new Raycaster();
     caster.setFromCamera(new Vector2((2 * x) / width - 1, 1 - (2 * y) / height), view.camera);
-    const [hit] = shown ? caster.intersectObject(shown, true) : [];
+    const hit = hitOf(caster, otherModel() && x < width * state.split ? otherModel() : shown);
     if (!hit) return false;
     points = points.length < 2 ? [...points, hit.point.clone()] : [hit.point.clone()];
     changed();
@@ -135,10 +211,15 @@ export function picture(canvas, scale, models) {
   let pressed = null;
   canvas.addEventListener("pointerdown", ({ offsetX, offsetY }) => (pressed = [offsetX, offsetY]));
   canvas.addEventListener("pointerup", ({ offsetX, offsetY }) => {
-    if (!state.measuring || !pressed) return;
-    if (Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) <= STILL) pick(offsetX, offsetY);
+    if (!pressed || Math.hypot(offsetX - pressed[0], offsetY - pressed[1]) > STILL) return;
+    if (state.measuring) pick(offsetX, offsetY);
+    else if (state.cameras) pickCamera(offsetX, offsetY);
   });
-  addEventListener("keydown", ({ key }) => key === "Escape" && set({ measuring: false }));
+  addEventListener("keydown", ({ key }) => {
+    if (key !== "Escape") return;
+    if (state.photo !== null) showPhoto(null);
+    set({ measuring: false });
+  });
   new ResizeObserver(change).observe(canvas);
 
   function set(settings) {
@@ -147,10 +228,19 @@ export function picture(canvas, scale, models) {
     changed();
   }
 
+  /** Show another model left of the divider; null shows one alone. */
+  async function showBeside(number) {
+    if (number !== null) await load(number);
+    set({ beside: number });
+  }
+
   return {
     settings: () => ({ ...state }),
     set,
     pick,
+    pickCamera,
+    showBeside,
+    showPhoto,
     points: () => points.map((point) => point.toArray()),
     distance: () => (points.length === 2 ? points[0].distanceTo(points[1]) : null),
     onChange: (hear) => heard.push(hear),
@@ -170,7 +260,9 @@ export function picture(canvas, scale, models) {
         const { clientWidth: width, clientHeight: height } = canvas;
         renderer.setSize(width, height, false);
         view.resize(width, height);
-        view.setModel(new Box3().setFromObject(found), models[number].facing);
+        box.setFromObject(found);
+        view.setModel(box, models[number].facing);
+        frustums.build(box.getSize(new Vector3()).length());
         view.showAll();
       }
       state.model = number;

@@ -1,8 +1,10 @@
+import { plan } from "./plan.js";
+
 // What is told of a run below its picture: warnings first, then stages, then all else.
 
 /** Fill an element with what the content holds; nothing of it is read as HTML. */
-export function tell(place, { warnings = [], tables = [], texts = [] }) {
-  if (!warnings.length && !tables.length && !texts.length) return;
+export function tell(place, { warnings = [], tables = [], texts = [], cameras = [] }) {
+  if (!warnings.length && !tables.length && !texts.length && !cameras.length) return;
   document.body.classList.add("told");
   if (warnings.length) {
     place.append(heading("Warnings"));
@@ -10,6 +12,13 @@ export function tell(place, { warnings = [], tables = [], texts = [] }) {
   }
   for (const { title, head, rows, places } of tables) {
     place.append(heading(title), table(head, rows, places));
+  }
+  if (cameras.length) {
+    place.append(heading("Cameras from above"));
+    place.append(plan(cameras, (number) => {
+      window.scanloom.showPhoto(number);
+      document.getElementById("picture").scrollIntoView({ block: "nearest" });
+    }));
   }
   for (const { title, text } of texts) {
     const folded = document.createElement("details");

@@ -13,7 +13,7 @@ const STEP = 0.85; // of + and -, a share of the distance
 const NEAREST = 1e-3;
 
 const intoScene = ([x, y, z]) => new Vector3(x, z, -y);
-const outOfScene = ({ x, y, z }) => [x, -z, y];
+export const outOfScene = ({ x, y, z }) => [x, -z, y];
 const cornersOf = ({ min, max }) =>
   [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z))));
 

@@ -1,0 +1,73 @@
+"""Where the cameras of a scan were, and small photos of some, for those who look at its results."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages._opencv import require_opencv
+from stages.errors import InputError
+from stages.files.image_bytes import encoded_image
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_photo
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import Frame, pinhole
+
+FILE, PHOTOS = "cameras.json", "photos"
+
+_WIDTH = 480
+_QUALITY = 75
+
+
+def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
+    """Write cameras.json, and `count` photos spread evenly over the scan; return how many there are.
+
+    cameras.json holds a list, `cameras`, of frames with a pose: `frame`, `world_from_camera` (of the colour
+    camera: 16 numbers, row by row, metres, OpenCV axes), `size` and `fx`, `fy`, `cx`, `cy` in pixels of the
+    pinhole camera, and `photo`, a JPEG file's name or null.
+    """
+    require_opencv()
+    import cv2
+
+    posed = [frame for frame in frames if frame.world_from_camera is not None]
+    chosen = np.unique(np.linspace(0, len(posed) - 1, min(count, len(posed))).round().astype(int)).tolist()
+    chosen = [number for number in chosen if posed[number].color is not None]
+    (folder / PHOTOS).mkdir()
+
+    def written(number: int) -> tuple[int, str | None]:
+        try:
+            image, _, _ = read_photo(posed[number])
+        except InputError:
+            return number, None
+        height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
+        small = cv2.resize(image, (_WIDTH, height), interpolation=cv2.INTER_AREA)
+        name = f"{PHOTOS}/{number:06d}.jpg"
+        (folder / name).write_bytes(encoded_image(np.asarray(small, np.uint8), "jpeg", _QUALITY))
+        return number, name
+
+    threads = os.cpu_count() or 1
+    photos = dict(read_ahead(written, chosen, threads=threads, ahead=threads))
+    cameras = [_told(frame, photos.get(number)) for number, frame in enumerate(posed)]
+    (folder / FILE).write_text(json.dumps({"cameras": cameras}) + "\n", encoding="utf-8")
+    return sum(name is not None for name in photos.values())
+
+
+def _told(frame: Frame, photo: str | None) -> dict[str, Any]:
+    assert frame.world_from_camera is not None
+    camera = pinhole(frame.color_camera or frame.camera)
+    pose = np.asarray(frame.world_from_camera, np.float64)
+    if frame.color_from_depth is not None:
+        pose = pose @ inverted(np.asarray(frame.color_from_depth, np.float64))
+    known = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")} if camera.is_calibrated else {}
+    return {
+        "frame": frame.name,
+        "world_from_camera": pose.round(7).ravel().tolist(),
+        "size": [camera.width, camera.height],
+        **known,
+        "photo": photo,
+    }

@@ -1,0 +1,26 @@
+// The line between two models, left and right of it, moved by pointer and by keys.
+const STEP = 0.02; // of a key
+
+/** Tie an element to a share of the picture's width; `moved` is told it. */
+export function divider(element, moved) {
+  let share = 0.5;
+
+  function set(value) {
+    share = Math.min(Math.max(value, 0), 1);
+    element.style.left = `${100 * share}%`;
+    element.setAttribute("aria-valuenow", Math.round(100 * share));
+    moved(share);
+  }
+
+  element.addEventListener("pointerdown", (event) => element.setPointerCapture(event.pointerId));
+  element.addEventListener("pointermove", (event) => {
+    if (!element.hasPointerCapture(event.pointerId)) return;
+    const { left, width } = element.parentElement.getBoundingClientRect();
+    set((event.clientX - left) / width);
+  });
+  element.addEventListener("keydown", ({ key }) => {
+    const step = { ArrowLeft: -STEP, ArrowRight: STEP }[key];
+    if (step) set(share + step);
+  });
+  return { set, share: () => share };
+}

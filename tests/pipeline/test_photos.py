@@ -1,0 +1,99 @@
+"""What a run leaves of the scan's cameras, and when it makes no report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.config import Config
+from pipeline.graph import left_out
+from pipeline.photos import FILE, write_photos
+from pipeline.run import CACHE_VARIABLE, run
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame
+
+SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
+QUICK = ("fuse.voxel_size=0.04", "report.width=64", "report.viewpoints=1", "compare.samples=1000")
+
+
+def frame(number: int, **more: object) -> Frame:
+    pose = np.eye(4)
+    pose[0, 3] = number
+    image = np.full((60, 80, 3), 10 * number, np.uint8)
+    camera = Camera(80, 60, 70, 70, 39.5, 29.5)
+    return Frame(f"f{number}", camera, color=image, world_from_camera=pose, **more)
+
+
+def written(tmp_path, frames, count):
+    made = write_photos(tmp_path, frames, count)
+    return made, json.loads((tmp_path / FILE).read_text())["cameras"]
+
+
+def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
+    made, cameras = written(tmp_path, [frame(k) for k in range(21)], 5)
+    assert made == 5
+    assert [k for k, one in enumerate(cameras) if one["photo"]] == [0, 5, 10, 15, 20]
+    for k in (0, 10, 20):
+        image = cv2.imread(str(tmp_path / cameras[k]["photo"]))
+        assert image.shape == (360, 480, 3)
+        assert abs(image.astype(int).mean() - 10 * k) < 2
+        assert cameras[k]["frame"] == f"f{k}"
+        assert cameras[k]["world_from_camera"][3] == k
+
+
+@pytest.mark.parametrize("count", [0, 1, 100])
+def test_as_many_as_there_are(tmp_path, count):
+    made, cameras = written(tmp_path, [frame(k) for k in range(3)], count)
+    assert made == min(count, 3)
+    assert len(cameras) == 3
+
+
+def test_the_place_of_the_colour_camera_is_told(tmp_path):
+    beside = np.eye(4)
+    beside[1, 3] = 0.1  # takes points of the depth camera to the colour camera
+    lens = Camera(160, 120, 150, 151, 80, 60, (0.1, 0.0, 0.0, 0.0))
+    _, (told,) = written(tmp_path, [frame(1, color_camera=lens, color_from_depth=beside)], 0)
+    assert told["size"] == [160, 120]
+    assert (told["fx"], told["fy"]) == (150, 151)
+    np.testing.assert_allclose(np.array(told["world_from_camera"]).reshape(4, 4)[:3, 3], (1, -0.1, 0))
+
+
+def test_what_cannot_be_read_or_has_no_pose_is_no_photo(tmp_path):
+    lost = Frame(
+        "lost", Camera(80, 60, 70, 70, 39.5, 29.5), color=tmp_path / "none.png", world_from_camera=np.eye(4)
+    )
+    unplaced = Frame("unplaced", Camera(80, 60, 70, 70, 39.5, 29.5))
+    made, cameras = written(tmp_path, [lost, unplaced, frame(2)], 10)
+    assert made == 1
+    assert [one["frame"] for one in cameras] == ["lost", "f2"]
+    assert cameras[0]["photo"] is None
+
+
+@pytest.mark.slow
+def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
+    monkeypatch.delenv(CACHE_VARIABLE, raising=False)
+    quiet = Config().set([*QUICK, "texture.enabled=false"])
+    made = run(SCAN, tmp_path, quiet.set(["report.photos=3"]))
+    cameras = json.loads((tmp_path / "pictures" / FILE).read_text())["cameras"]
+    assert len(cameras) == len(read_scan(SCAN).frames)
+    assert sum(one["photo"] is not None for one in cameras) == 3
+    assert len(list((tmp_path / "pictures" / "photos").iterdir())) == 3
+    assert made.report["stages"]["report"]["results"]
+
+    run(SCAN, tmp_path, quiet.set(["report.pictures=false", "report.photos=0"]))
+    assert [path.name for path in (tmp_path / "pictures").iterdir()] == [FILE]
+
+    none = run(SCAN, tmp_path, quiet.set(["report.enabled=false"]))
+    assert none.report["mesh"] is None
+    assert "report" not in none.report["stages"]
+    assert not (tmp_path / "pictures").exists()
+    assert (tmp_path / "simplified.glb").exists()
+
+
+def test_the_report_can_be_switched_off():
+    why = left_out(read_scan(SCAN), Config().set(["report.enabled=false"]))["report"]
+    assert "report.enabled=true" in why
