@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from stages.cleaning.repair import Repaired, RepairParams, repair
     from stages.comparing.align import Alignment, align
     from stages.comparing.certify import Certificate, CertifyParams, certify
+    from stages.comparing.change import ChangeParams, Changes, changes
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
@@ -67,6 +68,7 @@ _NAMES_OF = {
     "cleaning.repair": ("RepairParams", "Repaired", "repair"),
     "comparing.align": ("Alignment", "align"),
     "comparing.certify": ("Certificate", "CertifyParams", "certify"),
+    "comparing.change": ("ChangeParams", "Changes", "changes"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
@@ -115,6 +117,8 @@ __all__ = [
     "Camera",
     "Certificate",
     "CertifyParams",
+    "ChangeParams",
+    "Changes",
     "CheckParams",
     "Checked",
     "CleanParams",
@@ -168,6 +172,7 @@ __all__ = [
     "as_mesh",
     "bake",
     "certify",
+    "changes",
     "check",
     "clean",
     "compare",

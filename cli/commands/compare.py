@@ -10,11 +10,14 @@ import typer
 
 import stages
 from cli.deviation_picture import write_deviation_picture
-from cli.mesh_arguments import about_file, read_file, write_file
+from cli.mesh_arguments import SHAPE_ALONE, about_file, read_file, write_file
 from cli.output import Output, table_of
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_new_file
-from stages import CompareParams, DeviationParams, UsageError
+from stages import ChangeParams, CompareParams, DeviationParams, UsageError
+
+# Formats that keep the colours of a change.
+COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SHAPE_ALONE)
 
 
 def compare(
@@ -24,6 +27,7 @@ def compare(
     other: Annotated[Path, typer.Argument(metavar="B", help="Mesh file to measure.", show_default=False)],
     params: CompareParams,
     told: DeviationParams,
+    changed: ChangeParams,
     out: Output,
     how: Annotated[
         str,
@@ -49,11 +53,25 @@ def compare(
             metavar="FILE", help="PNG file for a picture of that and its scale.", show_default=False
         ),
     ] = None,
+    change: Annotated[
+        bool, typer.Option("--change", help="Tell what is new in B, and what of A is gone, with areas.")
+    ] = False,
+    save_change: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Mesh file for that: B in grey, what is new in green, what is gone in red.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Measure how far two meshes are apart, in shape (both ways) and in colour.
 
     Where A is oriented, the deviations of B from it have signs: positive on the side that A looks to. Of them
     percentiles are told, the worst places, and what share is within --tolerance; colours also as ΔE2000.
+
+    --change is for two scans of one place: what is farther from the other mesh than --change-distance is new,
+    or gone. What the later scan did not see counts as gone.
 
     Meshes that lie apart by more than the smaller one's size are not of one thing: the exit code is then 1.
     Relative distances refer to the diagonal of the bounding box of A.
@@ -66,6 +84,10 @@ def compare(
         if how == "none":
             raise UsageError("--save-aligned needs --align icp: nothing is moved without it.")
         require_new_file(save_aligned, MESH_SUFFIXES)
+    if save_change is not None:
+        if not change:
+            raise UsageError("--save-change needs --change.")
+        require_new_file(save_change, COLORED_SUFFIXES)
     for path, suffix in ((save_ply, ".ply"), (picture, ".png")):
         if path is not None:
             require_new_file(path, (suffix,))
@@ -84,7 +106,11 @@ def compare(
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         write_deviation_picture(picture, found, told.palette)
+    moved = stages.changes(mesh_a, mesh_b, changed) if change else None
+    if moved is not None and save_change is not None:
+        write_file(save_change, moved.painted, out)
     figures |= {
+        "change": None if moved is None else moved.figures(),
         "deviation": found.figures(),
         "alignment": None if alignment is None else alignment.figures(),
     }
@@ -121,8 +147,25 @@ def _comparison_text(figures: Mapping[str, Any]) -> str:
             f"\n\nB was moved onto A by {moved['moved_rms_m']:.4g} m RMS, and turned by "
             f"{moved['angle_degrees']:.4g} degrees; {moved['overlap']:.0%} of it has a partner."
         )
+    if figures["change"] is not None:
+        text += "\n\n" + _change_text(figures["change"])
     diagonal, samples = figures["diagonal_m"], figures["samples_per_side"]
     return f"{text}\n\nDiagonal of A {diagonal:.4g} m; {samples:,} samples on each mesh."
+
+
+def _change_text(told: Mapping[str, Any]) -> str:
+    text = (
+        f"New in B: {told['new_area_m2']:.4g} m² in {told['new_places']:,} places; gone of A: "
+        f"{told['gone_area_m2']:.4g} m² in {told['gone_places']:,}; farther than {told['distance_m']:.4g} m."
+    )
+    if not told["largest"]:
+        return text
+    rows = [["largest changes", "m²", "in the middle, m"]]
+    rows += [
+        [one["kind"], f"{one['area_m2']:.4g}", ", ".join(f"{x:.4g}" for x in one["point_m"])]
+        for one in told["largest"]
+    ]
+    return f"{text}\n\n{table_of(rows)}"
 
 
 def _deviation_text(told: Mapping[str, Any]) -> str:

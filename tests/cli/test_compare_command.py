@@ -70,3 +70,42 @@ def test_wrong_words(scanloom: Run, clean_ball: Path, words: tuple[str, ...], me
     ran = scanloom("compare", clean_ball, clean_ball, *words)
     assert ran.exit_code == 2
     assert message in ran.stderr
+
+
+def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) -> None:
+    body = bumpy()
+    size = float(np.ptp(body.vertices[:, 0]))
+    far = body.vertices + np.array((1.5 * size, 0, 0))
+    both = body.with_(
+        vertices=np.concatenate([body.vertices, far]),
+        triangles=np.concatenate([body.triangles, body.triangles + len(body.vertices)]),
+        colors=None if body.colors is None else np.concatenate([body.colors, body.colors]),
+    )
+    write_mesh(tmp_path / "a.ply", body)
+    write_mesh(tmp_path / "b.ply", both)
+    pair = (tmp_path / "a.ply", tmp_path / "b.ply")
+    ran = scanloom("compare", *pair, "--change", "--save-change", tmp_path / "c.ply", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    told = ran.json["change"]
+    assert (told["new_places"], told["gone_places"]) == (1, 0)
+    assert told["gone_area_m2"] == 0
+    assert told["new_area_m2"] > 0
+    colors = read_mesh(tmp_path / "c.ply").colors
+    assert ((colors == (45, 160, 70)).all(axis=1)).sum() == len(body.vertices)
+    assert "New in B" in scanloom("compare", *pair, "--change").stdout
+    assert scanloom("compare", *pair, "--json").json["change"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--save-change", "c.ply"), "--save-change needs --change"),
+        (("--change", "--save-change", "c.stl"), ".stl"),
+    ],
+)
+def test_changes_need_their_option_and_colours(
+    scanloom: Run, clean_ball: Path, words: tuple[str, ...], message: str
+) -> None:
+    ran = scanloom("compare", clean_ball, clean_ball, *words)
+    assert ran.exit_code == 2
+    assert message in ran.stderr
