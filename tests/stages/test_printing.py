@@ -134,6 +134,7 @@ def everything():
         exported(mesh),
         stages.align(mesh, mesh)[1],
         stages.deviations(mesh, mesh),
+        stages.changes(mesh, mesh),
     ]
 
 
