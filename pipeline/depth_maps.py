@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Frame, SkippedFrame
-from stages.stereo.depth import DepthMap
+from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.stereo.depth import DepthMap, depth_scan
+from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import write_ply_cloud
 
 # Points in the cloud of a whole scan: enough to judge it by, and quick to open anywhere (15 bytes each).
@@ -39,6 +40,11 @@ class _Written:
     points: NDArray[np.float32]
     colors: ColorImage
     figures: dict[str, Any]
+
+
+def measure_of(scan: Scan) -> Callable[..., Any]:
+    """Return what finds the depth of a scan: of pairs, or of views with poses."""
+    return views_depth if scan.is_views else depth_scan
 
 
 def write_depth_maps(

@@ -16,10 +16,15 @@ from stages.surface.mesh import Mesh
 
 
 def judge(
-    folder: Path, mesh: Mesh, held_out: Sequence[Frame], progress: Progress = silent
+    folder: Path | None, mesh: Mesh, held_out: Sequence[Frame], progress: Progress = silent
 ) -> tuple[dict[str, Any], list[str]]:
-    """Compare frames with a mesh, and draw the worst and the median; return figures and files."""
+    """Compare frames with a mesh, and draw the worst and the median into a folder, if there is one.
+
+    Returns the figures, and the names of the files.
+    """
     found = left_out(mesh, held_out, progress)
+    if folder is None:
+        return found.figures(), []
     names = []
     for which, picture in found.pictures.items():
         names.append(f"held-out-{which}.png")

@@ -21,13 +21,16 @@ from stages.scans.scan import Frame, pinhole
 FILE, PHOTOS = "cameras.json", "photos"
 
 _WIDTH = 480
+# A recording has tens of thousands of frames; a picture of its way needs no more.
+_MOST_CAMERAS = 2_000
 _QUALITY = 75
 
 
 def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
     """Write cameras.json, and `count` photos spread evenly over the scan; return how many there are.
 
-    cameras.json holds a list, `cameras`, of frames with a pose: `frame`, `world_from_camera` (of the colour
+    cameras.json holds how many frames have a pose, `posed`, and a list, `cameras`, of up to 2,000 of these,
+    spread evenly: `frame`, `world_from_camera` (of the colour
     camera: 16 numbers, row by row, metres, OpenCV axes), `size` and `fx`, `fy`, `cx`, `cy` in pixels of the
     pinhole camera, and `photo`, a JPEG file's name or null.
     """
@@ -35,13 +38,13 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
     import cv2
 
     posed = [frame for frame in frames if frame.world_from_camera is not None]
-    chosen = np.unique(np.linspace(0, len(posed) - 1, min(count, len(posed))).round().astype(int)).tolist()
-    chosen = [number for number in chosen if posed[number].color is not None]
+    told = [posed[number] for number in _spread(len(posed), _MOST_CAMERAS)]
+    chosen = [number for number in _spread(len(told), count) if told[number].color is not None]
     (folder / PHOTOS).mkdir()
 
     def written(number: int) -> tuple[int, str | None]:
         try:
-            image, _, _ = read_photo(posed[number])
+            image, _, _ = read_photo(told[number])
         except InputError:
             return number, None
         height = max(1, round(image.shape[0] * _WIDTH / image.shape[1]))
@@ -52,9 +55,14 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
 
     threads = os.cpu_count() or 1
     photos = dict(read_ahead(written, chosen, threads=threads, ahead=threads))
-    cameras = [_told(frame, photos.get(number)) for number, frame in enumerate(posed)]
-    (folder / FILE).write_text(json.dumps({"cameras": cameras}) + "\n", encoding="utf-8")
+    cameras = [_told(frame, photos.get(number)) for number, frame in enumerate(told)]
+    (folder / FILE).write_text(json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8")
     return sum(name is not None for name in photos.values())
+
+
+def _spread(length: int, count: int) -> list[int]:
+    chosen: list[int] = np.linspace(0, length - 1, min(count, length)).round().astype(int).tolist()
+    return chosen
 
 
 def _told(frame: Frame, photo: str | None) -> dict[str, Any]:

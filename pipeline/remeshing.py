@@ -48,13 +48,17 @@ def read_levels(folder: Path) -> list[Mesh]:
 
 
 def report(
-    folder: Path, original: Mesh, levels: Sequence[Mesh], viewpoint: Viewpoint, compared: CompareParams
+    folder: Path | None,
+    original: Mesh,
+    levels: Sequence[Mesh],
+    viewpoint: Viewpoint,
+    compared: CompareParams,
 ) -> tuple[dict[str, Any], list[str]]:
     """Measure each level, draw it with its triangles, and paint the original with how far off the last is.
 
     Parameters
     ----------
-    folder : for the pictures.
+    folder : for the pictures; None to draw none.
     original : the mesh that was remeshed.
     compared : as for the whole mesh; each level gets a quarter of the samples.
 
@@ -71,7 +75,10 @@ def report(
         found = compare_surfaces(reference, surface, fewer)
         counts = {"level": level, "vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
         figures.append(counts | {"to_simplified": found.figures()})
-        images[f"remeshed-level_{level}.png"] = Model(surface).draw(viewpoint, "edges")
+        if folder is not None:
+            images[f"remeshed-level_{level}.png"] = Model(surface).draw(viewpoint, "edges")
+    if folder is None:
+        return {"levels": figures, "full_scale_m": None}, []
     painted, full_scale = distance_map(original, surface)
     images["remeshed-distance.png"] = Model(Surface(painted, box)).draw(viewpoint)
     for name, image in images.items():

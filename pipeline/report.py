@@ -31,7 +31,7 @@ from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 
 @with_former_names
@@ -41,7 +41,7 @@ class ReportParams:
 
     enabled: bool = param(
         True,
-        "Measure the result against the meshes it came from, draw them, and make a page that shows all.",
+        "Measure the result against the meshes it came from, and draw them; without it there is no page.",
         # It decides whether the stage is there, not what comes out of it.
         invalidates=False,
     )
@@ -56,6 +56,9 @@ class ReportParams:
         "How many small photos, spread evenly over the scan, the page can lay over the result.",
         low=0,
         high=1000,
+    )
+    page: bool = param(
+        True, "Write report.html, a page that shows the result in any browser.", invalidates=False
     )
     page_size: float = param(
         5.0,

@@ -22,8 +22,9 @@ from pipeline.files import copy_whole, remove_abandoned, write_whole
 from pipeline.report_text import to_json
 from stages.errors import InputError
 from stages.files.opening import text_in
+from stages.picturing.page.one_file import is_page
 
-REPORT = "report.json"
+REPORT, PAGE = "report.json", "report.html"
 _FORMAT_VERSION = 1
 
 
@@ -119,11 +120,12 @@ class Results:
         with explained(f"outdated results cannot be removed from {self._out}"):
             for stage in (*stages, REPORT):
                 self._remove(stage)
+            self._remove_page()
 
     def withdraw_others(self, stages: Collection[str]) -> None:
         """Remove the files of stages that a run has no more, if there are any."""
         known = {**(self._reported or {}), **self._stages}
-        others = [name for name in known if name not in stages and name != REPORT]
+        others = [name for name in known if name not in (*stages, REPORT, PAGE)]
         if any(self._placed(name) for name in others):
             self.withdraw(others)
             for name in others:
@@ -133,7 +135,9 @@ class Results:
     def write_report(self, report: Mapping[str, Any]) -> dict[str, Any]:
         """Write report.json, and return it: with digests of what stages have placed, and of itself."""
         recorded = {
-            stage: about.get("placed", {}) for stage, about in self._stages.items() if stage != REPORT
+            stage: about.get("placed", {})
+            for stage, about in self._stages.items()
+            if stage not in (REPORT, PAGE)
         }
         placed = {
             stage: {name: content for name, content in files.items() if (self._out / name).exists()}
@@ -148,11 +152,47 @@ class Results:
             self._remember()
         return document
 
+    def holds_page(self, of: str) -> bool:
+        """Return whether the page is there that was made of this; another page of a run is removed.
+
+        Parameters
+        ----------
+        of : a digest of what decides it, beside the results of the stages that this run uses.
+        """
+        known = self._stages.get(PAGE, {})
+        content = known.get("placed", {}).get(PAGE)
+        if known.get("of") == self._decides_page(of) and content and self._holds(PAGE, content):
+            return True
+        with explained(f"an outdated page cannot be removed from {self._out}"):
+            self._remove_page()
+            self._stages.pop(PAGE, None)
+            self._remember()
+        return False
+
+    def write_page(self, page: bytes, of: str) -> Path:
+        """Write report.html; `of` as for `holds_page`."""
+        path = self._out / PAGE
+        with explained(f"results cannot be written to {self._out}"):
+            write_whole(path, page)
+            self._stages[PAGE] = {"placed": {PAGE: file_digest(path)}, "of": self._decides_page(of)}
+            self._remember()
+        return path
+
+    def _decides_page(self, of: str) -> str:
+        return digest([of, *self._keys])
+
+    def _remove_page(self) -> None:
+        path = self._out / PAGE
+        if path.is_file() and not path.is_symlink() and is_page(path):
+            path.unlink()
+
     def _is_own(self, name: str) -> bool:
         path = self._out / name
         if path.is_symlink() or not path.is_file():
             return False
         if name == REPORT and self._reported is not None:
+            return True
+        if name == PAGE and is_page(path):
             return True
         return self._content(path) in self._known_contents(name)
 

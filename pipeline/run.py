@@ -12,15 +12,19 @@ from typing import Any
 
 from pipeline.cache import Cache
 from pipeline.config import Config
+from pipeline.digest import digest
 from pipeline.engine import Engine, Outcome, Stage
 from pipeline.events import Events, RunStarted, StageProgress, Warned, unwatched
 from pipeline.expectation import megapixels
 from pipeline.failures import explained
-from pipeline.graph import STAGES, is_adjusted, is_registered, left_out, plan_for
-from pipeline.report import compose
-from pipeline.results import REPORT
+from pipeline.graph import STAGES
+from pipeline.page import page_of_run
+from pipeline.plan import is_adjusted, is_registered, left_out, plan_for
+from pipeline.report import ReportParams, compose
+from pipeline.results import PAGE, REPORT, Results
 from pipeline.sources import sources_of
-from stages.errors import UsageError
+from stages import __version__
+from stages.errors import InputError, UsageError
 from stages.params import RenamedWarning
 from stages.scans.read import read_scan, require_complete
 from stages.scans.scan import Scan
@@ -38,12 +42,14 @@ class RunResult:
     cache : the cache folder.
     stages : what became of each stage that was asked for, in order.
     report : the content of report.json.
+    page : report.html; None where there is none.
     """
 
     out: Path
     cache: Path
     stages: tuple[Outcome, ...]
     report: Mapping[str, Any]
+    page: Path | None = None
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -52,7 +58,8 @@ class RunResult:
 
     def figures(self) -> dict[str, Any]:
         """Return the report, and where the results are."""
-        return {"out": str(self.out), "cache": str(self.cache), **self.report}
+        page = None if self.page is None else str(self.page)
+        return {"out": str(self.out), "cache": str(self.cache), **self.report, "page": page}
 
 
 def run(
@@ -71,12 +78,12 @@ def run(
     Parameters
     ----------
     scan_folder : read only.
-    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, pictures/, where frames
-        have colour textured.glb and texture_maps/, where poses were made better adjusted/, for stereo
-        points.ply, where there is no texture simplified.glb, with `export.web` web.glb, with `bake.enabled`
-        baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and
-        levels/, and with `lod.enabled` lod.slod and tiles/. Files there that a run placed and that belong to
-        no current result are removed.
+    out : made if need be; gets fused.ply, clean.ply, simplified.ply, report.json, report.html, pictures/,
+        where frames have colour textured.glb and texture_maps/, where poses were made better adjusted/,
+        for stereo points.ply, where there is no texture simplified.glb, with `export.web` web.glb, with
+        `bake.enabled` baked.glb, with `remesh.enabled` remeshed.ply, remeshed.snm and levels/, and with
+        `lod.enabled` lod.slod and tiles/. Files there that a run placed and that belong to no current
+        result are removed.
     until : the last stage to run.
     force : stages to run even though their results are cached.
     cache_dir : see `cache_folder`.
@@ -198,9 +205,34 @@ def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunRe
         final = engine.withdraw_outdated(planned[-1])
         report = compose(scan, outcomes, {} if final is None else final.figures, out)
         written = engine.results.write_report(report)
+        page = _page(out, config.report, written, engine.results, events)
     if config.cache.max_bytes is not None:
         cache.limit(config.cache.max_bytes)
-    return RunResult(out, cache.folder, outcomes, written)
+    return RunResult(out, cache.folder, outcomes, written, page)
+
+
+def _page(
+    out: Path, params: ReportParams, report: Mapping[str, Any], results: Results, events: Events
+) -> Path | None:
+    """Write the page of what is in the output folder, unless it is there; return where it is."""
+    if not params.page or report["mesh"] is None:
+        # One of other results must not stay beside these.
+        results.holds_page(_decides_page(params))
+        return None
+    if results.holds_page(_decides_page(params)):
+        return out / PAGE
+    events(StageProgress("page", 0, 1))
+    try:
+        page = page_of_run(out, int(1e6 * params.page_size), lambda text: events(Warned(f"page: {text}")))
+    except InputError as error:
+        events(Warned(f"there is no {PAGE}: {error}"))
+        return None
+    events(StageProgress("page", 1, 1))
+    return results.write_page(page, _decides_page(params))
+
+
+def _decides_page(params: ReportParams) -> str:
+    return digest([params.page_size, __version__])
 
 
 def placed_by(wanted: Wanted) -> list[str]:
@@ -208,6 +240,7 @@ def placed_by(wanted: Wanted) -> list[str]:
     return [
         *(name for stage in wanted.plan if stage.name in wanted.planned for name in stage.results),
         REPORT,
+        *([PAGE] if "report" in wanted.planned and wanted.config.report.page else []),
     ]
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from pipeline.digest import label_digests, scan_digest
 from pipeline.engine import Source
-from pipeline.graph import HELD_OUT, PHOTOS, source_of
+from pipeline.graph import HELD_OUT, PHOTOS
+from pipeline.plan import source_of
 from stages.progress import Progress, silent
 from stages.scans.scan import Scan
 

@@ -12,12 +12,11 @@ import typer
 
 from cli.output import Output, size_of, table_of
 from cli.paths import require_new_file
+from pipeline.results import REPORT
 from stages.errors import InputError, UsageError
 from stages.files.opening import text_in
 from stages.files.replacing import replacing
 from stages.inspecting.machine import machine
-
-_REPORT = "report.json"
 
 
 def doctor(
@@ -54,10 +53,10 @@ def doctor(
 def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
     texts = {"doctor.json": json.dumps(found, indent=1)}
     if of_run is not None:
-        report = of_run / _REPORT
+        report = of_run / REPORT
         if not report.is_file():
-            raise InputError(f"holds no {_REPORT}; give the OUT of a run.", of_run)
-        texts[_REPORT] = text_in(report, "utf-8")
+            raise InputError(f"holds no {REPORT}; give the OUT of a run.", of_run)
+        texts[REPORT] = text_in(report, "utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     home = str(Path.home())
     with replacing(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as packed:

@@ -84,16 +84,22 @@ def run(
         ),
     ] = None,
     page: Annotated[
-        bool, typer.Option("--page/--no-page", help="Write report.html, a page that shows the result.")
-    ] = True,
-    report: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--report/--no-report",
-            help="Measure the result and draw it; without, there is no page either. As report.enabled.",
+            "--page/--no-page",
+            help="Write report.html, a page that shows the result, which is the default. As report.page.",
             show_default=False,
         ),
-    ] = True,
+    ] = None,
+    report: Annotated[
+        bool | None,
+        typer.Option(
+            "--report/--no-report",
+            help="Measure the result and draw it, which is the default; without, there is no page either. "
+            "As report.enabled.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
 
@@ -117,7 +123,9 @@ def run(
 
     require_scan(scan)
     config = Config.load(config_file) if config_file is not None else Config()
-    config = config.set((*(settings or ()), *([] if report else ["report.enabled=false"])))
+    switched = {"report.page": page, "report.enabled": report}
+    switches = [f"{name}={str(on).lower()}" for name, on in switched.items() if on is not None]
+    config = config.set((*(settings or ()), *switches))
     config = replace(config, scan=replace(config.scan, **scan_options))
     chosen(config.simplify)  # what does not go together is said now, not after hours of fusion
     require_writable(target)
@@ -134,14 +142,7 @@ def run(
         result = run_pipeline(scan, target, config, **how, events=events)
     for sentence in result.unmet:
         out.unmet(sentence)
-    shown = None
-    if page and result.report["mesh"] is not None:
-        from cli.page_of import write_page
-
-        size = int(1e6 * config.report.page_size)
-        shown = write_page(result.out, out, size, changed=any(not stage.cached for stage in result.stages))
-    told = result.figures() | {"page": None if shown is None else str(shown)}
-    out.result(told, _summary(result, () if shown is None else (shown.name,)))
+    out.result(result.figures(), _summary(result))
 
 
 def _tell_dry_run(found: DryRun, out: Output) -> None:
@@ -179,7 +180,7 @@ _BASES = {
 }
 
 
-def _summary(result: RunResult, more: tuple[str, ...]) -> str:
+def _summary(result: RunResult) -> str:
     """Say how good the final mesh is, and where the results are."""
     mesh = result.report["mesh"]
     lines = []
@@ -201,5 +202,6 @@ def _summary(result: RunResult, more: tuple[str, ...]) -> str:
         )
     placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
     names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)
-    lines.append(f"results in {result.out}: {', '.join([*names, 'report.json', *more])}")
+    pages = [] if result.page is None else [result.page.name]
+    lines.append(f"results in {result.out}: {', '.join([*names, 'report.json', *pages])}")
     return "\n".join(lines)

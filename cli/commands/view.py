@@ -10,9 +10,10 @@ from typing import Annotated
 
 import typer
 
+from cli.mesh_arguments import read_file
 from cli.output import Output
-from cli.page_of import page_of
 from cli.paths import require_new_file
+from pipeline.page import page_of_mesh, page_of_run, standing
 from stages.errors import InputError, UsageError
 from stages.files.replacing import replacing
 from stages.lod.tiles import TILESET
@@ -70,7 +71,11 @@ def view(
     if is_tiles:
         _serve(what, tiles_page(), port, open_browser, out)
         return
-    page = page_of(what, out, int(1e6 * page_size))
+    most_bytes = int(1e6 * page_size)
+    if what.is_dir():
+        page = page_of_run(what, most_bytes, out.warn)
+    else:
+        page = page_of_mesh(what.resolve().stem, standing(what, read_file(what, out)), most_bytes, out.warn)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
             _serve(Path(empty), {INDEX: page}, port, open_browser, out)

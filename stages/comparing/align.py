@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
+from stages.comparing.measurable import measurable
 from stages.comparing.sampling import sampled
 from stages.errors import InputError
 from stages.printing import by_figures, table
-from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import bounding_box
-from stages.surface.topology import areas, require_area
+from stages.surface.topology import areas
 from stages.surface.vertex_normals import vertex_normals
 
 # Points on each surface.
@@ -79,9 +80,7 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     InputError
         If the two do not overlap enough for it.
     """
-    moving, fixed = as_mesh(mesh, "mesh"), as_mesh(reference, "reference")
-    for one, where in ((moving, "mesh"), (fixed, "reference")):
-        require_area(one, where)
+    moving, fixed = measurable(mesh, "mesh"), measurable(reference, "reference")
     o3d = open3d()
     pipeline = o3d.pipelines.registration
     centre = bounding_box(fixed).mean(axis=0)

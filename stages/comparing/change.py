@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
-from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box, chunks
-from stages.surface.topology import areas, require_area
+from stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -113,9 +114,7 @@ def changes(
         If a parameter is out of range.
     """
     params = resolve(ChangeParams, params, given)
-    before, after = as_mesh(earlier, "earlier"), as_mesh(later, "later")
-    for one, where in ((before, "earlier"), (after, "later")):
-        require_area(one, where)
+    before, after = measurable(earlier, "earlier"), measurable(later, "later")
     distance = params.change_distance
     if distance is None:
         distance = _FAR * float(np.linalg.norm(np.diff(bounding_box(before), axis=0)))

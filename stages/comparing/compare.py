@@ -16,15 +16,16 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.sampling import sampled
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.color import color_at, has_color
-from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box, chunks, interpolated
-from stages.surface.topology import areas, require_area
+from stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -175,9 +176,7 @@ def compare(
         If a mesh has no triangles, or no area to sample.
     """
     params = resolve(CompareParams, params, changes)
-    mesh_a, mesh_b = as_mesh(a, "first mesh"), as_mesh(b, "second mesh")
-    for mesh, where in ((mesh_a, "first mesh"), (mesh_b, "second mesh")):
-        require_area(mesh, where)
+    mesh_a, mesh_b = measurable(a, "first mesh"), measurable(b, "second mesh")
     box = bounding_box(mesh_a, mesh_b)
     return compare_surfaces(Surface(mesh_a, box), Surface(mesh_b, box), params)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.palette import PALETTES, colors_of
 from stages.comparing.sampling import sampled
@@ -15,10 +16,10 @@ from stages.comparing.signed import Sides
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.surface.color import color_at, has_color
-from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
-from stages.surface.topology import areas, require_area, topology
+from stages.surface.topology import areas, topology
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -174,9 +175,7 @@ def deviations(
         If a parameter is out of range.
     """
     params = resolve(DeviationParams, params, changes)
-    fixed, measured = as_mesh(reference, "reference"), as_mesh(mesh, "mesh")
-    for one, where in ((fixed, "reference"), (measured, "mesh")):
-        require_area(one, where)
+    fixed, measured = measurable(reference, "reference"), measurable(mesh, "mesh")
     box = bounding_box(fixed, measured)
     surface = WithNeedles(Surface(fixed, box), box)
     found = topology(fixed)

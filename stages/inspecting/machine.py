@@ -7,32 +7,19 @@ import os
 import platform
 import shutil
 import tempfile
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from stages import _kernels
 from stages.files.opening import content_of, text_in
 from stages.files.written_by import installed_version
+from stages.inspecting.libraries import version_of
 
 # What the kernels and the libraries are fast with.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd")
-_LIBRARIES = {
-    "numpy": ("numpy",),
-    "open3d": ("open3d", "open3d-cpu"),
-    "opencv": (
-        "opencv-contrib-python-headless",
-        "opencv-contrib-python",
-        "opencv-python-headless",
-        "opencv-python",
-    ),
-    "scikit-image": ("scikit-image",),
-    "scipy": ("scipy",),
-    "trimesh": ("trimesh",),
-    "typer": ("typer",),
-}
+_LIBRARIES = ("numpy", "open3d", "opencv", "scikit-image", "scipy", "trimesh", "typer")
 # By the extra that brings them.
-_EXTRAS = {"usd": ("usd-core",)}
+_EXTRAS = {"usd": "usd-core"}
 
 
 def machine() -> dict[str, Any]:
@@ -49,8 +36,8 @@ def machine() -> dict[str, Any]:
         "memory_available_bytes": _memory("MemAvailable"),
         "disk_free_bytes": shutil.disk_usage(Path.cwd()).free,
         "temporary_disk_free_bytes": shutil.disk_usage(tempfile.gettempdir()).free,
-        "libraries": {name: _version(*names) for name, names in _LIBRARIES.items()},
-        "extras": {name: _version(*names) for name, names in _EXTRAS.items()},
+        "libraries": {name: version_of(name) for name in _LIBRARIES},
+        "extras": {name: version_of(library) for name, library in _EXTRAS.items()},
     }
 
 
@@ -58,11 +45,6 @@ def kernels_build() -> str:
     """Return the kernels' file name and the first digits of its digest: two builds of a version differ."""
     path = Path(str(_kernels.__file__))
     return f"{path.name} {hashlib.sha256(content_of(path)).hexdigest()[:12]}"
-
-
-def _version(*names: str) -> str | None:
-    found = (one.version for name in names for one in metadata.distributions(name=name))
-    return next(found, None)
 
 
 def _processor() -> str | None:

@@ -37,6 +37,8 @@ def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
         "--set",
         "report.viewpoints=1",
         "--set",
+        "report.page=false",
+        "--set",
         "report.width=64",
     )
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--json", *small_report)
@@ -448,7 +450,23 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     # What is proven stands beside what was sampled.
     assert scanloom(*words, "--set", "simplify.max_shape=0.02").exit_code == 0
     assert "no point is farther" in page.read_text()
+    # Of another result none stays, also where all of it is cached; asked for again, it is there again.
+    assert scanloom(*words, "--no-page").exit_code == 0
+    assert not page.exists()
+    back = scanloom(*words, "--set", "report.page=false", "--page", "--json")
+    assert {stage["cached"] for stage in back.json["stages"].values()} == {True}
+    assert "no point is farther" not in page.read_text()
+    assert scanloom(*words, "--no-report").exit_code == 0
+    assert not page.exists()
+    assert scanloom(*words, "--set", "report.enabled=false", "--report").exit_code == 0
+    whole = page.stat().st_size
+    assert scanloom(*words, "--set", "report.page_size=1.3").exit_code == 0
+    assert page.stat().st_size <= whole
     page.write_text("mine")
-    kept = scanloom(*words, "--set", "simplify.ratio=0.4")
-    assert (kept.exit_code, "no page" in kept.stderr) == (0, True)
+    refused = scanloom(*words, "--set", "simplify.ratio=0.4")
+    assert (refused.exit_code, "no run has placed this" in refused.stderr) == (3, True)
     assert page.read_text() == "mine"
+    assert scanloom(*words, "--no-page").exit_code == 0
+    assert page.read_text() == "mine"
+    assert scanloom(*words, "--overwrite").exit_code == 0
+    assert page.read_text() != "mine"

@@ -7,7 +7,7 @@ from coloured_meshes import sheet
 
 from pipeline.baking import BakeSection, make
 from pipeline.config import Config
-from pipeline.graph import left_out, plan_for
+from pipeline.plan import left_out, plan_for
 from stages.comparing.compare import compare
 from stages.progress import silent
 from stages.scans.scan import Scan

@@ -21,6 +21,7 @@ QUICK = (
     "simplify.ratio=0.3",
     "compare.samples=1000",
     "report.viewpoints=1",
+    "report.page=false",
     "report.width=64",
 )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.graph import left_out
+from pipeline.plan import left_out
 from pipeline.run import CACHE_VARIABLE, run
 from pipeline.upright import UprightSection, make
 from stages.scans.read import read_scan
@@ -17,7 +17,13 @@ from stages.surface.mesh_files import read_mesh
 from tests.made.coloured_sheet import sheet
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
-QUICK = ("fuse.voxel_size=0.04", "report.width=64", "report.viewpoints=1", "compare.samples=1000")
+QUICK = (
+    "fuse.voxel_size=0.04",
+    "report.page=false",
+    "report.width=64",
+    "report.viewpoints=1",
+    "compare.samples=1000",
+)
 
 
 def config(*more: str) -> Config:

@@ -11,8 +11,9 @@ from coloured_meshes import sheet
 from tiles_read import read_tiles
 
 from pipeline.config import Config
-from pipeline.graph import STAGES, left_out, plan_for
+from pipeline.graph import STAGES
 from pipeline.levels import LodSection, make
+from pipeline.plan import left_out, plan_for
 from pipeline.run import CACHE_VARIABLE, run
 from stages import lod
 from stages.errors import UsageError
@@ -25,6 +26,7 @@ QUICK = (
     "texture.enabled=false",
     "fuse.voxel_size=0.03",
     "report.viewpoints=1",
+    "report.page=false",
     "report.width=64",
     "compare.samples=1000",
     "lod.cell_triangles=500",

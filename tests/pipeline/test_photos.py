@@ -10,14 +10,20 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
-from pipeline.graph import left_out
 from pipeline.photos import FILE, write_photos
+from pipeline.plan import left_out
 from pipeline.run import CACHE_VARIABLE, run
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame
 
 SCAN = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
-QUICK = ("fuse.voxel_size=0.04", "report.width=64", "report.viewpoints=1", "compare.samples=1000")
+QUICK = (
+    "fuse.voxel_size=0.04",
+    "report.page=false",
+    "report.width=64",
+    "report.viewpoints=1",
+    "compare.samples=1000",
+)
 
 
 def frame(number: int, **more: object) -> Frame:
@@ -73,6 +79,15 @@ def test_what_cannot_be_read_or_has_no_pose_is_no_photo(tmp_path):
     assert cameras[0]["photo"] is None
 
 
+def test_of_a_long_recording_only_some_cameras_are_told(tmp_path):
+    lens = Camera(80, 60, 70, 70, 39.5, 29.5)
+    frames = [Frame(f"f{k}", lens, world_from_camera=np.eye(4)) for k in range(5000)]
+    _, cameras = written(tmp_path, frames, 10)
+    assert len(cameras) == 2000
+    assert (cameras[0]["frame"], cameras[-1]["frame"]) == ("f0", "f4999")
+    assert json.loads((tmp_path / FILE).read_text())["posed"] == 5000
+
+
 @pytest.mark.slow
 def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
@@ -84,7 +99,10 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     assert len(list((tmp_path / "pictures" / "photos").iterdir())) == 3
     assert made.report["stages"]["report"]["results"]
 
-    run(SCAN, tmp_path, quiet.set(["report.pictures=false", "report.photos=0"]))
+    bare = ["report.pictures=false", "report.photos=0", "remesh.enabled=true", "scan.hold_out=4"]
+    made = run(SCAN, tmp_path, quiet.set([*bare, "remesh.levels=1"]))
+    assert made.report["normal_mesh"]["levels"]
+    assert made.report["held_out"]["photos"] > 0
     assert [path.name for path in (tmp_path / "pictures").iterdir()] == [FILE]
 
     none = run(SCAN, tmp_path, quiet.set(["report.enabled=false"]))

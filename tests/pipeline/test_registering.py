@@ -27,6 +27,7 @@ QUICK = (
     "simplify.ratio=0.2",
     "compare.samples=1000",
     "report.viewpoints=1",
+    "report.page=false",
     "report.width=64",
 )
 

@@ -26,6 +26,7 @@ QUICK = (
     "texture.enabled=false",
     "fuse.voxel_size=0.03",
     "report.viewpoints=1",
+    "report.page=false",
     "report.width=64",
     "compare.samples=1000",
     "remesh.levels=2",

@@ -35,7 +35,13 @@ from stages.surface.mesh import Mesh
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 140.0
 CAMERA = Camera(WIDTH, HEIGHT, FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-QUICK = ("fuse.voxel_size=0.02", "report.viewpoints=1", "report.width=64", "compare.samples=1000")
+QUICK = (
+    "fuse.voxel_size=0.02",
+    "report.viewpoints=1",
+    "report.page=false",
+    "report.width=64",
+    "compare.samples=1000",
+)
 PLAIN = [
     "clean.ply",
     "fused.ply",

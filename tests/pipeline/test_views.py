@@ -22,7 +22,7 @@ from stages.surface.formats.ply import read_ply
 
 pytestmark = pytest.mark.slow
 
-QUICK = ("report.viewpoints=1", "report.width=64", "compare.samples=1000")
+QUICK = ("report.viewpoints=1", "report.page=false", "report.width=64", "compare.samples=1000")
 
 
 @pytest.fixture(autouse=True)

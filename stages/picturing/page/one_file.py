@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stages.files.opening import content_of
+from stages.files.opening import content_of, opened
 
 _HERE = Path(__file__).parent
+# What each page has in its first kilobyte.
+_MARK = b'<meta name="generator" content="scanloom">'
 _MODULES = (
     "library.js",
     "tiles/camera.js",
@@ -127,6 +129,12 @@ def one_file(
     # In a script element only what looks like its end, or a comment's start, would be read as HTML.
     page = page.replace("CONTENT", json.dumps(content).replace("<", "\\u003c"), 1)
     return f"{page}<!--\n{licenses}\n-->\n".encode()
+
+
+def is_page(path: Path) -> bool:
+    """Return whether a file is a page that `one_file` made."""
+    with opened(path) as file:
+        return _MARK in file.read(1024)
 
 
 def _photo(data: bytes | None) -> str | None:

@@ -21,10 +21,13 @@ async function start() {
   const line = document.getElementById("divider");
   const moved = divider(line, (split) => drawn.set({ split }));
   bar(document.getElementById("bar"), drawn, models, cameras);
+  let explained = null;
   drawn.onChange(() => {
     const { model, beside } = drawn.settings();
     line.hidden = beside === null || beside === model;
-    legend(document.getElementById("legend"), models[model].scale ?? models[beside]?.scale);
+    const scale = models[model].scale ?? models[beside]?.scale;
+    if (scale !== explained) legend(document.getElementById("legend"), scale);
+    explained = scale;
   });
   window.scanloom = { ...drawn, divide: moved.set };
   tell(document.getElementById("told"), content);

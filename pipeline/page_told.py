@@ -12,7 +12,7 @@ from stages.printing import at_most
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return what report.json says, warnings first, as `one_file` takes it."""
     scan, ran = report.get("scan", {}), report.get("stages", {})
-    warnings = list(scan.get("warnings", []))
+    warnings = [str(text) for text in scan.get("warnings", [])]
     for stage, about in ran.items():
         said = [*at(about, "figures", "warnings", otherwise=[]), *about.get("unmet", [])]
         warnings += [f"{stage}: {text}" for text in said]

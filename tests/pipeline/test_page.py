@@ -1,0 +1,138 @@
+"""The page of an output folder: only what a run writes gets into it, and it keeps to its size."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from coloured_meshes import sheet
+
+from pipeline.page import page_of_mesh, page_of_run
+from pipeline.photos import write_photos
+from stages.errors import InputError
+from stages.scans.scan import Camera, Frame
+from stages.surface.formats.ply import write_ply
+
+CAMERA = Camera(80, 60, 70, 70, 39.5, 29.5)
+
+
+def frame(number: int) -> Frame:
+    image = np.random.default_rng(number).integers(0, 255, (360, 480, 3), np.uint8)
+    pose = np.eye(4)
+    pose[0, 3] = number
+    return Frame(f"f{number}", CAMERA, color=image, world_from_camera=pose)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """What there is of a run that a page needs."""
+    folder = tmp_path / "out"
+    (folder / "pictures").mkdir(parents=True)
+    write_ply(folder / "simplified.ply", sheet(4))
+    write_photos(folder / "pictures", [frame(k) for k in range(8)], 4)
+    return folder
+
+
+def shown(page: bytes) -> dict[str, Any]:
+    found = re.search(rb'id="content"[^>]*>(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    content: dict[str, Any] = json.loads(found[1])
+    return content
+
+
+def silent(text: str) -> None:
+    raise AssertionError(text)
+
+
+def rewrite(path: Path, change: Any) -> None:
+    document = json.loads(path.read_text())
+    changed = change(document)
+    path.write_text(json.dumps(document if changed is None else changed))
+
+
+def test_cameras_and_photos_are_those_of_the_run(out: Path) -> None:
+    cameras = shown(page_of_run(out, 5_000_000, silent))["cameras"]
+    assert [one["frame"] for one in cameras] == [f"f{k}" for k in range(8)]
+    photos = [one["photo"] for one in cameras if one["photo"]]
+    assert len(photos) == 4
+    files = sorted((out / "pictures" / "photos").iterdir())
+    assert base64.b64decode(photos[0].partition(",")[2]) == files[0].read_bytes()
+
+
+def test_photos_leave_room_for_the_model(out: Path) -> None:
+    said: list[str] = []
+    sizes = [path.stat().st_size for path in (out / "pictures" / "photos").iterdir()]
+    cameras = shown(page_of_run(out, 4 * (sum(sizes) - 1), said.append))["cameras"]
+    assert sum(one["photo"] is not None for one in cameras) == 2
+    assert said[0].startswith("2 of the photos are left out of the page")
+    assert shown(page_of_run(out, 8, said.append))["cameras"][0]["photo"] is None
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("../../secret.jpg", "is not a path inside the folder"),
+        ("/etc/hostname", "is not a path inside the folder"),
+        ("photos/link.jpg", "leads out of the folder"),
+        ("photos/none.jpg", "is missing"),
+        ("cameras.json", "not a JPEG"),
+        ("photos", "is missing"),
+        (7, "not as a run writes it"),
+    ],
+)
+def test_nothing_else_gets_into_a_page_that_is_passed_on(out: Path, name: object, said: str) -> None:
+    secret = out.parent / "secret.jpg"
+    cv2.imwrite(str(secret), np.zeros((8, 8, 3), np.uint8))
+    (out / "pictures" / "photos" / "link.jpg").symlink_to(secret)
+    rewrite(out / "pictures" / "cameras.json", lambda told: told["cameras"][0].update(photo=name))
+    with pytest.raises(InputError, match=said):
+        page_of_run(out, 5_000_000, silent)
+
+
+@pytest.mark.parametrize("key", ["frame", "world_from_camera", "size", "fy", "photo"])
+@pytest.mark.parametrize("value", [..., "x", [], [0, 2], {}, -1, float("nan")])
+def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) -> None:
+    def damaged(told: dict[str, Any]) -> None:
+        if value is ...:
+            del told["cameras"][1][key]
+        else:
+            told["cameras"][1][key] = value
+
+    rewrite(out / "pictures" / "cameras.json", damaged)
+    if key == "frame" and value is not ...:
+        assert shown(page_of_run(out, 5_000_000, silent))["cameras"][1]["frame"] == str(value)
+        return
+    with pytest.raises(InputError, match=r"cameras\.json|pictures"):
+        page_of_run(out, 5_000_000, silent)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "7", '{"cameras": 7}', '{"cameras": [7]}', "[[[[]]]]"])
+@pytest.mark.parametrize("name", ["pictures/cameras.json", "report.json"])
+def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> None:
+    (out / name).write_text(text)
+    if name == "report.json" and text.startswith(('{"', "[]")):
+        page_of_run(out, 5_000_000, silent)  # nothing of a run is told in it
+        return
+    with pytest.raises(InputError, match=name):
+        page_of_run(out, 5_000_000, silent)
+
+
+@pytest.mark.parametrize(
+    "report", [{"stages": {"fuse": {}}}, {"stages": [1]}, {"scan": 7}, {"scan": {"frames_skipped": [1]}}]
+)
+def test_a_report_that_no_run_has_written_is_one_sentence(out: Path, report: object) -> None:
+    (out / "report.json").write_text(json.dumps(report))
+    with pytest.raises(InputError, match=r"report\.json"):
+        page_of_run(out, 5_000_000, silent)
+
+
+def test_a_mesh_has_a_page_of_its_own() -> None:
+    content = shown(page_of_mesh("thing", sheet(4), 5_000_000, silent))
+    assert (content["title"], [one["name"] for one in content["models"]]) == ("thing", ["thing"])
+    assert content["cameras"] == []
