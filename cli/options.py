@@ -21,7 +21,7 @@ import typer
 
 from cli.output import Output
 from stages.errors import UsageError
-from stages.params import Described, described, renamed
+from stages.params import Described, described, kinds_of, renamed, row_length
 
 OUTPUT_PANEL = "Output"
 P = TypeVar("P")
@@ -202,7 +202,7 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str, *,
         typer.Option(
             *names,
             help=escaped(help_of(about, default)),
-            metavar="|".join(about.choices) or None,
+            metavar="|".join(about.choices) or " ".join(row_length(hint) * ["<float>"]) or None,
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
             hidden=hidden,
@@ -211,9 +211,11 @@ def _option(name: str, about: Described, hint: Any, default: Any, panel: str, *,
     ]
 
 
-def _plain_type(hint: Any) -> type:
+def _plain_type(hint: Any) -> Any:
     """Return the type an option is read as: that of the field without None, and the widest number."""
-    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind is not type(None)]
+    kinds = kinds_of(hint)
+    if row_length(hint):
+        return kinds[0]
     for wide in (Path, float, int, bool, str):
         if wide in kinds:
             return wide

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
+import re
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 from stages.errors import UsageError
 from stages.files.documents import parse_toml
 from stages.files.opening import text_in
-from stages.params import Described, described, renamed
+from stages.params import Described, described, kinds_of, renamed, row_length
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
@@ -137,30 +138,32 @@ def _did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"did you mean {near[0]}?" if near else f"known are {', '.join(names)}."
 
 
-def _kinds(hint: Any) -> tuple[Any, ...]:
-    return tuple(kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
-
-
 def _is_optional(hint: Any) -> bool:
     return type(None) in get_args(hint)
 
 
 def _kind_names(hint: Any) -> str:
     names = {bool: "true or false", int: "a whole number", float: "a number", str: "text", Path: "a file"}
-    return " or ".join(names[kind] for kind in _kinds(hint))
+    return " or ".join(
+        f"{row_length(kind)} numbers" if row_length(kind) else names[kind] for kind in kinds_of(hint)
+    )
 
 
 def _typed(value: Any, hint: Any) -> Any:
     # TOML writes 1 where 1.0 is meant; both must give one key.
-    if float in _kinds(hint) and type(value) is int:
+    if float in kinds_of(hint) and type(value) is int:
         return float(value)
-    return Path(value) if Path in _kinds(hint) and isinstance(value, str) else value
+    if row_length(hint) and isinstance(value, (list, tuple)):
+        return tuple(_typed(number, float) for number in value)
+    return Path(value) if Path in kinds_of(hint) and isinstance(value, str) else value
 
 
 def _from_word(text: str, hint: Any, where: str) -> Any:
     if text.lower() == "none" and _is_optional(hint):
         return None
-    kinds = _kinds(hint)
+    kinds = kinds_of(hint)
+    if row_length(hint):
+        return tuple(_number(word) for word in re.split(r"[\s,]+", text.strip("[]() ")))
     if bool in kinds and text.lower() in _WORDS:
         return _WORDS[text.lower()]
     for kind in (int, float):
@@ -174,12 +177,22 @@ def _from_word(text: str, hint: Any, where: str) -> Any:
     raise UsageError(f"{where} must be {_kind_names(hint)}, not {text!r}.")
 
 
+def _number(word: str) -> Any:
+    # What is no number is refused where the parameter's other values are.
+    try:
+        return float(word)
+    except ValueError:
+        return word
+
+
 def _canonical_value(value: Any, hint: Any, where: str) -> Any:
     if isinstance(value, float) and value in (float("inf"), float("-inf")):
         raise UsageError(f"{where} is infinite; give a number, or leave it out.")
     if isinstance(value, Path):
         raise TypeError(f"{where} is a path; a result must depend on the file's content, not on its name")
     typed = _typed(value, hint)
+    if isinstance(typed, tuple):
+        return [number + 0.0 for number in typed]
     return typed + 0.0 if isinstance(typed, float) else typed  # -0.0 is 0.0
 
 

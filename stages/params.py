@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from typing import Any, ParamSpec, TypeVar, get_args, get_origin, get_type_hints
 
 from stages.errors import UsageError
 
@@ -71,12 +71,31 @@ def described(cls: type) -> dict[str, Described]:
     return {f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata}
 
 
+def kinds_of(hint: Any) -> tuple[Any, ...]:
+    """Return the types that a value of a field may have, without None; a row of numbers is one type."""
+    if get_origin(hint) is tuple:
+        return (hint,)
+    return tuple(kind for kind in (get_args(hint) or (hint,)) if kind is not type(None))
+
+
+def row_length(hint: Any) -> int:
+    """Return how many numbers a field takes that takes a row of them (`tuple[float, ...]`); else 0."""
+    rows = [kind for kind in kinds_of(hint) if get_origin(kind) is tuple]
+    return len(get_args(rows[0])) if rows else 0
+
+
 def check(params: Any) -> None:
-    """Raise UsageError for the first value of a wrong type or range; call it in `__post_init__`."""
+    """Raise UsageError for the first value of a wrong type or range; call it in `__post_init__`.
+
+    Rows of numbers may be given as any sequence, and are kept as tuples.
+    """
     hints = get_type_hints(type(params))
     for name, about in described(type(params)).items():
         value = getattr(params, name)
         if value is None and type(None) in getattr(hints[name], "__args__", ()):
+            continue
+        if row_length(hints[name]):
+            object.__setattr__(params, name, _row(name, value, row_length(hints[name])))
             continue
         _check_type(name, value, hints[name])
         if about.choices and value not in about.choices:
@@ -85,8 +104,19 @@ def check(params: Any) -> None:
             _check_range(name, value, about)
 
 
+def _row(name: str, value: Any, count: int) -> tuple[float, ...]:
+    numbers = () if isinstance(value, str) or not hasattr(value, "__len__") else tuple(value)
+    try:
+        row = tuple(float(number) for number in numbers if not isinstance(number, (str, bool)))
+    except (TypeError, ValueError):
+        row = ()
+    if not len(row) == len(numbers) == count or not all(map(math.isfinite, row)):
+        raise UsageError(f"{name} is {value!r}; it must be {count} finite numbers.")
+    return row
+
+
 def _check_type(name: str, value: Any, hint: Any) -> None:
-    kinds = tuple(k for k in (getattr(hint, "__args__", None) or (hint,)) if k is not type(None))
+    kinds = kinds_of(hint)
     if float in kinds:
         kinds = (*kinds, int)
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):

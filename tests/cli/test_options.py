@@ -23,6 +23,7 @@ class KnittingParams:
     stitch_width: float = param(0.25, "Width of a stitch [flat].", unit="m", low=0, low_open=True)
     rows: int | None = param(None, "Rows; the wool decides.", low=1, high=99)
     purl: bool = param(True, "Purl every second row.")
+    corner: tuple[float, float] | None = param(None, "Where to begin.", unit="m")
     yarn: str = param("wool", "What to knit with.", choices=("wool", "silk"), was="thread")
 
     def __post_init__(self) -> None:
@@ -56,9 +57,10 @@ def test_options_not_given_keep_the_declared_defaults(knit: Any) -> None:
 
 
 def test_options_given_reach_their_fields(knit: Any) -> None:
-    words = ("sock", "--stitch-width", "0.5", "--rows", "3", "--no-purl", "--yarn", "silk", "--json")
-    _, (_, params, out) = knit(*words)
-    assert params == KnittingParams(stitch_width=0.5, rows=3, purl=False, yarn="silk")
+    words = ("--stitch-width", "0.5", "--rows", "3", "--no-purl", "--yarn", "silk", "--json")
+    _, (target, params, out) = knit("--corner", "-1", "2.5", "sock", *words)
+    assert target == "sock"
+    assert params == KnittingParams(stitch_width=0.5, rows=3, purl=False, yarn="silk", corner=(-1.0, 2.5))
     assert out.as_json
 
 
@@ -69,6 +71,7 @@ def test_help_shows_text_unit_range_and_default(knit: Any) -> None:
     assert "Rows; the wool decides. (1 to 99; no fixed default)" in text
     assert "Purl every second row. (default: on)" in text
     assert "wool|silk" in text
+    assert re.search(r"--corner <float> <float> Where to begin\. \(m; no fixed default\)", text)
     assert "Knitting parameters" in text
 
 
@@ -88,9 +91,10 @@ def test_a_value_out_of_range_is_named_as_it_was_typed(field: str, value: object
 
 
 def test_a_word_where_a_number_belongs_is_wrong_usage(knit: Any) -> None:
-    result, call = knit("sock", "--rows", "many")
-    assert result.exit_code == 2
-    assert call is None
+    for words in (("--rows", "many"), ("--corner", "1", "x"), ("--corner", "1")):
+        result, call = knit("sock", *words)
+        assert result.exit_code == 2
+        assert call is None
 
 
 def test_a_former_name_is_understood_and_says_the_new_one(knit: Any) -> None:

@@ -1,5 +1,6 @@
 from dataclasses import dataclass, field, fields
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,6 +22,7 @@ class FuseParams:
     threads: int = param(1, "Threads.", low=1, invalidates=False)
     color: bool = param(True, "Fuse colour too.")
     name: str | None = param(None, "Any text.")
+    center: tuple[float, float, float] | None = param(None, "Where it is.", unit="m")
 
     def __post_init__(self) -> None:
         check(self)
@@ -52,6 +54,7 @@ configs = st.builds(
         threads=st.integers(1, 10**6),
         color=st.booleans(),
         name=st.none() | st.text(),
+        center=st.none() | st.tuples(*3 * [st.floats(-1e9, 1e9)]),
     ),
     clean=st.builds(CleanParams, islands=st.integers(0, 10**12)),
 )
@@ -69,6 +72,7 @@ def test_defaults_are_printed_with_text_unit_range_and_default():
     assert "# Smallest weight.\n# a number; at least 0; at most 100; default: 3.0\nweight = 3.0\n" in text
     assert '# one of cpu, cuda; default: "cpu"\ndevice = "cpu"\n' in text
     assert "color = true" in text
+    assert "# 3 numbers in m; not set by default\n# center =\n" in text
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
@@ -93,6 +97,10 @@ def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
         ("[fuse]\nweight = nan\n", "f.toml: fuse.weight is not a number."),
         ("[fuse]\ndevice = 'tpu'\n", "f.toml: fuse.device is 'tpu'; it must be one of cpu, cuda."),
         ("[fuse]\nthreads = true\n", "f.toml: fuse.threads is True; it must be of type int."),
+        ("[fuse]\ncenter = 1\n", "f.toml: fuse.center is 1; it must be 3 finite numbers."),
+        ("[fuse]\ncenter = [1, 2]\n", "f.toml: fuse.center is (1.0, 2.0); it must be 3 finite numbers."),
+        ("[fuse]\ncenter = [1, 2, 'x']\n", "f.toml: fuse.center is (1.0, 2.0, 'x'); it must be 3 finite"),
+        ("[fuse]\ncenter = [1, 2, inf]\n", "f.toml: fuse.center is (1.0, 2.0, inf); it must be 3 finite"),
         ("[clean]\nislands = 1.5\n", "f.toml: clean.islands is 1.5; it must be of type int."),
         ("[clean\n", "f.toml: this is not TOML"),
     ],
@@ -121,6 +129,16 @@ def test_words_are_read_by_the_type_of_the_parameter():
     assert config.set(["fuse.voxel_size=none"]).fuse.voxel_size is None
 
 
+@pytest.mark.parametrize("row", ["1 -2.5 3e-1", "1,-2.5,0.3", "[1, -2.5, 0.3]", "(1.0 -2.5 .3)"])
+def test_rows_of_numbers_are_read_as_they_are_written(row):
+    config = Config().set([f"fuse.center={row}"])
+    assert (
+        config == Config.loads("[fuse]\ncenter = [1, -2.5, 0.3]") == Config(FuseParams(center=[1, -2.5, 0.3]))
+    )
+    assert config.fuse.center == (1.0, -2.5, 0.3)
+    assert config.set(["fuse.center=none"]).fuse.center is None
+
+
 @pytest.mark.parametrize(
     ("word", "message"),
     [
@@ -131,6 +149,8 @@ def test_words_are_read_by_the_type_of_the_parameter():
         ("fuse.color=maybe", "fuse.color must be true or false, not 'maybe'"),
         ("fuse.threads=1.5", "fuse.threads must be a whole number, not '1.5'"),
         ("fuse.threads=none", "fuse.threads must be a whole number, not 'none'"),
+        ("fuse.center=1 2", "fuse.center is (1.0, 2.0); it must be 3 finite numbers"),
+        ("fuse.center=here", "fuse.center is ('here',); it must be 3 finite numbers"),
         ("fuse.thread=2", "did you mean threads?"),
         ("cleen.islands=2", "did you mean clean?"),
         ("clean.islands=-1", "clean.islands is -1 triangles; it must be at least 0 triangles"),
@@ -152,6 +172,8 @@ def test_canonical_form_is_one_for_equal_values():
     one = Config(fuse=FuseParams(weight=1, voxel_size=-0.0))
     assert repr(one.canonical("fuse")["weight"]) == "1.0"
     assert repr(one.canonical("fuse")["voxel_size"]) == "0.0"
+    rows = [Config(fuse=FuseParams(center=row)) for row in ([1, -0.0, 2], (1.0, 0, 2), np.float32([1, 0, 2]))]
+    assert {repr(config.canonical("fuse")["center"]) for config in rows} == {"[1.0, 0.0, 2.0]"}
 
 
 def test_infinity_has_no_canonical_form():
