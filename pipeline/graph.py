@@ -5,8 +5,8 @@ pairs ──depth──▶ frames ──────────fuse──▶ fu
                    └─adjust──▶ adjusted ▲                       │              ├──remesh──▶ remeshed ──▲
                                                                 └─lod─▶ levels └──bake──▶ baked
                                                                           └─tiles─▶ tileset
-(upright makes `standing` of clean, which all read that write glTF or tiles: texture, bake, tiles, export;
-export makes of simplified, or textured, what other programs open)
+(upright makes `standing` of clean, and of the plane that fuse may have left out; all read it that write glTF
+or tiles: texture, bake, tiles, export; export makes of simplified, or textured, what other programs open)
 (an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
 register is there where poses are missing; adjust where frames have colour and measured depth, from what
 register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
@@ -27,6 +27,7 @@ from pipeline import (
     adjusting,
     baking,
     exporting,
+    fusing,
     holding_out,
     levels,
     registering,
@@ -47,7 +48,6 @@ from stages.adjusting.adjust import adjust
 from stages.cleaning.clean import clean
 from stages.comparing.compare import compare_surfaces
 from stages.comparing.left_out import left_out as left_out_of_all
-from stages.errors import InputError
 from stages.exporting.export import export
 from stages.fusion.fuse import fuse
 from stages.inspecting.libraries import installed
@@ -111,31 +111,12 @@ def _fuse(job: Job) -> Mapping[str, Any]:
     scan = _placed(unplaced, job)
     doubts = require_poses(scan) if job.config.scan.check_poses else []
     fused = fuse(scan, job.config.fuse, progress=job.progress)
-    write_ply(job.folder / "fused.ply", fused.mesh)
+    fusing.write(job.folder, fused)
     figures = fused.figures()
-    doubts += _fuse_apart(unplaced, job)
-    figures = _with_skipped({**figures, "warnings": [*doubts, *figures.get("warnings", ())]})
+    if "posed" in job.inputs:
+        doubts += fusing.fuse_apart(job.folder, unplaced, job.inputs["posed"], job.config.fuse)
+    figures = _with_skipped({**figures, "warnings": [*doubts, *figures["warnings"]]})
     return from_folder(figures, scan.folder)
-
-
-def _fuse_apart(scan: Scan, job: Job) -> list[str]:
-    """Fuse the pieces that poses could not join to the one that is used, each into a mesh of its own."""
-    if "posed" not in job.inputs:
-        return []
-    said = []
-    folder = job.folder / "pieces"
-    for number, piece in registering.apart(scan, job.inputs["posed"]).items():
-        try:
-            mesh = fuse(piece, job.config.fuse).mesh
-        except InputError as error:
-            said.append(f"piece {number} is not fused: {error}")
-            continue
-        folder.mkdir(exist_ok=True)
-        write_ply(folder / f"fused-{number}.ply", mesh)
-        said.append(
-            f"piece {number}, of {len(piece.frames)} frames, is fused apart: pieces/fused-{number}.ply"
-        )
-    return said
 
 
 def _clean(job: Job) -> Mapping[str, Any]:
@@ -147,7 +128,8 @@ def _clean(job: Job) -> Mapping[str, Any]:
 
 def _upright(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(job.inputs["clean"] / "clean.ply")
-    return upright.make(job.folder, mesh, _frames(job).frames, job.config.upright)
+    plane = fusing.up_from_plane(job.inputs["fused"])
+    return upright.make(job.folder, mesh, _frames(job).frames, plane, job.config.upright)
 
 
 def _up(job: Job) -> Up | None:
@@ -318,7 +300,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="upright",
-        reads=("frames", "posed", "adjusted", "clean"),
+        reads=("frames", "posed", "adjusted", "fused", "clean"),
         writes="standing",
         sections=("upright",),
         make=_upright,

@@ -14,7 +14,7 @@ from pipeline.standing import Up, write_up
 from stages.params import check, param
 from stages.scans.scan import Frame
 from stages.surface.mesh import Mesh
-from stages.surface.upright import direction_of, up_of_place
+from stages.surface.upright import axis_or, direction_of, up_of_place
 
 # Raised by hand when the same clean mesh and frames come to another up.
 RESULT_VERSION = 1
@@ -31,7 +31,7 @@ class UprightSection:
         None,
         "What is up in the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `as-is`, "
         "which turns nothing. By default where most of the surface looks that is within 60° of up in the "
-        "frames: floors and tops of tables.",
+        "frames: floors and tops of tables, also if they are left out by fuse.remove_plane.",
     )
 
     def __post_init__(self) -> None:
@@ -40,24 +40,31 @@ class UprightSection:
             direction_of(_words_of(self.up))
 
 
-def make(folder: Path, mesh: Mesh, frames: Sequence[Frame], params: UprightSection) -> dict[str, Any]:
+def make(
+    folder: Path, mesh: Mesh, frames: Sequence[Frame], plane: Up | None, params: UprightSection
+) -> dict[str, Any]:
     """Write what is up, and return the figures.
 
     Parameters
     ----------
     mesh : the clean one.
     frames : in its world; those without a pose tell nothing.
+    plane : what is up from the table or floor that was left out of it; None if none was.
     """
-    up, told = _found(mesh, frames, params)
+    up, told = _found(mesh, frames, plane, params)
     write_up(folder, up)
     return {"up": up, "up_source": told}
 
 
-def _found(mesh: Mesh, frames: Sequence[Frame], params: UprightSection) -> tuple[Up | None, str]:
+def _found(
+    mesh: Mesh, frames: Sequence[Frame], plane: Up | None, params: UprightSection
+) -> tuple[Up | None, str]:
     """Return what is up, and what told it."""
     if params.up is not None:
         given = direction_of(_words_of(params.up))
         return None if given is None else _rounded(given), "given"
+    if plane is not None:
+        return _rounded(axis_or(np.array(plane))), "plane"
     poses = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
     if not poses:
         return None, "nothing"

@@ -11,9 +11,11 @@ import numpy as np
 
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
+from stages.fusion.crop import Crop, cut
 from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.plan import make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
+from stages.fusion.support import Support
 from stages.fusion.survey import Noise
 from stages.fusion.voxels import Layer, Volume
 from stages.params import resolve
@@ -45,6 +47,10 @@ class Fused:
     pixels_used : share of them that went into the volume.
     volume_bytes : memory of the volume at its end.
     device : "CPU:0" or "CUDA:0".
+    crop : what was fused of the scan.
+    support : the plane that was left out, with what is below it.
+    outside : how many frames show nothing of what was fused; they are not among `frames`.
+    warnings : of what was left out.
     """
 
     mesh: Mesh
@@ -59,6 +65,10 @@ class Fused:
     pixels_used: float
     volume_bytes: int
     device: str
+    crop: Crop
+    support: Support | None
+    outside: int
+    warnings: tuple[str, ...]
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -79,8 +89,29 @@ class Fused:
             "pixels_used_share": self.pixels_used,
             "volume_mb": self.volume_bytes / 1e6,
             "device": self.device,
+            "crop": self._crop_figures() if self.crop else None,
+            "lowest_m": self.mesh.vertices.min(axis=0).tolist(),
+            "highest_m": self.mesh.vertices.max(axis=0).tolist(),
             "vertices": len(self.mesh.vertices),
             "triangles": len(self.mesh.triangles),
+            "warnings": list(self.warnings),
+        }
+
+    def _crop_figures(self) -> dict[str, Any]:
+        crop, support = self.crop, self.support
+        return {
+            "box_m": crop.box,
+            "center_m": crop.center,
+            "radius_m": crop.radius,
+            "plane": support
+            and {
+                "normal": support.normal,
+                "offset_m": support.offset_m,
+                "spread_m": support.spread_m,
+                "points_share": support.share,
+                "margin_m": crop.height - support.offset_m,
+            },
+            "frames_outside": self.outside,
         }
 
 
@@ -103,10 +134,11 @@ def fuse(
     """Fuse frames with depth and poses into a mesh.
 
     Some frames are looked at first: depth noise is measured by comparing neighbouring frames, and whatever
-    parameter is left open follows from it and from the spacing of the pixels. Then frames are read and
-    filtered in threads, a few ahead, while one after the other goes into the volume. A frame that cannot be
-    used is skipped and reported. Equal input gives a bit-identical mesh on one machine, whatever the number
-    of threads.
+    parameter is left open follows from it and from the spacing of the pixels that are kept. Then frames are
+    read and filtered in threads, a few ahead, while one after the other goes into the volume. A frame that
+    cannot be used is skipped and reported. Depth outside of a crop is left out but for a seam as wide as the
+    field is cut off at, and the mesh is cut at the border: there it is the same as without a crop. Equal
+    input gives a bit-identical mesh on one machine, whatever the number of threads.
 
     Parameters
     ----------
@@ -119,7 +151,7 @@ def fuse(
     InputError
         If no frame has a pose or depth, or more than `max_bad_share` of the frames cannot be used.
     UsageError
-        For a parameter out of its range, or a CUDA device that is not there.
+        For a parameter out of its range, a crop that leaves nothing, or a CUDA device that is not there.
     StageError
         If the volume outgrows its memory.
 
@@ -147,21 +179,24 @@ def fuse(
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
-            view = read_posed_depth(frame, plan.limits)
-            image = read_matching_color(frame, view.surface.depth) if color else None
+            view = plan.within_reach(read_posed_depth(frame, plan.limits))
+            is_outside = not view.surface.depth.any()
+            image = read_matching_color(frame, view.surface.depth) if color and not is_outside else None
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
         return _Prepared(view, plan.layers(view), image)
 
     skipped: list[SkippedFrame] = []
-    pixels = valid = used = 0
+    pixels = valid = used = outside = 0
     for done, item in enumerate(read_ahead(prepare, frames, threads=threads, ahead=threads + 2), 1):
         if isinstance(item, SkippedFrame):
             skipped.append(item)
             _require_share(skipped, len(frames), params.max_bad_share, where)
         else:
             view = item.view
+            # Without parts, nothing is added.
             volume.integrate(item.parts, view.camera, plan.local(view.pose), item.color)
+            outside += not view.surface.depth.any()
             pixels += view.surface.depth.size
             valid += view.valid
             used += int(np.count_nonzero(view.surface.depth))
@@ -169,26 +204,36 @@ def fuse(
 
     min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 2), 1, 3))
     mesh = volume.mesh(min_weight)
+    mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
+    fused = len(frames) - len(skipped) - outside
     if len(mesh.triangles) == 0:
         raise InputError(
-            f"no surface came out of {len(frames) - len(skipped)} frames at voxels of {plan.voxel_size:g} m: "
-            f"none was seen by {min_weight} of them. Check poses and depth scale, or lower min_weight.",
+            f"no surface came out of {fused} frames at voxels of {plan.voxel_size:g} m: none was seen by "
+            f"{min_weight} of them{_of(plan.crop, used)}. Check poses and depth scale, or lower min_weight.",
             where,
         )
     return Fused(
-        mesh=mesh.with_(vertices=mesh.vertices + plan.origin),
+        mesh=mesh,
         voxel_size=plan.voxel_size,
         truncation=plan.truncation,
         max_depth=plan.limits.max_depth,
         min_weight=min_weight,
         noise=plan.noise,
-        frames=len(frames) - len(skipped),
+        frames=fused,
         skipped=tuple(skipped),
         pixels_valid=valid / pixels,
         pixels_used=used / pixels,
         volume_bytes=volume.bytes,
         device=device,
+        crop=plan.crop,
+        support=plan.support,
+        outside=outside,
+        warnings=plan.warnings,
     )
+
+
+def _of(crop: Crop, points: int) -> str:
+    return f" inside {crop}, from {points:,} points there" if crop else ""
 
 
 def _device(wanted: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stages.fusion.params import FuseParams
 from stages.fusion.plan import limits_of, look
-from stages.fusion.survey import survey
+from stages.fusion.survey import measured_noise, survey
 from stages.scans.prefetch import workers
 from stages.scans.scan import Frame
 
@@ -30,5 +30,6 @@ def depth_noise(frames: Sequence[Frame], where: Path | None = None) -> float:
     InputError
         If none of the frames looked at can be used.
     """
-    found = survey(look(frames, limits_of(FuseParams()), where, workers()))
+    pairs = look(frames, limits_of(FuseParams()), where, workers())
+    found = survey([view for view, _ in pairs], measured_noise(pairs))
     return found.noise.at(found.median)

@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypedDict
 
+from stages.errors import UsageError
 from stages.params import check, param
+
+Point = tuple[float, float, float]
+Corners = tuple[float, float, float, float, float, float]
+
+_CROP = "What is fused"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +63,36 @@ class FuseParams:
         unit="frames",
         low=1,
     )
+    box: tuple[float, float, float, float, float, float] | None = param(
+        None,
+        "Only what is inside this box is fused: the lowest corner, then the highest, in the scan's world, "
+        "whose extent `scanloom inspect` tells.",
+        unit="m",
+        group=_CROP,
+    )
+    radius: float | None = param(
+        None, "Only what is this near to `center` is fused.", unit="m", low=0, low_open=True, group=_CROP
+    )
+    center: tuple[float, float, float] | None = param(
+        None,
+        "Where the thing is, for `radius` and `remove_plane`. Derived: where the cameras' optical axes meet, "
+        "or else the middle of what is in the middle of the images.",
+        unit="m",
+        group=_CROP,
+    )
+    remove_plane: bool = param(
+        False,
+        "Leave out the table or floor that the thing stands on, and what is below it.",
+        group=_CROP,
+    )
+    plane_margin: float | None = param(
+        None,
+        "How far above that plane what is fused begins. Derived: three times the spread of depth about the "
+        "plane, but at least one and a half voxels.",
+        unit="m",
+        low=0,
+        group=_CROP,
+    )
     color: bool = param(True, "Give the mesh vertex colours, when the frames have colour.")
     max_bad_share: float = param(
         0.2, "Share of frames that may be unusable (damaged, without pose or depth).", low=0, high=1
@@ -72,6 +108,11 @@ class FuseParams:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.box is not None and not all(a < b for a, b in zip(self.box[:3], self.box[3:], strict=True)):
+            raise UsageError(
+                f"box is {' '.join(f'{x:g}' for x in self.box)} m; its first three numbers must be the "
+                "lowest corner, its last three the highest."
+            )
 
 
 class FuseKeywords(TypedDict, total=False):
@@ -84,6 +125,11 @@ class FuseKeywords(TypedDict, total=False):
     max_jump: float
     max_angle: float
     min_weight: int | None
+    box: Corners | None
+    radius: float | None
+    center: Point | None
+    remove_plane: bool
+    plane_margin: float | None
     color: bool
     max_bad_share: float
     memory: float

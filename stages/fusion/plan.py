@@ -12,9 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.fusion.crop import Crop, cropped
+from stages.fusion.cropping import above_plane, what_is_kept
 from stages.fusion.params import FuseParams
 from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
-from stages.fusion.survey import Noise, survey
+from stages.fusion.scene import Scene, scene_of
+from stages.fusion.support import Support
+from stages.fusion.survey import Noise, measured_noise, survey
 from stages.fusion.voxels import BLOCK, Layer, block_keys, layers
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Frame, Pose
@@ -39,6 +43,11 @@ class Plan:
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
     blocks : how many blocks of voxels are expected.
     triangles : how many triangles are expected, roughly.
+    scene : where the scan lies, before anything is left out of it.
+    crop : what is fused of it.
+    reach : metres; depth is used up to so far outside, so that the field at the border is whole.
+    support : the plane that is left out, with what is below it.
+    warnings : of what is left out.
     """
 
     voxel_size: float
@@ -46,8 +55,17 @@ class Plan:
     limits: DepthLimits
     noise: Noise
     origin: NDArray[np.float64]
+    scene: Scene
+    crop: Crop
+    reach: float
+    support: Support | None
+    warnings: tuple[str, ...]
     blocks: int = 0
     triangles: int = 0
+
+    def within_reach(self, view: PosedDepth) -> PosedDepth:
+        """Return the depth of a view that goes into the volume."""
+        return cropped(view, self.crop, self.reach)
 
     def layers(self, view: PosedDepth) -> list[Layer]:
         """Split a view's depth map for the volume."""
@@ -69,11 +87,17 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     ------
     InputError
         If none of the frames looked at can be used.
+    UsageError
+        If nothing is inside of what is to be fused.
     """
     limits = limits_of(params)
     pairs = look(frames, limits, where, threads)
-    found = survey(pairs)
-    noise = found.noise
+    looked_at = [view for view, _ in pairs]
+    scene = scene_of(frames, looked_at)
+    noise = measured_noise(pairs)
+    # How exact depth is, all tells that is seen; how large voxels are, what is kept.
+    kept = what_is_kept(frames, looked_at, scene, noise, params, limits, threads)
+    found = survey([cropped(view, kept.crop) for view in kept.views], noise)
     voxel_size = params.voxel_size or _two_digits(
         max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
     )
@@ -84,7 +108,11 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
     # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
     max_depth = min(max_depth, 10 * found.farthest)
-    centers = np.stack([view.pose[:3, 3] for view, _ in pairs])
+    crop, reach = kept.crop, truncation + voxel_size
+    if kept.support is not None:
+        crop = above_plane(crop, kept.support, params.plane_margin, voxel_size)
+        reach += crop.height - kept.support.offset_m
+    centers = np.stack([view.pose[:3, 3] for view in looked_at])
     block = BLOCK * voxel_size
     plan = Plan(
         voxel_size=voxel_size,
@@ -92,11 +120,15 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         limits=replace(limits, max_depth=max_depth),
         noise=noise,
         origin=np.rint(np.median(centers, axis=0) / block) * block,
+        scene=scene,
+        crop=crop,
+        reach=reach,
+        support=kept.support,
+        warnings=kept.warnings,
     )
-    views = [view for view, _ in pairs]
     # Two triangles for each voxel that the surface passes through.
     triangles = round(2 * found.area / voxel_size**2)
-    return replace(plan, blocks=_expected_blocks(views, plan, len(frames)), triangles=triangles)
+    return replace(plan, blocks=_expected_blocks(kept.views, plan, len(frames)), triangles=triangles)
 
 
 def limits_of(params: FuseParams) -> DepthLimits:
@@ -153,7 +185,7 @@ def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> in
     """
     touched = []
     for view in views:
-        parts = plan.layers(view)
+        parts = plan.layers(plan.within_reach(view))
         if parts:
             touched.append(block_keys(parts, plan.voxel_size, plan.local(view.pose)))
     if not touched:

@@ -47,7 +47,11 @@ class PosedDepth:
     def points(self, step: int) -> NDArray[np.float64]:
         """Return the world points (n, 3) of the pixels in every `step`-th row and column."""
         rows, columns = np.nonzero(self.surface.depth[::step, ::step])
-        points = self.camera_points(rows * step, columns * step).astype(np.float64)
+        return self.world_points(rows * step, columns * step)
+
+    def world_points(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the points (n, 3) of some pixels in the world."""
+        points = self.camera_points(rows, columns).astype(np.float64)
         return np.asarray(points @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def camera_points(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float32]:

@@ -58,10 +58,11 @@ class Survey:
     area: float
 
 
-def survey(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Survey:
-    """Measure on pairs of neighbouring views; the second of a pair may be missing."""
-    views = [view for view, _ in pairs]
-    depth = np.concatenate([_seen_depth(view) for view in views])
+def survey(views: Sequence[PosedDepth], noise: Noise) -> Survey:
+    """Measure on some views, whose noise is known."""
+    depth = np.concatenate([_seen_depth(view, _STEP) for view in views])
+    if not len(depth):  # of a small crop, fewer pixels than every fourth
+        depth = np.concatenate([_seen_depth(view, 1) for view in views])
     median, far = (float(z) for z in np.percentile(depth, [50, 98]))
     spacing = float(
         np.median([median / view.camera.fx / math.sqrt(_density(view.surface.depth)) for view in views])
@@ -71,13 +72,13 @@ def survey(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Survey:
         far=far,
         farthest=float(depth.max()),
         spacing=spacing,
-        noise=_noise([(a, b) for a, b in pairs if b is not None]),
+        noise=noise,
         area=_area(views, median / 20),
     )
 
 
-def _seen_depth(view: PosedDepth) -> NDArray[np.float32]:
-    depth = view.surface.depth[::_STEP, ::_STEP]
+def _seen_depth(view: PosedDepth, step: int) -> NDArray[np.float32]:
+    depth = view.surface.depth[::step, ::step]
     return depth[depth > 0]
 
 
@@ -95,9 +96,9 @@ def _area(views: Sequence[PosedDepth], cell: float) -> float:
     return len(np.unique(cells, axis=0)) * cell**2
 
 
-def _noise(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> Noise:
-    """Compare each first view with its second: the same places, measured twice."""
-    found = [_differences(a, b) for a, b in pairs]
+def measured_noise(pairs: Sequence[tuple[PosedDepth, PosedDepth | None]]) -> Noise:
+    """Compare each view with its neighbour, where there is one: the same places, measured twice."""
+    found = [_differences(a, b) for a, b in pairs if b is not None]
     depth = np.concatenate([z for z, _ in found]) if found else np.zeros(0)
     difference = np.concatenate([d for _, d in found]) if found else np.zeros(0)
     if len(depth) < 100 * _BINS:

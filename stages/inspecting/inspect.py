@@ -16,11 +16,15 @@ import numpy as np
 from stages.adjusting.look import look, usable
 from stages.errors import InputError
 from stages.files.images import image_size, read_raw_depth
+from stages.fusion.params import FuseParams
+from stages.fusion.plan import Plan, make_plan
 from stages.fusion.posed_depth import read_matching_color
+from stages.fusion.scene import Scene, in_words
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
 from stages.printing import by_fields, by_figures, table
 from stages.scans.images import read_color, read_depth, read_right
+from stages.scans.prefetch import workers
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
 from stages.scans.sharpness import least_sharp
 
@@ -83,7 +87,8 @@ class Inspection:
     pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
     least_sharp : the least sharp twentieth of the frames with colour, the worst first, each with the variance
         of its image's Laplacian over the median frame's; of long scans, of a sample.
-    outlook : what fusing takes, of RGB-D scans with poses.
+    scene : where what the frames show lies in the scan's world, of RGB-D scans with poses.
+    outlook : what fusing takes, of the same.
     warnings : all that is odd, the reader's own first.
     """
 
@@ -95,6 +100,7 @@ class Inspection:
     misfit_px: float | None
     pose_errors_m: dict[str, float]
     least_sharp: tuple[tuple[str, float], ...]
+    scene: Scene | None
     outlook: Outlook | None
     warnings: tuple[str, ...]
 
@@ -129,6 +135,7 @@ class Inspection:
             "misfit_px": self.misfit_px,
             "pose_errors_m": self.pose_errors_m,
             "least_sharp": [{"frame": name, "of_median": value} for name, value in self.least_sharp],
+            "scene": self.scene and dataclasses.asdict(self.scene),
             "outlook": self.outlook and dataclasses.asdict(self.outlook),
             "missing": list(scan.missing),
             "warnings": list(self.warnings),
@@ -176,6 +183,11 @@ class Inspection:
         if self.least_sharp:
             words = ", ".join(f"{name} ({value:.0%})" for name, value in self.least_sharp[:5])
             lines.append(f"sharpness least in {words} of the median frame's")
+        if self.scene is not None:
+            lines += [
+                f"extent    {self.scene} m, lowest to highest corner (1st to 99th percentile)",
+                f"looks at  {in_words(self.scene.center_m)} m, the centre of view",
+            ]
         if self.outlook is not None:
             needs = self.outlook
             lines.append(
@@ -225,6 +237,7 @@ def inspect(scan: Scan) -> Inspection:
         pairs = [(_matching(one), one.depth) for one in samples]
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs) + about_misfit
     sharpness, about_sharpness = _least_sharp(scan)
+    plan = _plan(scan) if depth is not None and path is not None else None
     return Inspection(
         scan=scan,
         color_size=_color_size(samples),
@@ -234,7 +247,8 @@ def inspect(scan: Scan) -> Inspection:
         misfit_px=misfit,
         pose_errors_m=errors,
         least_sharp=sharpness,
-        outlook=_outlook(scan) if depth is not None and path is not None else None,
+        scene=None if plan is None else plan.scene,
+        outlook=None if plan is None else outlook(scan.frames, plan),
         warnings=(*scan.warnings, *warnings, *about_sharpness),
     )
 
@@ -299,9 +313,9 @@ def _least_sharp(scan: Scan) -> tuple[tuple[tuple[str, float], ...], list[str]]:
     ]
 
 
-def _outlook(scan: Scan) -> Outlook | None:
+def _plan(scan: Scan) -> Plan | None:
     try:
-        return outlook(scan.frames, scan.folder)
+        return make_plan(scan.frames, FuseParams(), scan.folder, workers())
     except InputError:
         return None
 

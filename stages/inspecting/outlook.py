@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from stages.fusion.params import FuseParams
-from stages.fusion.plan import make_plan
+from stages.fusion.plan import Plan
 from stages.fusion.voxels import block_bytes
 from stages.printing import by_fields
-from stages.scans.prefetch import workers
 from stages.scans.scan import Frame
 
 # What a run leaves behind for each triangle that is fused: meshes after each stage, records, pictures.
@@ -37,15 +34,8 @@ class Outlook:
     __repr__ = by_fields
 
 
-def outlook(frames: Sequence[Frame], folder: Path | None) -> Outlook:
-    """Estimate what fusing frames with depth and poses takes.
-
-    Raises
-    ------
-    InputError
-        If none of the frames looked at can be used.
-    """
-    plan = make_plan(frames, FuseParams(), folder, workers())
+def outlook(frames: Sequence[Frame], plan: Plan) -> Outlook:
+    """Estimate what fusing frames with depth and poses takes, from the plan of it."""
     color = any(frame.color is not None for frame in frames)
     return Outlook(
         voxel_size_m=plan.voxel_size,

@@ -90,8 +90,7 @@ def turn_along_y(up: Floats) -> Floats:
 def up_of_place(mesh: Mesh, poses: Floats) -> tuple[Floats, str]:
     """Return what is up in a scan of a place, (3,) of length 1, and what told it: `surface` or `cameras`.
 
-    An axis of the poses' world that is within a degree of it is taken for it: worlds that know of gravity
-    have one there, and a floor is not known better.
+    An axis of the poses' world that is within a degree of it is taken for it, see `axis_or`.
 
     Parameters
     ----------
@@ -100,9 +99,16 @@ def up_of_place(mesh: Mesh, poses: Floats) -> tuple[Floats, str]:
     """
     held = up_of_cameras(poses)
     found = up_of_surface(mesh, held)
-    up, told = (held, "cameras") if found is None else (found, "surface")
+    return (axis_or(held), "cameras") if found is None else (axis_or(found), "surface")
+
+
+def axis_or(up: Floats) -> Floats:
+    """Return the axis that is within a degree of a direction (3,) of length 1, or else the direction.
+
+    Worlds that know of gravity have an axis there, and a floor is not known better.
+    """
     nearest = max(_AXES.values(), key=lambda axis: float(np.dot(axis, up)))
-    return (np.array(nearest) if np.dot(nearest, up) > math.cos(math.radians(_SAME)) else up), told
+    return np.array(nearest) if np.dot(nearest, up) > math.cos(math.radians(_SAME)) else up
 
 
 def up_of_cameras(poses: Floats) -> Floats:

@@ -63,4 +63,4 @@ def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
 
 
 def test_frames_without_poses_tell_nothing(tmp_path):
-    assert make(tmp_path, sheet(), (), UprightSection()) == {"up": None, "up_source": "nothing"}
+    assert make(tmp_path, sheet(), (), None, UprightSection()) == {"up": None, "up_source": "nothing"}

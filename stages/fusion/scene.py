@@ -1,0 +1,117 @@
+"""Where in its world a scan lies: its corners, and the place that its cameras look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.fusion.params import Point
+from stages.fusion.posed_depth import PosedDepth
+from stages.printing import by_fields
+from stages.scans.scan import Frame
+
+Floats = NDArray[np.float64]
+
+# Corners are those of all but this many per cent of the points at either end of an axis.
+_STRAY = 1.0
+_STEP = 4
+# Axes that point this much the same way meet anywhere: least mean square of the sine between them and the
+# direction they have most in common (0.02 is a spread of 8°).
+_LEAST_SPREAD = 0.02
+# Axes meet if half of them pass within this share of their distance, and nearly all cameras look there.
+_NEAR_SHARE = 0.25
+_LOOKING = 0.8
+_ROUNDS = 10
+_EXACT = 1e-9
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Where a scan lies, metres in its world.
+
+    Attributes
+    ----------
+    lowest_m, highest_m : corners of the box around what was measured, but for a hundredth of it at each side.
+    center_m : what the cameras look at, around which `fuse` keeps what is within `radius`.
+    """
+
+    lowest_m: Point
+    highest_m: Point
+    center_m: Point
+
+    __repr__ = by_fields
+
+    def __str__(self) -> str:
+        return f"{in_words(self.lowest_m)} to {in_words(self.highest_m)}"
+
+
+def scene_of(frames: Sequence[Frame], views: Sequence[PosedDepth]) -> Scene:
+    """Say where a scan lies.
+
+    Parameters
+    ----------
+    frames : of the scan; of them the poses count alone.
+    views : some of its frames, read.
+    """
+    points = np.concatenate([view.points(_STEP) for view in views])
+    if not len(points):  # fewer pixels than every fourth
+        points = np.concatenate([view.points(1) for view in views])
+    low, high = np.percentile(points, [_STRAY, 100 - _STRAY], axis=0)
+    return Scene(point_of(low), point_of(high), point_of(_center(frames, views, points)))
+
+
+def point_of(array: Floats) -> Point:
+    """Return an array (3,) as numbers."""
+    x, y, z = array.tolist()
+    return x, y, z
+
+
+def in_words(point: Sequence[float]) -> str:
+    """Return a place as a person reads it: `(0.52, -1.3, 2)`."""
+    return f"({', '.join(f'{x:.4g}' for x in point)})"
+
+
+def _center(frames: Sequence[Frame], views: Sequence[PosedDepth], points: Floats) -> Floats:
+    poses = [np.asarray(frame.world_from_camera) for frame in frames if frame.world_from_camera is not None]
+    meeting = where_axes_meet(np.array([pose for pose in poses if np.isfinite(pose).all()]))
+    if meeting is not None:
+        return meeting
+    # Cameras that turn on the spot, or look ahead: the middle of what is in the middle of their images.
+    middles = [middle for view in views if len(middle := _in_the_middle(view))]
+    return np.asarray(np.median(np.concatenate(middles) if middles else points, axis=0))
+
+
+def _in_the_middle(view: PosedDepth) -> Floats:
+    """Return the points (n, 3) of the middle third of an image."""
+    height, width = view.surface.depth.shape
+    rows, columns = np.nonzero(view.surface.depth)
+    inside = (abs(rows - height / 2) < height / 6) & (abs(columns - width / 2) < width / 6)
+    return view.world_points(rows[inside][::_STEP], columns[inside][::_STEP])
+
+
+def where_axes_meet(poses: Floats) -> Floats | None:
+    """Return the place (3,) that optical axes pass nearest to (the sum of distances is least), if they meet.
+
+    Parameters
+    ----------
+    poses : (n, 4, 4) camera-to-world.
+    """
+    if not len(poses):
+        return None
+    eyes, axes = poses[:, :3, 3], poses[:, :3, 2]
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    weights = np.ones(len(poses))
+    for _ in range(_ROUNDS):
+        total = np.einsum("n,nij->ij", weights, across) / weights.sum()
+        if np.linalg.eigvalsh(total)[0] < _LEAST_SPREAD:
+            return None
+        place = np.linalg.solve(total, np.einsum("n,nij,nj->i", weights, across, eyes) / weights.sum())
+        off = np.linalg.norm(np.einsum("nij,nj->ni", across, place - eyes), axis=1)
+        # Weiszfeld's step from the mean to the median; the floor keeps one exact axis from deciding alone.
+        weights = 1 / np.maximum(off, 0.1 * np.median(off) + _EXACT)
+    along = np.einsum("ni,ni->n", place - eyes, axes)
+    meets = np.median(off) < _NEAR_SHARE * np.median(along)
+    return np.asarray(place) if meets and np.mean(along > 0) > _LOOKING else None
