@@ -13,6 +13,7 @@ from stages.fusion.scene import in_words
 from stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,17 +62,17 @@ class Crop:
         return far
 
 
-def cropped(view: PosedDepth, crop: Crop, by: float = 0.0) -> PosedDepth:
-    """Return a view without the depth of what is farther than `by` metres outside of a crop.
+def shown(view: PosedDepth, crop: Crop, by: float = 0.0) -> Mask:
+    """Return which pixels (h, w) show what is inside of a crop, or no more than `by` metres outside."""
+    seen = np.asarray(view.surface.depth > 0)
+    if crop:
+        seen[seen] = crop.outside(view.points(1)) <= by
+    return seen
 
-    What is left out is missing depth: it was looked at after the surface's orientation was measured, so that
-    no border of the crop is taken for a border of the surface.
-    """
-    if not crop:
-        return view
-    depth = view.surface.depth.copy()
-    seen = depth > 0
-    depth[seen] *= crop.outside(view.points(1)) <= by
+
+def cropped(view: PosedDepth, crop: Crop) -> PosedDepth:
+    """Return a view without the depth of what is outside of a crop."""
+    depth = np.where(shown(view, crop), view.surface.depth, np.float32(0))
     return replace(view, surface=replace(view.surface, depth=depth))
 
 

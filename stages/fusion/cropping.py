@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stages.errors import InputError, UsageError
-from stages.fusion.crop import Crop, cropped
+from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.params import FuseParams, Point
 from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
 from stages.fusion.scene import Scene
@@ -86,7 +86,7 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
         why = f"remove_plane: nothing is removed, no plane under the thing is found: {found}"
         return replace(kept, warnings=(*kept.warnings, why))
     above = above_plane(kept.crop, found, params.plane_margin, 0.0)
-    counts = [int(np.count_nonzero(cropped(view, above).surface.depth)) for view in views]
+    counts = [int(np.count_nonzero(shown(view, above))) for view in views]
     share = sum(counts) / len(depth)
     if share == 0:
         raise UsageError(f"nothing is left to fuse: of {len(depth):,} points looked at 0 are inside {above}.")
@@ -127,7 +127,7 @@ def _that_show(
     threads: int,
 ) -> list[PosedDepth]:
     """Return views that show what is kept; more frames are looked at where too few of those that were do."""
-    views = [view for view in looked_at if cropped(view, crop).surface.depth.any()]
+    views = [view for view in looked_at if shown(view, crop).any()]
     enough = (len(looked_at) + 1) // 2
     if len(views) >= enough:
         return views
@@ -143,7 +143,7 @@ def _that_show(
         if view is None:
             continue
         points += int(np.count_nonzero(view.surface.depth))
-        if cropped(view, crop).surface.depth.any():
+        if shown(view, crop).any():
             views.append(view)
         if len(views) >= enough:
             break

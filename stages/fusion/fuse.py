@@ -120,6 +120,7 @@ class _Prepared:
     """A frame ready to be integrated."""
 
     view: PosedDepth
+    used: int
     parts: list[Layer]
     color: ColorImage | None
 
@@ -136,9 +137,10 @@ def fuse(
     Some frames are looked at first: depth noise is measured by comparing neighbouring frames, and whatever
     parameter is left open follows from it and from the spacing of the pixels that are kept. Then frames are
     read and filtered in threads, a few ahead, while one after the other goes into the volume. A frame that
-    cannot be used is skipped and reported. Depth outside of a crop is left out but for a seam as wide as the
-    field is cut off at, and the mesh is cut at the border: there it is the same as without a crop. Equal
-    input gives a bit-identical mesh on one machine, whatever the number of threads.
+    cannot be used is skipped and reported. With a crop the volume holds what is inside, and a seam outside as
+    wide as the field is cut off at; depth outside tells that nothing is before it. The mesh is cut at the
+    border: there it is as without a crop. Equal input gives a bit-identical mesh on one machine, whatever the
+    number of threads.
 
     Parameters
     ----------
@@ -179,12 +181,12 @@ def fuse(
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
-            view = plan.within_reach(read_posed_depth(frame, plan.limits))
-            is_outside = not view.surface.depth.any()
-            image = read_matching_color(frame, view.surface.depth) if color and not is_outside else None
+            view = read_posed_depth(frame, plan.limits)
+            here = plan.fused(view)
+            image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
-        return _Prepared(view, plan.layers(view), image)
+        return _Prepared(view, int(np.count_nonzero(here)), plan.layers(view, here), image)
 
     skipped: list[SkippedFrame] = []
     pixels = valid = used = outside = 0
@@ -196,10 +198,10 @@ def fuse(
             view = item.view
             # Without parts, nothing is added.
             volume.integrate(item.parts, view.camera, plan.local(view.pose), item.color)
-            outside += not view.surface.depth.any()
+            outside += item.used == 0
             pixels += view.surface.depth.size
             valid += view.valid
-            used += int(np.count_nonzero(view.surface.depth))
+            used += item.used
         progress(done, len(frames))
 
     min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 2), 1, 3))
@@ -216,7 +218,7 @@ def fuse(
         mesh=mesh,
         voxel_size=plan.voxel_size,
         truncation=plan.truncation,
-        max_depth=plan.limits.max_depth,
+        max_depth=plan.max_depth,
         min_weight=min_weight,
         noise=plan.noise,
         frames=fused,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.fusion.crop import Crop, cropped
+from stages.fusion.crop import Crop, cropped, shown
 from stages.fusion.cropping import above_plane, what_is_kept
 from stages.fusion.params import FuseParams
 from stages.fusion.posed_depth import DepthLimits, PosedDepth, read_posed_depth
@@ -27,6 +27,8 @@ from stages.scans.scan import Frame, Pose
 # since all of them are held at once.
 _PLACES = 8
 _PIXELS = 8_000_000
+# With a crop, depth tells of the space before it up to so many times as far as it is fused.
+_FREE = 2.0
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
 
@@ -38,20 +40,23 @@ class Plan:
     Attributes
     ----------
     voxel_size, truncation : metres; truncation along the surface's normal.
-    limits : of the depth to use.
+    max_depth : metres; farther surface is not fused.
+    limits : of the depth to read; what is farther than `max_depth`, and outside of a crop, tells of the space
+        before it alone.
     noise : as measured; see Noise.
     origin : (3,) world coordinates of the volume's own origin, on its grid of blocks.
     blocks : how many blocks of voxels are expected.
     triangles : how many triangles are expected, roughly.
     scene : where the scan lies, before anything is left out of it.
     crop : what is fused of it.
-    reach : metres; depth is used up to so far outside, so that the field at the border is whole.
+    reach : metres; the field is made up to so far outside, so that it is whole at the border.
     support : the plane that is left out, with what is below it.
     warnings : of what is left out.
     """
 
     voxel_size: float
     truncation: float
+    max_depth: float
     limits: DepthLimits
     noise: Noise
     origin: NDArray[np.float64]
@@ -63,14 +68,19 @@ class Plan:
     blocks: int = 0
     triangles: int = 0
 
-    def within_reach(self, view: PosedDepth) -> PosedDepth:
-        """Return the depth of a view that goes into the volume."""
-        return cropped(view, self.crop, self.reach)
+    def fused(self, view: PosedDepth) -> NDArray[np.bool_]:
+        """Return which pixels (h, w) of a view show surface that is to be in the volume."""
+        near = view.surface.depth <= np.float32(self.max_depth)
+        return np.asarray(near & shown(view, self.crop, self.reach))
 
-    def layers(self, view: PosedDepth) -> list[Layer]:
-        """Split a view's depth map for the volume."""
+    def layers(self, view: PosedDepth, here: NDArray[np.bool_]) -> list[Layer]:
+        """Split a view's depth map for the volume, which is to hold the surface at some pixels."""
         return layers(
-            view, voxel_size=self.voxel_size, truncation=self.truncation, max_depth=self.limits.max_depth
+            view,
+            here,
+            voxel_size=self.voxel_size,
+            truncation=self.truncation,
+            max_depth=self.limits.max_depth,
         )
 
     def local(self, pose: Pose) -> Pose:
@@ -108,21 +118,23 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
     # Depth is kept in 65535 steps, which a limit far beyond the scene would make coarse.
     max_depth = min(max_depth, 10 * found.farthest)
-    crop, reach = kept.crop, truncation + voxel_size
+    crop = kept.crop
     if kept.support is not None:
         crop = above_plane(crop, kept.support, params.plane_margin, voxel_size)
-        reach += crop.height - kept.support.offset_m
+    # What is left out, and too far to be fused, still tells that beside the thing there is nothing.
+    read_to = _FREE * max_depth if crop and not params.max_depth else max_depth
     centers = np.stack([view.pose[:3, 3] for view in looked_at])
     block = BLOCK * voxel_size
     plan = Plan(
         voxel_size=voxel_size,
         truncation=truncation,
-        limits=replace(limits, max_depth=max_depth),
+        max_depth=max_depth,
+        limits=replace(limits, max_depth=read_to),
         noise=noise,
         origin=np.rint(np.median(centers, axis=0) / block) * block,
         scene=scene,
         crop=crop,
-        reach=reach,
+        reach=truncation + voxel_size,
         support=kept.support,
         warnings=kept.warnings,
     )
@@ -185,7 +197,7 @@ def _expected_blocks(views: Sequence[PosedDepth], plan: Plan, frames: int) -> in
     """
     touched = []
     for view in views:
-        parts = plan.layers(plan.within_reach(view))
+        parts = plan.layers(view, plan.fused(view))
         if parts:
             touched.append(block_keys(parts, plan.voxel_size, plan.local(view.pose)))
     if not touched:

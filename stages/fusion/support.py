@@ -1,9 +1,10 @@
 """The plane a thing stands on: table or floor, found in the points that some frames show.
 
 Planes through three points each are tried (RANSAC), the one with most points around the thing is fitted to
-them, and taken if it is under the thing: roughly square to up, below what the cameras look at, and with
-something on it. If not, its points go, and the next one is looked for: the lid of a box may be larger than
-what is seen of the table. All is drawn from one seed, so that equal input gives an equal plane.
+them, and taken if it is under the thing: roughly square to up, not above most of what is there, and with
+something standing on it. If not, its points go, and the next one is looked for: the lid of a box may be
+larger than what is seen of the table. Points count the more the nearer they are to the thing: the floor
+around the table may be larger, too. All is drawn from one seed, so that equal input gives an equal plane.
 
 References
 ----------
@@ -31,9 +32,12 @@ Mask = NDArray[np.bool_]
 
 _STEP = 4
 # Points are looked at that are as near to the thing as most cameras are; one in each cell of a grid, so that
-# surface counts, not how often it was seen.
+# surface counts, not how often it was seen. At this share of that distance it counts 1/e of one at the thing.
 _CELLS = 80
-_DRAWS = 600
+_NEAR = 0.35
+# Of so many threes of points that are drawn, so many are tried of those whose normals are their plane's.
+_DRAWS = 50_000
+_TRIED = 1500
 _PLANES = 6
 _FITS = 10
 # Points as near to a plane as this share of the cameras' distance, or as three times the noise, lie on it, if
@@ -47,10 +51,10 @@ _TILT = 60.0
 # level otherwise, and at least by so much: second moments.
 _WIDER = 1.5
 _SPREADING = 0.02
-# Least share of the points around the thing that lie on the plane.
-_LEAST_SHARE = 0.08
-# What the cameras look at may be so far below the plane, in their distances: they look at the table, too.
-_BELOW = 0.12
+# Least share of the points around the thing, as they count, that lie on the plane.
+_LEAST_SHARE = 0.05
+# At most this share of the points, as they count, is below the plane: below a table's top little is seen.
+_MOST_BELOW = 0.5
 # Within this share of the cameras' distance around the thing something must stand on the plane: at least this
 # share of the points there.
 _WIDTH = 0.35
@@ -66,7 +70,7 @@ class Support:
     normal : up from it, of length 1.
     offset_m : a place p is on it where normal · p is this, metres.
     spread_m : standard deviation of the points on it across it, metres.
-    share : of the points around the thing, those on it.
+    share : of the points around the thing, as they count, those on it.
     """
 
     normal: Point
@@ -93,24 +97,26 @@ def find_support(views: Sequence[PosedDepth], center: Floats, noise: float) -> S
     if len(points) < 100:
         return f"there are only {len(points)} points within {distance:.2g} m of what the cameras look at"
     on = max(_ON_SHARE * distance, _ON_NOISES * noise)
-    left = normals @ up > math.cos(math.radians(_TILT + _NORMAL))
-    seen_from = np.random.default_rng(0)
+    counts = np.exp(-(np.linalg.norm(points - center, axis=1) ** 2) / (_NEAR * distance) ** 2)
+    left = counts * (normals @ up > math.cos(math.radians(_TILT + _NORMAL)))
+    draw = np.random.default_rng(0)
     refused: list[str] = []
     for _ in range(_PLANES):
-        found = _largest(points, normals, left, up, on, seen_from)
+        found = _largest(points, normals, left, up, on, draw)
         if found is None:
             break
-        normal, offset, fitting = found
-        share = float(fitting.mean())
+        normal, offset = found
+        fitting = (left > 0) & (_fit(points, normals, normal, offset, on) > 0)
+        share = float(counts[fitting].sum() / counts.sum())
         if share < _LEAST_SHARE:
             break
-        why = _not_under(points, center, distance, normal, offset, on)
+        why = _not_under(points - center, counts, normal, offset - float(normal @ center), on, distance)
         if why is None:
             heights = points[fitting] @ normal - offset
             spread = 1.4826 * float(np.median(np.abs(heights)))
-            return Support(point_of(normal), float(offset), spread, share)
+            return Support(point_of(normal), offset, spread, share)
         refused.append(f"the plane of {share:.0%} of the points {why}")
-        left &= ~(fitting | (np.abs(points @ normal - offset) < on))
+        left = np.where(np.abs(points @ normal - offset) < on, 0, left)
     level = f"no plane within {_TILT:g}° of level has {_LEAST_SHARE:.0%} of the points around the thing"
     return refused[0] if refused else level
 
@@ -149,37 +155,39 @@ def _around(views: Sequence[PosedDepth], center: Floats, reach: float) -> tuple[
 
 
 def _largest(
-    points: Floats, normals: Floats, left: Mask, up: Floats, on: float, draw: np.random.Generator
-) -> tuple[Floats, float, Mask] | None:
-    """Return normal, offset and points (a mask) of the plane that most of the points that are left lie on."""
-    rows = np.flatnonzero(left)
+    points: Floats, normals: Floats, counts: Floats, up: Floats, on: float, draw: np.random.Generator
+) -> tuple[Floats, float] | None:
+    """Return normal and offset of the plane that most of the points lie on, as they count; None for none."""
+    rows = np.flatnonzero(counts)
     if len(rows) < 3:
         return None
-    a, b, c = (points[draw.choice(rows, _DRAWS)] for _ in range(3))
+    points, normals, counts = points[rows], normals[rows], counts[rows]
+    drawn = draw.choice(len(rows), (3, _DRAWS), p=counts / counts.sum())
+    a, b, c = points[drawn]
     tried = np.cross(b - a, c - a)
-    length = np.linalg.norm(tried, axis=1)
-    tried, a = tried[length > 0] / length[length > 0, None], a[length > 0]
+    tried /= np.maximum(np.linalg.norm(tried, axis=1, keepdims=True), np.finfo(np.float64).tiny)
     tried *= np.where(tried @ up < 0, -1.0, 1.0)[:, None]
-    level = tried @ up > math.cos(math.radians(_TILT))
-    tried, a = tried[level], a[level]
-    if not len(tried):
+    alike = np.einsum("kni,ni->kn", normals[drawn], tried).min(axis=0) > math.cos(math.radians(_NORMAL))
+    chosen = np.flatnonzero(alike & (tried @ up > math.cos(math.radians(_TILT))))[:_TRIED]
+    if not len(chosen):
         return None
+    tried, a = tried[chosen], a[chosen]
     offsets = np.einsum("ni,ni->n", tried, a)
     scores = [
-        _fit(points[rows], normals[rows], normal, offset, on).sum()
+        counts @ _fit(points, normals, normal, offset, on)
         for normal, offset in zip(tried, offsets, strict=True)
     ]
     best = int(np.argmax(scores))
     normal, offset = tried[best], float(offsets[best])
     for _ in range(_FITS):
-        weights = _fit(points[rows], normals[rows], normal, offset, on)
+        weights = counts * _fit(points, normals, normal, offset, on)
         if np.count_nonzero(weights) < 3:
             return None
-        middle = np.average(points[rows], axis=0, weights=weights)
-        normal = np.linalg.eigh(np.cov((points[rows] - middle).T, aweights=weights))[1][:, 0]
+        middle = np.average(points, axis=0, weights=weights)
+        normal = np.linalg.eigh(np.cov((points - middle).T, aweights=weights))[1][:, 0]
         normal = normal if normal @ up > 0 else -normal
         offset = float(normal @ middle)
-    return normal, offset, left & (_fit(points, normals, normal, offset, on) > 0)
+    return normal, offset
 
 
 def _fit(points: Floats, normals: Floats, normal: Floats, offset: float, on: float) -> Floats:
@@ -189,16 +197,20 @@ def _fit(points: Floats, normals: Floats, normal: Floats, offset: float, on: flo
 
 
 def _not_under(
-    points: Floats, center: Floats, distance: float, normal: Floats, offset: float, on: float
+    away: Floats, counts: Floats, normal: Floats, offset: float, on: float, distance: float
 ) -> str | None:
-    """Say why a plane is not what the thing stands on; None if it is."""
-    height = float(normal @ center) - offset
-    if height < -_BELOW * distance:
-        return f"is {-height:.2g} m above what the cameras look at"
-    away = points - center
+    """Say why a plane is not what the thing stands on; None if it is.
+
+    Parameters
+    ----------
+    away : (n, 3) points, from the thing; offset : of the plane, from there as well.
+    counts : (n,) how much each counts.
+    """
+    heights = away @ normal - offset
+    if counts[heights < -2 * on].sum() > _MOST_BELOW * counts.sum():
+        return "has most of what is there below it"
     beside = np.linalg.norm(away - np.outer(away @ normal, normal), axis=1)
     around = beside < _WIDTH * distance
-    standing = float(np.mean(points[around] @ normal - offset > 2 * on)) if around.any() else 0.0
-    if standing < _LEAST_ON_IT:
+    if np.count_nonzero(heights[around] > 2 * on) < _LEAST_ON_IT * np.count_nonzero(around):
         return "has nothing standing on it"
     return None

@@ -62,8 +62,14 @@ class Layer:
     stretch: float
 
 
-def layers(view: PosedDepth, *, voxel_size: float, truncation: float, max_depth: float) -> list[Layer]:
-    """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`."""
+def layers(
+    view: PosedDepth, wanted: NDArray[np.bool_], *, voxel_size: float, truncation: float, max_depth: float
+) -> list[Layer]:
+    """Split a depth map into layers of like obliqueness, without what is farther than `max_depth`.
+
+    Only the surface at the pixels that are `wanted` (h, w) has to be in the volume; what others show tells
+    that nothing is before it.
+    """
     surface = view.surface
     valid = (surface.depth > 0) & (surface.depth <= max_depth)
     level = np.where(valid, np.int8(0), np.int8(-1))
@@ -75,7 +81,7 @@ def layers(view: PosedDepth, *, voxel_size: float, truncation: float, max_depth:
     result = []
     for k in range(int(level.max()) + 1):
         here = level == k
-        points = _band(view, here & sample, truncation)
+        points = _band(view, here & sample & wanted, truncation)
         if len(points):
             result.append(Layer(np.where(here, depth, np.uint16(0)), points, _LAYER_RATIO ** (k + 0.5)))
     return result

@@ -470,3 +470,51 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.read_text() == "mine"
     assert scanloom(*words, "--overwrite").exit_code == 0
     assert page.read_text() != "mine"
+
+
+def test_a_crop_is_typed_as_numbers_and_told_in_the_figures(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    words = ("fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02)
+    box = (-0.4, -0.4, -0.1, 0.4, 0.4, 1.1)
+    ran = scanloom(*words, "--box", *box, "--center", 0, 0, 0.9, "--radius", 0.6, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    crop = ran.json["crop"]
+    assert (crop["box_m"], crop["center_m"], crop["radius_m"]) == (list(box), [0, 0, 0.9], 0.6)
+    # The wall is behind, at 1.2 m.
+    assert ran.json["highest_m"][2] < 1.0
+
+    inspected = scanloom("inspect", tiny_scan, "--json").json["scene"]
+    assert inspected["highest_m"][2] == pytest.approx(1.2, abs=0.01)
+    assert inspected["lowest_m"][2] == pytest.approx(0.76, abs=0.02)
+    said = scanloom("inspect", tiny_scan).stdout
+    assert re.search(
+        r"^extent    \(-0\.\d+, -0\.\d+, 0\.\d+\) to \(0\.\d+, 0\.\d+, 1\.2\) m, ", said, re.MULTILINE
+    )
+    assert re.search(r"^looks at  \(.*\) m, the centre of view$", said, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--box", 0, 0, 0, 1, 1), "Option '--box' requires 6 arguments"),
+        (("--box", 1, 0, 0, 0, 1, 1), "--box is 1 0 0 0 1 1 m; its first three numbers must be the lowest"),
+        (("--box", 8, 8, 8, 9, 9, 9), "nothing is left to fuse: of "),
+        (("--radius", 0), "--radius is 0 m; it must be more than 0 m."),
+    ],
+)
+def test_a_crop_that_is_none_is_wrong_usage(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path, words: tuple[object, ...], said: str
+) -> None:
+    ran = scanloom("fuse", tiny_scan, tmp_path / "ball.ply", *words)
+    assert ran.exit_code == 2
+    assert said in ran.stderr
+    assert not (tmp_path / "ball.ply").exists()
+
+
+def test_a_plane_that_is_not_found_is_a_warning(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    ran = scanloom(
+        "fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02, "--remove-plane", "--strict"
+    )
+    assert ran.exit_code == 1
+    assert "warning: remove_plane: nothing is removed, no plane under the thing is found" in ran.stderr

@@ -1,0 +1,114 @@
+"""What a run fuses of a scan, and what comes of it in the stages after."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from thing_on_table import BALL, frames
+
+from pipeline.config import Config
+from pipeline.dry_run import foresee
+from pipeline.fusing import fuse_apart, up_from_plane, write
+from pipeline.run import RunResult, run
+from stages.errors import UsageError
+from stages.fusion.fuse import fuse
+from stages.fusion.params import FuseParams
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Frame, Scan
+from stages.surface.formats.ply import read_ply
+
+QUICK = ("adjust.enabled=false", "texture.enabled=false", "fuse.voxel_size=0.02")
+# Level cameras that look ahead say nothing better of up than this.
+TILT = np.radians(7)
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball on a table, in a world that is not level."""
+    folder = tmp_path_factory.mktemp("table")
+    turn = np.eye(4)
+    turn[1:3, 1:3] = [[np.cos(TILT), -np.sin(TILT)], [np.sin(TILT), np.cos(TILT)]]
+    written = []
+    for frame in frames("ball"):
+        depth, color = folder / f"{frame.name}-depth.png", folder / f"{frame.name}.png"
+        cv2.imwrite(str(depth), np.rint(np.asarray(frame.depth) * 1000).astype(np.uint16))
+        cv2.imwrite(str(color), np.asarray(frame.color))
+        pose = turn @ frame.world_from_camera
+        written.append(Frame(frame.name, frame.camera, color=color, depth=depth, world_from_camera=pose))
+    write_scan_json(folder, written)
+    return folder
+
+
+def ran(table: Path, out: Path, *more: str, until: str = "fuse") -> RunResult:
+    return run(table, out, Config().set([*QUICK, *more]), until=until)
+
+
+def test_what_is_up_is_told_by_the_plane_that_was_left_out(table: Path, tmp_path: Path) -> None:
+    result = ran(table, tmp_path / "out", "fuse.remove_plane=true", until="upright")
+    stages: Any = result.report["stages"]
+    told = stages["upright"]["figures"]
+    assert told["up_source"] == "plane"
+    assert told["up"] == pytest.approx([0, -np.sin(TILT), np.cos(TILT)], abs=0.003)
+    plane = stages["fuse"]["figures"]["crop"]["plane"]
+    assert plane["normal"] == pytest.approx(told["up"], abs=1e-6)
+    heights = read_ply(tmp_path / "out" / "clean.ply").vertices @ plane["normal"] - plane["offset_m"]
+    assert plane["margin_m"] - 1e-4 <= heights.min() < plane["margin_m"] + 0.02
+    assert heights.max() == pytest.approx(2 * BALL, abs=0.01)
+    without = ran(table, tmp_path / "out", until="upright").report["stages"]["upright"]["figures"]
+    assert without["up_source"] == "surface"
+
+
+@pytest.mark.parametrize(
+    ("assignment", "reason"),
+    [
+        ("fuse.box=-0.2 -0.2 0 0.3 0.2 0.3", "box not set → [-0.2, -0.2, 0.0, 0.3, 0.2, 0.3]"),
+        ("fuse.radius=0.3", "radius not set → 0.3"),
+        ("fuse.center=0 0 0.1", "center not set → [0.0, 0.0, 0.1]"),
+        ("fuse.remove_plane=true", "remove_plane False → True"),
+        ("fuse.plane_margin=0.02", "plane_margin not set → 0.02"),
+    ],
+)
+def test_another_crop_is_another_result(table: Path, made: Path, assignment: str, reason: str) -> None:
+    config = Config().set([*QUICK, assignment])
+    (fused,) = foresee(table, made, config, until="fuse").stages
+    assert (fused.cached, fused.reason) == (False, f"params changed: {reason}")
+    assert foresee(table, made, Config().set(QUICK), until="fuse").stages[0].cached
+
+
+@pytest.fixture(scope="module")
+def made(table: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("made")
+    ran(table, out)
+    return out
+
+
+def test_a_crop_that_leaves_nothing_stops_the_run(table: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="nothing is left to fuse: of "):
+        ran(table, tmp_path / "out", "fuse.box=5 5 5 6 6 6")
+    assert not (tmp_path / "out" / "fused.ply").exists()
+
+
+def test_only_a_plane_that_was_left_out_tells_what_is_up(tmp_path: Path) -> None:
+    fused = fuse(frames("ball")[::2], voxel_size=0.03, radius=0.4)
+    write(tmp_path, fused)
+    assert up_from_plane(tmp_path) is None
+    assert len(read_ply(tmp_path / "fused.ply").triangles) == len(fused.mesh.triangles)
+
+
+def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: Path) -> None:
+    scan = Scan("plain-rgbd", frames("ball"))
+    poses = {str(k): np.asarray(frame.world_from_camera).tolist() for k, frame in enumerate(scan.frames)}
+    (tmp_path / "registration.json").write_text(json.dumps({"poses": {}, "apart": {"2": poses}}))
+    given = FuseParams(box=(0, 0, 0, 1, 1, 1))
+    assert fuse_apart(tmp_path, scan, tmp_path, given) == [
+        "piece 2 is not fused: where the box or the center is in it is not known"
+    ]
+    assert fuse_apart(tmp_path, scan, tmp_path, FuseParams(radius=0.01)) != []
+    assert not (tmp_path / "pieces").exists()
+    said = fuse_apart(tmp_path, scan, tmp_path, FuseParams(voxel_size=0.03, radius=0.3, center=None))
+    assert said == ["piece 2, of 16 frames, is fused apart: pieces/fused-2.ply"]
