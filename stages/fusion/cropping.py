@@ -83,7 +83,10 @@ def _without_support(kept: Kept, scene: Scene, noise: Noise, params: FuseParams)
     center = np.array(_thing(params, kept.crop, scene))
     found = find_support(views, center, noise.at(float(np.median(depth))))
     if isinstance(found, str):
-        why = f"remove_plane: nothing is removed, no plane under the thing is found: {found}"
+        why = (
+            f"remove_plane: nothing is removed, no plane under the thing is found: {found}; center, box or "
+            "radius say where the thing is"
+        )
         return replace(kept, warnings=(*kept.warnings, why))
     above = above_plane(kept.crop, found, params.plane_margin, 0.0)
     counts = [int(np.count_nonzero(shown(view, above))) for view in views]

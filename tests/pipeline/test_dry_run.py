@@ -75,7 +75,7 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
                 "fuse": "params changed: voxel_size 0.04 → 0.05",
                 "clean": "follows fuse, which runs",
                 "simplify": "params changed: ratio 0.4 → 0.3; follows clean, which runs",
-                "upright": "follows clean, which runs",
+                "upright": "follows fuse, clean, which run",
                 "export": "follows simplify, upright, which run",
                 "report": "params changed: report.width 64 → 65; follows fuse, clean, simplify, which run",
             },
