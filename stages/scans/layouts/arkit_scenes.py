@@ -22,6 +22,7 @@ from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import least_confidence
 from stages.scans.reading.stated import guessed_camera, stated_camera
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.world import Z_UP
 
 _UNITS_PER_METRE = 1000.0
 _MILLISECOND = 1_000_000
@@ -132,4 +133,5 @@ LAYOUT = Layout(
     text="lowres_wide/, lowres_depth/, lowres_wide_intrinsics/, lowres_wide.traj (ARKitScenes)",
     matches=_matches,
     read=_read,
+    up=Z_UP,
 )

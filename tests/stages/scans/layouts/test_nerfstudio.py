@@ -255,7 +255,8 @@ def test_frames_without_any_depth_are_single_views(scan_folder, tiny):
     write(scan_folder, without_depth(tiny))
     scan = read_scan(scan_folder)
     tiny.assert_views(scan)
-    assert any("scan.depth_scale" in text for text in scan.warnings)
+    assert not scan.is_metric
+    assert any("scan.scale=" in text for text in scan.warnings)
 
 
 def test_single_views_in_another_unit(scan_folder, tiny):
