@@ -13,9 +13,9 @@ from stages.scans.tag_scale import scale_by_tags
 from stages.scans.world import Scale
 
 NOT_METRIC = (
-    "this scan has no metric scale: its lengths, and those of all results, are units of its own, whatever is "
-    "said to be metres; scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or "
-    "scan.tag_size=METRES give metres"
+    "this scan has no metric scale: a unit of its world is taken for a metre, and lengths of all results are "
+    "such units; scan.scale=METRES_PER_UNIT, scan.known_distance='MEASURED METRES' or scan.tag_size=METRES "
+    "give metres"
 )
 # Lengths that are metres are corrected by per cents, and not by more.
 _CORRECTION = 0.1

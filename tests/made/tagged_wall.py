@@ -56,10 +56,12 @@ def photo(picture: np.ndarray, world_from_camera: np.ndarray, camera: Camera = C
     seen = fine @ np.column_stack([camera_from_world[:3, :2], camera_from_world[:3, 3]]) @ world_from_picture
     size = (camera.width * _FINE, camera.height * _FINE)
     large = cv2.warpPerspective(picture, seen, size, flags=cv2.INTER_LINEAR, borderValue=90)
-    small = cv2.resize(large, (camera.width, camera.height), interpolation=cv2.INTER_AREA).astype(np.float64)
-    blurred = cv2.GaussianBlur(small, (0, 0), 0.6)
-    blurred += np.random.default_rng(1).normal(0, 2, blurred.shape)
-    return np.repeat(blurred.clip(0, 255).round().astype(np.uint8)[..., None], 3, axis=2)
+    # Lens and pixels add up light, which photos hold as about its root.
+    light = ((large / 255.0) ** 2.2).astype(np.float32)
+    small = cv2.resize(light, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    levels = 255 * cv2.GaussianBlur(small, (0, 0), 0.6).astype(np.float64) ** (1 / 2.2)
+    levels += np.random.default_rng(1).normal(0, 2, levels.shape)
+    return np.repeat(levels.clip(0, 255).round().astype(np.uint8)[..., None], 3, axis=2)
 
 
 def poses(count: int = 6, distance: float = 1.3) -> list[np.ndarray]:
