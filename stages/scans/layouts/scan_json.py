@@ -209,7 +209,7 @@ def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | Non
         return None
     numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
     length = math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _LARGEST else math.nan
-    if not length > 0:
+    if not length > 1 / _LARGEST:
         raise InputError(f"{where} is no direction: three numbers, not all of them 0.", path)
     x, y, z = (one / length for one in numbers)
     return x, y, z
