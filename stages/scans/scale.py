@@ -39,7 +39,8 @@ def with_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
     if options.poses is not None and scan.is_metric and not scan.is_views:
         frames = [_moved(frame, factor) for frame in scan.frames]
         return replace(scan, frames=frames, warnings=(*scan.warnings, *said), scale=scale)
-    if scan.is_metric and options.depth_scale is None and abs(factor - 1) > _CORRECTION:
+    is_stated = options.depth_scale is not None or options.poses is not None
+    if scan.is_metric and not is_stated and abs(factor - 1) > _CORRECTION:
         said = [*said, f"lengths of layout {scan.layout} are metres, and are multiplied by {factor:.4g}"]
     return replace(
         scan,

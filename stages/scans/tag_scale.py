@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +21,7 @@ from stages.errors import InputError
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_photo
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import Camera, Frame, Pose, scaled
+from stages.scans.scan import Camera, ColorImage, Frame, Pose, scaled
 from stages.scans.tags import FAMILIES, find_tags
 from stages.scans.world import Scale
 
@@ -115,36 +116,50 @@ def _looked_at(frames: Sequence[Frame], family: str) -> list[_View | None]:
 
 def _look(family: str, frame: Frame) -> _View | None:
     """Return a photo with its tags; None where it cannot be read, which the stage that uses it tells."""
-    import cv2
-
+    photo = _photo(frame)
+    if photo is None:
+        return None
+    image, camera = photo
     pose = frame.world_from_camera
     assert pose is not None
+    apart = np.eye(4) if frame.color_from_depth is None else frame.color_from_depth
+    return _View(camera, apart @ inverted(pose), find_tags(image, family))
+
+
+def _photo(frame: Frame) -> tuple[ColorImage, Camera] | None:
+    import cv2
+
     try:
         image, camera, _ = read_photo(frame)
     except InputError:
         return None
     share = _LONGEST_SIDE / max(camera.width, camera.height)
-    if share < 1:
-        camera = scaled(camera, round(share * camera.width), round(share * camera.height))
-        image = np.asarray(cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
-    apart = np.eye(4) if frame.color_from_depth is None else frame.color_from_depth
-    return _View(camera, apart @ inverted(pose), find_tags(image, family))
+    if share >= 1:
+        return image, camera
+    camera = scaled(camera, round(share * camera.width), round(share * camera.height))
+    small = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8), camera
 
 
 def _none_found(frames: Sequence[Frame], family: str) -> str:
-    """Say that there are no tags of a family, and of which there are."""
-    others = []
-    for other in FAMILIES:
-        views = [] if other == family else _looked_at(_spread(frames, _LOOKED_AT), other)
-        numbers = [number for view in views if view is not None for number in view.tags]
-        if any(numbers.count(number) > 1 for number in numbers):
-            others.append(other)
+    """Say that there are no tags of a family, and of which there are: in two photos the same."""
+    threads = workers()
+    looked_at = read_ahead(_of_any_family, _spread(frames, _LOOKED_AT), threads=threads, ahead=threads + 1)
+    counts = Counter(tag for found in looked_at for tag in found)
+    others = [other for other in FAMILIES if any(one == other and n > 1 for (one, _), n in counts.items())]
     advice = (
         f"there are such of {' and '.join(others)}: scan.tag_family={others[0]}"
         if others
         else "scan.tag_family=NAME says of which family they are, if it is another"
     )
     return f"no tag of {family} is found in the {len(frames)} photos looked at; {advice}."
+
+
+def _of_any_family(frame: Frame) -> list[tuple[str, int]]:
+    photo = _photo(frame)
+    if photo is None:
+        return []
+    return [(family, number) for family in FAMILIES for number in find_tags(photo[0], family)]
 
 
 def _placed(number: int, views: Sequence[_View]) -> _Tag | None:

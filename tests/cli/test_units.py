@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 Run = Callable[..., Any]
@@ -76,3 +78,18 @@ def test_an_option_that_is_no_scale_is_named_as_it_was_typed(scanloom: Run, unit
     ran = scanloom("inspect", unit_scan, "--known-distance", "far")
     assert ran.exit_code == 2
     assert "--known-distance is 'far'" in ran.stderr
+
+
+def test_a_picture_is_taken_from_the_cameras_of_a_scan_in_its_scale(
+    scanloom: Run, ball: Path, unit_scan: Path, tmp_path: Path
+) -> None:
+    def picture(*words: object) -> np.ndarray[Any, Any]:
+        assert (
+            scanloom("render", ball, tmp_path / "p.png", "--width", 48, "--viewpoint", 2, *words).exit_code
+            == 0
+        )
+        return cv2.imread(str(tmp_path / "p.png"))
+
+    near, far = (picture("--scan", unit_scan, "--scale", factor) for factor in (1, 40))
+    assert np.abs(near.astype(int) - far).max() > 30
+    assert scanloom("render", ball, tmp_path / "p.png", "--scale", 2).exit_code == 2

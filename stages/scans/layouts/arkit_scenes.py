@@ -4,7 +4,8 @@
     lowres_wide_intrinsics/<id>_<seconds>.pincam                            width height fx fy cx cy
     lowres_wide.traj                                                        world-to-camera
 
-Times in names are rounded to a millisecond, not always to the same one.
+Times in names are rounded to a millisecond, not always to the same one. The world has z up, as those who made
+the data set say: it is not ARKit's own.
 """
 
 from __future__ import annotations
