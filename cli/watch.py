@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import string
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -54,6 +55,10 @@ _HEADLINES = {
 }
 
 
+# A figure in metres in such a line.
+_IN_METRES = re.compile(r"(\{\w+_m(?:_per_level)?:\S+?\}) m\b")
+
+
 @contextmanager
 def watching(out: Output) -> Iterator[Events]:
     """Give the function a run tells its events to."""
@@ -70,6 +75,7 @@ class _Watcher:
         self._bar = ExitStack()
         self._update: Progress | None = None
         self._bar_stage = ""
+        self._is_metric = True
 
     def __call__(self, event: Event) -> None:
         match event:
@@ -83,7 +89,7 @@ class _Watcher:
                     self._update(event.done, event.total)
             case StageFinished():
                 self.close()
-                self._out.remark(line_of(event))
+                self._out.remark(line_of(event, is_metric=self._is_metric))
             case Warned():
                 self.close()
                 self._out.warn(as_typed(event.text))
@@ -98,6 +104,7 @@ class _Watcher:
 
     def _started(self, event: RunStarted) -> None:
         self.close()
+        self._is_metric = event.is_metric
         self._out.remark(f"{event.layout}, {event.frames:,} frames; stages: {', '.join(event.stages)}")
         for warning in event.warnings:
             self._out.warn(as_typed(warning))
@@ -109,17 +116,20 @@ class _Watcher:
             self._bar_stage = stage
 
 
-def line_of(event: StageFinished) -> str:
+def line_of(event: StageFinished, *, is_metric: bool = True) -> str:
     """Return the line of a finished stage: its name, cached or the seconds, what came out, why it ran."""
     state = "cached" if event.cached else f"{event.seconds:.1f} s"
     reason = f" ({event.reason})" if event.reason else ""
-    return f"{event.stage:<9}{state:>8}  {headline(event.stage, event.figures)}{reason}".rstrip()
+    came_out = headline(event.stage, event.figures, is_metric=is_metric)
+    return f"{event.stage:<9}{state:>8}  {came_out}{reason}".rstrip()
 
 
-def headline(stage: str, figures: Mapping[str, Any]) -> str:
-    """Return the figures of a stage that say most, as one line."""
+def headline(stage: str, figures: Mapping[str, Any], *, is_metric: bool = True) -> str:
+    """Return the figures of a stage that say most, as one line; lengths in units where they are no metres."""
     lines = _HEADLINES | {"simplify": _of_method(figures.get("method"))}
-    return _Figures({**figures, **figures.get("details", {})}).format(lines.get(stage, ""))
+    line = lines.get(stage, "")
+    line = line if is_metric else _IN_METRES.sub(r"\1 units", line)
+    return _Figures({**figures, **figures.get("details", {})}).format(line)
 
 
 def _of_method(name: str | None) -> str:

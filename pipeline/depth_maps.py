@@ -48,7 +48,7 @@ def measure_of(scan: Scan) -> Callable[..., Any]:
 
 
 def write_depth_maps(
-    folder: Path, measured: Iterable[tuple[Frame, DepthMap | SkippedFrame]], count: int
+    folder: Path, measured: Iterable[tuple[Frame, DepthMap | SkippedFrame]], scan: Scan
 ) -> dict[str, Any]:
     """Write the frames that come, a few ahead and in threads, and return figures.
 
@@ -56,7 +56,7 @@ def write_depth_maps(
     ----------
     folder : an empty folder.
     measured : as `stages.stereo.depth.depth_scan` yields them.
-    count : how many will come.
+    scan : whose frames they are.
 
     Raises
     ------
@@ -67,6 +67,7 @@ def write_depth_maps(
         (folder / name).mkdir()
     skipped: list[SkippedFrame] = []
     warnings: dict[str, None] = {}
+    count = len(scan.frames)
     budget = max(1, MAX_POINTS // max(1, count))
 
     def usable() -> Iterator[tuple[int, Frame, DepthMap]]:
@@ -85,7 +86,7 @@ def write_depth_maps(
     if not written:
         first = f" The first, {skipped[0].name}: {skipped[0].reason}" if skipped else ""
         raise InputError(f"none of the {count} pairs can be used.{first}")
-    write_scan_json(folder, [one.frame for one in written])
+    write_scan_json(folder, [one.frame for one in written], up=scan.up, is_metric=scan.is_metric)
     points = np.concatenate([one.points for one in written])
     write_ply_cloud(folder / "points.ply", points, np.concatenate([one.colors for one in written]))
     return {

@@ -1,7 +1,8 @@
 """Digests that decide a cache hit: of parameters in canonical form, of file contents, of a whole scan.
 
 Only content counts. Paths and times of change stay out, so that a moved or touched scan keeps its results.
-What frames are called and when they were taken are digests of their own, for the stages whose results say so.
+What frames are called and when they were taken are digests of their own, for the stages whose results say so,
+and so is what is known of the world.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from stages.files.opening import opened
 from stages.progress import Progress, silent
 from stages.scans.scan import Frame, Packed, Scan
 
-# No stage computes with these; in many layouts both come from file names. See `label_digests`.
-_SHOWN_TO_PEOPLE = frozenset({"name", "timestamp"})
+# Few stages look at these, or none: names and times are shown to people. See `label_digests`.
+_DIGESTED_APART = frozenset({"name", "timestamp", "up"})
 _BLOCK = 1 << 20
 
 _Signature = tuple[int, ...] | None
@@ -137,11 +138,14 @@ def label_digests(scan: Scan) -> dict[str, str]:
     -------
     `names` : what messages call each frame and its files, as seen from the scan's folder.
     `times` : when each was taken.
+    `world` : what is up in it, by the layout or in each frame, and whether its lengths are metres.
     """
     names = [
         [frame.name, *(_place(value, scan.folder) for value in vars(frame).values())] for frame in scan.frames
     ]
-    return {"names": digest(names), "times": digest([frame.timestamp for frame in scan.frames])}
+    world = [scan.up and scan.up.figures(), [_plain(frame.up, {}) for frame in scan.frames], scan.is_metric]
+    times = [frame.timestamp for frame in scan.frames]
+    return {"names": digest(names), "times": digest(times), "world": digest(world)}
 
 
 def _place(value: Any, folder: Path | None) -> str | None:
@@ -168,7 +172,7 @@ def _signature(path: Path) -> _Signature:
 
 
 def _frame(frame: Frame, contents: Mapping[Path, str]) -> dict[str, Any]:
-    names = [f.name for f in dataclasses.fields(frame) if f.name not in _SHOWN_TO_PEOPLE]
+    names = [f.name for f in dataclasses.fields(frame) if f.name not in _DIGESTED_APART]
     return {name: _plain(getattr(frame, name), contents) for name in names}
 
 

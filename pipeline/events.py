@@ -10,12 +10,18 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True)
 class RunStarted:
-    """The scan is read, and the stages to come are known."""
+    """The scan is read, and the stages to come are known.
+
+    Attributes
+    ----------
+    is_metric : metres in figures are metres, else units of the scan's world.
+    """
 
     layout: str
     frames: int
     warnings: tuple[str, ...]
     stages: tuple[str, ...]
+    is_metric: bool = True
 
 
 @dataclass(frozen=True)

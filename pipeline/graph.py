@@ -13,7 +13,8 @@ register found; texture where frames have colour; bake, remesh and lod if they a
 too, tiles clean and textured; texture, lod, tiles and report what fuse reads, and report frames that were
 `held_out`)
 
-Stages that read the scan itself also read its `names` and `times`, if their results tell of them.
+Stages that read the scan itself also read its `names` and `times`, if their results tell of them, and what is
+known of its `world`: upright makes use of it, and depth hands it on.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ HELD_OUT = "held_out"
 PHOTOS = "photos"
 
 # What stages read beside the scan: see `pipeline.digest.label_digests`.
-LABELS = ("names", "times")
+LABELS = ("names", "times", "world")
 
 # The folder of what adjust found; where nothing is better there is none.
 _ADJUSTED = "adjusted"
@@ -82,7 +83,7 @@ _ADJUSTED = "adjusted"
 def _depth(job: Job) -> Mapping[str, Any]:
     scan: Scan = job.inputs["pairs"]
     measured = measure_of(scan)(scan, job.config.depth, job.progress)
-    figures = _with_skipped(write_depth_maps(job.folder, measured, len(scan.frames)))
+    figures = _with_skipped(write_depth_maps(job.folder, measured, scan))
     return from_folder(figures, scan.folder)
 
 
@@ -129,7 +130,7 @@ def _clean(job: Job) -> Mapping[str, Any]:
 def _upright(job: Job) -> Mapping[str, Any]:
     mesh = read_ply(job.inputs["clean"] / "clean.ply")
     plane = fusing.up_from_plane(job.inputs["fused"])
-    return upright.make(job.folder, mesh, _frames(job).frames, plane, job.config.upright)
+    return upright.make(job.folder, mesh, _frames(job), plane, job.config.upright)
 
 
 def _up(job: Job) -> Up | None:
@@ -245,7 +246,7 @@ def _scan(job: Job) -> Scan:
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="depth",
-        reads=("pairs", "names"),
+        reads=("pairs", "names", "world"),
         writes="frames",
         sections=("depth",),
         make=_depth,
@@ -300,7 +301,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="upright",
-        reads=("frames", "posed", "adjusted", "fused", "clean"),
+        reads=("frames", "posed", "adjusted", "fused", "clean", "world"),
         writes="standing",
         sections=("upright",),
         make=_upright,

@@ -71,13 +71,19 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
         found = stages.deviations(clean, result, tolerance=bound, signed_samples=_SAMPLES)
         figures = found.figures()
         models["clean mesh"] = Shown(clean, "before simplification")
-        models["deviation"] = Shown(found.painted, _range_in_words(figures), _scale(found))
+        is_metric = at(report, "scan", "metric", otherwise=True)
+        models["deviation"] = Shown(
+            found.painted, _range_in_words(figures), _scale(found, is_metric=is_metric)
+        )
         proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
         turn, away = _turn(result), _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
         places = [
             {"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in figures["worst"]
         ]
-        told["tables"] = [*deviation_tables(figures, proven, places), *told.get("tables", ())]
+        told["tables"] = [
+            *deviation_tables(figures, proven, places, is_metric=is_metric),
+            *told.get("tables", ()),
+        ]
     cameras = _cameras(folder / "pictures", result)
     return _fitted(folder.resolve().name, models, told, cameras, most_bytes, warn)
 
@@ -189,7 +195,7 @@ def _range_in_words(told: Mapping[str, Any]) -> str:
     return "red outside, blue inside; green is near" if told["is_signed"] else "red far, green near"
 
 
-def _scale(found: stages.Deviations) -> PageScale:
+def _scale(found: stages.Deviations, *, is_metric: bool) -> PageScale:
     most = found.color_range
     low = -most if found.is_signed else 0.0
     edges = np.linspace(low, most, _STEPS + 1)
@@ -197,7 +203,8 @@ def _scale(found: stages.Deviations) -> PageScale:
     # What lies beyond the scale has its last colours.
     shares = np.histogram(found.samples.clip(low, most), edges)[0] / len(found.samples)
     css = [f"rgb({r}, {g}, {b})" for r, g, b in colors.tolist()]
-    return PageScale("mm", 1000 * low, 1000 * most, 1000 * found.within, css, shares.round(5).tolist())
+    unit, per = ("mm", 1000) if is_metric else ("units", 1)
+    return PageScale(unit, per * low, per * most, per * found.within, css, shares.round(5).tolist())
 
 
 def _cameras(folder: Path, mesh: Mesh) -> list[PageCamera]:

@@ -40,11 +40,16 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
             {"title": "All parameters, as TOML", "text": _toml(ran)},
             {"title": "report.json", "text": json.dumps(report, indent=1, ensure_ascii=False)},
         ]
-    return {"warnings": warnings, "tables": tables, "texts": texts}
+    unit = {} if scan.get("metric", True) else {"unit": "units"}
+    return {"warnings": warnings, "tables": tables, "texts": texts, **unit}
 
 
 def deviation_tables(
-    told: Mapping[str, Any], proven: float | None, places: Sequence[Mapping[str, Any]]
+    told: Mapping[str, Any],
+    proven: float | None,
+    places: Sequence[Mapping[str, Any]],
+    *,
+    is_metric: bool = True,
 ) -> list[dict[str, Any]]:
     """Return tables of a deviation: how large it is, and its worst places, which the page can fly to.
 
@@ -53,22 +58,26 @@ def deviation_tables(
     told : the figures of `stages.Deviations`.
     proven : metres that no point is farther off than; None where nothing is proven.
     places : of the worst, as `one_file` takes them.
+    is_metric : lengths are metres, else units of the scan.
     """
-    rows = [[f"{p} % are within", f"{1000 * d:.4g} mm"] for p, d in told["absolute_percentiles_m"].items()]
-    rows.append(["RMS", f"{1000 * told['rms_m']:.4g} mm"])
+    per, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
+    percentiles = told["absolute_percentiles_m"]
+    rows = [[f"{p} % are within", f"{per * d:.4g} {small}"] for p, d in percentiles.items()]
+    rows.append(["RMS", f"{per * told['rms_m']:.4g} {small}"])
     if proven is not None:
-        rows.append(["proven: no point is farther off than", f"{at_most(1000 * proven)} mm"])
+        rows.append(["proven: no point is farther off than", f"{at_most(per * proven)} {small}"])
     if told["share_within"] is not None:
-        rows.append([f"within the bound of {1000 * told['tolerance_m']:g} mm", f"{told['share_within']:.2%}"])
+        bound = f"within the bound of {per * told['tolerance_m']:g} {small}"
+        rows.append([bound, f"{told['share_within']:.2%}"])
     if told["delta_e_2000"] is not None:
         rows.append(["ΔE2000 of colours, on average", f"{told['delta_e_2000']['mean']:.3g}"])
     return [
         {"title": "Deviation of the result from the clean mesh, by samples", "head": ["", ""], "rows": rows},
         {
             "title": "Where it is farthest off",
-            "head": ["deviation", "at, in the axes of the scan, m", ""],
+            "head": ["deviation", f"at, in the axes of the scan, {large}", ""],
             "rows": [
-                [f"{1000 * one['distance_m']:+.3g} mm", ", ".join(f"{x:.4g}" for x in one["point_m"])]
+                [f"{per * one['distance_m']:+.3g} {small}", ", ".join(f"{x:.4g}" for x in one["point_m"])]
                 for one in told["worst"]
             ],
             "places": list(places),

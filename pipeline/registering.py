@@ -77,7 +77,8 @@ def _with_poses(scan: Scan, poses: Mapping[str, Any]) -> Scan:
     frames = [
         replace(scan.frames[int(place)], world_from_camera=np.array(pose)) for place, pose in poses.items()
     ]
-    return replace(scan, frames=frames, missing=())
+    # The world is that of the first frame now: what was known of another does not hold in it.
+    return replace(scan, frames=frames, missing=(), up=None)
 
 
 def _write_poses(path: Path, frames: Mapping[int, Frame]) -> None:

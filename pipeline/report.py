@@ -199,6 +199,9 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
             "frames": len(scan.frames),
             "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
             "warnings": list(scan.warnings),
+            # Where it is false, metres in all figures are units of the scan's world.
+            "metric": scan.is_metric,
+            "scale": scan.scale and scan.scale.figures(),
         },
         "stages": {outcome.stage: _stage(outcome, out) for outcome in outcomes},
         "mesh": final.get("mesh"),

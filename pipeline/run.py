@@ -6,7 +6,7 @@ import difflib
 import os
 import warnings as python_warnings
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -161,17 +161,21 @@ def wanted_of(
         first = scan.skipped[0]
         warnings.append(f"{len(scan.skipped)} frames cannot be used; the first, {first.name}: {first.reason}")
     planned = tuple(names[: names.index(until) + 1])
-    photos = _photos(config) if "texture" in planned else None
+    photos = _photos(config, scan) if "texture" in planned else None
     if photos is not None:
         warnings += (f"texture.images: {text}" for text in photos.warnings)
     return Wanted(scan, photos, out, config, plan, planned, force, tuple(warnings))
 
 
-def _photos(config: Config) -> Scan | None:
-    """Return the photos that the texture is made from in place of the frames'."""
+def _photos(config: Config, scan: Scan) -> Scan | None:
+    """Return the photos that the texture is made from in place of the frames', in the world of the scan."""
     if config.texture.images is None:
         return None
     photos = read_scan(config.texture.images, config.photos, complete=False)
+    if not photos.is_metric and scan.scale is not None:
+        # Their world is the scan's: what a unit of it is, is known.
+        known = replace(config.photos, scale=scan.scale.metres_per_unit)
+        photos = read_scan(config.texture.images, known, complete=False)
     require_complete(photos, Path(config.texture.images), posed=True)
     return photos
 
@@ -184,7 +188,7 @@ def cache_folder(out: Path, given: Path | str | None = None) -> Path:
 
 def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunResult:
     scan, out, config, planned = wanted.scan, wanted.out, wanted.config, wanted.planned
-    events(RunStarted(scan.layout, len(scan.frames), wanted.warnings, planned))
+    events(RunStarted(scan.layout, len(scan.frames), wanted.warnings, planned, scan.is_metric))
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()

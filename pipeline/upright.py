@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,13 @@ from numpy.typing import NDArray
 
 from pipeline.standing import Up, write_up
 from stages.params import check, param
-from stages.scans.scan import Frame
+from stages.scans.scan import Scan
+from stages.scans.up import known_up
 from stages.surface.mesh import Mesh
-from stages.surface.upright import axis_or, direction_of, up_of_place
+from stages.surface.upright import PlaceUp, direction_of, up_of_place
 
 # Raised by hand when the same clean mesh and frames come to another up.
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # It is known to a degree; files need not say more.
 _DIGITS = 7
@@ -30,7 +30,8 @@ class UprightSection:
     up: str | None = param(
         None,
         "What is up in the scan: an axis (+x, -x, +y, -y, +z, -z), a direction as three numbers, or `as-is`, "
-        "which turns nothing. By default where most of the surface looks that is within 60° of up in the "
+        "which turns nothing. By default as the scan's layout defines it (a phone's worlds have y up) or an "
+        "accelerometer measured it; else where most of the surface looks that is within 60° of up in the "
         "frames: floors and tops of tables, also if they are left out by fuse.remove_plane.",
     )
 
@@ -40,36 +41,43 @@ class UprightSection:
             direction_of(_words_of(self.up))
 
 
-def make(
-    folder: Path, mesh: Mesh, frames: Sequence[Frame], plane: Up | None, params: UprightSection
-) -> dict[str, Any]:
+def make(folder: Path, mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection) -> dict[str, Any]:
     """Write what is up, and return the figures.
 
     Parameters
     ----------
     mesh : the clean one.
-    frames : in its world; those without a pose tell nothing.
+    scan : in its world; frames without a pose tell nothing.
     plane : what is up from the table or floor that was left out of it; None if none was.
     """
-    up, told = _found(mesh, frames, plane, params)
+    up, told, warnings = _found(mesh, scan, plane, params)
     write_up(folder, up)
-    return {"up": up, "up_source": told}
+    return {"up": up, "up_source": told, "warnings": warnings}
 
 
 def _found(
-    mesh: Mesh, frames: Sequence[Frame], plane: Up | None, params: UprightSection
-) -> tuple[Up | None, str]:
-    """Return what is up, and what told it."""
+    mesh: Mesh, scan: Scan, plane: Up | None, params: UprightSection
+) -> tuple[Up | None, str, list[str]]:
+    """Return what is up, what told it, and what is odd about that."""
     if params.up is not None:
         given = direction_of(_words_of(params.up))
-        return None if given is None else _rounded(given), "given"
-    if plane is not None:
-        return _rounded(axis_or(np.array(plane))), "plane"
-    poses = [frame.world_from_camera for frame in frames if frame.world_from_camera is not None]
+        return None if given is None else _rounded(given), "given", []
+    found = up_in(mesh, scan, plane)
+    if found is None:
+        return None, "nothing", []
+    advice = "; upright.up=AXIS states it"
+    return _rounded(found.direction), found.source, [text + advice for text in found.warnings]
+
+
+def up_in(mesh: Mesh, scan: Scan, plane: Up | None = None) -> PlaceUp | None:
+    """Return what is up in a mesh by the scan whose world it is in; None where no frame has a pose."""
+    poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
     if not poses:
-        return None, "nothing"
-    found, told = up_of_place(mesh, np.array(poses))
-    return _rounded(found), told
+        return None
+    known, said = known_up(scan)
+    told = None if known is None else (known.direction, known.source)
+    found = up_of_place(mesh, np.array(poses), told, plane)
+    return replace(found, warnings=(*said, *found.warnings))
 
 
 def _words_of(up: str) -> str:

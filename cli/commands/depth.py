@@ -35,6 +35,6 @@ def depth(
     source = read_scan(folder, scan, out)
     measure = stages.views_depth if source.is_views else stages.depth_scan
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
-        figures = write_depth_maps(draft, measure(source, params, progress), len(source.frames))
+        figures = write_depth_maps(draft, measure(source, params, progress), source)
     tell_skipped(out, "depth", figures["frames_skipped"])
     out.result({"output": str(target), **figures})

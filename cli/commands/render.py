@@ -43,6 +43,7 @@ def render(
         Path, typer.Argument(metavar="OUT", help="Picture to write (.png).", show_default=False)
     ],
     params: PictureParams,
+    reading: ScanParams,
     out: Output,
     scan: Annotated[
         Path | None,
@@ -56,7 +57,9 @@ def render(
     Example: scanloom render simplified.ply picture.png --shading edges --viewpoint 2
     """
     require_new_file(target, (".png",))
-    frames = read_scan(scan, ScanParams(), out).frames if scan is not None else ()
+    if scan is None and reading != ScanParams():
+        raise UsageError("how to read a scan is said, but no scan is given; name it with --scan.")
+    frames = read_scan(scan, reading, out).frames if scan is not None else ()
     mesh = read_file(source, out)
     around = stages.viewpoints(mesh, max(params.viewpoint, 4), frames=frames, width=params.width)
     if params.viewpoint > len(around):

@@ -187,10 +187,11 @@ def _summary(result: RunResult) -> str:
     if mesh is not None:
         # One way only: the other way would mostly tell how far away the islands were that cleaning removed.
         distance = mesh["to_fused"]["distance"]["b_to_a"]
+        m = "m" if result.report["scan"]["metric"] else "units"
         color = (mesh["to_fused"]["color"] or {}).get("b_to_a")
         lines += [
             f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold",
-            f"off the fused mesh by {distance['rms_m']:.3g} m RMS, {distance['maximum_m']:.3g} m at most"
+            f"off the fused mesh by {distance['rms_m']:.3g} {m} RMS, {distance['maximum_m']:.3g} {m} at most"
             + (f"; colour by {color['rmse_levels']:.3g} of 255 levels RMS" if color else ""),
         ]
     held_out = result.report.get("held_out")

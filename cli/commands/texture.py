@@ -17,7 +17,7 @@ from cli.paths import new_folder, require_new_file
 from cli.scan_argument import ScanFolder, read_scan
 from cli.skipped import tell_skipped
 from stages import Mesh, Scan, ScanParams, TextureParams
-from stages.surface.upright import direction_of, up_of_place
+from stages.surface.upright import direction_of
 from stages.texturing.maps import write_maps
 
 
@@ -72,7 +72,7 @@ def texture(
     with out.progress("texture", "‰") as progress, about_file(mesh_file):
         textured = stages.texture(mesh, source, params, progress=progress)
     tell_notes(target, textured.mesh.notes[len(mesh.notes) :], out)
-    standing = given if up is not None else _up_in(textured.mesh, source)
+    standing = given if up is not None else _up_in(textured.mesh, source, out)
     write_file(target, textured.mesh.with_(up=None if standing is None else tuple(standing.tolist())), out)
     if maps is not None:
         with new_folder(maps) as draft:
@@ -83,9 +83,13 @@ def texture(
     out.result({"output": str(target), **figures, "up": told})
 
 
-def _up_in(mesh: Mesh, scan: Scan) -> NDArray[np.float64] | None:
-    """Return what is up by the mesh itself, or by the frames; None if neither tells."""
+def _up_in(mesh: Mesh, scan: Scan, out: Output) -> NDArray[np.float64] | None:
+    """Return what is up by the mesh itself, or by the scan; None if neither tells."""
     if mesh.up is not None:
         return np.array(mesh.up)
-    poses = [frame.world_from_camera for frame in scan.frames if frame.world_from_camera is not None]
-    return up_of_place(mesh, np.array(poses))[0] if poses else None
+    from pipeline.upright import up_in
+
+    found = up_in(mesh, scan)
+    for text in () if found is None else found.warnings:
+        out.warn(f"{text}; --up AXIS states it")
+    return None if found is None else found.direction

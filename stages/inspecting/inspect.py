@@ -27,6 +27,8 @@ from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
 from stages.scans.sharpness import least_sharp
+from stages.scans.up import known_up
+from stages.scans.world import Scale, WorldUp
 
 _SAMPLED = 8
 # A person walking with a camera does not move faster between two frames.
@@ -89,6 +91,7 @@ class Inspection:
         of its image's Laplacian over the median frame's; of long scans, of a sample.
     scene : where what the frames show lies in the scan's world, of RGB-D scans with poses.
     outlook : what fusing takes, of the same.
+    up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
     warnings : all that is odd, the reader's own first.
     """
 
@@ -102,13 +105,17 @@ class Inspection:
     least_sharp: tuple[tuple[str, float], ...]
     scene: Scene | None
     outlook: Outlook | None
+    up: WorldUp | None
     warnings: tuple[str, ...]
 
     __repr__ = by_figures
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return everything as what JSON can hold; units are in the names."""
+        """Return everything as what JSON can hold; units are in the names.
+
+        Where the scan is not `metric`, metres are the unit of its world.
+        """
         scan = self.scan
         camera = scan.frames[0].camera
         rig = scan.rig
@@ -119,6 +126,9 @@ class Inspection:
             "skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
             "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
+            "metric": scan.is_metric,
+            "scale": scan.scale and scan.scale.figures(),
+            **(self.up.figures() if self.up else {"up": None, "up_source": None}),
             "depth_scale_per_m": None if scan.is_stereo or scan.is_views else scan.frames[0].depth_scale,
             "rig": {
                 "right_camera": dataclasses.asdict(rig.right),
@@ -146,11 +156,19 @@ class Inspection:
         scan, camera = self.scan, self.scan.frames[0].camera
         single = "single views" if scan.is_views else "colour and depth"
         kind = "stereo pairs" if scan.is_stereo else single
+        m = "m" if scan.is_metric else "units"
         lines = [
             f"layout    {scan.layout}: {kind}",
             f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} left out" if scan.skipped else ""),
             f"camera    {_camera_words(camera)}",
         ]
+        if not scan.is_metric:
+            lines.append("scale     none: lengths are in units of the scan's own world")
+        if scan.scale is not None:
+            lines.append(f"scale     {_scale_words(scan.scale)}")
+        if self.up is not None:
+            x, y, z = self.up.direction
+            lines.append(f"up        {x:.3g} {y:.3g} {z:.3g}, by {self.up.source}")
         if self.color_size and self.color_size != (camera.width, camera.height):
             lines.append(f"colour    {self.color_size[0]}×{self.color_size[1]} px")
         if scan.rig is not None and camera.is_calibrated:
@@ -159,13 +177,13 @@ class Inspection:
         if self.path is not None and len(scan.frames) > 1:
             box = " × ".join(f"{side:.2f}" for side in self.path.box_m)
             lines.append(
-                f"path      {self.path.length_m:.2f} m in a box of {box} m; "
-                f"largest step {self.path.largest_step_m:.3f} m, {self.path.largest_turn_deg:.1f}°"
+                f"path      {self.path.length_m:.2f} {m} in a box of {box} {m}; "
+                f"largest step {self.path.largest_step_m:.3f} {m}, {self.path.largest_turn_deg:.1f}°"
             )
         if self.depth is not None:
             lines.append(
-                f"depth     {self.depth.near_m:.2f} to {self.depth.far_m:.2f} m (2nd to 98th percentile), "
-                f"median {self.depth.median_m:.2f} m; {self.depth.missing_share:.0%} missing "
+                f"depth     {self.depth.near_m:.2f} to {self.depth.far_m:.2f} {m} (2nd to 98th percentile), "
+                f"median {self.depth.median_m:.2f} {m}; {self.depth.missing_share:.0%} missing "
                 f"(in {self.depth.sampled_frames} of {len(scan.frames)} frames)"
             )
         if self.stereo_depth_m is not None:
@@ -174,7 +192,10 @@ class Inspection:
             lines.append(f"depth     {start}{far:.1f} m at a disparity of one pixel")
         if self.pose_errors_m:
             ways = sorted(self.pose_errors_m.items(), key=lambda way: way[1])
-            words = " and ".join(f"{error * 1000:.0f} mm {name}" for name, error in ways[:2])
+            words = " and ".join(
+                (f"{error * 1000:.0f} mm" if scan.is_metric else f"{error:.2g} units") + f" {name}"
+                for name, error in ways[:2]
+            )
             lines.append(
                 f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
             )
@@ -191,7 +212,7 @@ class Inspection:
         if self.outlook is not None:
             needs = self.outlook
             lines.append(
-                f"fusion    about {needs.triangles:,} triangles at voxels of {needs.voxel_size_m:g} m; "
+                f"fusion    about {needs.triangles:,} triangles at voxels of {needs.voxel_size_m:g} {m}; "
                 f"{needs.volume_mb:.0f} MB of memory, {needs.disk_mb:.0f} MB on disk"
             )
         found = "" if scan.is_views else "; without, `scanloom run` finds them"
@@ -221,9 +242,10 @@ def inspect(scan: Scan) -> Inspection:
         If not one of the sampled frames can be read.
     """
     samples, warnings = _samples(scan)
-    path, said = _path(scan.frames)
+    path, said = _path(scan)
+    up, about_up = known_up(scan)
     # Single views are taken in no order: from one to the next is no step.
-    warnings += ([] if scan.is_views else said) + _odd_sizes(scan)
+    warnings += ([] if scan.is_views else said) + about_up + _odd_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
     misfit = None
@@ -231,7 +253,7 @@ def inspect(scan: Scan) -> Inspection:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
     elif scan.rig is None and not scan.is_views:
-        depth, said = _depth_range([one.depth for one in samples], scan.frames[0].depth_scale)
+        depth, said = _depth_range([one.depth for one in samples], scan)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
         misfit, about_misfit = _misfit(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]
@@ -249,6 +271,7 @@ def inspect(scan: Scan) -> Inspection:
         least_sharp=sharpness,
         scene=None if plan is None else plan.scene,
         outlook=None if plan is None else outlook(scan.frames, plan),
+        up=up,
         warnings=(*scan.warnings, *warnings, *about_sharpness),
     )
 
@@ -320,7 +343,8 @@ def _plan(scan: Scan) -> Plan | None:
         return None
 
 
-def _path(frames: Sequence[Frame]) -> tuple[Path3D | None, list[str]]:
+def _path(scan: Scan) -> tuple[Path3D | None, list[str]]:
+    frames = scan.frames
     poses = np.array([frame.world_from_camera for frame in frames if frame.world_from_camera is not None])
     if not len(poses):
         return None, []
@@ -329,7 +353,8 @@ def _path(frames: Sequence[Frame]) -> tuple[Path3D | None, list[str]]:
     cosines = (np.einsum("nij,nij->n", rotations[:-1], rotations[1:]) - 1) / 2
     turns = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     # A car makes a metre a frame: a step is odd when it is large both as such and for this scan.
-    limit = max(_LARGEST_STEP_M, 5 * float(np.median(steps))) if len(steps) else 0.0
+    least = _LARGEST_STEP_M if scan.is_metric else 0.0
+    limit = max(least, 5 * float(np.median(steps))) if len(steps) else 0.0
     jumps = np.flatnonzero((steps > limit) | (turns > _LARGEST_TURN_DEG))
     outliers = tuple(frames[i + 1].name for i in jumps)
     box = np.ptp(centres, axis=0)
@@ -344,8 +369,8 @@ def _path(frames: Sequence[Frame]) -> tuple[Path3D | None, list[str]]:
         return path, []
     named = ", ".join(outliers[:3]) + (" …" if len(outliers) > 3 else "")
     return path, [
-        f"{len(outliers)} poses jump, by more than {limit:.2g} m or {_LARGEST_TURN_DEG:g}° "
-        f"from the one before: {named}"
+        f"{len(outliers)} poses jump, by more than {limit:.2g} {'m' if scan.is_metric else 'units'} or "
+        f"{_LARGEST_TURN_DEG:g}° from the one before: {named}"
     ]
 
 
@@ -373,7 +398,7 @@ def _size_or_none(path: Path) -> tuple[int, int] | None:
         return None
 
 
-def _depth_range(maps: Sequence[DepthImage | None], scale: float) -> tuple[DepthRange | None, list[str]]:
+def _depth_range(maps: Sequence[DepthImage | None], scan: Scan) -> tuple[DepthRange | None, list[str]]:
     present = [depth for depth in maps if depth is not None]
     if not present:
         return None, ["no sampled frame has a depth map"]
@@ -384,8 +409,9 @@ def _depth_range(maps: Sequence[DepthImage | None], scale: float) -> tuple[Depth
     near, median, far = (float(value) for value in np.percentile(valid, (2, 50, 98)))
     measured = DepthRange(len(present), near, median, far, 1 - valid.size / values.size)
     low, high = _PLAUSIBLE_M
-    if low <= median <= high:
+    if low <= median <= high or not scan.is_metric:
         return measured, []
+    scale = scan.frames[0].depth_scale
     hints = [
         f"{other:g} ({name})"
         for other, name in _SCALES.items()
@@ -421,6 +447,11 @@ def _stereo_depth(rig: StereoRig) -> tuple[float | None, float]:
     offset = rig.right.cx - rig.left.cx if rig.rectified else 0.0
     near = None if rig.disparities is None else strength / max(rig.disparities + offset, 1.0)
     return near, strength / max(1.0 + offset, 1.0)
+
+
+def _scale_words(scale: Scale) -> str:
+    spread = "" if scale.spread_share is None else f", which differ by {scale.spread_share:.1%} at most"
+    return f"{scale.metres_per_unit:.6g} m a unit, {scale.source}{spread}"
 
 
 def _camera_words(camera: Camera) -> str:

@@ -17,8 +17,10 @@ from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
+from stages.scans.scale import with_scale
 from stages.scans.scan import Frame, Scan, SkippedFrame
 from stages.scans.table import DISTINCT, GENERIC, LAYOUTS
+from stages.scans.up import with_up
 
 
 def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
@@ -44,7 +46,9 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         layout = recognise(folder)[0]
     else:
         _require_place(folder, layout.suffixes)
-    scan = _without_still_poses(layout.read(folder, options))
+    scan = with_up(_without_still_poses(layout.read(folder, options)), layout, options)
+    # Before what `adjust` found, which it found in metres; of all frames, so that a selection has the same.
+    scan = with_scale(scan, options, folder)
     adjusted = options.file("adjusted", folder)
     if adjusted is not None:
         scan = with_adjusted(scan, adjusted)

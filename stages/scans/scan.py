@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.printing import counted, line
+from stages.scans.world import Scale, WorldUp
 
 Pose = NDArray[np.float64]
 ColorImage = NDArray[np.uint8]
@@ -160,6 +161,7 @@ class Frame:
         or of another; such pixels get no depth.
     depth_range : metres, the nearest and the farthest depth that the frame shows, where the folder tells;
         single views are searched for depth in between.
+    up : (3,) float64 of length 1, what is up in the axes of the camera, where an accelerometer tells.
     """
 
     name: str
@@ -177,6 +179,7 @@ class Frame:
     least_confidence: int = 0
     mask: Path | Packed | NDArray[np.uint8] | None = None
     depth_range: tuple[float, float] | None = None
+    up: NDArray[np.float64] | None = None
 
     def __repr__(self) -> str:
         parts = {
@@ -212,6 +215,9 @@ class Scan:
     missing : what the scan lacks to become a mesh, such as `poses: … is missing; name one with …`.
     box : (2, 3) float64 metres, lowest and highest corner of what was scanned, where the folder states it.
     held_out : frames that are kept from all stages, to judge results by.
+    up : which way is up in the world of the poses, where the layout or the folder says it.
+    is_metric : lengths are metres; else one unit that nobody knows, in which depth is too.
+    scale : what made lengths metres that were none.
     """
 
     layout: str
@@ -223,6 +229,9 @@ class Scan:
     missing: tuple[str, ...] = ()
     box: NDArray[np.float64] | None = None
     held_out: Sequence[Frame] = ()
+    up: WorldUp | None = None
+    is_metric: bool = True
+    scale: Scale | None = None
 
     def __repr__(self) -> str:
         kind = "stereo pairs" if self.is_stereo else "views" if self.is_views else "colour and depth"
@@ -233,6 +242,7 @@ class Scan:
                 counted(len(self.frames), "frame") or "no frames",
                 kind,
                 "poses" if self.has_poses else "no poses",
+                "" if self.is_metric else "not metric",
                 f"{len(self.held_out):,} held out" if self.held_out else "",
                 f"{len(self.skipped):,} skipped" if self.skipped else "",
                 *(f"lacks {what.partition(':')[0]}" for what in self.missing),

@@ -212,7 +212,7 @@ def _measure_frame(
     except InputError as error:
         return frame, SkippedFrame(frame.name, str(error))
     result = stage.measure(*pair, warnings)
-    world_from_camera = frame.world_from_camera
+    world_from_camera, up = frame.world_from_camera, frame.up
     if world_from_camera is not None:
         left_from_rectified = np.eye(4)
         left_from_rectified[:3, :3] = result.rectified_from_left.T
@@ -224,6 +224,7 @@ def _measure_frame(
         right=None,
         depth=result.depth,
         world_from_camera=world_from_camera,
+        up=None if up is None else result.rectified_from_left @ up,
     )
     return measured, result
 

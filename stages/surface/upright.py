@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stages.errors import UsageError
 from stages.surface.mesh import Mesh
@@ -24,6 +25,10 @@ _LEAST_SHARE = 0.03
 _ENOUGH = 40_000
 # An axis as near as this to what is up is up, degrees.
 _SAME = 1.0
+# What is known to be up and what is seen to be may be so far apart, degrees: rooms are tidy, hands are not.
+_DOUBTFUL = 30.0
+# The mean of a camera's side that is up is at least so long where cameras were held alike.
+_HELD_ALIKE = 0.5
 _AXES = {
     "+x": (1.0, 0.0, 0.0),
     "-x": (-1.0, 0.0, 0.0),
@@ -87,28 +92,86 @@ def turn_along_y(up: Floats) -> Floats:
     return np.asarray(_Y_UP_FROM_Z_UP @ turn_along_z(up) + 0.0)
 
 
-def up_of_place(mesh: Mesh, poses: Floats) -> tuple[Floats, str]:
-    """Return what is up in a scan of a place, (3,) of length 1, and what told it: `surface` or `cameras`.
+@dataclass(frozen=True, eq=False)
+class PlaceUp:
+    """What is up in a scan of a place.
 
-    An axis of the poses' world that is within a degree of it is taken for it, see `axis_or`.
+    Attributes
+    ----------
+    direction : (3,) float64 of length 1.
+    source : what told it: `surface`, `plane`, `cameras`, or how it is known.
+    warnings : where these do not agree, in plain sentences.
+    """
+
+    direction: Floats
+    source: str
+    warnings: tuple[str, ...] = ()
+
+
+def up_of_place(
+    mesh: Mesh,
+    poses: Floats,
+    known: tuple[ArrayLike, str] | None = None,
+    plane: ArrayLike | None = None,
+) -> PlaceUp:
+    """Return what is up in a scan of a place.
+
+    What is known counts; where neither the surface nor the cameras say the like, that is told. Else the
+    surface tells it, else the cameras. An axis of the poses' world that is within a degree of it is taken for
+    it: worlds that know of gravity have one there, and a floor is not known better.
 
     Parameters
     ----------
     mesh : of the place, in the poses' world.
     poses : (n, 4, 4) camera-to-world, one or more.
+    known : a direction (3,) of length 1, and how it is known.
+    plane : up (3,), of length 1, from a table or floor that was left out of the mesh; says what else the
+        surface would.
     """
     held = up_of_cameras(poses)
-    found = up_of_surface(mesh, held)
-    return (axis_or(held), "cameras") if found is None else (axis_or(found), "surface")
+    found = up_of_surface(mesh, held) if plane is None else np.asarray(plane, np.float64)
+    if known is None:
+        told = "surface" if plane is None else "plane"
+        direction, source = (held, "cameras") if found is None else (found, told)
+        return PlaceUp(_or_axis(direction), source)
+    up = np.asarray(known[0], np.float64)
+    return PlaceUp(_or_axis(up), known[1], tuple(_doubts(up, known[1], found, poses)))
 
 
-def axis_or(up: Floats) -> Floats:
-    """Return the axis that is within a degree of a direction (3,) of length 1, or else the direction.
-
-    Worlds that know of gravity have an axis there, and a floor is not known better.
-    """
+def _or_axis(up: Floats) -> Floats:
     nearest = max(_AXES.values(), key=lambda axis: float(np.dot(axis, up)))
     return np.array(nearest) if np.dot(nearest, up) > math.cos(math.radians(_SAME)) else up
+
+
+def _doubts(up: Floats, source: str, found: Floats | None, poses: Floats) -> list[str]:
+    """Say that neither the surface nor the cameras see what is known to be up, if so."""
+    by_cameras = min(_degrees(up, held) for held in _up_of_cameras_on_any_side(poses))
+    by_surface = math.inf if found is None else _degrees(up, found)
+    if min(by_cameras, by_surface) <= _DOUBTFUL:
+        return []
+    surface = "" if found is None else f", and most of the surface near that looks {by_surface:.0f}° off it"
+    return [
+        f"what is up is taken from {source}, but cameras were held as if it were {by_cameras:.0f}° off that"
+        f"{surface}"
+    ]
+
+
+def _degrees(first: Floats, second: Floats) -> float:
+    return math.degrees(math.acos(float(np.clip(first @ second, -1, 1))))
+
+
+def _up_of_cameras_on_any_side(poses: Floats) -> list[Floats]:
+    """Return what `up_of_cameras` says, and what it says of cameras held on another side, if all may be.
+
+    Phones are: in portrait, what is up is the left or right side of their images, the same in all. That all
+    were taken upside down is no excuse: then it is more likely that an axis is.
+    """
+    sides = [up_of_cameras(poses)]
+    for sine in (1, -1):
+        turned = poses[:, :3, :3] @ np.array(((0, -sine, 0), (sine, 0, 0), (0, 0, 1)), np.float64)
+        if np.linalg.norm(turned[:, :, 1].mean(axis=0)) > _HELD_ALIKE:
+            sides.append(up_of_cameras(turned))
+    return sides
 
 
 def up_of_cameras(poses: Floats) -> Floats:
@@ -119,7 +182,7 @@ def up_of_cameras(poses: Floats) -> Floats:
 
     Parameters
     ----------
-    poses : (n, 4, 4) camera-to-world, one or more.
+    poses : (n, 4, 4) camera-to-world, one or more, or their turns (n, 3, 3).
     """
     sideways = poses[:, :3, 0]
     upward = -poses[:, :3, 1].mean(axis=0)

@@ -44,6 +44,10 @@ def serialised(kind: str, **fields: Any) -> bytes:
     return bytes(_TYPES.serialize_ros1(made(kind, **fields), kind.replace("/", "/msg/")))
 
 
+def serialised_2(kind: str, fields: dict[str, Any]) -> bytes:
+    return bytes(_ROS_2.serialize_cdr(_ROS_2.types[kind](**fields), kind))
+
+
 def stamped(time: int, frame: str = "1") -> Any:
     """A header; RealSense's recorder puts its version where other bags have the frame's name."""
     stamp = made("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
@@ -134,8 +138,31 @@ class Stream:
 
 
 @dataclass
+class Reading:
+    """What an accelerometer reads at a moment, m/s²; its variance is -1 where it measures nothing."""
+
+    time: int
+    acceleration: Sequence[float]
+    frame: str = "imu"
+    variance: float = 0.0
+
+    def message(self) -> bytes:
+        vector = made("geometry_msgs/Vector3", **dict(zip("xyz", self.acceleration, strict=True)))
+        return serialised(
+            "sensor_msgs/Imu",
+            header=stamped(self.time, self.frame),
+            orientation=made("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation_covariance=np.array([-1.0, *[0] * 8]),
+            angular_velocity=made("geometry_msgs/Vector3", x=0.0, y=0.0, z=0.0),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=vector,
+            linear_acceleration_covariance=np.array([self.variance, *[0] * 8]),
+        )
+
+
+@dataclass
 class Recording:
-    """Streams, and the depth units that the sensor's option had."""
+    """Streams, what accelerometers read by topic, and the depth units that the sensor's option had."""
 
     streams: Sequence[Stream]
     units: Sequence[float] = (0.0001,)
@@ -143,6 +170,7 @@ class Recording:
     chunk_bytes: int = 2500
     started: int = 0
     others: dict[str, tuple[str, dict[str, Any]]] = field(default_factory=dict)
+    readings: dict[str, Sequence[Reading]] = field(default_factory=dict)
 
     def write(self, path: Path) -> Path:
         """Write a ROS 1 bag."""
@@ -202,7 +230,7 @@ class Recording:
             if known is None:
                 added = database.execute("INSERT INTO topics(name, type) VALUES (?, ?)", (name, kind))
                 known = (added.lastrowid,)
-            data = bytes(_ROS_2.serialize_cdr(_ROS_2.types[kind](**fields), kind))
+            data = fields if isinstance(fields, bytes) else serialised_2(kind, fields)
             if form == "zstd":
                 data = zstd.compress(data)
             database.execute(
@@ -212,8 +240,12 @@ class Recording:
         database.close()
         return path
 
-    def _rows(self, form: str) -> Iterator[tuple[int, str, str, dict[str, Any]]]:
-        """Yield when, topic, message type and fields."""
+    def _rows(self, form: str) -> Iterator[tuple[int, str, str, dict[str, Any] | bytes]]:
+        """Yield when, topic, message type and fields, or the message."""
+        for topic, readings in self.readings.items():
+            for one in readings:
+                data = bytes(_ROS_2.ros1_to_cdr(one.message(), "sensor_msgs/msg/Imu"))
+                yield one.time - self.started, topic, "sensor_msgs/msg/Imu", data
         for unit in self.units:
             yield 0, "/device_0/sensor_0/option/Depth_Units/value", *text(f"{unit:.6f}")
         for stream in self.streams:
@@ -243,13 +275,18 @@ class Recording:
         for n, unit in enumerate(self.units):
             topic = "/device_0/sensor_0/option/Depth_Units/value"
             yield topic, "std_msgs/Float32", n + 1, serialised("std_msgs/Float32", data=unit)
-        images = [
-            (one.time if one.recorded is None else one.recorded, s, one)
+        taken: list[tuple[int, str, str, Image | Reading]] = [
+            (one.time if one.recorded is None else one.recorded, s.name + s.topic, one.kind, one)
             for s in self.streams
             for one in s.images
         ]
-        for time, stream, image in sorted(images, key=lambda entry: entry[0]):
-            yield stream.name + stream.topic, image.kind, time, image.message()
+        taken += [
+            (one.time, topic, "sensor_msgs/Imu", one)
+            for topic, all_of in self.readings.items()
+            for one in all_of
+        ]
+        for time, topic, kind, one in sorted(taken, key=lambda entry: entry[0]):
+            yield topic, kind, time, one.message()
 
 
 def _as_ros_2(kind: str) -> str:

@@ -13,6 +13,7 @@ from pipeline.plan import left_out
 from pipeline.run import CACHE_VARIABLE, run
 from pipeline.upright import UprightSection, make
 from stages.scans.read import read_scan
+from stages.scans.scan import Scan
 from stages.surface.mesh_files import read_mesh
 from tests.made.coloured_sheet import sheet
 
@@ -63,4 +64,5 @@ def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
 
 
 def test_frames_without_poses_tell_nothing(tmp_path):
-    assert make(tmp_path, sheet(), (), None, UprightSection()) == {"up": None, "up_source": "nothing"}
+    figures = make(tmp_path, sheet(), Scan("made", []), None, UprightSection())
+    assert figures == {"up": None, "up_source": "nothing", "warnings": []}

@@ -4,7 +4,8 @@
     lowres_wide_intrinsics/<id>_<seconds>.pincam                            width height fx fy cx cy
     lowres_wide.traj                                                        world-to-camera
 
-Times in names are rounded to a millisecond, not always to the same one.
+Times in names are rounded to a millisecond, not always to the same one. The world has z up, as those who made
+the data set say: it is not ARKit's own.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import least_confidence
 from stages.scans.reading.stated import guessed_camera, stated_camera
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.world import Z_UP
 
 _UNITS_PER_METRE = 1000.0
 _MILLISECOND = 1_000_000
@@ -132,4 +134,5 @@ LAYOUT = Layout(
     text="lowres_wide/, lowres_depth/, lowres_wide_intrinsics/, lowres_wide.traj (ARKitScenes)",
     matches=_matches,
     read=_read,
+    up=Z_UP,
 )

@@ -99,13 +99,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             frames.append(_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, str(error)))
-    warnings += _warnings(options, frames)
+    warnings += _warnings(frames)
     if alone and not points:
         warnings.append(
             "there are no points (points3D.bin or .txt): how far away things are follows from the images "
             "alone; depth.min_depth and depth.max_depth state it"
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+    # A trajectory that is given is in metres; depth maps stay in the unit of the model.
+    is_metric = options.depth_scale is not None or (alone and options.poses is not None)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), is_metric=is_metric)
 
 
 def _stated(camera: Camera, options: ReadingParams) -> Camera:
@@ -161,13 +163,8 @@ def _frame(
     )
 
 
-def _warnings(options: ReadingParams, frames: Sequence[Frame]) -> list[str]:
+def _warnings(frames: Sequence[Frame]) -> list[str]:
     warnings = []
-    if options.depth_scale is None:
-        warnings.append(
-            "the lengths of a COLMAP model are not metres, but one unit is taken for one: all lengths are "
-            "off by one unknown factor; set scan.depth_scale to the number of units a metre if it is known"
-        )
     if any(frame.camera.distortion and frame.depth is not None for frame in frames):
         warnings.append(
             "the cameras have lens distortion, which those of COLMAP's own depth maps never have: is this "

@@ -23,6 +23,7 @@ from stages.scans.reading.files import common_size, first_existing, has
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
+from stages.scans.world import Z_UP
 
 # Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
 _TOLERANCE = 30_000_000
@@ -177,4 +178,5 @@ LAYOUT = Layout(
     text="mav0/cam0, mav0/cam1 with sensor.yaml (or dso/camchain.yaml) and data.csv (EuRoC, ASL, TUM-VI)",
     matches=_matches,
     read=_read,
+    up=Z_UP,
 )

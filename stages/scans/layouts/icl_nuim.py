@@ -19,6 +19,7 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.world import Y_DOWN
 
 _CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
 _UNITS_PER_METRE = 5000.0
@@ -83,4 +84,5 @@ LAYOUT = Layout(
     text="associations.txt, rgb/, depth/, *.gt.freiburg (ICL-NUIM in TUM packing)",
     matches=_matches,
     read=_read,
+    up=Y_DOWN,
 )

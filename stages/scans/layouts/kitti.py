@@ -21,6 +21,7 @@ from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.projections import projected_rig, read_projections, require_rectified_size
 from stages.scans.reading.rigs import uncalibrated
 from stages.scans.scan import Frame, Pose, Scan
+from stages.scans.world import Z_UP, up_of_layout
 
 # Left folder, right folder, the number of the left projection matrix. Colour is preferred.
 _CAMERAS = (
@@ -67,12 +68,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         require_rectified_size(calib, size)
         rig, left_from_cam0 = projected_rig(projections[at], projections[at + 1], size, options, calib)
     world_from_cam0: list[Pose | None] = [None] * len(names)
+    up = None
     path = options.file("poses", folder) or _pose_file(folder)
     if path is not None:
         world_from_cam0 = trajectories.match(trajectories.read_trajectory(path), names, path)
     elif left.endswith("/data") and calib is not None:
         found, lacking = unit_poses(folder, names, calib)
         world_from_cam0 = world_from_cam0 if found is None else found
+        # Of trajectories in a file the first camera is the world.
+        up = None if found is None else up_of_layout(LAYOUT.name, Z_UP)
         if found is None:
             missing = (f"poses: {lacking}; name a trajectory of camera 0 with scan.poses=FILE",)
     else:
@@ -92,7 +96,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         for (one, other), pose, time in zip(pairs, world_from_cam0, times, strict=True)
     ]
     said = about_order(pairs, f"{left}/", f"{right}/")
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(said), missing, up=up)
 
 
 def _times(folder: Path, left: str, names: list[str]) -> list[int | None]:

@@ -25,8 +25,9 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import seen_in
 from stages.scans.reading.stated import stated_camera
-from stages.scans.reading.views import NOT_METRES, in_metres, single_view
+from stages.scans.reading.views import in_metres, single_view
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 _PREFERRED = ("transforms.json", "transforms_train.json")
 _SIZE = ("w", "h")
@@ -87,19 +88,43 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         if given is None:
             # There are no depth maps whose unit it could be.
             poses = [in_metres(pose, options.depth_scale) for pose in poses]
-            warnings += [NOT_METRES] if options.depth_scale is None else []
+        is_metric = given is not None or options.depth_scale is not None
         views = [_view(*one) for one in zip(used, cameras, colors, masks, poses, strict=True)]
         frames = [one for one in views if isinstance(one, Frame)]
         skipped = [one for one in views if isinstance(one, SkippedFrame)]
     else:
-        scale = options.depth_scale or _depth_scale(document, path)
+        in_units = _depth_scale(document, path)
+        scale = options.depth_scale or in_units
+        # In the unit of the world, which nobody states, is what renderers write, and instant-ngp.
+        is_rendered = in_units is not None or any(depth.suffix.lower() == ".exr" for depth in depths)
+        is_metric = options.depth_scale is not None or not is_rendered
         frames = _frames(used, cameras, colors, masks, depths, poses, scale, path)
         skipped = [
             SkippedFrame(_name(entry), "it has no depth_file_path")
             for entry in entries
             if _depth_path(entry) is None
         ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings))
+    return Scan(
+        LAYOUT.name,
+        frames,
+        None,
+        folder,
+        tuple(skipped),
+        tuple(warnings),
+        up=_up(document, entries),
+        is_metric=is_metric,
+    )
+
+
+def _up(document: dict[str, Any], entries: Sequence[dict[str, Any]]) -> WorldUp | None:
+    """Return what is up in a file of Blender's script for synthetic scenes; in others nobody knows.
+
+    Its poses are those of Blender, whose world has z up. What reconstructions of photos write looks alike,
+    but names a focal length or the size of images; their worlds stand as they happened to.
+    """
+    is_plain = document.keys() == {"camera_angle_x", "frames"}
+    is_blenders = is_plain and all("rotation" in entry for entry in entries)
+    return up_of_layout(LAYOUT.name, Z_UP) if is_blenders else None
 
 
 def _view(

@@ -21,6 +21,7 @@ from stages.scans.reading.phones import least_confidence, seen_in
 from stages.scans.reading.stated import stated_camera
 from stages.scans.reading.views import single_view
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.world import Y_UP
 
 _LEVELS = (0, 127, 255)
 # Optimised and undistorted, the first is the better one; long captures lack it.
@@ -146,4 +147,5 @@ LAYOUT = Layout(
     text="keyframes/ with corrected_cameras/ or cameras/, images and perhaps depth/ (Polycam's raw data)",
     matches=_matches,
     read=_read,
+    up=Y_UP,
 )

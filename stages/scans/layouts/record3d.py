@@ -30,6 +30,7 @@ from stages.scans.reading.recordings import one_recording
 from stages.scans.reading.stated import stated_camera
 from stages.scans.reading.views import without_depth
 from stages.scans.scan import Camera, ColorImage, Frame, Packed, Pose, Scan, SkippedFrame
+from stages.scans.world import Y_UP
 
 _LEVELS = (0, 1, 2)
 # LiDAR and TrueDepth, for archives that do not say.
@@ -298,4 +299,5 @@ LAYOUT = Layout(
     matches=_matches,
     read=_read,
     suffixes=(".r3d",),
+    up=Y_UP,
 )

@@ -12,6 +12,7 @@ from stages.scans.reading.files import DEPTHS, common_size, first_existing, imag
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
+from stages.scans.world import Z_UP
 
 # What every room of the data set is rendered with.
 _CAMERA = Camera(1200, 680, 600.0, 600.0, 599.5, 339.5)
@@ -89,4 +90,5 @@ LAYOUT = Layout(
     text="results/frame000000.jpg, results/depth000000.png, traj.txt (Replica, rendered)",
     matches=_matches,
     read=_read,
+    up=Z_UP,
 )

@@ -5,6 +5,9 @@
       "camera": {"width": 640, "height": 480, "fx": 585, "fy": 585, "cx": 320, "cy": 240, "distortion": []},
       "depth_scale": 1000,            units of a depth file a metre
       "depth_missing": [65535],       raw values that mark a missing depth, beside 0
+      "up": [0, 0, 1],                what is up in the world of the poses; optional, and then
+      "up_source": "a level",         how it is known; optional
+      "metric": true,                 false: lengths, and depth with them, have a unit nobody knows; optional
       "frames": [
         {
           "name": "000000",
@@ -18,6 +21,7 @@
           "confidence": "confidence/000000.png",   8-bit, of the depth map; optional, and then
           "least_confidence": 1,         depth of less is missing
           "mask": "mask/000000.png",     8-bit; 0 where the image shows nothing of the scene; optional
+          "up": [0, -1, 0],              what is up in the camera's axes, by an accelerometer; optional
           "depth_range": [0.5, 4.0]      metres, where to look for depth that is not there; optional
         }
       ]
@@ -31,9 +35,12 @@ left pixel is (0, 0); depth is along the optical axis. The depth stage leaves it
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from stages.errors import InputError
 from stages.files import documents
@@ -42,20 +49,26 @@ from stages.scans.reading.files import inside
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera, Frame, Pose, Scan
+from stages.scans.world import Direction, WorldUp
 
 FORMAT_VERSION = 1
 FILE = "scan.json"
 _IMAGES = ("color", "depth", "confidence", "mask")
 _FARTHEST_M = 1e9
+# Of a direction's numbers; their squares are numbers, too.
+_LARGEST = 1e9
 
 
-def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
+def write_scan_json(
+    folder: Path, frames: Sequence[Frame], *, up: WorldUp | None = None, is_metric: bool = True
+) -> Path:
     """Write `folder/scan.json` for frames whose images are files inside the folder; return its path.
 
     Parameters
     ----------
     folder : an existing folder.
     frames : with all images as paths under `folder` (or None), sharing one depth scale and markers.
+    up, is_metric : of the scan.
 
     Raises
     ------
@@ -72,6 +85,8 @@ def write_scan_json(folder: Path, frames: Sequence[Frame]) -> Path:
         "camera": _camera_table(first.camera),
         "depth_scale": first.depth_scale,
         "depth_missing": list(first.depth_missing),
+        **({} if up is None else up.figures()),
+        **({} if is_metric else {"metric": False}),
         "frames": [_frame_table(frame, folder, first.camera) for frame in frames],
     }
     path = folder / FILE
@@ -102,6 +117,8 @@ def _frame_table(frame: Frame, folder: Path, camera: Camera) -> dict[str, Any]:
         table["least_confidence"] = frame.least_confidence
     if frame.depth_range is not None:
         table["depth_range"] = list(frame.depth_range)
+    if frame.up is not None:
+        table["up"] = frame.up.tolist()
     return table
 
 
@@ -137,6 +154,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     poses = None if given is None else trajectories.match(trajectories.read_trajectory(given), names, given)
     scale = options.depth_scale or _positive(document.get("depth_scale", 1000.0), path)
     missing = _integers(document.get("depth_missing", []), path)
+    is_metric = document.get("metric", True)
+    if not isinstance(is_metric, bool):
+        raise InputError(f"metric is {str(is_metric)[:40]!r}; true or false is expected.", path)
     shared = _camera(document["camera"], options, path) if document.get("camera") is not None else None
     frames: list[Frame] = []
     for i, (name, entry) in enumerate(zip(names, entries, strict=True)):
@@ -162,13 +182,37 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 least_confidence=_least_confidence(entry, options, name, path),
                 mask=images["mask"],
                 depth_range=_depth_range(entry, name, path),
+                up=None if (up := _direction(entry, f"frame {name}: up", path)) is None else np.array(up),
             )
         )
     posed = any(frame.world_from_camera is not None for frame in frames)
     lacking = (
         () if posed or not frames else ("poses: no frame has one; name a trajectory with scan.poses=FILE",)
     )
-    return Scan(LAYOUT.name, frames, None, folder, missing=lacking)
+    return Scan(
+        LAYOUT.name, frames, None, folder, missing=lacking, up=_up(document, path), is_metric=is_metric
+    )
+
+
+def _up(document: dict[str, Any], path: Path) -> WorldUp | None:
+    direction, source = _direction(document, "up", path), document.get("up_source", FILE)
+    if direction is None:
+        return None
+    if not isinstance(source, str):
+        raise InputError("up_source is no text.", path)
+    return WorldUp(direction, source)
+
+
+def _direction(table: dict[str, Any], where: str, path: Path) -> Direction | None:
+    value = table.get("up")
+    if value is None:
+        return None
+    numbers = value if isinstance(value, list) and all(type(one) in (int, float) for one in value) else []
+    length = math.hypot(*numbers) if len(numbers) == 3 and max(map(abs, numbers)) < _LARGEST else math.nan
+    if not length > 1 / _LARGEST:
+        raise InputError(f"{where} is no direction: three numbers, not all of them 0.", path)
+    x, y, z = (one / length for one in numbers)
+    return x, y, z
 
 
 def _name(entry: object, position: int, path: Path) -> str:

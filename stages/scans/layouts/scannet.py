@@ -11,6 +11,7 @@ import numpy as np
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.axis_alignment import up_of_scannet
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
     DEPTHS,
@@ -82,7 +83,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         for depth, color in pairs
         if depth.stem in poses or missing
     ]
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    up = up_of_scannet(folder, LAYOUT.name)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
 
 
 def _poses(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, sens, trajectories
+from stages.scans.reading.axis_alignment import up_of_scannet
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.recordings import one_recording
@@ -50,7 +51,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 color_camera=color_camera,
             )
         )
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(_warnings(recording)))
+    up = up_of_scannet(recording.path, LAYOUT.name)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(_warnings(recording)), up=up)
 
 
 def _warnings(recording: sens.Sens) -> list[str]:

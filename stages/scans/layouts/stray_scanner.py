@@ -20,6 +20,7 @@ from stages.scans.reading.stated import stated_camera
 from stages.scans.reading.views import without_depth
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 from stages.scans.video import Video
+from stages.scans.world import Y_UP
 
 _LEVELS = (0, 1, 2)
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -146,4 +147,5 @@ LAYOUT = Layout(
     text="rgb.mp4, odometry.csv, camera_matrix.csv, depth/, confidence/ (Stray Scanner)",
     matches=_matches,
     read=_read,
+    up=Y_UP,
 )

@@ -28,6 +28,7 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, StereoRig, scaled
+from stages.scans.world import Z_DOWN
 
 
 @dataclass(frozen=True)
@@ -144,4 +145,5 @@ LAYOUT = Layout(
     text="image_left/ (or image_lcam_front/), depth_left/ or image_right/, pose_left.txt (TartanAir)",
     matches=_matches,
     read=_read,
+    up=Z_DOWN,
 )

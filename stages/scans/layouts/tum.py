@@ -28,6 +28,7 @@ from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import guessed_camera
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 # The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
 _TOLERANCE = 20_000_000
@@ -39,6 +40,8 @@ _CAMERAS = {
     "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
 }
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
+# Which bag a file is of stands in its first lines.
+_OWN, _HEAD = "rgbd_dataset_freiburg", 1000
 # How images are named when their lists are lost.
 _STAMPED = re.compile(r"\d+\.\d+")
 
@@ -98,7 +101,14 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
     lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
     missing = (lacking,) if trajectory is None else ()
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+    up = None if path is None else _up(folder, path)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+
+
+def _up(folder: Path, trajectory: Path) -> WorldUp | None:
+    """Return what is up in the worlds of the data set's motion capture; None where others use its form."""
+    is_own = _named(folder) is not None or _OWN in documents.read_text(trajectory)[:_HEAD]
+    return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
 
 
 def _streams(folder: Path) -> tuple[_Stream, _Stream, list[str]]:
@@ -159,9 +169,14 @@ def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[s
     return [found / path.name for path in files], [said]
 
 
+def _named(folder: Path) -> re.Match[str] | None:
+    """Return where a folder's name names one of the data set's cameras."""
+    return re.search(r"(?<![a-z])(?:freiburg|fr)_?([123])(?!\d)", folder.resolve().name, re.IGNORECASE)
+
+
 def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, list[str]]:
     """Return the camera, and what is to be said about it and about the scale of its depth."""
-    named = re.search(r"(?<![a-z])(?:freiburg|fr)_?([123])(?!\d)", folder.resolve().name, re.IGNORECASE)
+    named = _named(folder)
     warnings = []
     if named is None and options.depth_scale is None:
         warnings.append(

@@ -1,4 +1,4 @@
-"""ScanNet's axisAlignment: a turn about the vertical that lets the walls of a room run along the axes."""
+"""What ScanNet's own worlds are: z is up, and axisAlignment turns them until walls run along the axes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import trajectories
 from stages.scans.scan import Pose, Scan
+from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
+_NAME = re.compile(r"scene\d{4}_\d\d")
 _LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
 
 
@@ -35,7 +37,26 @@ def aligned(scan: Scan, folder: Path) -> Scan:
         for frame in scan.frames
     ]
     said = f"the world is turned by the axisAlignment of {path.name}"
-    return replace(scan, frames=frames, warnings=(*scan.warnings, said))
+    up = scan.up
+    if up is not None:
+        x, y, z = (alignment[:3, :3] @ up.direction).tolist()
+        up = replace(up, direction=(x, y, z))
+    return replace(scan, frames=frames, warnings=(*scan.warnings, said), up=up)
+
+
+def up_of_scannet(place: Path, layout: str) -> WorldUp | None:
+    """Return what is up in a scan of the data set; None where others packed theirs like it.
+
+    Parameters
+    ----------
+    place : a folder, or a file.
+    layout : its name.
+    """
+    beside = place.parent if place.is_file() else place
+    is_own = any(_NAME.search(name) for name in (place.name, beside.resolve().name)) or any(
+        beside.glob("scene*.txt")
+    )
+    return up_of_layout(layout, Z_UP) if is_own else None
 
 
 def _alignment(folder: Path) -> tuple[Path, Pose]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Scan
+from stages.scans.world import Direction
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class Layout:
     read : returns every frame of the folder in order; what is odd goes into the scan's warnings,
         and poses or a calibration that are not there into `missing`: who reads decides what to make of it.
     suffixes : of files that are a scan by themselves; `read` takes these as well as folders.
+    up : what is up in the world of its poses, where it is defined so; where only some of its folders tell,
+        `read` sets it.
     """
 
     name: str
@@ -29,3 +32,4 @@ class Layout:
     matches: Callable[[Path], str | None]
     read: Callable[[Path, ReadingParams], Scan]
     suffixes: tuple[str, ...] = ()
+    up: Direction | None = None

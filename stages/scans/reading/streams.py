@@ -38,6 +38,26 @@ class Images:
 
 
 @dataclass(frozen=True, eq=False)
+class Accelerometer:
+    """The readings of an accelerometer, by their number.
+
+    Attributes
+    ----------
+    name : for messages.
+    recorded : (n,) int64 nanoseconds at which the recorder wrote them.
+    read : returns a reading (3,), m/s², in its own axes: at rest it points up; raises InputError where the
+        file is damaged.
+    camera_from_it : (3, 3) float64, turns its axes to those of the camera whose images are frames; None where
+        the recording does not say.
+    """
+
+    name: str
+    recorded: NDArray[np.int64]
+    read: Callable[[int], NDArray[np.float64]]
+    camera_from_it: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, eq=False)
 class Stream:
     """Images and the camera that took them."""
 
@@ -55,6 +75,7 @@ class Streams:
     depth_scale : what one metre is in the depth maps' units.
     color_from_depth : (4, 4) float64, metres; None where both stand in one place or the file does not say.
     warnings : in plain sentences.
+    accelerometer : beside them, if there is one.
     """
 
     depth: Stream
@@ -62,6 +83,7 @@ class Streams:
     depth_scale: float
     color_from_depth: Pose | None
     warnings: tuple[str, ...]
+    accelerometer: Accelerometer | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +93,14 @@ class Pair:
     Attributes
     ----------
     warnings : in plain sentences.
+    accelerometer : beside them, if there is one.
     """
 
     left: Images
     right: Images
     rig: StereoRig
     warnings: tuple[str, ...]
+    accelerometer: Accelerometer | None = None
 
 
 def stated_depth_camera(depth: Images, folder: Path, options: ReadingParams) -> Camera | None:

@@ -13,11 +13,6 @@ from stages.scans.depth_range import range_of_points
 from stages.scans.reading.phones import seen_in
 from stages.scans.scan import Camera, Frame, Packed, Pose
 
-NOT_METRES = (
-    "poses that were found from images alone are not in metres, but one unit is taken for one: all lengths "
-    "may be off by one unknown factor; set scan.depth_scale to the number of units a metre if it is known"
-)
-
 
 def single_view(
     name: str,

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"
+IMU = "sensor_msgs/Imu"
 # Before a ROS 2 message four bytes say how it is packed: the second is 1 for little-endian.
 _CDR_HEAD = 4
 
@@ -207,6 +208,21 @@ def _pose(said: Any, source: Path) -> Pose:
     if pose is None:
         raise InputError("a transform is not finite.", source)
     return pose
+
+
+def read_acceleration(data: bytes, source: Path | str, *, is_cdr: bool = False) -> NDArray[np.float64]:
+    """Return what the accelerometer of `sensor_msgs/Imu` reads, (3,) m/s²; NaN where the unit has none.
+
+    Raises
+    ------
+    InputError
+        If the message is cut short.
+    """
+    said, _ = _message(data, IMU, source, "a reading", is_cdr=is_cdr)
+    # What a unit does not measure has a variance of -1.
+    if said.linear_acceleration_covariance[0] == -1:
+        return np.full(3, np.nan)
+    return np.array([getattr(said.linear_acceleration, axis) for axis in "xyz"], np.float64)
 
 
 def read_float(data: bytes, source: Path | str) -> float:

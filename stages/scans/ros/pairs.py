@@ -20,7 +20,13 @@ from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage
 from stages.scans.ros.pixels import is_color
 from stages.scans.ros.recording import Recording
-from stages.scans.ros.topics import ImageTopic, between, camera_message, image_topics
+from stages.scans.ros.topics import (
+    ImageTopic,
+    accelerometer_beside,
+    between,
+    camera_message,
+    image_topics,
+)
 from stages.scans.scan import StereoRig
 
 # RealSense numbers its infrared cameras; the left one is the first.
@@ -43,7 +49,7 @@ def topic_pair(recording: Recording, options: ReadingParams) -> Pair | None:
     first, second = (topic_images(one.name, one.topic) for one in (left, right))
     stated = stated_rig(first, recording.path.parent, options)
     rig, said = stated or (_rig(recording, left, right, options), [])
-    return Pair(first, second, rig, (*warnings, *said))
+    return Pair(first, second, rig, (*warnings, *said), accelerometer_beside(recording, left.frame))
 
 
 def _couples(found: Sequence[ImageTopic]) -> list[tuple[ImageTopic, ImageTopic]]:
@@ -69,7 +75,7 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
     is_rectified = left.is_rectified and bool(first.projection.any() and second.projection.any())
     document: dict[str, Any] = {"unit": "m"}
     if not second.projection[0, 3]:
-        right_from_left = between(recording, left, right)
+        right_from_left = between(recording, left.frame, right.frame)
         if right_from_left is None or not right_from_left[:3, 3].any():
             right_from_left = np.eye(4)
             if options.baseline is None:

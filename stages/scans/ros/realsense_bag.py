@@ -17,7 +17,7 @@ from stages.scans.ros.messages import (
     read_image,
     read_transform,
 )
-from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
+from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream, accelerometers_of
 from stages.scans.ros.recording import Recording
 from stages.scans.scan import Pose
 
@@ -34,7 +34,14 @@ def realsense_bag(bag: Recording) -> RealSense | None:
             streams[stream] = RealSenseStream(kind.lower(), sensor, topic_images(stream, topic))
     if not streams:
         return None
-    return RealSense(bag.path, streams, partial(_camera, bag), partial(_units, bag), partial(_places, bag))
+    return RealSense(
+        bag.path,
+        streams,
+        partial(_camera, bag),
+        partial(_units, bag),
+        partial(_places, bag),
+        accelerometers_of(bag),
+    )
 
 
 def _camera(bag: Recording, name: str) -> CameraMessage | None:

@@ -17,7 +17,7 @@ from stages.errors import InputError
 from stages.scans.formats import trajectories
 from stages.scans.ros.images import topic_images
 from stages.scans.ros.messages import CameraMessage, read_text
-from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream
+from stages.scans.ros.realsense_streams import MOST_OPTIONS, RealSense, RealSenseStream, accelerometers_of
 from stages.scans.ros.recording import Messages, Recording
 from stages.scans.scan import Pose
 
@@ -41,6 +41,7 @@ def realsense_db3(recording: Recording) -> RealSense | None:
         partial(_camera, recording),
         partial(_units, recording),
         partial(_places, recording),
+        accelerometers_of(recording),
     )
 
 

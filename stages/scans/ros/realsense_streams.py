@@ -5,8 +5,10 @@ The maker's library has written two kinds of file, with the same names for the s
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,18 @@ from stages.scans.formats import calibration
 from stages.scans.formats.trajectories import inverted
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
-from stages.scans.reading.streams import Images, Pair, Stream, Streams, stated_depth_camera, unknown_place
+from stages.scans.reading.streams import (
+    Accelerometer,
+    Images,
+    Pair,
+    Stream,
+    Streams,
+    stated_depth_camera,
+    unknown_place,
+)
 from stages.scans.ros.messages import CameraMessage
+from stages.scans.ros.recording import Messages, Recording
+from stages.scans.ros.topics import acceleration
 from stages.scans.scan import Camera, Pose
 
 # A person changes an option now and then, a damaged file a million times: so many values are read.
@@ -29,6 +41,9 @@ _LIKE_OPENCV = ("brown conrady", "inverse brown conrady", "modified brown conrad
 _USUAL_UNITS = 0.001
 # Metres; a unit of less than a nanometre or more than a kilometre is damaged.
 _UNITS = (1e-9, 1e3)
+
+
+_ACCELEROMETER = re.compile(r"(/device_\d+/sensor_\d+/(?:Accel|Motion)_\d+)/imu/data")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +71,7 @@ class RealSense:
     camera : returns that of a stream, or None.
     units : returns the depth units, in metres, that a stream's sensor had one after the other; or none.
     places : returns what takes points of a reference to a stream's camera, by the reference's name.
+    accelerometers : the topics of their readings, by name of the stream.
     """
 
     path: Path
@@ -63,6 +79,13 @@ class RealSense:
     camera: Callable[[str], CameraMessage | None]
     units: Callable[[RealSenseStream], Sequence[float]]
     places: Callable[[str], Mapping[str, Pose]]
+    accelerometers: Mapping[str, Messages]
+
+
+def accelerometers_of(recording: Recording) -> dict[str, Messages]:
+    """Return the topics of accelerometers' readings in either kind of file, by the name of the stream."""
+    found = ((_ACCELEROMETER.fullmatch(name), topic) for name, topic in recording.topics.items())
+    return {matched[1]: topic for matched, topic in found if matched is not None}
 
 
 def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams | Pair:
@@ -81,18 +104,19 @@ def realsense_streams(recording: RealSense, options: ReadingParams) -> Streams |
     stated = stated_depth_camera(depth.images, folder, options)
     seen = Stream(depth.images, stated or _recorded_camera(recording, name))
     scale, warnings = _depth_scale(recording, depth, options)
+    beside = _accelerometer(recording, name)
     # The left infrared camera is the one that depth is seen from.
     grey = [one for one in streams if one.kind == "infrared" and one.sensor == depth.sensor]
     color = next((one for one in (*(one for one in streams if one.kind == "color"), *grey)), None)
     if color is None:
-        return Streams(seen, None, scale, None, tuple(warnings))
+        return Streams(seen, None, scale, None, tuple(warnings), beside)
     if color.kind != "color":
         warnings.append("there is no colour stream: the infrared camera's images stand for it")
     color_from_depth = _between(recording, name, color.images.name)
     if color_from_depth is None:
         warnings.append(unknown_place(name, color.images.name))
     color_camera = _recorded_camera(recording, color.images.name)
-    return Streams(seen, Stream(color.images, color_camera), scale, color_from_depth, tuple(warnings))
+    return Streams(seen, Stream(color.images, color_camera), scale, color_from_depth, tuple(warnings), beside)
 
 
 def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], options: ReadingParams) -> Pair:
@@ -106,7 +130,7 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     left, right = (one.images for one in grey[:2])
     stated = stated_rig(left, recording.path.parent, options)
     if stated is not None:
-        return Pair(left, right, stated[0], tuple(stated[1]))
+        return Pair(left, right, stated[0], tuple(stated[1]), _accelerometer(recording, left.name))
     cameras = [_recorded_camera(recording, one.name) for one in (left, right)]
     right_from_left = _between(recording, left.name, right.name)
     if right_from_left is None and options.baseline is None:
@@ -121,7 +145,7 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     rig, warnings = calibration.read_rig(
         recording.path, cameras[0].width, cameras[0].height, document=document, baseline=options.baseline
     )
-    return Pair(left, right, rig, tuple(warnings))
+    return Pair(left, right, rig, tuple(warnings), _accelerometer(recording, left.name))
 
 
 def _recorded_camera(recording: RealSense, name: str) -> Camera:
@@ -170,6 +194,21 @@ def _depth_scale(
             recording.path,
         )
     return 1 / last, warnings
+
+
+def _accelerometer(recording: RealSense, camera: str) -> Accelerometer | None:
+    """Return the accelerometer of a recording, beside the camera of a stream."""
+    name = min(recording.accelerometers, default=None)
+    if name is None:
+        return None
+    try:
+        stands = _between(recording, name, camera)
+    except InputError:
+        stands = None
+    # The maker's library turns readings to the axes of the depth camera before it records them.
+    turn = np.eye(3) if stands is None else stands[:3, :3]
+    topic = recording.accelerometers[name]
+    return Accelerometer(name, topic.times, partial(acceleration, topic), turn)
 
 
 def _between(recording: RealSense, depth: str, color: str) -> Pose | None:

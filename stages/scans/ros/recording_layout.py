@@ -6,6 +6,7 @@ Depth and colour, or the two sides of a pair, are paired by when each image was 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from stages.scans.reading.streams import Images, Pair, Streams
 from stages.scans.ros.bag import read_bag
 from stages.scans.ros.db3 import read_db3
 from stages.scans.ros.files import SUFFIXES, recording_files, recordings
+from stages.scans.ros.gravity import ups_of
 from stages.scans.ros.mcap import read_mcap
 from stages.scans.ros.pairs import topic_pair
 from stages.scans.ros.realsense_bag import realsense_bag
@@ -59,14 +61,19 @@ def _read(place: Path, options: ReadingParams) -> Scan:
         why = f" ({skipped[0].name}: {skipped[0].reason})" if skipped else ""
         raise InputError(f"no {called[0][:-1]} and {called[1][:-1]} in it are of one moment{why}.", place)
     poses, missing = _poses(options, place, [(number, time) for number, time, _ in couples])
+    recorded = first.recorded[[number for number, _, _ in couples]]
+    ups, about_up = ups_of(streams.accelerometer, recorded)
     frames = [
-        _pair_frame(streams, *couple, pose)
-        if isinstance(streams, Pair)
-        else _depth_frame(streams, *couple, pose)
-        for couple, pose in zip(couples, poses, strict=True)
+        replace(
+            _pair_frame(streams, *couple, pose)
+            if isinstance(streams, Pair)
+            else _depth_frame(streams, *couple, pose),
+            up=up,
+        )
+        for couple, pose, up in zip(couples, poses, ups, strict=True)
     ]
     rig = streams.rig if isinstance(streams, Pair) else None
-    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), (*warnings, *said), missing)
+    return Scan(LAYOUT.name, frames, rig, place, tuple(skipped), (*warnings, *said, *about_up), missing)
 
 
 def _streams(place: Path, options: ReadingParams) -> tuple[Streams | Pair, str | None]:

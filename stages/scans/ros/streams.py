@@ -16,7 +16,14 @@ from stages.scans.reading.streams import Stream, Streams, stated_depth_camera, u
 from stages.scans.ros.images import topic_images
 from stages.scans.ros.pixels import is_color, is_depth
 from stages.scans.ros.recording import Recording
-from stages.scans.ros.topics import ImageTopic, between, camera_message, has_camera, image_topics
+from stages.scans.ros.topics import (
+    ImageTopic,
+    accelerometer_beside,
+    between,
+    camera_message,
+    has_camera,
+    image_topics,
+)
 from stages.scans.scan import Camera
 
 # What the drivers of RealSense, Kinect and ZED call depth as the colour camera sees it.
@@ -55,13 +62,14 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
     stated = stated_depth_camera(maps, recording.path.parent, options)
     seen = Stream(maps, stated or _recorded_camera(recording, depth))
     colors = [one for one in found if _is_color(one)]
+    accelerometer = accelerometer_beside(recording, depth.frame)
     if not colors:
-        return Streams(seen, None, scale, None, tuple(warnings))
+        return Streams(seen, None, scale, None, tuple(warnings), accelerometer)
     color = min(colors, key=lambda one: _unlikeness(one, depth))
     color_from_depth = None
     is_one_view = _is_aligned(depth) or color.frame == depth.frame
     if not is_one_view:
-        color_from_depth = between(recording, depth, color)
+        color_from_depth = between(recording, depth.frame, color.frame)
         if color_from_depth is None:
             warnings.append(unknown_place(depth.name, color.name))
     return Streams(
@@ -75,6 +83,7 @@ def topic_streams(recording: Recording, options: ReadingParams) -> Streams | Non
         scale,
         color_from_depth,
         tuple(warnings),
+        accelerometer,
     )
 
 

@@ -5,15 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.scans.formats.trajectories import inverted
+from stages.scans.reading.streams import Accelerometer
 from stages.scans.ros.messages import (
     COMPRESSED_IMAGE,
     IMAGE,
+    IMU,
     CameraMessage,
+    read_acceleration,
     read_camera_info,
     read_compressed,
     read_frame,
@@ -101,8 +106,8 @@ def camera_message(recording: Recording, images: ImageTopic) -> CameraMessage:
     return read_camera_info(info.read(0, None), f"{recording.path}: {images.name}", is_cdr=info.is_cdr)
 
 
-def between(recording: Recording, first: ImageTopic, second: ImageTopic) -> Pose | None:
-    """Return what takes points of the first camera to the second, by `/tf_static`; None if it does not say.
+def between(recording: Recording, first: str, second: str) -> Pose | None:
+    """Return what takes points of the first frame to the second, by `/tf_static`; None if it does not say.
 
     Raises
     ------
@@ -116,10 +121,35 @@ def between(recording: Recording, first: ImageTopic, second: ImageTopic) -> Pose
         transforms = read_transforms(tree.read(number, None), recording.path, is_cdr=tree.is_cdr)
         for parent, child, pose in transforms:
             parents[child.lstrip("/")] = parent.lstrip("/"), pose
-    of_first, of_second = (_root(one.frame, parents) for one in (first, second))
+    of_first, of_second = (_root(frame, parents) for frame in (first, second))
     if of_first is None or of_second is None or of_first[0] != of_second[0]:
         return None
     return np.asarray(inverted(of_second[1]) @ of_first[1])
+
+
+def accelerometer_beside(recording: Recording, frame: str) -> Accelerometer | None:
+    """Return the accelerometer of a recording; the camera that stands in `frame` is the one it is beside.
+
+    Of several topics it is one that says so in its name, or the first.
+    """
+    topics = {name: one for name, one in recording.topics.items() if one.kind == IMU}
+    if not topics:
+        return None
+    name = min(topics, key=lambda one: ("accel" not in one, "gyro" in one, one))
+    topic = topics[name]
+    try:
+        own = read_frame(topic.read(0, None), recording.path, is_cdr=topic.is_cdr).lstrip("/")
+        stands = between(recording, own, frame)
+    except InputError:
+        stands = None
+    return Accelerometer(
+        name, topic.times, partial(acceleration, topic), None if stands is None else stands[:3, :3]
+    )
+
+
+def acceleration(topic: Messages, number: int) -> NDArray[np.float64]:
+    """Return a reading of an accelerometer's topic; InputError where it is damaged."""
+    return read_acceleration(topic.read(number, None), topic.file(number), is_cdr=topic.is_cdr)
 
 
 def _root(frame: str, parents: dict[str, tuple[str, Pose]]) -> tuple[str, Pose] | None:

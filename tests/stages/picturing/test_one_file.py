@@ -182,6 +182,25 @@ def test_models_modes_keys_and_measuring(page: Any) -> None:
     assert page.inner_text("#scale").split()[1] in ("m", "cm", "mm")
 
 
+def test_lengths_are_in_units_where_they_are_no_metres(chromium: Any, tmp_path: Path) -> None:
+    export(body((200, 20, 20)), tmp_path / "m.glb", preset("web"))
+    models = [PageModel("red", (tmp_path / "m.glb").read_bytes(), 24)]
+    (tmp_path / "page.html").write_bytes(one_file("units", models, {"unit": "units"}))
+    page = chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("#message", state="hidden", timeout=60_000)
+    page.click("#measure")
+    page.evaluate("scanloom.look({ eye: [0, -12, 0], target: [0, 0, 0], fov: 30 })")
+    page.evaluate("scanloom.drawn()")
+    canvas = "document.getElementById('picture')"
+    width, height = page.evaluate(f"[{canvas}.clientWidth, {canvas}.clientHeight]")
+    for x in (-20, 20):
+        assert page.evaluate("([x, y]) => scanloom.pick(x, y)", [width / 2 + x, height / 2])
+    assert " units between the two points" in page.inner_text("#figures")
+    assert page.inner_text("#scale").split()[1] == "units"
+    page.close()
+
+
 def test_places_are_flown_to_and_words_are_no_html(page: Any) -> None:
     assert page.evaluate("window.evil") is None
     assert page.title() == EVIL

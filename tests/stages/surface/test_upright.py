@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.surface.mesh import Mesh
-from stages.surface.upright import up_of_surface
+from stages.surface.upright import up_of_place, up_of_surface
 
 
 def room(floor: float, *, noise: float = 0.0) -> Mesh:
@@ -52,3 +52,47 @@ def test_walls_alone_do_not_tell() -> None:
     assert (
         up_of_surface(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32)), np.array((0.0, 0, 1))) is None
     )
+
+
+def looking(*, roll: float = 0.0, level: float = 20.0, across: float = 90.0, count: int = 8) -> np.ndarray:
+    """Poses of a world with z up that look about, some degrees down, held at a roll."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    for pose, azimuth in zip(poses, np.radians(np.linspace(-across / 2, across / 2, count)), strict=True):
+        down = np.radians(level)
+        z = np.array((np.cos(azimuth) * np.cos(down), np.sin(azimuth) * np.cos(down), -np.sin(down)))
+        x = np.cross(z, (0, 0, 1))
+        x /= np.linalg.norm(x)
+        pose[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_euler("z", roll, degrees=True).as_matrix()
+    return poses
+
+
+def test_what_is_known_is_taken_where_the_scan_agrees() -> None:
+    tilt = Rotation.from_euler("xyz", (0, 4, 0), degrees=True).apply((0, 0, 1))
+    found = up_of_place(room(0.8), looking(), (tilt, "gravity of the IMU"))
+    np.testing.assert_array_equal(found.direction, tilt)
+    assert (found.source, found.warnings) == ("gravity of the IMU", ())
+    # An axis that is within a degree is meant.
+    near = Rotation.from_euler("xyz", (0.5, 0.5, 0), degrees=True).apply((0, 0, 1))
+    np.testing.assert_array_equal(up_of_place(room(0.8), looking(), (near, "known")).direction, (0, 0, 1))
+
+
+@pytest.mark.parametrize("known", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
+def test_what_is_known_is_taken_and_doubted_where_nothing_agrees(known: tuple[float, float, float]) -> None:
+    # Turned about by more than a half, so that no side of the images always looks one way.
+    found = up_of_place(room(0.8), looking(across=300), (known, "layout other: wrong"))
+    np.testing.assert_array_equal(found.direction, known)
+    (said,) = found.warnings
+    off = 180 if known[2] else 90
+    assert said.startswith(
+        f"what is up is taken from layout other: wrong, but cameras were held as if it were {off}° off that, "
+        f"and most of the surface near that looks {off}° off it"
+    )
+
+
+@pytest.mark.parametrize("roll", [90, -90])
+def test_a_phone_held_in_portrait_is_no_doubt(roll: float) -> None:
+    found = up_of_place(room(0.8), looking(roll=roll), ((0.0, 0.0, 1.0), "layout polycam: y up"))
+    assert found.warnings == ()
+    # Without that knowledge its side is up.
+    assert up_of_place(room(0.8), looking(roll=roll)).direction @ (0, 0, 1) < 0.5

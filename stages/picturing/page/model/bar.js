@@ -3,7 +3,7 @@ const WHOLE = new Intl.NumberFormat("en");
 const NONE = "none";
 
 /** Tie the controls of a form to a picture of several models, and of cameras. */
-export function bar(form, drawn, models, cameras) {
+export function bar(form, drawn, models, cameras, unit) {
   const { model, beside, mode, cut, at, cameras: shown, photo, opacity, measure, all } = form.elements;
   const figures = form.querySelector("#figures");
   models.forEach(({ name }, number) => {
@@ -43,7 +43,7 @@ export function bar(form, drawn, models, cameras) {
     hide(settings.cut === NONE, at);
     hide(settings.photo === null, opacity);
     measure.setAttribute("aria-pressed", String(settings.measuring));
-    figures.textContent = sentence(settings, models, drawn);
+    figures.textContent = sentence(settings, models, drawn, unit);
   });
 }
 
@@ -51,9 +51,9 @@ function hide(isHidden, ...controls) {
   for (const control of controls) control.closest("label").hidden = isHidden;
 }
 
-function sentence({ model, beside, measuring }, models, drawn) {
+function sentence({ model, beside, measuring }, models, drawn, unit) {
   const distance = drawn.distance();
-  if (distance !== null) return `${distance.toPrecision(4)} m between the two points`;
+  if (distance !== null) return `${distance.toPrecision(4)} ${unit} between the two points`;
   if (measuring) return drawn.points().length ? "Now the second point." : "Click two points of the surface.";
   const { triangles, note } = models[model];
   const words = `${WHOLE.format(triangles)} triangles${note ? ` · ${note}` : ""}`;

@@ -16,11 +16,11 @@ function fail(text) {
 
 async function start() {
   document.title = content.title;
-  const { models, cameras = [] } = content;
-  const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), models, cameras);
+  const { models, cameras = [], unit = "m" } = content;
+  const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), models, cameras, unit);
   const line = document.getElementById("divider");
   const moved = divider(line, (split) => drawn.set({ split }));
-  bar(document.getElementById("bar"), drawn, models, cameras);
+  bar(document.getElementById("bar"), drawn, models, cameras, unit);
   let explained = null;
   drawn.onChange(() => {
     const { model, beside } = drawn.settings();

@@ -36,7 +36,7 @@ const CUTS = { x: [-1, 0, 0], y: [0, 0, 1], z: [0, -1, 0] };
 const clay = new MeshLambertMaterial({ color: "#cfccc6", side: DoubleSide, flatShading: true });
 const lines = new MeshBasicMaterial({ color: "#3a4657", wireframe: true });
 
-export function picture(canvas, scale, models, cameras = []) {
+export function picture(canvas, scale, models, cameras = [], unit = "m") {
   const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: false });
   renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
   const scene = new Scene();
@@ -102,8 +102,13 @@ export function picture(canvas, scale, models, cameras = []) {
     const power = 10 ** Math.floor(Math.log10(longest));
     const length = power * [5, 2, 1].find((digit) => digit * power <= longest);
     scale.style.width = `${length / metres}px`;
-    scale.textContent = length < 0.01 ? `${+(1000 * length).toPrecision(1)} mm` : length < 1 ? `${+(100 * length).toPrecision(1)} cm` : `${length} m`;
+    scale.textContent = inWords(length);
     scale.hidden = false;
+  }
+
+  function inWords(length) {
+    if (unit !== "m" || length >= 1) return `${+length.toPrecision(1)} ${unit}`;
+    return length < 0.01 ? `${+(1000 * length).toPrecision(1)} mm` : `${+(100 * length).toPrecision(1)} cm`;
   }
 
   async function load(number) {

@@ -4,7 +4,7 @@ const SIZE = 360;
 const ROOM = 14;
 
 /** Return a drawing of the cameras' way, from above; those with a photo are buttons. */
-export function plan(cameras, chosen) {
+export function plan(cameras, chosen, unit) {
   const places = cameras.map(({ pose }) => [pose[3], -pose[7]]);
   const [low, high] = [Math.min, Math.max].map((least) => [0, 1].map((axis) => least(...places.map((place) => place[axis]))));
   const span = Math.max(high[0] - low[0], high[1] - low[1], 1e-9);
@@ -12,7 +12,7 @@ export function plan(cameras, chosen) {
   const points = places.map((place) => place.map((value, axis) => ROOM + (value - low[axis]) * scale));
   const size = [0, 1].map((axis) => 2 * ROOM + (high[axis] - low[axis]) * scale);
   const drawing = made("svg", { viewBox: `0 0 ${size[0]} ${size[1]}`, class: "plan" });
-  drawing.setAttribute("aria-label", `The way of ${cameras.length} cameras from above, ${span.toPrecision(2)} m across`);
+  drawing.setAttribute("aria-label", `The way of ${cameras.length} cameras from above, ${span.toPrecision(2)} ${unit} across`);
   drawing.append(made("polyline", { points: points.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ") }));
   cameras.forEach(({ frame, photo }, number) => {
     const [cx, cy] = points[number];

@@ -3,7 +3,7 @@ import { plan } from "./plan.js";
 // What is told of a run below its picture: warnings first, then stages, then all else.
 
 /** Fill an element with what the content holds; nothing of it is read as HTML. */
-export function tell(place, { warnings = [], tables = [], texts = [], cameras = [] }) {
+export function tell(place, { warnings = [], tables = [], texts = [], cameras = [], unit = "m" }) {
   if (!warnings.length && !tables.length && !texts.length && !cameras.length) return;
   document.body.classList.add("told");
   if (warnings.length) {
@@ -18,7 +18,7 @@ export function tell(place, { warnings = [], tables = [], texts = [], cameras = 
     place.append(plan(cameras, (number) => {
       window.scanloom.showPhoto(number);
       document.getElementById("picture").scrollIntoView({ block: "nearest" });
-    }));
+    }, unit));
   }
   for (const { title, text } of texts) {
     const folded = document.createElement("details");

@@ -99,7 +99,8 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny, place, write):
     for name in ("rigs", "frames"):
         (scan_folder / place / f"{name}.bin").write_bytes(b"of no use here")
     scan = assert_known_points(scan_folder, tiny)
-    assert any("not metres" in text for text in scan.warnings)
+    assert not scan.is_metric
+    assert any("no metric scale" in text for text in scan.warnings)
     depth = read_depth(scan.frames[0])
     assert (depth[0, 5], depth[-1, 5]) == (0, 3)
 
@@ -138,7 +139,8 @@ def test_a_scale_holds_for_depth_and_poses(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(depth_scale=4.0))
     for frame, point in zip(scan.frames, tiny.points, strict=True):
         np.testing.assert_allclose(tiny.seen(frame), np.array(point) / 4, atol=1e-6)
-    assert not any("not metres" in text for text in scan.warnings)
+    assert scan.is_metric
+    assert not any("no metric scale" in text for text in scan.warnings)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +292,7 @@ def test_views_without_any_depth_are_single_views_with_a_range_of_depth(workspac
         assert 0.75 < near < 1.0
         assert 3.0 < far < 6.0
     assert len(scan.warnings) == 1
-    assert "not metres" in scan.warnings[0]
+    assert "no metric scale" in scan.warnings[0]
     scaled = read_scan(workspace, ScanParams(depth_scale=2))
     np.testing.assert_allclose(scaled.frames[1].world_from_camera[:3, 3], (0.5, 1, 1.5), atol=1e-9)
     np.testing.assert_allclose(scaled.frames[1].depth_range, (near / 2, far / 2), rtol=1e-9)

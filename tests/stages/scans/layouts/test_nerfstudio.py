@@ -58,6 +58,7 @@ def points(folder, tiny, **options):
 def test_known_points_come_out_in_the_world(scan_folder, tiny):
     scan = read_scan(scan_folder)
     assert scan.layout == "nerfstudio"
+    assert (scan.is_metric, scan.up) == (True, None)
     assert [frame.name for frame in scan.frames] == ["2", "10"]
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
@@ -121,7 +122,14 @@ def test_blender_leaves_out_the_extension_and_gives_an_angle(tmp_path, tiny):
         ],
     }
     write(tmp_path, content, "transforms_train.json")
-    frames = read_scan(tmp_path).frames
+    assert read_scan(tmp_path).up is None
+    # Its script writes by how much the camera turned from view to view, too.
+    for entry in content["frames"]:
+        entry["rotation"] = 0.0126
+    write(tmp_path, content, "transforms_train.json")
+    scan = read_scan(tmp_path)
+    assert scan.up.source == "layout nerfstudio: z up"
+    frames = scan.frames
     camera = frames[0].camera
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), (100, 100, 15.5, 11.5))
     assert read_color(frames[1]).shape == (24, 32, 3)
@@ -138,6 +146,9 @@ def test_depth_in_steps_of_instant_ngp(scan_folder, tiny):
         entry["depth_path"] = entry.pop("depth_file_path")
     write(scan_folder, content)
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+    assert not read_scan(scan_folder).is_metric
+    # A quarter of a metre a unit: depth goes along.
+    np.testing.assert_allclose(points(scan_folder, tiny, scale=0.25), np.array(tiny.points) / 4, atol=1e-6)
 
 
 def test_depth_in_another_unit_can_be_stated(scan_folder, tiny):
@@ -255,7 +266,8 @@ def test_frames_without_any_depth_are_single_views(scan_folder, tiny):
     write(scan_folder, without_depth(tiny))
     scan = read_scan(scan_folder)
     tiny.assert_views(scan)
-    assert any("scan.depth_scale" in text for text in scan.warnings)
+    assert not scan.is_metric
+    assert any("scan.scale=" in text for text in scan.warnings)
 
 
 def test_single_views_in_another_unit(scan_folder, tiny):

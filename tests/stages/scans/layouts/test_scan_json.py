@@ -10,6 +10,7 @@ from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame
+from stages.scans.world import WorldUp
 
 CAMERA = {"width": 32, "height": 24, "fx": 100, "fy": 100, "cx": 16, "cy": 12}
 
@@ -67,19 +68,29 @@ def test_what_is_written_is_read_back(tmp_path, tiny):
         Frame("one", usual, tmp_path / "color" / "1.png", None, tmp_path / "depth" / "1.npy", 1.0, (7,),
               tiny.second, 123456789012345678),
         Frame("two", own, None, None, tmp_path / "depth" / "2.npy", 1.0, (7,), tiny.identity, None,
-              large, tiny.second, tmp_path / "trust" / "2.png", 3, tmp_path / "mask.png", (0.25, 4.0)),
+              large, tiny.second, tmp_path / "trust" / "2.png", 3, tmp_path / "mask.png", (0.25, 4.0),
+              np.array((0.6, -0.8, 0.0))),
     ]  # fmt: skip
     (tmp_path / "color").mkdir()
     (tmp_path / "depth").mkdir()
     (tmp_path / "trust").mkdir()
     for file in (frames[0].color, frames[0].depth, frames[1].depth, frames[1].confidence, frames[1].mask):
         file.touch()
-    assert write_scan_json(tmp_path, frames) == tmp_path / "scan.json"
+    up = WorldUp((0.0, 0.6, -0.8), "a level")
+    assert write_scan_json(tmp_path, frames, up=up, is_metric=False) == tmp_path / "scan.json"
     scan = read_scan(tmp_path)
+    assert (scan.up, scan.is_metric) == (up, False)
     for written, read in zip(frames, scan.frames, strict=True):
         for field in fields(Frame):
             one, other = getattr(read, field.name), getattr(written, field.name)
             assert np.array_equal(one, other) if isinstance(other, np.ndarray) else one == other, field.name
+
+
+def test_what_is_up_may_be_stated_by_hand(scan_folder):
+    change(scan_folder, up=[0, 0, 2])
+    scan = read_scan(scan_folder)
+    assert (scan.up, scan.is_metric) == (WorldUp((0.0, 0.0, 1.0), "scan.json"), True)
+    assert scan.warnings == ()
 
 
 def test_a_frame_without_pose_is_kept_as_lost(tmp_path, tiny):
@@ -130,6 +141,13 @@ def test_images_in_memory_cannot_be_written(tmp_path):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
+        ({"up": [0, 0, 0]}, "up is no direction"),
+        ({"up": [0, 1]}, "up is no direction"),
+        ({"up": [0, float("nan"), 1]}, "up is no direction"),
+        ({"up": [1e300, 0, 0]}, "up is no direction"),
+        ({"up": "z"}, "up is no direction"),
+        ({"up": [0, 0, 1], "up_source": 3}, "up_source is no text"),
+        ({"metric": 1}, "metric is '1'; true or false"),
         ({"version": 2}, "version is 2"),
         ({"frames": {}}, "no list of frames"),
         ({"frames": [3]}, "frame 0 is not a table"),
@@ -153,6 +171,7 @@ def test_damaged_documents_are_told(scan_folder, values, message):
 @pytest.mark.parametrize(
     ("values", "message"),
     [
+        ({"up": [0, True, 1]}, "frame .*: up is no direction"),
         ({"depth": "../secret.png"}, "not a path inside the folder"),
         ({"color": "/etc/passwd"}, "not a path inside the folder"),
         ({"timestamp": "now"}, "timestamp"),

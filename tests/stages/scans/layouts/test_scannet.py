@@ -46,6 +46,16 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
         np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)
 
 
+def test_z_is_up_in_the_data_set_but_not_in_others_of_its_form(scan_folder, tmp_path):
+    assert read_scan(scan_folder).up is None
+    (scan_folder / "scene0000_00.txt").touch()
+    assert read_scan(scan_folder).up.source == "layout scannet: z up"
+    (scan_folder / "scene0000_00.txt").unlink()
+    named = tmp_path.with_name("scene0707_01")
+    scan_folder.rename(named)
+    assert read_scan(named).up.direction == (0.0, 0.0, 1.0)
+
+
 def test_a_colour_folder_of_another_name_is_read(scan_folder, tiny):
     (scan_folder / "color").rename(scan_folder / "rgb")
     scan = read_scan(scan_folder)

@@ -216,6 +216,10 @@ def test_the_axes_are_aligned_on_request_only(tmp_path, tiny):
     turned = [(10 - y, 20 + x, 30 + z) for x, y, z in tiny.points]
     np.testing.assert_allclose([tiny.seen(one) for one in scan.frames], turned, atol=1e-6)
     assert "the world is turned by the axisAlignment of scene0000_00.txt" in scan.warnings
+    assert scan.up.direction == (0.0, 0.0, 1.0)
+    tilted = "0 0 1 0 1 0 0 0 0 1 0 0 0 0 0 1"
+    (tmp_path / "scene0000_00.txt").write_text(f"axisAlignment = {tilted}\n")
+    assert read_scan(tmp_path, ScanParams(align_axes=True)).up.direction == (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

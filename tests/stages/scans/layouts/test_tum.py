@@ -5,6 +5,7 @@ from stages.errors import InputError
 from stages.scans.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
+from stages.scans.world import WorldUp
 
 
 @pytest.fixture
@@ -34,6 +35,16 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert scan.layout == "tum"
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+
+
+def test_z_is_up_where_the_data_set_is_named(scan_folder, tmp_path):
+    assert read_scan(scan_folder).up == WorldUp((0.0, 0.0, 1.0), "layout tum: z up")
+    assert read_scan(scan_folder, ScanParams(poses="groundtruth.txt")).up is None
+    mine = scan_folder.rename(tmp_path / "mine")
+    assert read_scan(mine).up is None
+    poses = (mine / "groundtruth.txt").read_text()
+    (mine / "groundtruth.txt").write_text(f"# file: 'rgbd_dataset_freiburg2_desk.bag'\n{poses}")
+    assert read_scan(mine).up is not None
 
 
 def test_frames_without_a_partner_in_time_are_skipped(scan_folder):

@@ -1,0 +1,59 @@
+"""Which way is up in a scan: as its layout defines it, or as the frames' accelerometers tell it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Frame, Scan
+from stages.scans.world import WorldUp, up_of_layout
+
+# Hands shake a camera by some degrees; readings that are off by more in the median do not go with the poses.
+_LARGEST_SPREAD_DEG = 20.0
+
+
+def with_up(scan: Scan, layout: Layout, options: ReadingParams) -> Scan:
+    """Return a scan that was just read with what is up by its layout, where the poses are its own."""
+    if options.poses is not None or not scan.has_poses:
+        return replace(scan, up=None)
+    if scan.up is not None or layout.up is None:
+        return scan
+    return replace(scan, up=up_of_layout(layout.name, layout.up))
+
+
+def known_up(scan: Scan) -> tuple[WorldUp | None, list[str]]:
+    """Return which way is up in the world of the frames' poses, None where nothing says it; and warnings.
+
+    What the layout says counts; else what was measured while the frames were taken, which goes with them into
+    any world that poses are found in.
+    """
+    if scan.up is not None:
+        return scan.up, []
+    return _measured(scan.frames)
+
+
+def _measured(frames: Sequence[Frame]) -> tuple[WorldUp | None, list[str]]:
+    """Return the median over the frames of what is up, by coordinates of the world."""
+    found = [
+        frame.world_from_camera[:3, :3] @ frame.up
+        for frame in frames
+        if frame.world_from_camera is not None and frame.up is not None
+    ]
+    if not found:
+        return None, []
+    directions = np.array(found)
+    median = np.median(directions, axis=0)
+    length = float(np.linalg.norm(median))
+    up = median / max(length, np.finfo(np.float64).tiny)
+    spread = float(np.median(np.degrees(np.arccos(np.clip(directions @ up, -1, 1)))))
+    if spread > _LARGEST_SPREAD_DEG:
+        return None, [
+            "what the accelerometer says is up does not go with the poses: it differs from frame to frame by "
+            f"{spread:.0f}° (median); it is not used"
+        ]
+    x, y, z = up.tolist()
+    return WorldUp((x, y, z), "gravity of the IMU"), []

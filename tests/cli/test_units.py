@@ -1,0 +1,95 @@
+"""Where lengths of a scan are no metres, nobody is told that they are."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def unit_scan(tiny_scan: Path, tmp_path: Path) -> Path:
+    """The tiny scan, its lengths in a unit that nobody knows."""
+    folder = Path(shutil.copytree(tiny_scan, tmp_path / "scan"))
+    file = folder / "scan.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"metric": False, "up": [0, -1, 0]}))
+    return folder
+
+
+def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path) -> None:
+    text = scanloom("inspect", unit_scan).stdout
+    assert "scale     none: lengths are in units" in text
+    assert "up        0 -1 0, by scan.json" in text
+    lengths = [line for line in text.splitlines() if line.split()[0] in ("path", "depth", "poses", "fusion")]
+    assert lengths
+    assert all(" units" in line for line in lengths)
+    assert not any(line.endswith(" m") or " m " in line or " m;" in line or "mm" in line for line in lengths)
+    assert "--scale=METRES_PER_UNIT, --known-distance='MEASURED METRES' or --tag-size=METRES" in text
+    figures = scanloom("inspect", unit_scan, "--json").json
+    assert (figures["metric"], figures["scale"]) == (False, None)
+    assert (figures["up"], figures["up_source"]) == ([0, -1, 0], "scan.json")
+
+
+def test_inspect_says_the_scale_that_it_has(scanloom: Run, unit_scan: Path) -> None:
+    text = scanloom("inspect", unit_scan, "--known-distance", "2 0.5").stdout
+    assert "scale     0.25 m a unit, a known distance" in text
+    assert " units" not in text
+    assert "no metric scale" not in text
+    figures = scanloom("inspect", unit_scan, "--scale", 0.25, "--json").json
+    plain = scanloom("inspect", unit_scan, "--json").json
+    assert figures["metric"]
+    assert figures["scale"]["metres_per_unit"] == 0.25
+    assert figures["path"]["length_m"] == pytest.approx(0.25 * plain["path"]["length_m"])
+    assert figures["depth"]["median_m"] == pytest.approx(0.25 * plain["depth"]["median_m"])
+
+
+@pytest.mark.slow
+def test_run_says_units_and_then_metres(scanloom: Run, unit_scan: Path, tmp_path: Path) -> None:
+    def lines(*more: object) -> tuple[str, list[str], dict[str, Any]]:
+        ran = scanloom("run", unit_scan, "-o", tmp_path / "out", "--until", "simplify", *more)
+        report = json.loads((tmp_path / "out" / "report.json").read_text())
+        return ran.stderr, [one for one in ran.stderr.splitlines() if one.startswith("fuse ")], report
+
+    said, (fused,), report = lines()
+    assert "warning: this scan has no metric scale" in said
+    assert " units, truncation " in fused
+    assert " m," not in fused
+    assert report["scan"]["metric"] is False
+    assert any("scan.scale=" in text for text in report["scan"]["warnings"])
+    before = report["stages"]["fuse"]["figures"]["voxel_size_m"]
+
+    said, (fused,), report = lines("--scale", 0.5)
+    assert "warning" not in said
+    assert " m, truncation " in fused
+    assert (report["scan"]["metric"], report["scan"]["scale"]["metres_per_unit"]) == (True, 0.5)
+    assert report["stages"]["fuse"]["figures"]["voxel_size_m"] == pytest.approx(before / 2, rel=0.1)
+    # A unit that is a metre leaves results as they were made.
+    _, _, report = lines("--scale", 1)
+    assert [one["cached"] for name, one in report["stages"].items() if name != "upright"] == [True] * 4
+
+
+def test_an_option_that_is_no_scale_is_named_as_it_was_typed(scanloom: Run, unit_scan: Path) -> None:
+    ran = scanloom("inspect", unit_scan, "--known-distance", "far")
+    assert ran.exit_code == 2
+    assert "--known-distance is 'far'" in ran.stderr
+
+
+def test_a_picture_is_taken_from_the_cameras_of_a_scan_in_its_scale(
+    scanloom: Run, ball: Path, unit_scan: Path, tmp_path: Path
+) -> None:
+    def picture(*words: object) -> np.ndarray[Any, Any]:
+        assert (
+            scanloom("render", ball, tmp_path / "p.png", "--width", 48, "--viewpoint", 2, *words).exit_code
+            == 0
+        )
+        return cv2.imread(str(tmp_path / "p.png"))
+
+    near, far = (picture("--scan", unit_scan, "--scale", factor) for factor in (1, 40))
+    assert np.abs(near.astype(int) - far).max() > 30
+    assert scanloom("render", ball, tmp_path / "p.png", "--scale", 2).exit_code == 2

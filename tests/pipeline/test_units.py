@@ -1,0 +1,98 @@
+"""What a run tells where lengths are units of the scan, and that all it reads has one scale."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from coloured_meshes import sheet
+
+from pipeline.cache import Cache
+from pipeline.config import Config
+from pipeline.page import page_of_run
+from pipeline.page_told import deviation_tables, told_of
+from pipeline.report import compose
+from pipeline.run import wanted_of
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Camera, Frame, Scan
+from stages.scans.world import Scale
+from stages.surface.formats.ply import write_ply
+
+CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)
+
+
+def test_a_report_says_whether_metres_are_metres(tmp_path: Path) -> None:
+    scan = Scan("colmap", [], is_metric=False)
+    said = compose(scan, (), {}, tmp_path)["scan"]
+    assert (said["metric"], said["scale"]) == (False, None)
+    metric = replace(scan, is_metric=True, scale=Scale(0.3, "given"))
+    said = json.loads(json.dumps(compose(metric, (), {}, tmp_path)["scan"]))
+    assert said["metric"]
+    assert said["scale"] == {"metres_per_unit": 0.3, "source": "given", "spread_share": None}
+
+
+def test_a_page_has_its_lengths_in_that_unit(tmp_path: Path) -> None:
+    assert "unit" not in told_of({"scan": {"metric": True}})
+    assert told_of({"scan": {"metric": False}})["unit"] == "units"
+    told = {"absolute_percentiles_m": {"95": 0.25}, "rms_m": 0.5, "share_within": 1.0, "tolerance_m": 2.0}
+    told |= {"delta_e_2000": None, "worst": [{"distance_m": 0.75, "point_m": [1, 2, 3]}]}
+    words = json.dumps(deviation_tables(told, 0.5, [], is_metric=False))
+    assert "0.25 units" in words
+    assert "axes of the scan, units" in words
+    assert "mm" not in words
+    assert "250 mm" in json.dumps(deviation_tables(told, 0.5, []))
+
+    for name in ("simplified", "clean"):
+        write_ply(tmp_path / f"{name}.ply", sheet(4))
+    (tmp_path / "report.json").write_text(json.dumps({"scan": {"metric": False}}))
+    page = page_of_run(tmp_path, 5_000_000, lambda text: None)  # noqa: ARG005
+    assert b'"unit": "units"' in page
+    assert b'"unit": "mm"' not in page
+
+
+@pytest.fixture
+def both(tmp_path: Path) -> tuple[Path, Path]:
+    """A scan, and photos in its world, of which neither knows what a unit is."""
+    scan, images = tmp_path / "scan", tmp_path / "photos"
+    entries = []
+    for folder in (scan, images):
+        folder.mkdir()
+    for number in range(3):
+        pose = np.eye(4)
+        pose[0, 3] = 0.5 * number
+        cv2.imwrite(str(scan / f"{number}.png"), np.full((6, 8), 1000, np.uint16))
+        cv2.imwrite(str(images / f"{number}.png"), np.full((6, 8, 3), 90, np.uint8))
+        entries.append((f"{number}.png", pose))
+    frames = [
+        Frame(name, CAMERA, color=images / name, depth=scan / name, world_from_camera=pose)
+        for name, pose in entries
+    ]
+    write_scan_json(scan, [replace(one, color=None) for one in frames], is_metric=False)
+    views = [{"file_path": name, "transform_matrix": pose.tolist()} for name, pose in entries]
+    table = {"w": 8, "h": 6, "fl_x": 5.0, "cx": 4, "cy": 3, "frames": views}
+    (images / "transforms.json").write_text(json.dumps(table))
+    return scan, images
+
+
+@pytest.mark.parametrize(
+    ("settings", "factors", "told"),
+    [
+        ([], (1, 1), 2),
+        (["scan.scale=0.5"], (0.5, 0.5), 0),
+        (["scan.known_distance=2 1"], (0.5, 0.5), 0),
+        (["scan.scale=0.5", "photos.scale=0.25"], (0.5, 0.25), 0),
+        (["photos.scale=0.25"], (1, 0.25), 1),
+    ],
+)
+def test_photos_in_the_world_of_a_scan_have_its_scale(
+    both: tuple[Path, Path], tmp_path: Path, settings: list[str], factors: tuple[float, float], told: int
+) -> None:
+    scan, images = both
+    config = Config().set([f"texture.images={images}", *settings])
+    wanted = wanted_of(scan, tmp_path / "out", config, None, (), Cache(tmp_path / "cache"))
+    assert wanted.photos is not None
+    places = [one.frames[2].world_from_camera for one in (wanted.scan, wanted.photos)]
+    assert [None if one is None else one[0, 3] for one in places] == pytest.approx(list(factors))
+    assert sum("no metric scale" in text for text in wanted.warnings) == told

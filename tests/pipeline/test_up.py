@@ -1,0 +1,135 @@
+"""What is known to be up comes through the stages of a run to all that stand."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pipeline import registering, upright
+from pipeline.config import Config
+from pipeline.depth_maps import write_depth_maps
+from pipeline.digest import label_digests, scan_digest
+from pipeline.graph import STAGES
+from pipeline.plan import plan_for
+from pipeline.run import run
+from pipeline.standing import read_up
+from pipeline.upright import UprightSection
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame, Scan, StereoRig
+from stages.scans.world import Y_UP, Z_DOWN, Z_UP, WorldUp
+from stages.stereo.depth import depth_scan
+from stages.surface.mesh import Mesh
+
+CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
+UP = np.array((0.0, -1.0, 0.0))
+POLYCAM = WorldUp(Y_UP, "layout polycam: y up")
+FLOOR = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]], np.int32))
+
+
+def posed(turn: Rotation, **more) -> Frame:
+    pose = np.eye(4)
+    pose[:3, :3] = turn.as_matrix()
+    return Frame("a", CAMERA, world_from_camera=pose, **more)
+
+
+# A camera that looks along x in a world with z up.
+LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+
+
+@pytest.mark.parametrize(
+    ("scan", "up", "source", "doubts"),
+    [
+        (Scan("s", [posed(LEVEL)], up=WorldUp(Z_UP, "layout euroc: z up")), Z_UP, "layout euroc: z up", 0),
+        (Scan("s", [posed(LEVEL, up=UP)]), Z_UP, "gravity of the IMU", 0),
+        (Scan("s", [posed(LEVEL)]), Z_UP, "surface", 0),
+        (Scan("s", [posed(LEVEL)], up=WorldUp(Z_DOWN, "layout x: z down")), Z_DOWN, "layout x: z down", 1),
+        (Scan("s", [replace(posed(LEVEL, up=UP), world_from_camera=None)]), None, "nothing", 0),
+    ],
+)
+def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) -> None:
+    figures = upright.make(tmp_path, FLOOR, scan, None, UprightSection())
+    assert (figures["up"], figures["up_source"]) == (up, source)
+    assert read_up(tmp_path) == up
+    assert ["upright.up=AXIS states it" in text for text in figures["warnings"]] == [True] * doubts
+
+
+def test_what_is_given_counts_more_than_what_is_known(tmp_path: Path) -> None:
+    scan = Scan("s", [posed(LEVEL)], up=POLYCAM)
+    figures = upright.make(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
+    assert (figures["up"], figures["up_source"], figures["warnings"]) == ((-1.0, 0.0, 0.0), "given", [])
+
+
+def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp_path: Path) -> None:
+    scan = Scan("polycam", [replace(posed(LEVEL, up=UP), name=name) for name in "ab"], up=POLYCAM)
+    turned = np.eye(4)
+    turned[:3, :3] = Rotation.from_euler("x", 30, degrees=True).as_matrix()
+    poses = {"0": turned.tolist(), "1": turned.tolist()}
+    (tmp_path / "registration.json").write_text(json.dumps({"poses": poses, "apart": {"2": poses}}))
+    for found in (registering.placed(scan, tmp_path), registering.apart(scan, tmp_path)[2]):
+        assert found.up is None
+        up = upright.make(tmp_path, FLOOR, found, None, UprightSection())
+        np.testing.assert_allclose(up["up"], turned[:3, :3] @ UP, atol=1e-6)
+        assert up["up_source"] == "gravity of the IMU"
+
+
+def test_it_is_written_with_depth_in_the_axes_of_the_rectified_camera(tmp_path: Path) -> None:
+    # The right camera stands lower: rectified, both are rolled towards it.
+    right_from_left = np.eye(4)
+    right_from_left[:3, 3] = (-0.1, -0.02, 0)
+    rig = StereoRig(CAMERA, CAMERA, right_from_left, rectified=False)
+    wall = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 255, (72, 200, 3), np.uint8), (3, 3), 0)
+    frame = replace(posed(LEVEL, up=UP), color=np.ascontiguousarray(wall[:, 20:116]))
+    frame = replace(frame, right=np.ascontiguousarray(wall[:, 28:124]))
+    scan = Scan("pairs", [frame], rig, up=POLYCAM, is_metric=False)
+    write_depth_maps(tmp_path, depth_scan(scan, min_confidence=0, left_right_tolerance=99), scan)
+    again = read_scan(tmp_path)
+    assert (again.up, again.is_metric) == (POLYCAM, False)
+    (read,) = again.frames
+    assert not np.allclose(read.up, UP, atol=1e-3)
+    world = read.world_from_camera[:3, :3] @ read.up
+    np.testing.assert_allclose(world, LEVEL.apply(UP), atol=1e-9)
+
+
+def test_it_decides_for_the_stages_alone_that_use_it() -> None:
+    frame = replace(posed(LEVEL), depth=np.ones((72, 96), np.float32))
+    scan = Scan("s", [frame])
+    others = [
+        replace(scan, up=POLYCAM),
+        replace(scan, up=replace(POLYCAM, source="a level")),
+        replace(scan, is_metric=False),
+        replace(scan, frames=[replace(frame, up=UP)]),
+        replace(scan, frames=[replace(frame, up=-UP)]),
+    ]
+    assert len({label_digests(one)["world"] for one in (scan, *others)}) == 1 + len(others)
+    assert {scan_digest(one).digest for one in others} == {scan_digest(scan).digest}
+    assert {stage.name for stage in STAGES if "world" in stage.reads} == {"depth", "upright"}
+    pairs = replace(scan, rig=StereoRig(CAMERA, CAMERA, np.eye(4), rectified=True))
+    for one, name in ((scan, "upright"), (pairs, "depth")):
+        assert [stage.name for stage in plan_for(one, Config()) if "world" in stage.reads] == [name]
+
+
+@pytest.mark.slow
+def test_another_up_is_another_stand_and_nothing_else(tmp_path: Path) -> None:
+    scan, out = tmp_path / "scan", tmp_path / "out"
+    scan.mkdir()
+    depth = np.full((72, 96), 1000, np.uint16)
+    depth[20:50, 30:60] = 900
+    cv2.imwrite(str(scan / "0.png"), depth)
+    camera = {"width": 96, "height": 72, "fx": 80, "fy": 80, "cx": 47.5, "cy": 35.5}
+    document = {"version": 1, "camera": camera, "frames": []}
+    for number in range(3):
+        pose = np.eye(4)
+        pose[0, 3] = 0.01 * number
+        document["frames"].append({"depth": "0.png", "world_from_camera": pose.tolist()})
+    (scan / "scan.json").write_text(json.dumps(document))
+    config = Config().set(["fuse.voxel_size=0.02"])
+    run(scan, out, config, until="upright")
+    (scan / "scan.json").write_text(json.dumps(document | {"up": [0, 0, -3], "up_source": "a level"}))
+    result = run(scan, out, config, until="upright")
+    assert [one.stage for one in result.stages if not one.cached] == ["upright"]
+    assert result.report["stages"]["upright"]["figures"]["up_source"] == "a level"
+    assert result.report["stages"]["upright"]["figures"]["up"] == [0, 0, -1]
