@@ -13,7 +13,10 @@ unexport PYTHONDONTWRITEBYTECODE
 PAGE := stages/picturing/page
 PACKAGES := $(PAGE)/node_modules/.package-lock.json
 
-.PHONY: page browser packages demo check test campaign bench format lint python-lint ruff mypy stubtest clippy rust-tests clean
+# The site of docs/, which opens from the disk: build/docs/index.html.
+SITE := build/docs
+
+.PHONY: docs page browser packages demo check test campaign bench format lint python-lint ruff mypy stubtest clippy rust-tests clean
 
 demo: $(READY)
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
@@ -48,6 +51,12 @@ $(PACKAGES): $(PAGE)/package-lock.json
 # The libraries of pages as one file, and their licences. After: npm install NAME@VERSION there, and git diff.
 page: $(PACKAGES)
 	cd $(PAGE) && node build.mjs
+
+# Half-built pages are no use: all is made anew, and a link that leads nowhere ends it.
+docs: $(READY)
+	rm -rf $(SITE)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -c docs -d build/docs-trees . $(SITE)
+	@echo "The site is $(SITE)/index.html."
 
 # Random damage, kills and meshes for some minutes: make campaign MINUTES=60, with WORDS for its other options.
 MINUTES ?= 10

@@ -144,8 +144,8 @@ class Engine:
         self._entries: list[Entry] = []
 
     def __enter__(self) -> Engine:
-        text = f"another run is working into {self._out}; this one waits for it"
-        self._lock = self._cache.sole_run(self._out, lambda: self._events(Waiting(text)))
+        said = f"another run is working into {self._out}; this one waits for it"
+        self._lock = self._cache.sole_run(self._out, lambda: self._events(Waiting(said)))
         self.results = Results(self._cache, self._out, overwrite=self._overwrite)
         return self
 

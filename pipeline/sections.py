@@ -202,7 +202,7 @@ def _section_toml(name: str, params: Any) -> str:
     hints = get_type_hints(type(params))
     for key, about in described(type(params)).items():
         default = next(f.default for f in dataclasses.fields(params) if f.name == key)
-        lines += ["", *_comment(about.text), *_comment(_facts(about, default, hints[key]))]
+        lines += ["", *_comment(about.text), *_comment(facts_of(about, default, hints[key]))]
         value = getattr(params, key)
         lines.append(f"# {key} =" if value is None else f"{key} = {_toml(value)}")
     return "\n".join(lines) + "\n"
@@ -212,7 +212,8 @@ def _comment(text: str) -> list[str]:
     return textwrap.wrap(text, 100, initial_indent="# ", subsequent_indent="# ")
 
 
-def _facts(about: Described, default: Any, hint: Any) -> str:
+def facts_of(about: Described, default: Any, hint: Any) -> str:
+    """Return kind, unit, range and default of a parameter in words; `hint` is its type."""
     kind = f"one of {', '.join(about.choices)}" if about.choices else _kind_names(hint)
     facts = [f"{kind} in {about.unit}" if about.unit else kind]
     if about.low is not None:

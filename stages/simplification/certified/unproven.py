@@ -30,18 +30,18 @@ def not_proven(
     bound : metres and levels, None for no colours, that are proven instead.
     """
     levels = "" if bound[1] is None else f" and {rounded_up(bound[1]):.4g} levels"
-    text = (
+    said = (
         "simplify could not prove the bounds that were asked for; proven are "
         f"{rounded_up(bound[0]):.4g} m{levels}"
     )
     (where,) = np.nonzero(fails)
     if not len(where):
-        return f"{text}."
+        return f"{said}."
     worst = where[np.argsort(-shape_bound[where], kind="stable")][:_NAMED]
     places = ", ".join(_place(light.vertices[light.triangles[t]].mean(axis=0)) for t in worst)
     needles = int(_is_needle(light, where).sum())
     thin = f", {needles:,} of them too thin for a closer proof" if needles else ""
-    return f"{text}, at {counted(len(where), 'triangle')}{thin}, the worst about {places}."
+    return f"{said}, at {counted(len(where), 'triangle')}{thin}, the worst about {places}."
 
 
 def _place(point: NDArray[np.float64]) -> str:

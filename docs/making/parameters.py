@@ -1,0 +1,62 @@
+"""Parameters as definition lists, from the classes that declare them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import groupby
+from typing import Any, get_type_hints
+
+from making.markdown import definitions, escaped
+from pipeline.config import Config
+from pipeline.sections import facts_of
+from stages.params import Described, described
+
+
+def of_section(section: str) -> str:
+    """Return the parameters of a section of the configuration, as `scan.first` and so on."""
+    return _grouped(getattr(Config(), section), lambda name: f"`{section}.{name}`")
+
+
+def of_all() -> str:
+    """Return every section of the configuration under a heading, with an anchor for each parameter."""
+    written = []
+    for section, cls in Config.types().items():
+        params = getattr(Config(), section)
+        summary = (cls.__doc__ or "").strip().split("\n")[0]
+        listed = _grouped(params, partial(_anchored, section))
+        written.append(f"## `[{section}]`\n\n{escaped(summary)}\n\n{listed}")
+    return "\n\n".join(written)
+
+
+def entries_of(params: Any) -> Iterator[tuple[str, Described, str]]:
+    """Return name, description and facts (kind, unit, range, default) of each parameter of an object."""
+    cls = type(params)
+    hints = get_type_hints(cls)
+    # A default is what stands in the object: a section may have another than the class it is of.
+    defaults = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
+    for name, about in described(cls).items():
+        yield name, about, facts_of(about, defaults[name], hints[name])
+
+
+def _grouped(params: Any, shown: Callable[[str], str]) -> str:
+    written = []
+    for group, entries in groupby(entries_of(params), key=lambda entry: entry[1].group):
+        if group:
+            written.append(f"**{escaped(group)}**\n")
+        written.append(
+            definitions(
+                (shown(name), escaped(_sentence(about.text)), escaped(facts))
+                for name, about, facts in entries
+            )
+        )
+    return "\n".join(written)
+
+
+def _anchored(section: str, name: str) -> str:
+    return f'<span id="{section}.{name}"></span>`{section}.{name}`'
+
+
+def _sentence(text: str) -> str:
+    return f"{text.strip().removesuffix('.')}."

@@ -1,0 +1,80 @@
+"""Make the pictures of docs/tutorial.md again, by its own commands.
+
+    PYTHONPATH=.:docs python -m making.pictures
+
+The page is drawn by headless Chromium (playwright, of the extra `dev`).
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+TO = ROOT / "docs" / "tutorial"
+_WIDTH = 480
+_QUALITY = 85
+_PAGE = (900, 640)
+
+
+def main() -> None:
+    """Run the tutorial's commands in a folder that goes away, and keep the pictures."""
+    TO.mkdir(exist_ok=True)
+    with TemporaryDirectory() as folder:
+        here = Path(folder)
+        (here / "samples").symlink_to(ROOT / "samples")
+        _scanloom(here, "inspect samples/rgbd --picture scan.png")
+        _keep([here / "scan.png"], "scan.jpg", 900)
+        _scanloom(here, "run samples/rgbd -o my_mesh")
+        _drawn(here, "before")
+        _keep([here / "before.png", here / "before-triangles.png"], "result.jpg", _WIDTH)
+        _page(here / "my_mesh" / "report.html", here / "page.png")
+        _keep([here / "page.png"], "page.jpg", _PAGE[0])
+        _scanloom(here, "run samples/rgbd -o my_mesh --set simplify.max_shape=0.003")
+        _drawn(here, "after")
+        _keep([here / "after.png", here / "after-triangles.png"], "lighter.jpg", _WIDTH)
+
+
+def _scanloom(here: Path, words: str) -> None:
+    subprocess.run([sys.executable, "-m", "cli.app", *words.split(), "--quiet"], cwd=here, check=True)
+
+
+def _drawn(here: Path, name: str) -> None:
+    """Draw the textured mesh and its triangles, from where the scan looked."""
+    common = f"--scan samples/rgbd --width {_WIDTH}"
+    _scanloom(here, f"render my_mesh/textured.glb {name}.png {common}")
+    _scanloom(here, f"render my_mesh/textured.glb {name}-triangles.png --shading edges {common}")
+
+
+def _page(page: Path, picture: Path) -> None:
+    """Draw the page as a browser without a GPU shows it."""
+    from playwright.sync_api import sync_playwright
+
+    switches = ["--no-sandbox", "--enable-unsafe-swiftshader", "--use-gl=angle", "--use-angle=swiftshader"]
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=switches)
+        opened = browser.new_page(viewport={"width": _PAGE[0], "height": _PAGE[1]})
+        opened.goto(page.as_uri())
+        opened.wait_for_timeout(8000)
+        opened.screenshot(path=str(picture))
+        browser.close()
+
+
+def _keep(parts: list[Path], name: str, width: int) -> None:
+    """Put pictures side by side, each at most so wide, and write them small."""
+    images = [Image.open(part).convert("RGB") for part in parts]
+    images = [
+        one.resize((width, round(one.height * width / one.width)), Image.Resampling.LANCZOS) for one in images
+    ]
+    whole = Image.new("RGB", (sum(one.width for one in images), images[0].height))
+    for number, one in enumerate(images):
+        whole.paste(one, (number * width, 0))
+    whole.save(TO / name, quality=_QUALITY, optimize=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""What pages have from the code: as Markdown, whole, and the same each time."""
+
+import re
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from making import commands, parameters, python, written
+from making.docstrings import as_markdown
+from making.markdown import code, definitions, escaped
+from markdown_it import MarkdownIt
+
+import stages
+from pipeline.config import Config
+from stages.params import described
+
+# Words and all signs that mean something in Markdown.
+TEXTS = st.text(st.sampled_from("ab *_<>[]|#$~{}\\&!1.-"), min_size=1).map(lambda text: f"a{text}z")
+
+
+def shown(markdown: str) -> str:
+    """Return the text that a reader sees, without any tags."""
+    html = MarkdownIt("commonmark").render(markdown)
+    text = re.sub(r"<[^>]*>", "", html).strip()
+    for sign, name in (("<", "&lt;"), (">", "&gt;"), ('"', "&quot;"), ("&", "&amp;")):
+        text = text.replace(name, sign)
+    return text
+
+
+@given(TEXTS)
+def test_a_text_is_shown_as_it_is(text: str):
+    assert shown(escaped(text)) == text
+
+
+@given(st.text(st.sampled_from("ab `*_"), min_size=1).map(lambda text: f"a{text}z"))
+def test_code_is_shown_as_it_is(text: str):
+    assert shown(code(text)) == text
+
+
+def test_a_definition_has_a_term_a_meaning_and_facts():
+    assert definitions([("`a`", "what it is.", "m; at least 0"), ("`b`", "another.", "")]) == (
+        "`a`\n: what it is.\n\n  *m; at least 0*\n\n`b`\n: another.\n"
+    )
+
+
+DOCSTRING = """Do what it says, in `code`.
+
+    >>> do(1)
+    2
+
+    Parameters
+    ----------
+    mesh : (n, 3) float64, metres; `None` for
+        none.
+    params, **changes : see Params.
+
+    Returns
+    -------
+    (h, w) uint8, of its size.
+
+    Raises
+    ------
+    InputError
+        If *it* is wrong.
+    """
+MARKDOWN = """Do what it says, in `code`.
+
+```python
+>>> do(1)
+2
+```
+
+**Parameters**
+
+`mesh`
+: (n, 3) float64, metres; `None` for none.
+
+`params, **changes`
+: see Params.
+
+
+**Returns**
+
+(h, w) uint8, of its size.
+
+**Raises**
+
+`InputError`
+: If \\*it\\* is wrong.
+"""
+
+
+def test_a_docstring_becomes_lists():
+    assert as_markdown(DOCSTRING) == MARKDOWN
+
+
+@pytest.mark.parametrize("section", Config.types())
+def test_every_parameter_stands_in_its_section(section: str):
+    listed = parameters.of_section(section)
+    params = getattr(Config(), section)
+
+    for name, about in described(type(params)).items():
+        assert f"`{section}.{name}`\n: {escaped(about.text.split()[0])}" in listed
+    assert f"## `[{section}]`" in parameters.of_all()
+
+
+def test_a_default_is_that_of_the_section():
+    assert "default: 200000" in parameters.of_section("compare")
+
+
+def test_every_command_and_option_is_there():
+    text = commands.reference()
+
+    for name, command in commands.named():
+        section = text.split(f"## {name}\n")[1].split("\n## ")[0]
+        for parameter in command.params:
+            for option in [*parameter.opts, *parameter.secondary_opts]:
+                if option.startswith("--") and not getattr(parameter, "hidden", False):
+                    assert re.search(rf"`[^`]*{option}\b", section), f"{name} {option}"
+
+
+def test_every_public_name_is_there():
+    text = python.reference()
+
+    for package, prefix in ((stages, ""), (stages.lod, "lod.")):
+        for name in set(package.__all__) - {"__version__"}:
+            assert f"### `{prefix}{name}`" in text
+
+
+@pytest.mark.parametrize("maker", ["configuration", "commands", "python", "guides"])
+def test_what_is_made_is_the_same_each_time(maker: str):
+    made: Any = written.MAKERS[maker]
+
+    assert made() == made()
+    assert not re.search(r"0x[0-9a-f]{6,}|<function|/home/|bound method", made())
+
+
+def test_a_block_is_replaced_by_what_it_names():
+    text = "before\n\n```{made} parameters cache\nwhat a reader of the page sees\n```\n\nafter\n"
+
+    filled = written.filled_in(text)
+
+    assert filled.startswith("before\n\n`cache.max_size`\n: ")
+    assert filled.endswith("\n\nafter\n")
+    assert "what a reader" not in filled

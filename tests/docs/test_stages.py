@@ -1,0 +1,38 @@
+"""Each stage has its page, which names what the stage has: figures, files, parameters."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from pipeline.graph import STAGES
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ROOT / "docs" / "stages"
+SOURCES = "\n".join(
+    path.read_text() for room in ("stages", "pipeline") for path in (ROOT / room).rglob("*.py")
+)
+
+
+def test_every_stage_has_a_page_that_the_overview_leads_to():
+    overview = (ROOT / "docs" / "stages.md").read_text()
+    names = {stage.name for stage in STAGES}
+
+    assert {path.stem for path in PAGES.glob("*.md")} == names
+    assert names <= set(re.findall(r"\]\(stages/(\w+)\.md\)", overview))
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_a_page_has_what_the_stage_has(stage):
+    text = (PAGES / f"{stage.name}.md").read_text()
+
+    assert set(stage.sections) == set(re.findall(r"^```\{made\} parameters (\w+)$", text, flags=re.MULTILINE))
+    for result in stage.results:
+        assert result.rstrip("/") in text
+    (figures,) = re.findall(
+        r"^## Figures\n(.*?)^(?:Rules|More|Warnings)", text, flags=re.MULTILINE | re.DOTALL
+    )
+    named = set(re.findall(r"`(\w+)`", figures))
+    unknown = {name for name in named if not re.search(rf"[\"']{name}[\"']|\b{name}\b *[:=]", SOURCES)}
+    assert named
+    assert unknown == set()

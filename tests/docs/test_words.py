@@ -1,0 +1,159 @@
+"""What pages tell to type can be typed, and the tutorial and recipes run as they stand there."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.main import get_command
+
+from cli.app import app, run_command
+from pipeline.config import Config
+from stages import read_mesh, write_mesh
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = ("README.md", *(path.relative_to(ROOT).as_posix() for path in sorted(DOCS.rglob("*.md"))))
+
+
+def lines_of(page: str) -> list[str]:
+    """Return the command lines of a page: in blocks without a language, without what is said behind them."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"^ *```([^\n]*)\n(.*?)^ *```$", text, flags=re.MULTILINE | re.DOTALL)
+    lines = [line.strip() for language, block in blocks if not language for line in block.splitlines()]
+    return [re.sub(r"\s+#.*", "", line) for line in lines if line.startswith("scanloom ")]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if lines_of(page)])
+def test_every_command_line_of_a_page_is_understood(page: str):
+    for line in lines_of(page):
+        _, *words = shlex.split(line)
+        command = get_command(app)
+        while hasattr(command, "commands"):
+            name, *words = words
+            assert name in command.commands, line
+            command = command.commands[name]
+        context = command.make_context(line, words)
+        Config().set(context.params.get("settings") or ())
+
+
+def run_all(lines: list[str]) -> None:
+    for line in lines:
+        assert run_command(shlex.split(line)[1:]) == 0, line
+
+
+@pytest.fixture
+def small_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Stand where the pages stand; of the sample, every fourth frame is there, at half its size."""
+    folder = tmp_path / "samples" / "rgbd"
+    scan = json.loads((ROOT / "samples" / "rgbd" / "scan.json").read_text())
+    camera = scan["camera"]
+    scan["camera"] = {name: value / 2 if name in ("fx", "fy") else value for name, value in camera.items()}
+    # Of every two pixels the first is kept, whose middle stays where it is.
+    scan["camera"] |= {"width": 160, "height": 120, "cx": camera["cx"] / 2, "cy": camera["cy"] / 2}
+    scan["frames"] = scan["frames"][::4]
+    for frame in scan["frames"]:
+        for kind in ("color", "depth"):
+            image = cv2.imread(str(ROOT / "samples" / "rgbd" / frame[kind]), cv2.IMREAD_UNCHANGED)
+            assert image is not None
+            (folder / kind).mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / frame[kind]), image[::2, ::2])
+    (folder / "scan.json").write_text(json.dumps(scan))
+    shutil.copy(ROOT / "samples" / "truth.ply", tmp_path / "samples")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs(small_sample: Path, capsys: pytest.CaptureFixture[str]):
+    lines = [line for line in lines_of("docs/tutorial.md") if "MY_SCAN" not in line]
+
+    # What the second run measures and draws is enough.
+    run_all([f"{line} --no-report" if line.endswith("-o my_mesh") else line for line in lines[:-1]])
+
+    assert len(lines) == 7
+    assert "params changed: max_shape not set → 0.003" in capsys.readouterr().err
+    report = json.loads((small_sample / "my_mesh" / "report.json").read_text())
+    assert report["stages"]["fuse"]["cached"]
+    details = report["stages"]["simplify"]["figures"]["details"]
+    assert details["proven"]
+    assert details["shape_bound_m"] <= 0.003
+    sizes = {name: (small_sample / name).stat().st_size for name in ("web.glb", "my_mesh/textured.glb")}
+    assert sizes["web.glb"] < sizes["my_mesh/textured.glb"] / 2
+    for name in ("scan.png", "result.png", "triangles.png", "my_mesh/report.html"):
+        assert (small_sample / name).stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_two_scans_are_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    mesh = read_mesh(ROOT / "samples" / "truth.ply")
+    write_mesh(tmp_path / "before.ply", mesh)
+    # The globe goes, and what is left is moved by a millimetre.
+    middles = mesh.vertices[mesh.triangles].mean(axis=1)
+    stays = np.linalg.norm(middles - (0.17, -0.12, 0.095), axis=1) > 0.1
+    moved = mesh.with_(vertices=mesh.vertices + np.array((0.001, 0, 0)), triangles=mesh.triangles[stays])
+    write_mesh(tmp_path / "after.ply", moved)
+    lines = lines_of("docs/recipes/compare.md")
+
+    # This one does what the others do, and more, but for a picture.
+    run_all([f"{lines[2]} --picture off.png"])
+
+    assert len(lines) == 4
+    told = capsys.readouterr().out
+    assert "B was moved onto A by 0.001" in told
+    assert "New in B: 0 m² in 0 places; gone of A: 0.1" in told
+    for name in ("off.png", "change.ply"):
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+def test_a_textured_model_gets_lighter(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(shared_data / "meshes" / "Duck.glb", tmp_path / "model.glb")
+
+    run_all([line for line in lines_of("docs/recipes/lighter.md") if "compare" not in line])
+
+    assert "Proven: no point is more than 0.005 m off." in capsys.readouterr().out
+    assert len(read_mesh(tmp_path / "lighter.glb").triangles) <= 1000
+    assert len(read_mesh(tmp_path / "light.glb").triangles) == len(read_mesh(tmp_path / "web.glb").triangles)
+
+
+@pytest.mark.parametrize(
+    ("page", "folder", "named"),
+    [
+        ("realsense.md", "rgbd/realsense_desk_tum_layout", "desk"),
+        ("kitti.md", "stereo/kitti_sequence_1", "street"),
+    ],
+)
+def test_scans_of_recipes_go_the_way_they_say(
+    shared_data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    page: str,
+    folder: str,
+    named: str,
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / named).symlink_to(shared_data / folder)
+    lines = lines_of(f"docs/recipes/{page}")
+    text = (DOCS / "recipes" / page).read_text()
+
+    # Half a minute to a minute of work each; what they would do is told at once.
+    run_all([f"{line} --dry-run" for line in lines if line.startswith("scanloom run")])
+    run_all([line for line in lines if line.startswith("scanloom inspect")][:1])
+
+    told = capsys.readouterr()
+    (shown,) = re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL)
+    for line in shown.strip().splitlines():
+        assert line in told.out
