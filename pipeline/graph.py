@@ -200,10 +200,13 @@ def _export(job: Job) -> Mapping[str, Any]:
 def _report(job: Job) -> Mapping[str, Any]:
     names = ("fused", "clean", "simplified")
     meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
+    if "textured" in job.inputs:
+        meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
     pictures = job.folder / "pictures"
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report
-    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress)
+    maps = job.inputs["textured"] / texturing.MAPS if "textured" in job.inputs else None
+    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, maps)
     drawn_in = pictures if params.pictures else None
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])
@@ -212,18 +215,15 @@ def _report(job: Job) -> Mapping[str, Any]:
             drawn_in, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
-    if "textured" in job.inputs and params.pictures:
-        viewpoints = report.viewpoints_of(meshes["fused"], frames, params)
-        made["pictures"] += texturing.report(pictures, job.inputs["textured"], viewpoints)
     if HELD_OUT in job.inputs:
-        made["held_out"], drawn = _held_out(job, drawn_in, meshes["simplified"])
+        shown = meshes.get("textured", meshes["simplified"])
+        made["held_out"], drawn = _held_out(job, drawn_in, shown)
         made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 
 
-def _held_out(job: Job, pictures: Path | None, light: Mesh) -> tuple[dict[str, Any], list[str]]:
-    """Compare the frames that no stage saw with the textured mesh, or with the simplified one."""
-    mesh = read_mesh(job.inputs["textured"] / texturing.FILE) if "textured" in job.inputs else light
+def _held_out(job: Job, pictures: Path | None, mesh: Mesh) -> tuple[dict[str, Any], list[str]]:
+    """Compare the frames that no stage saw with the mesh that is shown."""
     scan, held_out = _scan(job), job.inputs[HELD_OUT].frames
     every = job.config.scan.hold_out
     frames = holding_out.like_neighbours(held_out, every, scan.frames, _placed(scan, job).frames)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
+from pipeline.deviations import FIGURES, MESH
 from pipeline.photos import FILE, write_photos
 from pipeline.plan import left_out
 from pipeline.run import CACHE_VARIABLE, run
@@ -103,7 +104,7 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     made = run(SCAN, tmp_path, quiet.set([*bare, "remesh.levels=1"]))
     assert made.report["normal_mesh"]["levels"]
     assert made.report["held_out"]["photos"] > 0
-    assert [path.name for path in (tmp_path / "pictures").iterdir()] == [FILE]
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == [FILE, FIGURES, MESH]
 
     none = run(SCAN, tmp_path, quiet.set(["report.enabled=false"]))
     assert none.report["mesh"] is None
