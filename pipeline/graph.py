@@ -58,11 +58,10 @@ from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
 from stages.registration.unmet import unmet as not_joined
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
+from stages.scans.scan import Frame, Scan
 from stages.simplification.simplify import simplify
 from stages.simplification.unmet import unmet as not_simplified
 from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh
 from stages.texturing.bake import bake
 from stages.texturing.texture import texture
@@ -206,7 +205,8 @@ def _report(job: Job) -> Mapping[str, Any]:
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report
     maps = job.inputs["textured"] / texturing.MAPS if "textured" in job.inputs else None
-    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, maps)
+    held_out = _held_out(job) if HELD_OUT in job.inputs else []
+    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, maps, held_out)
     drawn_in = pictures if params.pictures else None
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])
@@ -217,17 +217,16 @@ def _report(job: Job) -> Mapping[str, Any]:
         made["pictures"] += drawn
     if HELD_OUT in job.inputs:
         shown = meshes.get("textured", meshes["simplified"])
-        made["held_out"], drawn = _held_out(job, drawn_in, shown)
+        made["held_out"], drawn = holding_out.judge(drawn_in, shown, held_out, job.progress)
         made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 
 
-def _held_out(job: Job, pictures: Path | None, mesh: Mesh) -> tuple[dict[str, Any], list[str]]:
-    """Compare the frames that no stage saw with the mesh that is shown."""
+def _held_out(job: Job) -> list[Frame]:
+    """Return the frames that no stage saw, placed like their neighbours."""
     scan, held_out = _scan(job), job.inputs[HELD_OUT].frames
     every = job.config.scan.hold_out
-    frames = holding_out.like_neighbours(held_out, every, scan.frames, _placed(scan, job).frames)
-    return holding_out.judge(pictures, mesh, frames, job.progress)
+    return holding_out.like_neighbours(held_out, every, scan.frames, _placed(scan, job).frames)
 
 
 def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:

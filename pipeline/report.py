@@ -7,6 +7,7 @@ cached, belong to one run; `compose` puts both together.
 from __future__ import annotations
 
 import math
+import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
@@ -25,6 +26,7 @@ from stages import __version__
 from stages.comparing.compare import CompareParams, compare_searched, compare_surfaces
 from stages.comparing.deviations import DeviationParams, deviations_from
 from stages.comparing.needles import WithNeedles
+from stages.inspecting.libraries import installed
 from stages.params import check, param, with_former_names
 from stages.picturing.render import Model, Shading, Viewpoint, viewpoints, write_png
 from stages.progress import Progress, silent
@@ -36,6 +38,9 @@ from stages.surface.topology import require_area, topology
 
 RESULT_VERSION = 6
 
+_LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
+# The folder of what the report leaves.
+PICTURES = "pictures"
 # Points on the result that are measured with signs.
 SIGNED_SAMPLES = 100_000
 
@@ -86,6 +91,7 @@ def make(
     params: ReportParams,
     progress: Progress = silent,
     maps: Path | None = None,
+    held_out: Sequence[Frame] = (),
 ) -> dict[str, Any]:
     """Measure the simplified mesh, write pictures of all into `folder`, and return the figures.
 
@@ -94,6 +100,7 @@ def make(
     meshes : "fused", "clean" and "simplified", and "textured", if it was.
     frames : of the scan, whose poses say where to look from.
     maps : folder of the texture's maps, of which a picture is drawn, too.
+    held_out : frames that no stage saw, placed like their neighbours.
 
     Raises
     ------
@@ -112,7 +119,7 @@ def make(
         partial(_off_fused, surfaces, compared),
         partial(_off_clean, folder, surfaces, compared),
         partial(measure, surfaces["simplified"].mesh),
-        partial(write_photos, folder, frames, params.photos),
+        partial(write_photos, folder, frames, params.photos, held_out),
     ]
     drawings = _drawings(models, frames, params, maps) if params.pictures else []
     work += [partial(_drawn, folder, one) for one in drawings]
@@ -249,6 +256,7 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
     return {
         "schema": SCHEMA,
         "scanloom": __version__,
+        "libraries": {"python": platform.python_version(), **installed(*_LIBRARIES)},
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "scan": {
             "layout": scan.layout,

@@ -1,9 +1,10 @@
+import { frames } from "./frames.js";
 import { plan } from "./plan.js";
 
 // What is told of a run below its picture: warnings first, then stages, then all else.
 
 /** Fill an element with what the content holds; nothing of it is read as HTML. */
-export function tell(place, { warnings = [], tables = [], texts = [], cameras = [] }) {
+export function tell(place, { warnings = [], tables = [], texts = [], cameras = [], frames: sentence = "" }) {
   if (!warnings.length && !tables.length && !texts.length && !cameras.length) return;
   document.body.classList.add("told");
   if (warnings.length) {
@@ -14,11 +15,14 @@ export function tell(place, { warnings = [], tables = [], texts = [], cameras = 
     place.append(heading(title), table(head, rows, places));
   }
   if (cameras.length) {
-    place.append(heading("Cameras from above"));
-    place.append(plan(cameras, (number) => {
+    const chosen = (number) => {
       window.scanloom.showPhoto(number);
       document.getElementById("picture").scrollIntoView({ block: "nearest" });
-    }));
+    };
+    place.append(heading("Frames"));
+    if (sentence) place.append(element("p", sentence));
+    if (cameras.some(({ photo }) => photo)) place.append(frames(cameras, chosen));
+    place.append(heading("Cameras from above"), plan(cameras, chosen));
   }
   for (const { title, text } of texts) {
     const folded = document.createElement("details");
