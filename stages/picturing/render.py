@@ -26,7 +26,7 @@ from stages.surface.vertex_normals import vertex_normals
 
 __all__ = ["Model", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 
-Shading = Literal["color", "plain", "edges"]
+Shading = Literal["color", "unlit", "plain", "edges"]
 # Pictures of 8 bits need no more, and half the memory is half the time.
 _Floats = NDArray[np.float32]
 
@@ -56,7 +56,8 @@ def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") 
     mesh : in metres.
     viewpoint : see Viewpoint and `viewpoints`.
     shading : "color" for the texture or vertex colours under a soft light (clay where there is neither),
-        "plain" for clay alone, which shows the shape, "edges" for flat clay with the triangles' edges drawn.
+        "unlit" for these as they are, "plain" for clay alone, which shows the shape, "edges" for flat clay
+        with the triangles' edges drawn.
         Triangles seen from behind are bluish in "plain" and "edges".
 
     Returns
@@ -128,6 +129,12 @@ class Model:
         levels[rough] = finer / (1 + len(_OFFSETS))
         return np.asarray(np.rint(image).clip(0, 255), np.uint8)
 
+    def depths(self, viewpoint: Viewpoint, places: NDArray[np.floating]) -> _Floats:
+        """Return how far ahead the surface is, metres, of places (k, 2) in a picture that show it (j,)."""
+        u, v = np.asarray(places, np.float32).T
+        seen = [hits.distances for hits in self._seen(viewpoint, _directions(viewpoint, u, v))]
+        return np.concatenate(seen)
+
     def _levels(self, viewpoint: Viewpoint, shading: Shading, u: _Floats, v: _Floats) -> _Floats:
         """Return what is seen at image positions, (k, 3) levels of 0 to 255."""
         down = ((v + np.float32(0.5)) / np.float32(viewpoint.camera.height))[:, None]
@@ -167,8 +174,10 @@ class Model:
         to_light = np.asarray(viewpoint.world_from_camera[:3, :3] @ _LIGHT, np.float32)
         light = _dot(normals, to_light).clip(0, 1)
         head = np.abs(_dot(normals, towards))
-        if shading == "color" and self._is_colored:
+        if shading in ("color", "unlit") and self._is_colored:
             colors = color_at(mesh, hits.triangles, hits.weights)
+            if shading == "unlit":
+                return np.asarray(colors, np.float32)
             # Scanned colours hold the room's light already; more than a hint of our own would count it twice.
             return np.asarray(colors * (0.84 + 0.12 * light + 0.12 * head)[:, None], np.float32)
         tint = np.where(behind[:, None], _CLAY_BEHIND, _CLAY)
