@@ -107,7 +107,8 @@ def packed_page(
         page = one_file(title, [done[plan][1] for plan in plans], told, cameras)
         if len(page) <= most_bytes:
             return page
-        sizes = [_GROWN * len(done[plan][1].glb) for plan in plans]
+        # Of what cannot be made lighter, nothing can be left out.
+        sizes = [0.0 if plan.is_least else _GROWN * len(done[plan][1].glb) for plan in plans]
         shares = _shares(sizes, _SPARE * (len(page) - most_bytes), is_first_kept=attempt < _LAST)
         # From what is light already: that takes less time than from all of it.
         plans = [
@@ -124,11 +125,17 @@ def turn_of_page(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def _shares(sizes: Sequence[float], excess: float, *, is_first_kept: bool) -> list[float]:
-    """Return the share of each model that is kept, so that together they take so much less, if they can."""
+    """Return the share of each model that is kept, so that together they take so much less, if they can.
+
+    Parameters
+    ----------
+    sizes : bytes that each takes, the first first; 0 for what stays as it is.
+    """
     beside = sum(sizes[1:])
     share = min(max(1 - excess / beside, _AT_ONCE), 1.0) if beside else 1.0
     left = excess - (1 - share) * beside
-    of_first = 1.0 if is_first_kept and beside else min(max(1 - left / sizes[0], _AT_ONCE), 1.0)
+    is_first_kept = is_first_kept and beside > 0
+    of_first = 1.0 if is_first_kept or not sizes[0] else min(max(1 - left / sizes[0], _AT_ONCE), 1.0)
     return [of_first, *[share] * (len(sizes) - 1)]
 
 
@@ -167,6 +174,12 @@ class _Plan:
     def of(cls, name: str, shown: Shown) -> _Plan:
         count = len(shown.mesh.triangles)
         return cls(name, shown, count, count, preset("web").image_size)
+
+    @property
+    def is_least(self) -> bool:
+        """Whether it is made no lighter."""
+        has_image = self.shown.mesh.texture is not None and self.image_size > _LEAST_IMAGE
+        return self.triangles <= _LEAST_TRIANGLES and not has_image
 
     def lighter(self, share: float) -> _Plan:
         """Return the plan with this share of the triangles and of the texels, if it is one."""
