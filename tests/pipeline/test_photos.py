@@ -52,6 +52,14 @@ def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
         assert cameras[k]["world_from_camera"][3] == k
 
 
+def test_frames_that_were_held_out_follow_and_are_told_apart(tmp_path):
+    made = write_photos(tmp_path, [frame(k) for k in range(6)], 100, [frame(k) for k in (7, 8)])
+    cameras = json.loads((tmp_path / FILE).read_text())["cameras"]
+    assert made == 8
+    assert [one["frame"] for one in cameras if one["held_out"]] == ["f7", "f8"]
+    assert [one["frame"] for one in cameras[-2:]] == ["f7", "f8"]
+
+
 @pytest.mark.parametrize("count", [0, 1, 100])
 def test_as_many_as_there_are(tmp_path, count):
     made, cameras = written(tmp_path, [frame(k) for k in range(3)], count)

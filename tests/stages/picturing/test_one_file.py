@@ -350,6 +350,16 @@ def test_photos_in_a_row_say_what_became_of_their_frames_and_are_flown_to(page: 
     np.testing.assert_allclose(page.evaluate("scanloom.view()")["eye"], (2, -4, 0.5), atol=1e-6)
 
 
+def test_a_text_is_copied_or_chosen(page: Any) -> None:
+    page.click("summary")
+    page.get_by_role("button", name="copy").click()
+    wait_for(
+        page,
+        "getSelection().toString() !== '' || document.querySelector('details button').textContent === 'copied'",
+    )
+    assert page.inner_text("pre") == EVIL
+
+
 def test_every_control_has_a_name_and_shows_where_the_keyboard_is(page: Any) -> None:
     page.select_option("#cut", "x")
     page.evaluate("scanloom.showPhoto(0)")
@@ -369,6 +379,7 @@ def test_every_control_has_a_name_and_shows_where_the_keyboard_is(page: Any) -> 
     )
     assert len(found) > 15
     assert [one for one in found if not one[1] or not one[2]] == []
+    assert page.inner_text("h1") == EVIL
     # Every image that says something says it in words, too.
     assert page.evaluate("[...document.images].every((one) => one.hasAttribute('alt'))")
     assert page.evaluate("document.documentElement.lang") == "en"

@@ -16,6 +16,7 @@ function fail(text) {
 
 async function start() {
   document.title = content.title;
+  document.getElementById("title").textContent = content.title;
   const { files, models, cameras = [] } = content;
   const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), files, models, cameras);
   const line = document.getElementById("divider");
