@@ -28,7 +28,7 @@ from stages.comparing.deviations import DeviationParams, deviations_from
 from stages.comparing.needles import WithNeedles
 from stages.inspecting.libraries import installed
 from stages.params import check, param, with_former_names
-from stages.picturing.render import Model, Shading, Viewpoint, viewpoints, write_png
+from stages.picturing.render import Model, Viewpoint, viewpoints, write_png
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Scan
@@ -127,7 +127,7 @@ def make(
     return {
         "mesh": measured | {"to_fused": to_fused, "to_clean": to_clean},
         "deviation": deviation,
-        "pictures": [one.file for one in drawings],
+        "pictures": [file for one in drawings for file in one.files],
         "photos": photos,
     }
 
@@ -204,11 +204,16 @@ def edge_figures(mesh: Mesh) -> dict[str, Any]:
 
 
 class _Drawing(NamedTuple):
-    """A picture to draw: of models beside one another, each in a shading."""
+    """A picture to draw; and perhaps another one, of the same with its triangles beside it."""
 
     file: str
-    models: Sequence[tuple[Model, Shading]]
+    model: Model
     viewpoint: Viewpoint
+    with_triangles: str | None = None
+
+    @property
+    def files(self) -> list[str]:
+        return [self.file] if self.with_triangles is None else [self.file, self.with_triangles]
 
 
 def _drawings(
@@ -222,19 +227,21 @@ def _drawings(
     chosen = viewpoints_of(models["fused"].surface.mesh, frames, params)
     drawings: list[_Drawing] = []
     for name, model in models.items():
-        drawings += (_Drawing(f"{name}-{one.name}.png", [(model, "color")], one) for one in chosen)
+        drawings += (_Drawing(f"{name}-{one.name}.png", model, one) for one in chosen)
         if name == "simplified":
-            both: list[tuple[Model, Shading]] = [(model, "color"), (model, "edges")]
-            drawings.append(_Drawing("simplified-triangles.png", both, chosen[-1]))
+            drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
         if name == "textured" and maps is not None:
             by_photo = model.showing(texturing.by_photo(model.surface.mesh, maps))
-            drawings.append(_Drawing("textured-photos.png", [(by_photo, "color")], chosen[-1]))
+            drawings.append(_Drawing("textured-photos.png", by_photo, chosen[-1]))
     return drawings
 
 
 def _drawn(folder: Path, one: _Drawing) -> None:
-    images = [model.draw(one.viewpoint, shading) for model, shading in one.models]
-    write_png(folder / one.file, np.ascontiguousarray(np.hstack(images)))
+    image = one.model.draw(one.viewpoint)
+    write_png(folder / one.file, image)
+    if one.with_triangles is not None:
+        both = np.hstack([image, one.model.draw(one.viewpoint, "edges")])
+        write_png(folder / one.with_triangles, both)
 
 
 def viewpoints_of(mesh: Mesh, frames: Sequence[Frame], params: ReportParams) -> tuple[Viewpoint, ...]:

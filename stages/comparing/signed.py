@@ -34,14 +34,16 @@ class Sides:
         self._of_vertices = _by_angle(mesh, self._of_triangles)
         kept = ~repeats_vertex(mesh.triangles)
         edges = edges or edges_of(mesh.triangles[kept], len(mesh.vertices))
-        sums = np.zeros((len(edges.ends), 3))
+        sums = self._of_edges = np.zeros((len(edges.ends), 3))
         owners = np.repeat(np.flatnonzero(kept), 3)
         for axis in range(3):
             sums[:, axis] = np.bincount(
                 edges.of_halfedge, self._of_triangles[owners, axis], minlength=len(edges.ends)
             )
-        self._of_sides = np.zeros((len(mesh.triangles), 3, 3))
-        self._of_sides[kept] = sums[edges.of_halfedge].reshape(-1, 3, 3)
+        # Of the sides of each triangle, the edge; a triangle that repeats a vertex has no normal anyhow.
+        self._edges = np.zeros((len(mesh.triangles), 3), np.int64)
+        self._edges[kept] = edges.of_halfedge.reshape(-1, 3)
+        self._has_sides = kept
 
     def signs(self, points: Floats, nearest: Located) -> Floats:
         """Return 1 where points (k, 3) are on the side that the surface looks to, -1 on the other."""
@@ -50,7 +52,8 @@ class Sides:
         one, two = outside.sum(axis=1) == 1, outside.sum(axis=1) >= 2
         # The side that runs from corner k is opposite to corner k + 2.
         side = (np.argmax(outside[one], axis=1) + 1) % 3
-        normals[one] = self._of_sides[nearest.triangles[one], side]
+        on = nearest.triangles[one]
+        normals[one] = self._of_edges[self._edges[on, side]] * self._has_sides[on, None]
         corner = np.argmax(nearest.weights[two], axis=1)
         normals[two] = self._of_vertices[self._mesh.triangles[nearest.triangles[two], corner]]
         away = points - interpolated(self._mesh.vertices, self._mesh, nearest)

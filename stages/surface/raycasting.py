@@ -225,10 +225,15 @@ def _without_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
 
 def unit_normals(mesh: Mesh) -> Floats:
     """Return the unit normals (m, 3) of a mesh's triangles; 0 for those without area."""
-    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
+    # A coordinate at a time: several times as fast as rows of three.
+    corners = np.array([[x.take(corner) for x in mesh.vertices.T] for corner in mesh.triangles.T])
+    first, second = corners[1] - corners[0], corners[2] - corners[0]
+    across = [first[i] * second[j] - first[j] * second[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    lengths = np.sqrt(sum(x * x for x in across))
+    normals = np.zeros((len(mesh.triangles), 3))
+    for axis in range(3):
+        np.divide(across[axis], lengths, out=normals[:, axis], where=lengths > 0)
+    return normals
 
 
 def bounding_box(*meshes: Mesh) -> Floats:

@@ -32,7 +32,7 @@ _LEAST_TRIANGLES = 2_000
 _LEAST_IMAGE = 512
 # The first model is what a page is for: the others begin with so many triangles, and are made lighter so
 # often before it is.
-_MOST_BESIDE = 150_000
+_MOST_BESIDE = 100_000
 _LAST = 2
 # A model is made no lighter than this share of itself at once.
 _AT_ONCE = 0.5

@@ -353,10 +353,8 @@ def test_photos_in_a_row_say_what_became_of_their_frames_and_are_flown_to(page: 
 def test_a_text_is_copied_or_chosen(page: Any) -> None:
     page.click("summary")
     page.get_by_role("button", name="copy").click()
-    wait_for(
-        page,
-        "getSelection().toString() !== '' || document.querySelector('details button').textContent === 'copied'",
-    )
+    copied = "document.querySelector('details button').textContent === 'copied'"
+    wait_for(page, f"getSelection().toString() !== '' || {copied}")
     assert page.inner_text("pre") == EVIL
 
 
