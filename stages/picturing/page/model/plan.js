@@ -13,7 +13,9 @@ export function plan(cameras, chosen) {
   const size = [0, 1].map((axis) => 2 * ROOM + (high[axis] - low[axis]) * scale);
   const drawing = made("svg", { viewBox: `0 0 ${size[0]} ${size[1]}`, class: "plan" });
   drawing.setAttribute("aria-label", `The way of ${cameras.length} cameras from above, ${span.toPrecision(2)} m across`);
-  drawing.append(made("polyline", { points: points.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ") }));
+  // What was held out stands after all others, wherever it was taken.
+  const way = points.filter((_, number) => cameras[number].mark !== "held out");
+  drawing.append(made("polyline", { points: way.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ") }));
   cameras.forEach(({ frame, photo, mark = "" }, number) => {
     const [cx, cy] = points[number];
     const marked = mark ? { class: "marked" } : {};
