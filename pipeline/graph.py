@@ -199,14 +199,15 @@ def _export(job: Job) -> Mapping[str, Any]:
 def _report(job: Job) -> Mapping[str, Any]:
     names = ("fused", "clean", "simplified")
     meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
+    by_photo = None
     if "textured" in job.inputs:
         meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
+        by_photo = texturing.by_photo(meshes["textured"], job.inputs["textured"] / texturing.MAPS)
     pictures = job.folder / "pictures"
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report
-    maps = job.inputs["textured"] / texturing.MAPS if "textured" in job.inputs else None
     held_out = _held_out(job) if HELD_OUT in job.inputs else []
-    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, maps, held_out)
+    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, by_photo, held_out)
     drawn_in = pictures if params.pictures else None
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline import texturing
 from pipeline.deviations import write_deviations
 from pipeline.engine import Outcome
 from pipeline.photos import write_photos
@@ -90,7 +89,7 @@ def make(
     compared: CompareParams,
     params: ReportParams,
     progress: Progress = silent,
-    maps: Path | None = None,
+    by_photo: Mesh | None = None,
     held_out: Sequence[Frame] = (),
 ) -> dict[str, Any]:
     """Measure the simplified mesh, write pictures of all into `folder`, and return the figures.
@@ -99,7 +98,7 @@ def make(
     ----------
     meshes : "fused", "clean" and "simplified", and "textured", if it was.
     frames : of the scan, whose poses say where to look from.
-    maps : folder of the texture's maps, of which a picture is drawn, too.
+    by_photo : the textured mesh in colours of the photos that count most, which is drawn, too.
     held_out : frames that no stage saw, placed like their neighbours.
 
     Raises
@@ -121,7 +120,7 @@ def make(
         partial(measure, surfaces["simplified"].mesh),
         partial(write_photos, folder, frames, params.photos, held_out),
     ]
-    drawings = _drawings(models, frames, params, maps) if params.pictures else []
+    drawings = _drawings(models, frames, params, by_photo) if params.pictures else []
     work += [partial(_drawn, folder, one) for one in drawings]
     to_fused, (to_clean, deviation), measured, photos, *_ = _side_by_side(work, progress)
     return {
@@ -217,7 +216,7 @@ class _Drawing(NamedTuple):
 
 
 def _drawings(
-    models: Mapping[str, Model], frames: Sequence[Frame], params: ReportParams, maps: Path | None
+    models: Mapping[str, Model], frames: Sequence[Frame], params: ReportParams, by_photo: Mesh | None
 ) -> list[_Drawing]:
     """Return what is drawn: each mesh from each viewpoint, the simplified one with its triangles beside it.
 
@@ -230,9 +229,8 @@ def _drawings(
         drawings += (_Drawing(f"{name}-{one.name}.png", model, one) for one in chosen)
         if name == "simplified":
             drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
-        if name == "textured" and maps is not None:
-            by_photo = model.showing(texturing.by_photo(model.surface.mesh, maps))
-            drawings.append(_Drawing("textured-photos.png", by_photo, chosen[-1]))
+        if name == "textured" and by_photo is not None:
+            drawings.append(_Drawing("textured-photos.png", model.showing(by_photo), chosen[-1]))
     return drawings
 
 
