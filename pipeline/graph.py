@@ -59,11 +59,10 @@ from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
 from stages.registration.unmet import unmet as not_joined
 from stages.scans.read import read_scan
-from stages.scans.scan import Scan
+from stages.scans.scan import Frame, Scan
 from stages.simplification.simplify import simplify
 from stages.simplification.unmet import unmet as not_simplified
 from stages.surface.formats.ply import read_ply, write_ply
-from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import read_mesh
 from stages.texturing.bake import bake
 from stages.texturing.texture import texture
@@ -183,10 +182,15 @@ def _export(job: Job) -> Mapping[str, Any]:
 def _report(job: Job) -> Mapping[str, Any]:
     names = ("fused", "clean", "simplified")
     meshes = {name: read_ply(job.inputs[name] / f"{name}.ply") for name in names}
+    by_photo = None
+    if "textured" in job.inputs:
+        meshes["textured"] = read_mesh(job.inputs["textured"] / texturing.FILE)
+        by_photo = texturing.by_photo(meshes["textured"], job.inputs["textured"] / texturing.MAPS)
     pictures = job.folder / "pictures"
     pictures.mkdir()
     frames, params = _frames(job).frames, job.config.report
-    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress)
+    held_out = _held_out(job) if HELD_OUT in job.inputs else []
+    made = report.make(pictures, meshes, frames, job.config.compare, params, job.progress, by_photo, held_out)
     drawn_in = pictures if params.pictures else None
     if "remeshed" in job.inputs:
         levels = remeshing.read_levels(job.inputs["remeshed"])
@@ -195,22 +199,18 @@ def _report(job: Job) -> Mapping[str, Any]:
             drawn_in, meshes["simplified"], levels, viewpoint, job.config.compare
         )
         made["pictures"] += drawn
-    if "textured" in job.inputs and params.pictures:
-        viewpoints = report.viewpoints_of(meshes["fused"], frames, params)
-        made["pictures"] += texturing.report(pictures, job.inputs["textured"], viewpoints)
     if HELD_OUT in job.inputs:
-        made["held_out"], drawn = _held_out(job, drawn_in, meshes["simplified"])
+        shown = meshes.get("textured", meshes["simplified"])
+        made["held_out"], drawn = holding_out.judge(drawn_in, shown, held_out, job.progress)
         made["pictures"] += drawn
     return {**made, "pictures": [f"pictures/{name}" for name in made["pictures"]]}
 
 
-def _held_out(job: Job, pictures: Path | None, light: Mesh) -> tuple[dict[str, Any], list[str]]:
-    """Compare the frames that no stage saw with the textured mesh, or with the simplified one."""
-    mesh = read_mesh(job.inputs["textured"] / texturing.FILE) if "textured" in job.inputs else light
+def _held_out(job: Job) -> list[Frame]:
+    """Return the frames that no stage saw, placed like their neighbours."""
     scan, held_out = _scan(job), job.inputs[HELD_OUT].frames
     every = job.config.scan.hold_out
-    frames = holding_out.like_neighbours(held_out, every, scan.frames, _placed(scan, job).frames)
-    return holding_out.judge(pictures, mesh, frames, job.progress)
+    return holding_out.like_neighbours(held_out, every, scan.frames, _placed(scan, job).frames)
 
 
 def _with_skipped(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,56 +2,41 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import stages
-from pipeline.page_told import at, deviation_tables, told_of
-from pipeline.photos import FILE as CAMERAS
+from pipeline.deviations import FIGURES, Kept, kept_of, read_deviations
+from pipeline.page_cameras import as_runs_write, cameras_of
+from pipeline.page_paints import confidence_paint, deviation_paint
+from pipeline.page_told import at, deviation_tables, skipped_in, told_of
+from pipeline.report import PICTURES, SIGNED_SAMPLES
 from pipeline.results import REPORT
+from pipeline.texturing import MAPS
 from stages import Mesh
-from stages.comparing.palette import colors_of
 from stages.errors import InputError
-from stages.files.documents import read_json, require_inside
-from stages.files.opening import content_of
-from stages.picturing.page.one_file import PageCamera, PageModel, PageScale, one_file
-from stages.picturing.page.standing import facing
-from stages.surface.upright import turn_along_z
-
-# Told what a person should know, in a sentence.
-Warn = Callable[[str], None]
+from stages.files.documents import read_json
+from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
-# What the models of a page are made smaller by, until it is small enough.
-_HALVINGS = 6
-_LEAST_TRIANGLES = 2_000
-# The first model is what a page is for, and is made lighter last; those beside it have at most so many.
-_MOST_BESIDE = 150_000
-_LAST = 2
-_SAMPLES = 100_000
-# Of the page, photos may take one part of so many.
-_PHOTOS_SHARE = 4
-_JPEG = b"\xff\xd8\xff"
-# Of the scale of deviations.
-_STEPS = 40
 # How far from a place the camera flies to, as a share of the model's size.
 _NEAR = 0.25
+# Vertices of two files are those of one mesh if they are as near as this share of its size.
+_SAME = 1e-5
 
 
 def page_of_mesh(name: str, mesh: Mesh, most_bytes: int, warn: Warn) -> bytes:
     """Return the page of a mesh, of so many bytes at most, if it can be."""
-    return _fitted(name, {name: Shown(mesh)}, {}, [], most_bytes, warn)
+    return packed_page(name, {name: Shown(mesh)}, most_bytes, warn)
 
 
 def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
     """Return the page of the output folder of a run, of so many bytes at most, if it can be.
+
+    What the report has measured is not measured again; where there is no report, it is.
 
     Raises
     ------
@@ -63,29 +48,71 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
         known = ", ".join(_RESULTS)
         raise InputError(f"holds none of {known}, nor tiles; give a mesh file, or the OUT of a run.", folder)
     result = standing(folder / name, _read(folder / name, warn))
+    turn = turn_of_page(result)
     report, told = _reported(folder / REPORT)
-    models: Models = {"result": Shown(result, name)}
+    paints: dict[str, Paint] = {}
+    models = {}
     if (folder / "clean.ply").is_file():
         clean = _read(folder / "clean.ply", warn).with_(up=result.up)
-        bound = at(report, "stages", "simplify", "params", "simplify", "max_shape")
-        found = stages.deviations(clean, result, tolerance=bound, signed_samples=_SAMPLES)
-        figures = found.figures()
         models["clean mesh"] = Shown(clean, "before simplification")
+        kept = _deviations(folder / PICTURES, clean, result)
+        bound, proven = _bounds(folder / REPORT, report)
+        away = _NEAR * _size(result)
         is_metric = at(report, "scan", "metric", otherwise=True)
-        models["deviation"] = Shown(
-            found.painted, _range_in_words(figures), _scale(found, is_metric=is_metric)
-        )
-        proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
-        turn, away = _turn(result), _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
-        places = [
-            {"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in figures["worst"]
-        ]
-        told["tables"] = [
-            *deviation_tables(figures, proven, places, is_metric=is_metric),
-            *told.get("tables", ()),
-        ]
-    cameras = _cameras(folder / "pictures", result)
-    return _fitted(folder.resolve().name, models, told, cameras, most_bytes, warn)
+        with as_runs_write(folder / PICTURES / FIGURES):
+            paints["deviation"] = deviation_paint(kept, bound, is_metric=is_metric)
+            places = [
+                {"target": (turn @ np.array(one["point_m"])).tolist(), "away": away}
+                for one in kept.figures["worst"]
+            ]
+            within = None if bound is None else kept.share_within(-bound, bound)
+            figures = {**kept.figures, "tolerance_m": bound, "share_within": within}
+            told["tables"] = [
+                *deviation_tables(figures, proven, places, is_metric=is_metric),
+                *told.get("tables", ()),
+            ]
+    confidence = confidence_paint(result, folder / MAPS)
+    if confidence is not None:
+        paints["confidence"] = confidence
+    models = {"result": Shown(_with_vertex_colors(folder, result), name, paints=paints), **models}
+    cameras = cameras_of(folder / PICTURES, turn, skipped_in(report))
+    return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
+
+
+def _deviations(pictures: Path, clean: Mesh, result: Mesh) -> Kept:
+    """Return how far the result is from the clean mesh, as the report has it if it is of this result."""
+    with as_runs_write(pictures):
+        kept = read_deviations(pictures)
+    if kept is not None and _is_same(kept.vertices, result):
+        return kept
+    return kept_of(stages.deviations(clean, result, signed_samples=SIGNED_SAMPLES))
+
+
+def _bounds(path: Path, report: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """Return the bound on the shape that was asked for, and the one that is proven; metres, or None."""
+    asked = at(report, "stages", "simplify", "params", "simplify", "max_shape")
+    proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
+    with as_runs_write(path):
+        return (None if asked is None else float(asked)), (None if proven is None else float(proven))
+
+
+def _with_vertex_colors(folder: Path, result: Mesh) -> Mesh:
+    """Return a textured result with the colours of the mesh that was textured."""
+    light = folder / "simplified.ply"
+    if result.texture is None or result.colors is not None or not light.is_file():
+        return result
+    plain = stages.read_mesh(light)
+    return result.with_(colors=plain.colors) if _is_same(plain.vertices, result) else result
+
+
+def _is_same(vertices: np.ndarray, mesh: Mesh) -> bool:
+    if vertices.shape != mesh.vertices.shape or len(vertices) == 0:
+        return False
+    return bool(np.abs(vertices - mesh.vertices).max() <= _SAME * _size(mesh))
+
+
+def _size(mesh: Mesh) -> float:
+    return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
 
 
 def standing(path: Path, mesh: Mesh) -> Mesh:
@@ -93,17 +120,6 @@ def standing(path: Path, mesh: Mesh) -> Mesh:
     if mesh.up is None and path.suffix.lower() in (".glb", ".gltf"):
         return mesh.with_(up=(0.0, 1.0, 0.0))
     return mesh
-
-
-class Shown(NamedTuple):
-    """A model of a page before it is packed; see `PageModel`."""
-
-    mesh: Mesh
-    note: str = ""
-    scale: PageScale | None = None
-
-
-Models = dict[str, Shown]
 
 
 def _read(path: Path, warn: Warn) -> Mesh:
@@ -117,125 +133,6 @@ def _reported(path: Path) -> tuple[Mapping[str, Any], dict[str, Any]]:
     """Return report.json, and what the page tells of it."""
     if not path.is_file():
         return {}, {}
-    with _as_runs_write(path):
+    with as_runs_write(path):
         report = dict(read_json(path))  # type: ignore[call-overload]
         return report, told_of(report)
-
-
-@contextmanager
-def _as_runs_write(path: Path) -> Iterator[None]:
-    """Say it in one sentence where a file does not hold what a run writes into it."""
-    try:
-        yield
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError("this is not as a run writes it; run once more, or move it away.", path) from error
-
-
-def _fitted(
-    title: str,
-    models: Models,
-    told: Mapping[str, Any],
-    cameras: Sequence[PageCamera],
-    most_bytes: int,
-    warn: Warn,
-) -> bytes:
-    cameras, photos = _with_photos_within(cameras, most_bytes // _PHOTOS_SHARE)
-    if photos:
-        warn(f"{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.")
-    page = b""
-    for halvings in range(_HALVINGS):
-        page = one_file(title, list(_packed(models, halvings)), told, cameras)
-        if len(page) <= most_bytes:
-            return page
-    warn(f"the page takes {len(page):,} bytes, more than {most_bytes:,}, as small as it gets.")
-    return page
-
-
-def _with_photos_within(cameras: Sequence[PageCamera], most: int) -> tuple[list[PageCamera], int]:
-    """Return cameras without every other photo, as often as it takes, and how many photos that leaves out."""
-    sizes = [0 if camera.photo is None else len(camera.photo) for camera in cameras]
-    kept = [number for number, size in enumerate(sizes) if size]
-    count = len(kept)
-    while sum(sizes[number] for number in kept) > most:
-        kept = kept[1::2]
-    chosen = set(kept)
-    thinned = [
-        camera if number in chosen else replace(camera, photo=None) for number, camera in enumerate(cameras)
-    ]
-    return thinned, count - len(kept)
-
-
-def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
-    """Give the models as files, with fewer triangles and smaller images the more often they are halved."""
-    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
-        for number, (name, (mesh, note, scale)) in enumerate(models.items()):
-            light, words = mesh, note
-            count = len(mesh.triangles)
-            halved = (
-                count >> max(halvings - _LAST, 0) if number == 0 else min(count, _MOST_BESIDE) >> halvings
-            )
-            target = max(halved, _LEAST_TRIANGLES)
-            if count > target:
-                light = stages.simplify(mesh, triangles=target).mesh.with_(up=mesh.up)
-                words = ", ".join(filter(None, (note, f"of {count:,}, for this page")))
-            path = Path(folder) / "model.glb"
-            web = stages.preset("web")
-            size = max(web.image_size >> max(halvings - _LAST, 0), 512)
-            stages.export(light, path, web, image_size=size)
-            look = facing(light, _turn(mesh))
-            yield PageModel(name, content_of(path), len(light.triangles), words, look, scale)
-
-
-def _turn(mesh: Mesh) -> NDArray[np.float64]:
-    """Return what turns a mesh z up, as the page's camera has it; unknown, it stands as glTF has it, y up."""
-    return turn_along_z(np.array((0.0, 1.0, 0.0) if mesh.up is None else mesh.up))
-
-
-def _range_in_words(told: Mapping[str, Any]) -> str:
-    return "red outside, blue inside; green is near" if told["is_signed"] else "red far, green near"
-
-
-def _scale(found: stages.Deviations, *, is_metric: bool) -> PageScale:
-    most = found.color_range
-    low = -most if found.is_signed else 0.0
-    edges = np.linspace(low, most, _STEPS + 1)
-    colors = colors_of((edges[1:] + edges[:-1]) / 2, found.within, most)
-    # What lies beyond the scale has its last colours.
-    shares = np.histogram(found.samples.clip(low, most), edges)[0] / len(found.samples)
-    css = [f"rgb({r}, {g}, {b})" for r, g, b in colors.tolist()]
-    unit, per = ("mm", 1000) if is_metric else ("units", 1)
-    return PageScale(unit, per * low, per * most, per * found.within, css, shares.round(5).tolist())
-
-
-def _cameras(folder: Path, mesh: Mesh) -> list[PageCamera]:
-    """Return the cameras of the scan that a run has told of, standing as the models do."""
-    path = folder / CAMERAS
-    if not path.is_file():
-        return []
-    turn = _turn(mesh)
-    with _as_runs_write(path):
-        told: Any = read_json(path)
-        return [_camera(one, path, turn) for one in told["cameras"] if "fx" in one]
-
-
-def _camera(one: Mapping[str, Any], path: Path, turn: NDArray[np.float64]) -> PageCamera:
-    pose = turn @ np.array(one["world_from_camera"], np.float64).reshape(4, 4)[:3]
-    size = [int(one["size"][0]), int(one["size"][1])]
-    focal, center = [float(one["fx"]), float(one["fy"])], [float(one["cx"]), float(one["cy"])]
-    if not (np.isfinite(pose).all() and np.isfinite([*focal, *center]).all() and min(*size, *focal) > 0):
-        raise ValueError(one)
-    photo = None if one["photo"] is None else _photo(one["photo"], path)
-    return PageCamera(str(one["frame"]), pose.round(6).ravel().tolist(), size, focal, center, photo)
-
-
-def _photo(name: str, path: Path) -> bytes:
-    """Return a photo that cameras.json names; the page is passed on, so nothing else may get into it."""
-    photo = path.parent / require_inside(name, path, "photo")
-    if not photo.resolve().is_relative_to(path.parent.resolve()):
-        raise InputError(f"the photo {name[:100]!r} leads out of the folder.", path)
-    if not photo.is_file():
-        raise InputError("this photo is missing; run once more.", photo)
-    content = content_of(photo)
-    if not content.startswith(_JPEG):
-        raise InputError("this is not a JPEG file.", photo)
-    return content

@@ -30,18 +30,29 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
         ]
         head = ["stage", "this run", "when it was made", "memory", "why it ran"]
         tables.append({"title": "Stages", "head": head, "rows": rows})
-    skipped = scan.get("frames_skipped", [])
+    skipped = skipped_in(report)
     if skipped:
-        rows = [[one["frame"], one["reason"]] for one in skipped]
+        rows = [[frame, reason] for frame, reason in skipped.items()]
         tables.append({"title": "Frames that were skipped", "head": ["frame", "why"], "rows": rows})
     texts = []
     if ran:
         texts = [
+            {"title": "Versions and digests", "text": _made_of(report)},
             {"title": "All parameters, as TOML", "text": _toml(ran)},
             {"title": "report.json", "text": json.dumps(report, indent=1, ensure_ascii=False)},
         ]
-    unit = {} if scan.get("metric", True) else {"unit": "units"}
-    return {"warnings": warnings, "tables": tables, "texts": texts, **unit}
+    told = {"warnings": warnings, "tables": tables, "texts": texts, "frames": _frames_in_words(report)}
+    return told if scan.get("metric", True) else told | {"unit": "units"}
+
+
+def skipped_in(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return why frames were skipped, by their names: when the scan was read, or by the first stage."""
+    of_scan = at(report, "scan", "frames_skipped", otherwise=[])
+    found = {str(one["frame"]): str(one["reason"]) for one in of_scan}
+    for stage, about in report.get("stages", {}).items():
+        for one in at(about, "figures", "frames_skipped", otherwise=[]):
+            found.setdefault(str(one["frame"]), f"{stage}: {one['reason']}")
+    return found
 
 
 def deviation_tables(
@@ -63,6 +74,8 @@ def deviation_tables(
     per, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
     percentiles = told["absolute_percentiles_m"]
     rows = [[f"{p} % are within", f"{per * d:.4g} {small}"] for p, d in percentiles.items()]
+    farthest = max((abs(one["distance_m"]) for one in told["worst"]), default=0.0)
+    rows.append(["at most, of samples and vertices", f"{per * farthest:.4g} {small}"])
     rows.append(["RMS", f"{per * told['rms_m']:.4g} {small}"])
     if proven is not None:
         rows.append(["proven: no point is farther off than", f"{at_most(per * proven)} {small}"])
@@ -91,6 +104,29 @@ def at(document: Mapping[str, Any], *names: str, otherwise: Any = None) -> Any:
     for name in names:
         found = found.get(name) if isinstance(found, Mapping) else None
     return otherwise if found is None else found
+
+
+def _frames_in_words(report: Mapping[str, Any]) -> str:
+    """Say how many frames there are, and what became of them."""
+    read, held_out = at(report, "scan", "frames"), at(report, "held_out", "photos", otherwise=0)
+    if read is None:
+        return ""
+    told = [f"{read:,} frames were read", f"{held_out:,} were held out, and compared" if held_out else ""]
+    skipped = len(skipped_in(report))
+    return "; ".join(filter(None, [*told, f"{skipped:,} were skipped" if skipped else ""])) + "."
+
+
+def _made_of(report: Mapping[str, Any]) -> str:
+    """Return the versions that made a result, and the SHA-256 of its files."""
+    versions = {"scanloom": report.get("scanloom"), **at(report, "libraries", otherwise={})}
+    lines = [
+        f"made {report.get('created')}",
+        *(f"{name} {version}" for name, version in versions.items()),
+        "",
+    ]
+    for files in at(report, "placed", otherwise={}).values():
+        lines += (f"{content}  {name}" for name, content in files.items())
+    return "\n".join([*lines, f"{report.get('digest')}  report.json, but for this line", ""])
 
 
 def _toml(ran: Mapping[str, Any]) -> str:

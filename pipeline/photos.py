@@ -26,19 +26,23 @@ _MOST_CAMERAS = 2_000
 _QUALITY = 75
 
 
-def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
+def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Sequence[Frame] = ()) -> int:
     """Write cameras.json, and `count` photos spread evenly over the scan; return how many there are.
+
+    Frames that were held out follow the others.
 
     cameras.json holds how many frames have a pose, `posed`, and a list, `cameras`, of up to 2,000 of these,
     spread evenly: `frame`, `world_from_camera` (of the colour
     camera: 16 numbers, row by row, metres, OpenCV axes), `size` and `fx`, `fy`, `cx`, `cy` in pixels of the
-    pinhole camera, and `photo`, a JPEG file's name or null.
+    pinhole camera, `held_out`, and `photo`, a JPEG file's name or null.
     """
     require_opencv()
     import cv2
 
-    posed = [frame for frame in frames if frame.world_from_camera is not None]
-    told = [posed[number] for number in _spread(len(posed), _MOST_CAMERAS)]
+    posed = [frame for frame in (*frames, *held_out) if frame.world_from_camera is not None]
+    last = len(posed) - sum(frame.world_from_camera is not None for frame in held_out)
+    shown = _spread(len(posed), _MOST_CAMERAS)
+    told = [posed[number] for number in shown]
     chosen = [number for number in _spread(len(told), count) if told[number].color is not None]
     (folder / PHOTOS).mkdir()
 
@@ -55,7 +59,10 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
 
     threads = os.cpu_count() or 1
     photos = dict(read_ahead(written, chosen, threads=threads, ahead=threads))
-    cameras = [_told(frame, photos.get(number)) for number, frame in enumerate(told)]
+    cameras = [
+        {**_told(frame, photos.get(number)), "held_out": shown[number] >= last}
+        for number, frame in enumerate(told)
+    ]
     (folder / FILE).write_text(json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8")
     return sum(name is not None for name in photos.values())
 

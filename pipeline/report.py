@@ -7,31 +7,41 @@ cached, belong to one run; `compose` puts both together.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import platform
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.deviations import write_deviations
 from pipeline.engine import Outcome
 from pipeline.photos import write_photos
 from pipeline.schema import SCHEMA
 from stages import __version__
-from stages.comparing.compare import CompareParams, compare_surfaces
+from stages.comparing.compare import CompareParams, compare_searched, compare_surfaces
+from stages.comparing.deviations import DeviationParams, deviations_from
+from stages.comparing.needles import WithNeedles
+from stages.inspecting.libraries import installed
 from stages.params import check, param, with_former_names
-from stages.picturing.render import Model, Shading, Viewpoint, viewpoints, write_png
+from stages.picturing.render import Model, Viewpoint, viewpoints, write_png
 from stages.progress import Progress, silent
-from stages.scans.prefetch import read_ahead
+from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Scan
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Surface, bounding_box
+from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.topology import require_area, topology
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
+
+_LIBRARIES = ("numpy", "open3d", "opencv", "scipy", "scikit-image")
+# The folder of what the report leaves.
+PICTURES = "pictures"
+# Points on the result that are measured with signs.
+SIGNED_SAMPLES = 100_000
 
 
 @with_former_names
@@ -79,13 +89,17 @@ def make(
     compared: CompareParams,
     params: ReportParams,
     progress: Progress = silent,
+    by_photo: Mesh | None = None,
+    held_out: Sequence[Frame] = (),
 ) -> dict[str, Any]:
     """Measure the simplified mesh, write pictures of all into `folder`, and return the figures.
 
     Parameters
     ----------
-    meshes : "fused", "clean" and "simplified".
+    meshes : "fused", "clean" and "simplified", and "textured", if it was.
     frames : of the scan, whose poses say where to look from.
+    by_photo : the textured mesh in colours of the photos that count most, which is drawn, too.
+    held_out : frames that no stage saw, placed like their neighbours.
 
     Raises
     ------
@@ -96,35 +110,77 @@ def make(
         require_area(mesh, f"{name}.ply")
     # Distances and pictures ask the same surfaces: to make one takes longer than to draw it.
     box = bounding_box(*meshes.values())
-    surfaces = {name: Surface(mesh, box) for name, mesh in meshes.items()}
-    with ThreadPoolExecutor(1) as beside:
-        measured = beside.submit(measure, surfaces, compared)
-        drawn = draw(folder, surfaces, frames, params) if params.pictures else []
-        photos = write_photos(folder, frames, params.photos)
-        progress(1, 2)
-        return {"mesh": measured.result(), "pictures": drawn, "photos": photos}
-
-
-def measure(surfaces: Mapping[str, Surface], params: CompareParams) -> dict[str, Any]:
-    """Measure the simplified mesh: its counts, its edges, and how far it is from those it was made from.
-
-    From the simplified mesh to the fused one (`to_fused`, `b_to_a`) is the error of what is there. The
-    other way is mostly how far off the islands were that cleaning removed; `to_clean` is free of those, so
-    both its ways together are the error of simplification alone.
-    """
-    final = surfaces["simplified"]
-    fewer = replace(params, samples=math.ceil(params.samples / 4))
-    found = topology(final.mesh)
+    made = _side_by_side([partial(_model, mesh, box) for mesh in meshes.values()])
+    models = dict(zip(meshes, made, strict=True))
+    surfaces = {name: model.surface for name, model in models.items()}
+    work: list[Callable[[], Any]] = [
+        # The longest first.
+        partial(_off_fused, surfaces, compared),
+        partial(_off_clean, folder, surfaces, compared),
+        partial(measure, surfaces["simplified"].mesh),
+        partial(write_photos, folder, frames, params.photos, held_out),
+    ]
+    drawings = _drawings(models, frames, params, by_photo) if params.pictures else []
+    work += [partial(_drawn, folder, one) for one in drawings]
+    to_fused, (to_clean, deviation), measured, photos, *_ = _side_by_side(work, progress)
     return {
-        "vertices": len(final.mesh.vertices),
-        "triangles": len(final.mesh.triangles),
+        "mesh": measured | {"to_fused": to_fused, "to_clean": to_clean},
+        "deviation": deviation,
+        "pictures": [file for one in drawings for file in one.files],
+        "photos": photos,
+    }
+
+
+def _model(mesh: Mesh, box: Floats) -> Model:
+    return Model(Surface(mesh, box))
+
+
+def _side_by_side(work: Sequence[Callable[[], Any]], progress: Progress = silent) -> list[Any]:
+    """Return what pieces of work return, done on all cores in their order."""
+    results = []
+    for result in read_ahead(lambda one: one(), work, threads=workers(), ahead=len(work)):
+        results.append(result)
+        progress(len(results), len(work))
+    return results
+
+
+def _off_fused(surfaces: Mapping[str, Surface], params: CompareParams) -> dict[str, Any]:
+    """Measure how far the simplified mesh and the fused one are apart.
+
+    From the simplified mesh to the fused one (`b_to_a`) is the error of what is there. The other way is
+    mostly how far off the islands were that cleaning removed.
+    """
+    return compare_surfaces(surfaces["fused"], surfaces["simplified"], params).figures()
+
+
+def _off_clean(
+    folder: Path, surfaces: Mapping[str, Surface], params: CompareParams
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Measure how far simplification has moved the clean mesh, both ways, and the result from it, with signs.
+
+    The clean mesh has no islands that were removed: the error is of simplification alone.
+    """
+    final = surfaces["simplified"].mesh
+    result = surfaces["textured"].mesh if "textured" in surfaces else final
+    box = bounding_box(surfaces["clean"].mesh, final, result)
+    clean = WithNeedles(surfaces["clean"], box)
+    fewer = replace(params, samples=math.ceil(params.samples / 4))
+    compared = compare_searched(clean, WithNeedles(surfaces["simplified"], box), fewer)
+    found = deviations_from(clean, result, DeviationParams(signed_samples=SIGNED_SAMPLES))
+    return compared.figures(), write_deviations(folder, found)
+
+
+def measure(final: Mesh) -> dict[str, Any]:
+    """Return the simplified mesh's counts, and what its edges are like."""
+    found = topology(final)
+    return {
+        "vertices": len(final.vertices),
+        "triangles": len(final.triangles),
         "manifold": found.is_manifold,
         "oriented": found.is_oriented,
         "boundary_loops": found.boundary_loops,
         "components": found.components,
-        "edges": edge_figures(final.mesh),
-        "to_fused": compare_surfaces(surfaces["fused"], final, params).figures(),
-        "to_clean": compare_surfaces(surfaces["clean"], final, fewer).figures(),
+        "edges": edge_figures(final),
     }
 
 
@@ -146,32 +202,44 @@ def edge_figures(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def draw(
-    folder: Path, surfaces: Mapping[str, Surface], frames: Sequence[Frame], params: ReportParams
-) -> list[str]:
-    """Write a PNG of each mesh from each viewpoint, and one of the last with its triangles beside it.
+class _Drawing(NamedTuple):
+    """A picture to draw; and perhaps another one, of the same with its triangles beside it."""
 
-    Parameters
-    ----------
-    surfaces : by the name of their stage; the viewpoints are those of the first.
-    frames : of the scan, whose poses say where to look from.
+    file: str
+    model: Model
+    viewpoint: Viewpoint
+    with_triangles: str | None = None
 
-    Returns
-    -------
-    The names of the files: `<mesh>-<viewpoint>.png` and `<mesh>-triangles.png`.
+    @property
+    def files(self) -> list[str]:
+        return [self.file] if self.with_triangles is None else [self.file, self.with_triangles]
+
+
+def _drawings(
+    models: Mapping[str, Model], frames: Sequence[Frame], params: ReportParams, by_photo: Mesh | None
+) -> list[_Drawing]:
+    """Return what is drawn: each mesh from each viewpoint, the simplified one with its triangles beside it.
+
+    The files are `<mesh>-<viewpoint>.png`, `simplified-triangles.png`, and `textured-photos.png`, with the
+    photo that counts most where.
     """
-    chosen = viewpoints_of(next(iter(surfaces.values())).mesh, frames, params)
-    jobs: list[tuple[str, Model, Viewpoint, Shading]] = []
-    for name, surface in surfaces.items():
-        model = Model(surface)
-        jobs += [(f"{name}-{viewpoint.name}.png", model, viewpoint, "color") for viewpoint in chosen]
-    jobs.append((f"{name}-triangles.png", model, chosen[-1], "edges"))
-    threads = os.cpu_count() or 1
-    images = list(read_ahead(lambda job: job[1].draw(*job[2:]), jobs, threads=threads, ahead=len(jobs)))
-    images[-1] = np.hstack(images[-2:])
-    for (file, *_), image in zip(jobs, images, strict=True):
-        write_png(folder / file, image)
-    return [file for file, *_ in jobs]
+    chosen = viewpoints_of(models["fused"].surface.mesh, frames, params)
+    drawings: list[_Drawing] = []
+    for name, model in models.items():
+        drawings += (_Drawing(f"{name}-{one.name}.png", model, one) for one in chosen)
+        if name == "simplified":
+            drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
+        if name == "textured" and by_photo is not None:
+            drawings.append(_Drawing("textured-photos.png", model.showing(by_photo), chosen[-1]))
+    return drawings
+
+
+def _drawn(folder: Path, one: _Drawing) -> None:
+    image = one.model.draw(one.viewpoint)
+    write_png(folder / one.file, image)
+    if one.with_triangles is not None:
+        both = np.hstack([image, one.model.draw(one.viewpoint, "edges")])
+        write_png(folder / one.with_triangles, both)
 
 
 def viewpoints_of(mesh: Mesh, frames: Sequence[Frame], params: ReportParams) -> tuple[Viewpoint, ...]:
@@ -193,6 +261,7 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
     return {
         "schema": SCHEMA,
         "scanloom": __version__,
+        "libraries": {"python": platform.python_version(), **installed(*_LIBRARIES)},
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "scan": {
             "layout": scan.layout,
@@ -209,6 +278,8 @@ def compose(scan: Scan, outcomes: Sequence[Outcome], final: Mapping[str, Any], o
         "normal_mesh": final.get("normal_mesh"),
         # None unless frames were held out.
         "held_out": final.get("held_out"),
+        # None unless the run reached the report; with signs, of the result from the clean mesh.
+        "deviation": final.get("deviation"),
         "pictures": final.get("pictures", []),
     }
 

@@ -13,19 +13,16 @@ from numpy.typing import NDArray
 from pipeline.standing import Up
 from stages.files.images import read_stored
 from stages.params import param
-from stages.picturing.render import Model, Viewpoint, write_png
 from stages.progress import Progress
 from stages.scans.scan import Frame
 from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import read_mesh, write_mesh
-from stages.surface.raycasting import Surface
+from stages.surface.mesh_files import write_mesh
 from stages.surface.texture import Image
 from stages.texturing.maps import write_maps
 from stages.texturing.texture import TextureParams, texture
 
 FILE, MAPS = "textured.glb", "texture_maps"
 
-_PHOTOS = "textured-photos.png"
 # The golden angle, in half degrees as OpenCV counts hues.
 _GOLDEN = 68.754
 
@@ -65,26 +62,8 @@ def make(
     return textured.figures()
 
 
-def report(folder: Path, textured: Path, chosen: Sequence[Viewpoint]) -> list[str]:
-    """Draw what the stage left, and which photo counts most where, in a colour for each; return the names.
-
-    Parameters
-    ----------
-    folder : for the pictures.
-    textured : what `make` wrote.
-    chosen : where to look from; the photos are drawn from the last.
-    """
-    mesh = read_mesh(textured / FILE)
-    model = Model(Surface(mesh))
-    files = [f"textured-{viewpoint.name}.png" for viewpoint in chosen]
-    for file, viewpoint in zip(files, chosen, strict=True):
-        write_png(folder / file, model.draw(viewpoint, "color"))
-    write_png(folder / _PHOTOS, Model(Surface(_by_photo(mesh, textured / MAPS))).draw(chosen[-1], "color"))
-    return [*files, _PHOTOS]
-
-
-def _by_photo(mesh: Mesh, maps: Path) -> Mesh:
-    """Return the mesh with a colour for each photo; grey where none shows it."""
+def by_photo(mesh: Mesh, maps: Path) -> Mesh:
+    """Return the mesh with a colour for each photo where it counts most; grey where none shows it."""
     assert mesh.texture is not None
     palette = _palette()
     materials = tuple(

@@ -187,8 +187,13 @@ def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Compariso
     Their boxes hold both meshes, and both have passed `require_area`.
     """
     box = bounding_box(a.mesh, b.mesh)
-    forward = _one_way(a.mesh, WithNeedles(b, box), params.samples, (params.seed, 0))
-    backward = _one_way(b.mesh, WithNeedles(a, box), params.samples, (params.seed, 1))
+    return compare_searched(WithNeedles(a, box), WithNeedles(b, box), params)
+
+
+def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> Comparison:
+    """Do as `compare_surfaces` does, with what finds needles too."""
+    forward = _one_way(a.mesh, b, params.samples, (params.seed, 0))
+    backward = _one_way(b.mesh, a, params.samples, (params.seed, 1))
     both = forward.merged(backward)
     low, high = bounding_box(a.mesh)
     return Comparison(

@@ -12,14 +12,14 @@ from stages.comparing.measurable import measurable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.palette import PALETTES, colors_of
 from stages.comparing.sampling import sampled
-from stages.comparing.signed import Sides
+from stages.comparing.signed import Sides, sides_of
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
-from stages.surface.topology import areas, topology
+from stages.surface.topology import areas
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -177,10 +177,16 @@ def deviations(
     params = resolve(DeviationParams, params, changes)
     fixed, measured = measurable(reference, "reference"), measurable(mesh, "mesh")
     box = bounding_box(fixed, measured)
-    surface = WithNeedles(Surface(fixed, box), box)
-    found = topology(fixed)
-    # Where three triangles meet there is no side.
-    sides = Sides(fixed) if found.is_oriented and found.nonmanifold_edges == 0 else None
+    return deviations_from(WithNeedles(Surface(fixed, box), box), measured, params)
+
+
+def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParams) -> Deviations:
+    """Do as `deviations` does, from a surface that serves other queries too.
+
+    Its box holds both meshes, and both have passed `require_area`.
+    """
+    fixed = surface.mesh
+    sides = sides_of(fixed)
     count = params.signed_samples
     cumulative = np.cumsum(areas(measured.vertices, measured.triangles))
     at = sampled(cumulative, slice(0, count), count, np.random.default_rng(0))

@@ -18,6 +18,8 @@ from stages.surface.raycasting import Floats, Located, Surface, closest_weights
 _HIGHEST, _LOWEST = 0.02, 1e-4
 # The same of a piece, but for those at the tips, which are short.
 _PIECE = 0.1
+# Share of the box's diagonal that distances in single precision are not off by.
+_ROUNDED = 1e-5
 # Pieces of all needles together, about; beyond, they are longer.
 _MOST_PIECES = 1 << 20
 
@@ -34,36 +36,38 @@ class WithNeedles:
     def __init__(self, surface: Surface, box: Floats) -> None:
         self.mesh = mesh = surface.mesh
         self._surface = surface
-        corners = mesh.vertices[mesh.triangles]
-        sides = np.roll(corners, -1, axis=1) - corners
-        lengths2 = np.einsum("ksx,ksx->ks", sides, sides)
-        area2 = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        most = lengths2.max(axis=1)
+        longest, most, area2 = surface.slimness
         (self._needles,) = np.nonzero((area2 > _LOWEST * most) & (area2 <= _HIGHEST * most))
-        self._corners = corners[self._needles]
+        self._corners = mesh.vertices[mesh.triangles[self._needles]]
         self._pieces: Surface | None = None
         if len(self._needles):
-            first = lengths2[self._needles].argmax(axis=1)
+            first = longest[self._needles]
             turned = self._corners[np.arange(len(first))[:, None], (first[:, None] + np.arange(3)) % 3]
             pieces, self._source = _cut(turned, area2[self._needles] / most[self._needles])
             rows = np.arange(3 * len(pieces), dtype=np.int32).reshape(-1, 3)
             self._pieces = Surface(Mesh(pieces.reshape(-1, 3), rows), box)
+            # What single precision may be off by, in the place and along the height of a piece.
+            highest = (area2[self._needles] / np.sqrt(most[self._needles])).max()
+            self._slack = _ROUNDED * float(np.linalg.norm(box[1] - box[0])) + float(highest)
 
     def closest(self, points: Floats) -> Located:
         """Return the surface point nearest to each of `points`, (k, 3) float64 in metres."""
         found = self._surface.closest(points)
-        if self._pieces is None:
+        if self._pieces is None or len(points) == 0:
             return found
-        needles = self._source[self._pieces.closest(points).triangles]
+        pieces, about = self._pieces.nearest(points)
+        # Few points are so near to a needle that it can be nearer than what was found.
+        (close,) = np.nonzero(about < found.distances + self._slack)
+        needles = self._source[pieces[close]]
         corners = self._corners[needles]
-        weights = closest_weights(points, corners)
-        distances = np.linalg.norm(points - np.einsum("kc,kcx->kx", weights, corners), axis=1)
-        is_nearer = distances < found.distances
-        return Located(
-            triangles=np.where(is_nearer, self._needles[needles], found.triangles),
-            weights=np.where(is_nearer[:, None], weights, found.weights),
-            distances=np.where(is_nearer, distances, found.distances),
-        )
+        weights = closest_weights(points[close], corners)
+        distances = np.linalg.norm(points[close] - np.einsum("kc,kcx->kx", weights, corners), axis=1)
+        is_nearer = distances < found.distances[close]
+        nearer = close[is_nearer]
+        found.triangles[nearer] = self._needles[needles[is_nearer]]
+        found.weights[nearer] = weights[is_nearer]
+        found.distances[nearer] = distances[is_nearer]
+        return found
 
 
 def _cut(corners: Floats, flatness: Floats) -> tuple[Floats, NDArray[np.int64]]:

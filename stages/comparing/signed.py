@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.surface.edges import edges_of
+from stages.surface.edges import Edges, edges_of
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Located, interpolated, unit_normals
-from stages.surface.topology import repeats_vertex
+from stages.surface.topology import inconsistent, repeats_vertex
 
 # A weight below this: the point is on the side opposite to that corner.
 _ON_SIDE = 1e-6
@@ -25,22 +25,25 @@ class Sides:
     Parameters
     ----------
     mesh : oriented; what its border looks to is told as of its inside.
+    edges : of its triangles that repeat no vertex, if they are known.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, edges: Edges | None = None) -> None:
         self._mesh = mesh
         self._of_triangles = unit_normals(mesh)
         self._of_vertices = _by_angle(mesh, self._of_triangles)
         kept = ~repeats_vertex(mesh.triangles)
-        edges = edges_of(mesh.triangles[kept], len(mesh.vertices))
-        sums = np.zeros((len(edges.ends), 3))
+        edges = edges or edges_of(mesh.triangles[kept], len(mesh.vertices))
+        sums = self._of_edges = np.zeros((len(edges.ends), 3))
         owners = np.repeat(np.flatnonzero(kept), 3)
         for axis in range(3):
             sums[:, axis] = np.bincount(
                 edges.of_halfedge, self._of_triangles[owners, axis], minlength=len(edges.ends)
             )
-        self._of_sides = np.zeros((len(mesh.triangles), 3, 3))
-        self._of_sides[kept] = sums[edges.of_halfedge].reshape(-1, 3, 3)
+        # Of the sides of each triangle, the edge; a triangle that repeats a vertex has no normal anyhow.
+        self._edges = np.zeros((len(mesh.triangles), 3), np.int64)
+        self._edges[kept] = edges.of_halfedge.reshape(-1, 3)
+        self._has_sides = kept
 
     def signs(self, points: Floats, nearest: Located) -> Floats:
         """Return 1 where points (k, 3) are on the side that the surface looks to, -1 on the other."""
@@ -49,21 +52,30 @@ class Sides:
         one, two = outside.sum(axis=1) == 1, outside.sum(axis=1) >= 2
         # The side that runs from corner k is opposite to corner k + 2.
         side = (np.argmax(outside[one], axis=1) + 1) % 3
-        normals[one] = self._of_sides[nearest.triangles[one], side]
+        on = nearest.triangles[one]
+        normals[one] = self._of_edges[self._edges[on, side]] * self._has_sides[on, None]
         corner = np.argmax(nearest.weights[two], axis=1)
         normals[two] = self._of_vertices[self._mesh.triangles[nearest.triangles[two], corner]]
         away = points - interpolated(self._mesh.vertices, self._mesh, nearest)
         return np.where(np.einsum("kx,kx->k", away, normals) < 0, -1.0, 1.0)
 
 
+def sides_of(mesh: Mesh) -> Sides | None:
+    """Return the sides of a surface; None where it has none: neighbours disagree, or three triangles meet."""
+    edges = edges_of(mesh.triangles[~repeats_vertex(mesh.triangles)], len(mesh.vertices))
+    has_sides = not inconsistent(edges).any() and not (edges.count > 2).any()
+    return Sides(mesh, edges) if has_sides else None
+
+
 def _by_angle(mesh: Mesh, normals: Floats) -> Floats:
     """Return the sum of the normals around each vertex (n, 3), each by its triangle's angle there."""
-    corners = mesh.vertices[mesh.triangles]
+    # A coordinate at a time: rows of three are slower.
+    columns = np.array([[x.take(corner) for x in mesh.vertices.T] for corner in mesh.triangles.T])
     sums: NDArray[np.float64] = np.zeros((len(mesh.vertices), 3))
     for k in range(3):
-        first, second = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        across = np.linalg.norm(np.cross(first, second), axis=1)
-        angles = np.arctan2(across, np.einsum("kx,kx->k", first, second))
+        first, second = columns[(k + 1) % 3] - columns[k], columns[(k + 2) % 3] - columns[k]
+        across = [first[i] * second[j] - first[j] * second[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+        angles = np.arctan2(np.sqrt(sum(x * x for x in across)), sum(first * second))
         for axis in range(3):
             weighted = angles * normals[:, axis]
             sums[:, axis] += np.bincount(mesh.triangles[:, k], weighted, minlength=len(sums))

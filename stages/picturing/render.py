@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,13 +19,14 @@ from stages.picturing.viewpoints import Viewpoint, viewpoints
 from stages.scans.scan import ColorImage
 from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Hits, Surface, chunks
 from stages.surface.topology import require_measurable
 from stages.surface.vertex_normals import vertex_normals
 
 __all__ = ["Model", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 
-Shading = Literal["color", "plain", "edges"]
+Shading = Literal["color", "unlit", "plain", "edges"]
 # Pictures of 8 bits need no more, and half the memory is half the time.
 _Floats = NDArray[np.float32]
 
@@ -54,7 +56,8 @@ def render(mesh: MeshLike, viewpoint: Viewpoint, *, shading: Shading = "color") 
     mesh : in metres.
     viewpoint : see Viewpoint and `viewpoints`.
     shading : "color" for the texture or vertex colours under a soft light (clay where there is neither),
-        "plain" for clay alone, which shows the shape, "edges" for flat clay with the triangles' edges drawn.
+        "unlit" for these as they are, "plain" for clay alone, which shows the shape, "edges" for flat clay
+        with the triangles' edges drawn.
         Triangles seen from behind are bluish in "plain" and "edges".
 
     Returns
@@ -98,9 +101,16 @@ class Model:
     """
 
     def __init__(self, surface: Surface) -> None:
-        self._surface = surface
+        self.surface = surface
         self._normals = vertex_normals(surface.mesh).astype(np.float32)
         self._is_colored = has_color(surface.mesh)
+
+    def showing(self, mesh: Mesh) -> Model:
+        """Return the same model with other colours: of a mesh of the same vertices and triangles."""
+        other = copy.copy(self)
+        other.surface = self.surface.showing(mesh)
+        other._is_colored = has_color(mesh)
+        return other
 
     def draw(self, viewpoint: Viewpoint, shading: Shading = "color") -> ColorImage:
         """Cast one ray a pixel, and more where the picture is not smooth; see `render`."""
@@ -110,13 +120,20 @@ class Model:
         v, u = np.indices((height, width), np.float32).reshape(2, -1)
         levels = self._levels(viewpoint, shading, u, v)
         image = levels.reshape(height, width, 3)
-        contrast = cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)).max(axis=2)
-        rough = np.flatnonzero(contrast > _CONTRAST)  # outlines and fine patterns
-        finer = [levels[rough]]
+        contrast = cv2.morphologyEx(image, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+        is_rough = np.logical_or.reduce([channel > _CONTRAST for channel in cv2.split(contrast)])
+        rough = np.flatnonzero(is_rough)  # outlines and fine patterns
+        finer = levels[rough]
         for du, dv in _OFFSETS:
-            finer.append(self._levels(viewpoint, shading, u[rough] + du, v[rough] + dv))
-        levels[rough] = np.mean(finer, axis=0)
+            finer += self._levels(viewpoint, shading, u[rough] + du, v[rough] + dv)
+        levels[rough] = finer / (1 + len(_OFFSETS))
         return np.asarray(np.rint(image).clip(0, 255), np.uint8)
+
+    def depths(self, viewpoint: Viewpoint, places: NDArray[np.floating]) -> _Floats:
+        """Return how far ahead the surface is, metres, of places (k, 2) in a picture that show it (j,)."""
+        u, v = np.asarray(places, np.float32).T
+        seen = [hits.distances for hits in self._seen(viewpoint, _directions(viewpoint, u, v))]
+        return np.concatenate(seen)
 
     def _levels(self, viewpoint: Viewpoint, shading: Shading, u: _Floats, v: _Floats) -> _Floats:
         """Return what is seen at image positions, (k, 3) levels of 0 to 255."""
@@ -131,7 +148,7 @@ class Model:
     def _seen(self, viewpoint: Viewpoint, directions: _Floats) -> Iterator[Hits]:
         """Yield first hits; with culling, those on triangles that face the camera, as into a doll's house."""
         origin = viewpoint.world_from_camera[:3, 3]
-        hits = self._surface.cast(origin, directions)
+        hits = self.surface.cast(origin, directions)
         if not viewpoint.cull:
             yield hits
             return
@@ -142,11 +159,11 @@ class Model:
             rays, starts = hits.rays[behind], hits.distances[behind] * np.float32(1 + _STEP)
             if len(rays) == 0:
                 break
-            hits = self._surface.cast(origin, directions[rays], starts)
+            hits = self.surface.cast(origin, directions[rays], starts)
             hits = replace(hits, rays=rays[hits.rays])
 
     def _shaded(self, hits: Hits, directions: _Floats, viewpoint: Viewpoint, shading: Shading) -> _Floats:
-        mesh = self._surface.mesh
+        mesh = self.surface.mesh
         corners = mesh.triangles[hits.triangles]
         towards = _unit(directions[hits.rays])
         behind = _dot(hits.normals, towards) > 0
@@ -157,8 +174,10 @@ class Model:
         to_light = np.asarray(viewpoint.world_from_camera[:3, :3] @ _LIGHT, np.float32)
         light = _dot(normals, to_light).clip(0, 1)
         head = np.abs(_dot(normals, towards))
-        if shading == "color" and self._is_colored:
+        if shading in ("color", "unlit") and self._is_colored:
             colors = color_at(mesh, hits.triangles, hits.weights)
+            if shading == "unlit":
+                return np.asarray(colors, np.float32)
             # Scanned colours hold the room's light already; more than a hint of our own would count it twice.
             return np.asarray(colors * (0.84 + 0.12 * light + 0.12 * head)[:, None], np.float32)
         tint = np.where(behind[:, None], _CLAY_BEHIND, _CLAY)

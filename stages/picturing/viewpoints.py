@@ -8,20 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.errors import InputError
+from stages.errors import InputError, UsageError
 from stages.printing import by_fields
 from stages.scans.scan import Camera, Frame, Pose
 from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, is_used
 from stages.surface.topology import require_measurable
-from stages.surface.upright import up_of_cameras
+from stages.surface.upright import turn_along_y, up_of_cameras
 
 # Share of the vertices on each side that framing ignores: a few stray islands must not shrink the rest.
 _STRAY = 0.001
 # Framing thins more vertices than this out.
 _ENOUGH = 100_000
 _ELEVATION = math.radians(30)
+_FIRST_AZIMUTH = math.radians(-35)
+# Of the picture's width, if it is 4:3 or wider.
 _FIELD_OF_VIEW = math.radians(40)
+# Of the picture, what is framed fills this share.
+FILLED = 0.92
+# The sine of an angle below which two directions are one.
+_PARALLEL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,32 +41,42 @@ class Viewpoint:
     camera : size of the picture and pinhole intrinsics; distortion is not drawn.
     world_from_camera : (4, 4) float64, metres, OpenCV axes.
     cull : leave out triangles seen from behind, so that one looks into a room from outside.
+    focus : how far ahead what it is about is, metres; None if that is not known.
     """
 
     name: str
     camera: Camera
     world_from_camera: Pose
     cull: bool = False
+    focus: float | None = None
 
     __repr__ = by_fields
 
 
 def viewpoints(
-    mesh: MeshLike, count: int = 4, *, frames: Sequence[Frame] = (), width: int = 800
+    mesh: MeshLike,
+    count: int = 4,
+    *,
+    frames: Sequence[Frame] = (),
+    width: int = 800,
+    height: int | None = None,
+    up: Sequence[float] | None = None,
 ) -> tuple[Viewpoint, ...]:
     """Choose viewpoints that show a mesh well.
 
     With the frames of a scan: an overview from behind and above the cameras, without the triangles that
     face away, and `count` - 1 camera poses spread evenly over the scan, which show the scene as the sensor
     saw it, from inside a room too. The frames' own x and y axes tell what is up.
-    Without frames: `count` viewpoints around the mesh from 30° above, y up, as in glTF.
+    Without frames: `count` viewpoints around the mesh from 30° above.
 
     Parameters
     ----------
     mesh : what the viewpoints are fitted to; use one mesh for all stages to make pictures comparable.
     count : number of viewpoints, 1 or more.
     frames : of the scan; those without a pose are ignored.
-    width : of the pictures, pixels; they are 4:3, or have the shape of the frames' camera.
+    width : of the pictures, pixels.
+    height : of the pictures; by default they are 4:3. Those of frames have the shape of their camera.
+    up : (3,) what is up without frames; by default what the mesh says, else y, as in glTF.
 
     Raises
     ------
@@ -74,16 +91,17 @@ def viewpoints(
     points = points[:: 1 + len(points) // _ENOUGH]
     posed = [frame for frame in frames if frame.world_from_camera is not None]
     if not posed:
-        up = np.array((0.0, 1.0, 0.0))
+        upward = up_or_own(mesh, up)
+        headings = [
+            around(upward, _FIRST_AZIMUTH + 2 * math.pi * i / count, _ELEVATION) for i in range(count)
+        ]
         return tuple(
-            _looking(
-                f"view{i + 1}", points, _around(up, math.radians(-35) + 2 * math.pi * i / count), up, width
-            )
-            for i in range(count)
+            _looking(f"view{i + 1}", points, heading, upward, width, height)
+            for i, heading in enumerate(headings)
         )
     poses = np.array([frame.world_from_camera for frame in posed])
-    up = up_of_cameras(poses)
-    overview = _looking("overview", points, _downward(poses, up), up, width, cull=True)
+    upward = up_of_cameras(poses)
+    overview = _looking("overview", points, _downward(poses, upward), upward, width, height, cull=True)
     chosen = np.unique(np.linspace(0, len(posed) - 1, 2 * count - 1).round().astype(int)[1::2])
     return (overview, *(_as_seen(posed[i], width) for i in chosen))
 
@@ -114,26 +132,91 @@ def _downward(poses: Floats, up: Floats) -> Floats:
     return np.asarray(math.cos(tilt) * heading - math.sin(tilt) * up)
 
 
-def _around(up: Floats, azimuth: float) -> Floats:
-    """Return a direction that looks down at the scene from an azimuth around y."""
-    level = np.array((math.sin(azimuth), 0.0, -math.cos(azimuth)))
-    return np.asarray(math.cos(_ELEVATION) * level - math.sin(_ELEVATION) * up)
+def up_or_own(mesh: Mesh, up: Sequence[float] | None) -> Floats:
+    """Return a direction (3,) of length 1: what is up by a person's word, by the mesh's, else y."""
+    known = up if up is not None else mesh.up if mesh.up is not None else (0.0, 1.0, 0.0)
+    direction = np.asarray(known, np.float64)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def around(up: Floats, azimuth: float, elevation: float) -> Floats:
+    """Return a direction that looks down at the scene, by its azimuth around what is up and from how high."""
+    level = turn_along_y(up).T @ np.array((math.sin(azimuth), 0.0, -math.cos(azimuth)))
+    return np.asarray(math.cos(elevation) * level - math.sin(elevation) * up)
+
+
+def looking_at(
+    eye: Sequence[float] | Floats,
+    look: Sequence[float] | Floats,
+    up: Sequence[float] | Floats,
+    width: int,
+    height: int,
+    *,
+    field: float = math.degrees(_FIELD_OF_VIEW),
+    cull: bool = False,
+    name: str = "free",
+) -> Viewpoint:
+    """Return the viewpoint of an eye that looks at a point in the middle of the picture.
+
+    Parameters
+    ----------
+    eye, look, up : (3,) metres, metres, and what is up in the picture, as far as the view allows.
+    width, height : of the picture, pixels.
+    field : the angle the picture's height spans, degrees, above 0 and below 180.
+    cull, name : of the viewpoint.
+
+    Raises
+    ------
+    UsageError
+        If these make no view.
+    """
+    places = np.array([eye, look, up], np.float64)
+    if places.shape != (3, 3) or not np.isfinite(places).all():
+        raise UsageError("eye, look and up are three finite numbers each.")
+    way = places[1] - places[0]
+    if not way.any():
+        raise UsageError("the eye looks at where it is; give it another point to look at.")
+    if not 0 < field < 180:
+        raise UsageError("the field of a view is above 0° and below 180°.")
+    focal = 0.5 * height / math.tan(math.radians(0.5 * field))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = _rotation(way / np.linalg.norm(way), places[2]), places[0]
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    return Viewpoint(name, camera, pose, cull, float(np.linalg.norm(way)))
+
+
+def framed(points: Floats) -> Floats:
+    """Return the points that a picture has to hold: all but a few strays on each side of each axis."""
+    low, high = np.quantile(points, [_STRAY, 1 - _STRAY], axis=0)
+    kept = points[((points >= low) & (points <= high)).all(axis=1)]
+    return kept if len(kept) else points
+
+
+def _rotation(forward: Floats, up: Floats) -> Floats:
+    """Return OpenCV axes (3, 3) of a camera as columns; where it looks up or down, any way is the right."""
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < _PARALLEL * np.linalg.norm(up):
+        right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
 def _looking(
-    name: str, points: Floats, forward: Floats, up: Floats, width: int, *, cull: bool = False
+    name: str,
+    points: Floats,
+    forward: Floats,
+    up: Floats,
+    width: int,
+    height: int | None = None,
+    *,
+    cull: bool = False,
 ) -> Viewpoint:
     """Look along `forward` from so far back that the points just fill the picture."""
-    height = round(width * 3 / 4)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-    seen = points @ rotation
-    low, high = np.quantile(seen, [_STRAY, 1 - _STRAY], axis=0)
-    kept = seen[((seen >= low) & (seen <= high)).all(axis=1)]
-    seen = kept if len(kept) else seen
+    height = height or round(width * 3 / 4)
+    rotation = _rotation(forward, up)
+    seen = framed(points @ rotation)
     focal = 0.5 * width / math.tan(0.5 * _FIELD_OF_VIEW)
-    slopes = 0.92 * np.array((width, height)) / (2 * focal)
+    slopes = FILLED * np.array((width, height)) / (2 * focal)
     # |x - eye_x| <= slope (z - eye_z) for all points: both sides of each axis bound the eye.
     lower = np.array([(seen[:, i] - slopes[i] * seen[:, 2]).max() for i in (0, 1)])
     upper = np.array([(seen[:, i] + slopes[i] * seen[:, 2]).min() for i in (0, 1)])

@@ -12,6 +12,7 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,21 @@ class Hits:
         )
 
 
+class Slimness(NamedTuple):
+    """What tells needles and slivers from other triangles.
+
+    Attributes
+    ----------
+    longest : (m,) int64, the corner that the longest side starts at.
+    longest2 : (m,) its length squared.
+    area2 : (m,) twice the area.
+    """
+
+    longest: NDArray[np.int64]
+    longest2: Floats
+    area2: Floats
+
+
 class Surface:
     """The surface of a mesh, ready for closest-point and ray queries.
 
@@ -81,6 +97,11 @@ class Surface:
     mesh : with at least one triangle.
     box : (2, 3) lowest and highest corner of everything that will be asked; the mesh's own box if None.
         Queries far outside it lose precision in the choice of the triangle.
+
+    Attributes
+    ----------
+    mesh : as given.
+    slimness : of its triangles.
     """
 
     def __init__(self, mesh: Mesh, box: Floats | None = None) -> None:
@@ -88,11 +109,12 @@ class Surface:
         self.mesh = mesh
         self._center = box.mean(axis=0)
         self._scale = 1 / max(float(np.linalg.norm(box[1] - box[0])), np.finfo(np.float64).tiny)
+        self.slimness = slimness_of(mesh)
         o3d = open3d()
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
             o3d.core.Tensor(self._scaled(mesh.vertices)),
-            o3d.core.Tensor(_without_slivers(mesh).astype(np.uint32)),
+            o3d.core.Tensor(_without_slivers(mesh, self.slimness).astype(np.uint32)),
         )
         # Open3D builds its tree at the first query: have that now, before several threads ask.
         self._scene.compute_closest_points(o3d.core.Tensor(np.zeros((1, 3), np.float32)))
@@ -144,6 +166,17 @@ class Surface:
             found["primitive_normals"].numpy()[met],
         )
 
+    def nearest(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Return the triangle (k,) nearest to each of `points`, and how far it is, in single precision.
+
+        Unlike `closest`, it takes all points at a time, of which there is one at least.
+        """
+        asked = self._scaled(points)
+        found = self._scene.compute_closest_points(open3d().core.Tensor(asked))
+        away = found["points"].numpy() - asked
+        distances = np.sqrt(np.einsum("kx,kx->k", away, away)) / np.float32(self._scale)
+        return found["primitive_ids"].numpy().astype(np.int64), distances
+
     def _closest(self, points: Floats) -> Located:
         found = self._scene.compute_closest_points(open3d().core.Tensor(self._scaled(points)))
         triangles = found["primitive_ids"].numpy().astype(np.int64)
@@ -156,32 +189,51 @@ class Surface:
         return np.asarray((points - self._center) * self._scale, np.float32)
 
 
-def _without_slivers(mesh: Mesh) -> Triangles:
+def slimness_of(mesh: Mesh) -> Slimness:
+    """Return how slim each triangle is."""
+    count = len(mesh.triangles)
+    sides2, area2_squared = np.zeros((3, count)), np.zeros(count)
+    first, second = np.empty((3, count)), np.empty((3, count))
+    # A coordinate at a time: several times as fast as rows of three, and this runs over all triangles.
+    for axis in range(3):
+        a, b, c = (mesh.vertices[:, axis].take(corner) for corner in mesh.triangles.T)
+        first[axis], second[axis] = b - a, c - b
+        for side, along in enumerate((first[axis], second[axis], a - c)):
+            sides2[side] += along * along
+    for i, j in ((1, 2), (2, 0), (0, 1)):
+        across = first[i] * second[j] - first[j] * second[i]
+        area2_squared += across * across
+    longest = sides2.argmax(axis=0)
+    return Slimness(longest, sides2.max(axis=0), np.sqrt(area2_squared))
+
+
+def _without_slivers(mesh: Mesh, slimness: Slimness) -> Triangles:
     """Return the triangles with every sliver replaced by its longest side, as (first, second, second).
 
     In single precision the closest point of a sliver can come out anywhere along its line, and another
     triangle then be taken for the nearest; that of a side comes out right.
     """
-    corners = mesh.vertices[mesh.triangles]
-    sides = np.roll(corners, -1, axis=1) - corners
-    lengths2 = np.einsum("ksx,ksx->ks", sides, sides)
-    longest = lengths2.argmax(axis=1)
-    area2 = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-    (slivers,) = np.nonzero(area2 <= _SLIVER * lengths2.max(axis=1))
+    (slivers,) = np.nonzero(slimness.area2 <= _SLIVER * slimness.longest2)
     if not len(slivers):
         return mesh.triangles
     triangles: Triangles = mesh.triangles.copy()
-    first, second = longest[slivers], (longest[slivers] + 1) % 3
+    longest = slimness.longest[slivers]
+    first, second = longest, (longest + 1) % 3
     triangles[slivers] = mesh.triangles[slivers[:, None], np.stack([first, second, second], axis=1)]
     return triangles
 
 
 def unit_normals(mesh: Mesh) -> Floats:
     """Return the unit normals (m, 3) of a mesh's triangles; 0 for those without area."""
-    a, b, c = mesh.vertices[mesh.triangles].swapaxes(0, 1)
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
+    # A coordinate at a time: several times as fast as rows of three.
+    corners = np.array([[x.take(corner) for x in mesh.vertices.T] for corner in mesh.triangles.T])
+    first, second = corners[1] - corners[0], corners[2] - corners[0]
+    across = [first[i] * second[j] - first[j] * second[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    lengths = np.sqrt(sum(x * x for x in across))
+    normals = np.zeros((len(mesh.triangles), 3))
+    for axis in range(3):
+        np.divide(across[axis], lengths, out=normals[:, axis], where=lengths > 0)
+    return normals
 
 
 def bounding_box(*meshes: Mesh) -> Floats:

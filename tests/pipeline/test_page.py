@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from coloured_meshes import sheet
+from page_content import shown
 
 from pipeline.page import page_of_mesh, page_of_run
 from pipeline.photos import write_photos
@@ -37,13 +37,6 @@ def out(tmp_path: Path) -> Path:
     write_ply(folder / "simplified.ply", sheet(4))
     write_photos(folder / "pictures", [frame(k) for k in range(8)], 4)
     return folder
-
-
-def shown(page: bytes) -> dict[str, Any]:
-    found = re.search(rb'id="content"[^>]*>(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    content: dict[str, Any] = json.loads(found[1])
-    return content
 
 
 def silent(text: str) -> None:

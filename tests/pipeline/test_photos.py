@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.config import Config
+from pipeline.deviations import FIGURES, MESH
 from pipeline.photos import FILE, write_photos
 from pipeline.plan import left_out
 from pipeline.run import CACHE_VARIABLE, run
@@ -49,6 +50,14 @@ def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
         assert abs(image.astype(int).mean() - 10 * k) < 2
         assert cameras[k]["frame"] == f"f{k}"
         assert cameras[k]["world_from_camera"][3] == k
+
+
+def test_frames_that_were_held_out_follow_and_are_told_apart(tmp_path):
+    made = write_photos(tmp_path, [frame(k) for k in range(6)], 100, [frame(k) for k in (7, 8)])
+    cameras = json.loads((tmp_path / FILE).read_text())["cameras"]
+    assert made == 8
+    assert [one["frame"] for one in cameras if one["held_out"]] == ["f7", "f8"]
+    assert [one["frame"] for one in cameras[-2:]] == ["f7", "f8"]
 
 
 @pytest.mark.parametrize("count", [0, 1, 100])
@@ -103,7 +112,7 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     made = run(SCAN, tmp_path, quiet.set([*bare, "remesh.levels=1"]))
     assert made.report["normal_mesh"]["levels"]
     assert made.report["held_out"]["photos"] > 0
-    assert [path.name for path in (tmp_path / "pictures").iterdir()] == [FILE]
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == [FILE, FIGURES, MESH]
 
     none = run(SCAN, tmp_path, quiet.set(["report.enabled=false"]))
     assert none.report["mesh"] is None

@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pipeline.deviations import read_deviations
 from pipeline.report import ReportParams, make
 from stages.comparing.compare import CompareParams, compare
 from stages.errors import InputError
@@ -30,6 +33,31 @@ def test_islands_that_were_removed_do_not_count_as_an_error_of_simplification(tm
     assert mesh["to_clean"]["distance"]["symmetric"]["maximum_m"] == pytest.approx(0.01)
     alone = compare(WITH_ISLAND, MESHES["simplified"], samples=1000).figures()
     assert mesh["to_fused"] == alone, "the report measures as compare does"
+
+
+def test_the_result_is_measured_with_signs_once_for_its_page(tmp_path):
+    made = make(tmp_path, MESHES, [], CompareParams(samples=1000), replace(SMALL, pictures=False))
+    told = made["deviation"]
+    assert told["is_signed"]
+    assert told["lowest_m"] == pytest.approx(0.01)
+    assert told["highest_m"] == pytest.approx(0.01), "above, where the clean mesh looks to"
+    kept = read_deviations(tmp_path)
+    np.testing.assert_allclose(kept.at_vertices, 0.01)
+    np.testing.assert_allclose(kept.vertices, MESHES["simplified"].vertices)
+    assert made["pictures"] == []
+
+
+def test_pictures_are_the_same_whatever_is_drawn_beside_them(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    small = CompareParams(samples=100)
+    made = make(tmp_path / "a", MESHES, [], small, SMALL)
+    again = make(tmp_path / "b", MESHES, [], small, SMALL)
+    assert made == again
+    names = [f"{mesh}-view1.png" for mesh in MESHES]
+    assert made["pictures"] == [*names, "simplified-triangles.png"]
+    for name in made["pictures"]:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 def test_a_mesh_without_triangles_is_refused_by_name(tmp_path):

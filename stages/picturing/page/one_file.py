@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,17 +32,40 @@ class PageScale:
     ----------
     unit : of the values.
     low, high : where the first step begins, and where the last ends.
-    within : what is nearer to 0 is well.
+    within : what is nearer to 0 is well; None where nothing is better than other.
     colors : of the steps, as CSS has them.
     shares : of the surface, that have a step's values.
+    safe : colours for eyes that mix up red and green; None where all tell them apart.
+    marks : the values that are written beside it; None for its ends and what is well.
     """
 
     unit: str
     low: float
     high: float
-    within: float
+    within: float | None
     colors: list[str]
     shares: list[float]
+    safe: list[str] | None = None
+    marks: list[float] | None = None
+
+
+@dataclass(frozen=True)
+class PageLook:
+    """Another look of a model, in colours that its vertices have beside its own.
+
+    Attributes
+    ----------
+    name : what it is chosen by.
+    channel : which of the numbers of `_VALUES` it shows, 0 to 255 from the low end of its scale to the high
+        one; None for the vertex colours that are beside a texture.
+    note : a few words beside the number of triangles.
+    scale : what the numbers stand for; None for vertex colours.
+    """
+
+    name: str
+    channel: int | None
+    note: str = ""
+    scale: PageScale | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +80,7 @@ class PageModel:
     note : a few words beside their number.
     facing : (3,) where its surface looks if it was seen from one side, z up; None if all around.
     scale : what its colours stand for; None if they are the thing's own.
+    looks : others that it has.
     """
 
     name: str
@@ -65,6 +89,7 @@ class PageModel:
     note: str = ""
     facing: list[float] | None = None
     scale: PageScale | None = None
+    looks: tuple[PageLook, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -79,6 +104,7 @@ class PageCamera:
     size : width and height of its image, pixels.
     focal, center : fx, fy, and cx, cy, pixels.
     photo : a JPEG file without lens distortion, of any size; None without one.
+    mark : what is special about it: that it was held out, or why it was skipped.
     """
 
     frame: str
@@ -87,6 +113,7 @@ class PageCamera:
     focal: list[float]
     center: list[float]
     photo: bytes | None = None
+    mark: str = ""
 
 
 def one_file(
@@ -108,17 +135,8 @@ def one_file(
     """
     content = {
         "title": title,
-        "models": [
-            {
-                "name": model.name,
-                "glb": base64.b64encode(model.glb).decode(),
-                "triangles": model.triangles,
-                "note": model.note,
-                "facing": model.facing,
-                "scale": None if model.scale is None else vars(model.scale),
-            }
-            for model in models
-        ],
+        "files": [base64.b64encode(model.glb).decode() for model in models],
+        "models": [*_own_looks(models), *_other_looks(models)],
         "cameras": [{**vars(camera), "photo": _photo(camera.photo)} for camera in cameras],
         **(told or {}),
     }
@@ -129,6 +147,29 @@ def one_file(
     # In a script element only what looks like its end, or a comment's start, would be read as HTML.
     page = page.replace("CONTENT", json.dumps(content).replace("<", "\\u003c"), 1)
     return f"{page}<!--\n{licenses}\n-->\n".encode()
+
+
+def _own_looks(models: Sequence[PageModel]) -> Iterator[dict[str, Any]]:
+    for file, model in enumerate(models):
+        yield {"look": "own", **_described(file, model, model)}
+
+
+def _other_looks(models: Sequence[PageModel]) -> Iterator[dict[str, Any]]:
+    for file, model in enumerate(models):
+        for look in model.looks:
+            shown = "colors" if look.channel is None else look.channel
+            yield {"look": shown, **_described(file, model, look)}
+
+
+def _described(file: int, model: PageModel, look: PageModel | PageLook) -> dict[str, Any]:
+    return {
+        "file": file,
+        "name": look.name,
+        "note": look.note,
+        "triangles": model.triangles,
+        "facing": model.facing,
+        "scale": None if look.scale is None else vars(look.scale),
+    }
 
 
 def is_page(path: Path) -> bool:

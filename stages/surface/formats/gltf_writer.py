@@ -127,7 +127,14 @@ class _Buffer:
         return buffers
 
 
-def write_gltf(path: Path | str, mesh: Mesh, *, compress: str = "none", unlit: bool = False) -> None:
+def write_gltf(
+    path: Path | str,
+    mesh: Mesh,
+    *,
+    compress: str = "none",
+    unlit: bool = False,
+    values: NDArray[np.uint8] | None = None,
+) -> None:
     """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
 
     Triangles of one part and material are put together. Parts that share no vertices become nodes. Where the
@@ -142,6 +149,7 @@ def write_gltf(path: Path | str, mesh: Mesh, *, compress: str = "none", unlit: b
         order; viewers need EXT_meshopt_compression.
     unlit : shown in the colours that are there, without further light, and without normals; of no effect on a
         mesh without colours.
+    values : (n, 4) four more numbers of each vertex, written as `_VALUES`, which programs pass over.
 
     Raises
     ------
@@ -163,14 +171,16 @@ def write_gltf(path: Path | str, mesh: Mesh, *, compress: str = "none", unlit: b
         needed = [QUANTIZED, PACKED] if buffer.pack else [QUANTIZED]
         tree |= {"extensionsUsed": [*needed], "extensionsRequired": [*needed]}
     materials = MaterialWriter(tree, unlit=unlit)
-    _add_nodes(tree, buffer, materials, mesh)
+    _add_nodes(tree, buffer, materials, mesh, values)
     if path.suffix.lower() == ".gltf":
         _write_apart(path, tree, buffer, materials)
     else:
         _write_one(path, tree, buffer, materials)
 
 
-def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mesh) -> None:
+def _add_nodes(
+    tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mesh, values: NDArray[np.uint8] | None
+) -> None:
     if len(mesh.triangles) == 0:
         return
     if abs(mesh.vertices).max() > _LARGEST_FLOAT:
@@ -188,7 +198,7 @@ def _add_nodes(tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mes
     for part, material, chosen in _groups(mesh, parts):
         name = mesh.part_names[part] if part >= 0 else ""
         of_group = mesh.texture.materials[material] if mesh.texture is not None and material >= 0 else None
-        primitive = _primitive(buffer, mesh, chosen, of_group)
+        primitive = _primitive(buffer, mesh, chosen, of_group, values)
         colored = "COLOR_0" in primitive["attributes"]
         primitive["material"] = materials.number(of_group, with_colors=colored)
         if (one_node and name) or (mesh.part_names and not name):
@@ -261,7 +271,13 @@ def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Ro
         yield int(keys[0, chosen[0]]), int(keys[1, chosen[0]]), chosen
 
 
-def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Material | None) -> Tree:
+def _primitive(
+    buffer: _Buffer,
+    mesh: Mesh,
+    chosen: Rows | None,
+    material: Material | None,
+    values: NDArray[np.uint8] | None,
+) -> Tree:
     """Add the chosen triangles, which are alike in what they have."""
     rows: Any = slice(None) if chosen is None else chosen
     triangles = mesh.triangles[rows]
@@ -307,6 +323,8 @@ def _primitive(buffer: _Buffer, mesh: Mesh, chosen: Rows | None, material: Mater
     if mesh.colors is not None:
         shown = material is None or material.image is None or multiplies_colors(material)
         attributes |= _colors(buffer, mesh.colors[source], shown=shown)
+    if values is not None:
+        attributes["_VALUES"] = buffer.accessor(values[source], "VEC4", _BYTE, VERTICES, normalized=True)
     narrow = len(source) < np.iinfo(np.uint16).max  # the last value stands for none in some programs
     indices = index.astype(np.uint16 if narrow else np.uint32).reshape(-1)
     code = _SHORT if narrow else _INT

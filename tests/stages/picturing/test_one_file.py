@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ import numpy as np
 import pytest
 from browsers import browser
 
-from stages import Mesh, export, preset
-from stages.picturing.page.one_file import PageCamera, PageModel, PageScale, one_file
+from stages import Image, Material, Mesh, Texture, export, preset
+from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
 from stages.picturing.page.standing import facing
 from stages.picturing.render import render
 from stages.picturing.viewpoints import Viewpoint
 from stages.scans.scan import Camera
+from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.upright import turn_along_z
 
 pytestmark = pytest.mark.slow
@@ -27,6 +29,11 @@ UP = (0.0, -1.0, 0.0)
 EVIL = "</script><script>window.evil = 1</script><!--"
 
 
+# Of the looks: low values are red, high ones blue; or green and white, for all eyes.
+VALUES = PageScale(
+    "photos", -0.5, 1.5, None, ["rgb(220, 0, 0)", "rgb(0, 0, 220)"], [0.5, 0.5],
+    ["rgb(0, 220, 0)", "rgb(220, 220, 220)"], [0, 1],
+)  # fmt: skip
 SCALE = PageScale("mm", -2.0, 2.0, 0.5, ["rgb(1, 2, 3)", "rgb(4, 5, 6)"], [0.25, 0.75])
 
 
@@ -48,7 +55,7 @@ def half_green() -> bytes:
 CAMERAS = [
     camera_at(EVIL, (0, -3, 0), half_green()),
     camera_at("second", (2, -3, 0), None),
-    camera_at("third", (2, -4, 0.5), half_green()),
+    replace(camera_at("third", (2, -4, 0.5), half_green()), mark="held out"),
 ]
 
 
@@ -67,6 +74,17 @@ def body(color: tuple[int, int, int]) -> Mesh:
     return Mesh(np.array(made.vertices), np.array(made.faces, np.int32), colors, up=UP)
 
 
+def checked() -> Mesh:
+    """Return the body with an image of 16 colours, as seen from the front, and blue vertices."""
+    mesh = body((20, 20, 200))
+    pixels = np.random.default_rng(5).integers(0, 255, (4, 4, 3)).astype(np.uint8)
+    pixels = pixels.repeat(16, 0).repeat(16, 1)
+    flat = mesh.vertices[mesh.triangles][..., :2]
+    uvs = (flat - flat.min(axis=(0, 1))) / np.ptp(flat, axis=(0, 1))
+    texture = Texture(uvs, np.zeros(len(uvs), np.int32), (Material(image=Image(given=pixels)),))
+    return mesh.with_(texture=texture)
+
+
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
@@ -74,7 +92,15 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, color in (("red", (200, 20, 20)), ("blue", (20, 20, 200))):
         export(body(color), folder / "m.glb", preset("web"))
         models.append(PageModel(name, (folder / "m.glb").read_bytes(), 24, scale=SCALE if models else None))
+    mesh = checked()
+    # The one of all that look right is high.
+    values = np.zeros((len(mesh.vertices), 4), np.uint8)
+    values[:, 1] = np.where(mesh.vertices[:, 0] > 0, 255, 0)
+    write_gltf(folder / "m.glb", mesh, compress="meshopt", unlit=True, values=values)
+    looks = (PageLook("values", 1, "which side", VALUES), PageLook("vertex colours", None))
+    models.append(PageModel("checked", (folder / "m.glb").read_bytes(), 24, looks=looks))
     told = {
+        "frames": EVIL,
         "warnings": [EVIL],
         "tables": [{"title": "Places", "head": ["a", ""], "rows": [[EVIL]],
                     "places": [{"target": [1, 0, 1], "away": 2}]}],
@@ -126,14 +152,20 @@ def red(pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels[..., 0] - pixels[..., 2] > 40)
 
 
+def green(pixels: np.ndarray) -> np.ndarray:
+    return np.asarray(pixels[..., 1] - pixels[..., [0, 2]].max(axis=2) > 60)
+
+
 def blue(pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels[..., 2] - pixels[..., 0] > 40)
 
 
-def test_it_is_seen_where_our_own_renderer_sees_it(page: Any) -> None:
+@pytest.mark.parametrize(("number", "mesh"), [(0, body((200, 20, 20))), (2, checked())])
+def test_it_is_seen_as_our_own_renderer_sees_it(page: Any, number: int, mesh: Mesh) -> None:
     page.add_style_tag(
         content="form, #scale { display: none !important } #stage { height: 360px !important }"
     )
+    page.evaluate(f"scanloom.show({number})")
     eye, target = np.array((4.0, -5.0, 3.0)), np.array((0.2, 0.1, 0.2))
     page.evaluate("view => scanloom.look(view)", {"eye": eye.tolist(), "target": target.tolist(), "fov": 50})
     seen = image(page)
@@ -148,11 +180,17 @@ def test_it_is_seen_where_our_own_renderer_sees_it(page: Any) -> None:
     pose[:3] = turn_along_z(np.array(UP)).T @ pose[:3]
     focal = height / 2 / np.tan(np.radians(25))
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-    drawn = render(body((200, 20, 20)), Viewpoint("same", camera, pose)).astype(int)
-    ours, theirs = red(drawn), red(seen)
+    viewpoint = Viewpoint("same", camera, pose)
+    drawn = render(mesh, viewpoint, shading="unlit").astype(int)
+    nothing = mesh.with_(vertices=mesh.vertices - 100 * (target - eye) @ turn_along_z(np.array(UP)))
+    ours = (drawn != render(nothing, viewpoint)).any(axis=2)
+    theirs = (seen != seen[0, 0]).any(axis=2)
     assert ours.mean() > 0.05
-    # But for the pixels along outlines.
+    # But for the pixels along outlines, in place and in colour; and along those of the image's pixels.
     assert (ours & theirs).sum() / (ours | theirs).sum() > 0.97
+    off = np.abs(drawn - seen).max(axis=2)[ours & theirs]
+    assert (off <= 4).mean() > (0.97 if number == 0 else 0.7)
+    assert np.median(off) <= 2
 
 
 def test_models_modes_keys_and_measuring(page: Any) -> None:
@@ -213,10 +251,6 @@ def test_places_are_flown_to_and_words_are_no_html(page: Any) -> None:
     assert np.linalg.norm(np.array(after["eye"]) - after["target"]) == pytest.approx(2, rel=0.01)
 
 
-def green(pixels: np.ndarray) -> np.ndarray:
-    return np.asarray(pixels[..., 1] - pixels[..., [0, 2]].max(axis=2) > 60)
-
-
 def columns(seen: np.ndarray) -> tuple[int, int]:
     """Return the first and last column in which something is seen."""
     found = np.flatnonzero(seen.any(axis=0))
@@ -250,7 +284,8 @@ def test_a_cut_leaves_out_what_is_beyond_it(page: Any) -> None:
     # Half the box of 3 m, from the front: in its middle.
     assert cut[1] == pytest.approx(sum(whole) / 2, abs=10)
     page.select_option("#cut", "z")
-    page.evaluate("scanloom.set({ at: 0 })")
+    # Below the lowest side, which lies in the plane at 0.
+    page.evaluate("scanloom.set({ at: -0.01 })")
     assert not red(image(page)[:ABOVE]).any()
     # What is cut away is not measured, either.
     page.evaluate("scanloom.set({ measuring: true })")
@@ -286,12 +321,94 @@ def test_a_photo_lies_over_the_model_where_it_was_taken(page: Any) -> None:
     assert page.evaluate("scanloom.view().fov") == 50
 
 
+def test_looks_of_one_model_share_its_shape(page: Any) -> None:
+    names = page.evaluate("[...document.getElementById('model').options].map((one) => one.text)")
+    assert names == ["red", "blue", "checked", "values", "vertex colours"]
+    # Which has these colours, too.
+    page.add_style_tag(content="#legend { display: none !important }")
+    page.evaluate("scanloom.look({ eye: [0, -6, 0], target: [0, 0, 0], fov: 50 })")
+    page.evaluate("scanloom.show(3)")
+    seen = image(page)[:ABOVE]
+    (first, last), (start, end) = columns(red(seen)), columns(blue(seen))
+    assert first < last < start < end
+    page.evaluate("scanloom.show(4)")
+    seen = image(page)[:ABOVE]
+    assert not red(seen).any()
+    assert columns(blue(seen)) == pytest.approx((first, end), abs=2)
+    page.evaluate("scanloom.show(2)")
+    assert len(np.unique(image(page)[:ABOVE].reshape(-1, 3), axis=0)) > 16
+    # One beside the other.
+    page.evaluate("scanloom.showBeside(4)")
+    assert columns(blue(image(page)[:ABOVE]))[0] == pytest.approx(first, abs=2)
+
+
+def test_a_scale_has_colours_for_all_eyes(page: Any) -> None:
+    assert page.locator("#safe").is_hidden()
+    page.evaluate("scanloom.show(3)")
+    page.evaluate("scanloom.look({ eye: [0, -6, 0], target: [0, 0, 0], fov: 50 })")
+    assert red(image(page)[:ABOVE]).any()
+    page.locator("#safe").check()
+    seen = image(page)[:ABOVE]
+    assert green(seen).any()
+    assert not red(seen).any()
+    swatches = "[...document.querySelectorAll('#legend .swatch')].map((one) => one.style.background)"
+    assert page.evaluate(swatches) == VALUES.safe[::-1]
+    assert [mark for mark in page.inner_text("#legend").split() if mark != "photos"] == ["0", "1"]
+    page.evaluate("scanloom.show(0)")
+    assert page.locator("#safe").is_hidden()
+
+
+def test_photos_in_a_row_say_what_became_of_their_frames_and_are_flown_to(page: Any) -> None:
+    photos = page.locator(".frames button")
+    assert photos.count() == 2
+    assert photos.nth(0).inner_text() == EVIL
+    assert photos.nth(1).inner_text().split("\n") == ["third", "held out"]
+    assert page.evaluate("document.querySelector('.frames img').naturalWidth") > 0
+    photos.nth(1).click()
+    wait_for(page, "scanloom.settings().photo === 2")
+    np.testing.assert_allclose(page.evaluate("scanloom.view()")["eye"], (2, -4, 0.5), atol=1e-6)
+
+
+def test_a_text_is_copied_or_chosen(page: Any) -> None:
+    page.click("summary")
+    page.get_by_role("button", name="copy").click()
+    copied = "document.querySelector('details button').textContent === 'copied'"
+    wait_for(page, f"getSelection().toString() !== '' || {copied}")
+    assert page.inner_text("pre") == EVIL
+
+
+def test_every_control_has_a_name_and_shows_where_the_keyboard_is(page: Any) -> None:
+    page.select_option("#cut", "x")
+    page.evaluate("scanloom.showPhoto(0)")
+    page.evaluate("scanloom.show(3)")
+    page.evaluate("scanloom.showBeside(1)")
+    found = page.evaluate(
+        """[...document.querySelectorAll("button, select, input, summary, [tabindex], [role=slider]")]
+        .filter((one) => one.checkVisibility())
+        .map((one) => {
+          one.focus({ focusVisible: true });
+          const style = getComputedStyle(one);
+          const label = one.labels?.[0]?.textContent ?? "";
+          const name = one.getAttribute("aria-label") ?? (label.trim() || one.textContent.trim());
+          const seen = style.outlineStyle !== "none" || style.strokeWidth === "3px";
+          return [one.id || one.className.baseVal || one.className || one.tagName, name, seen];
+        })"""
+    )
+    assert len(found) > 15
+    assert [one for one in found if not one[1] or not one[2]] == []
+    assert page.inner_text("h1") == EVIL
+    # Every image that says something says it in words, too.
+    assert page.evaluate("[...document.images].every((one) => one.hasAttribute('alt'))")
+    assert page.evaluate("document.documentElement.lang") == "en"
+
+
 def test_cameras_from_above_and_their_photos_are_chosen_by_keys(page: Any) -> None:
     circles = page.locator(".plan circle")
     assert circles.count() == 3
     buttons = page.locator(".plan circle[role=button]")
     assert buttons.count() == 2
     assert buttons.nth(0).get_attribute("aria-label") == f"Photo of frame {EVIL}"
+    assert buttons.nth(1).get_attribute("aria-label") == "Photo of frame third, held out"
     at = [float(circles.nth(k).get_attribute(axis)) for k in (0, 2) for axis in ("cx", "cy")]
     assert at[2] > at[0], "x to the right"
     assert at[3] > at[1], "y away from the reader"
@@ -322,7 +439,7 @@ def test_narrow_and_wide_fit(chromium: Any, page_file: Path, width: int, scheme:
     opened.goto(page_file.as_uri())
     opened.wait_for_selector("#message", state="hidden", timeout=60_000)
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
-    for name in ("#mode", "#measure", "#all", "#scale"):
+    for name in ("#mode", "#measure", "#all", "#scale", ".frames", ".plan"):
         box = opened.locator(name).bounding_box()
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= width

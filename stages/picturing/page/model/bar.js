@@ -4,7 +4,7 @@ const NONE = "none";
 
 /** Tie the controls of a form to a picture of several models, and of cameras. */
 export function bar(form, drawn, models, cameras, unit) {
-  const { model, beside, mode, cut, at, cameras: shown, photo, opacity, measure, all } = form.elements;
+  const { model, beside, mode, cut, at, cameras: shown, photo, opacity, safe, measure, all } = form.elements;
   const figures = form.querySelector("#figures");
   models.forEach(({ name }, number) => {
     model.add(new Option(name, number));
@@ -24,6 +24,7 @@ export function bar(form, drawn, models, cameras, unit) {
   shown.addEventListener("change", () => drawn.set({ cameras: shown.checked }));
   photo.addEventListener("change", () => drawn.showPhoto(numbered(photo)));
   opacity.addEventListener("input", () => drawn.set({ opacity: Number(opacity.value) }));
+  safe.addEventListener("change", () => drawn.set({ safe: safe.checked }));
   measure.addEventListener("click", () => drawn.set({ measuring: !drawn.settings().measuring }));
   all.addEventListener("click", () => drawn.showAll());
   form.addEventListener("submit", (event) => event.preventDefault());
@@ -40,6 +41,8 @@ export function bar(form, drawn, models, cameras, unit) {
     cut.value = settings.cut;
     shown.checked = settings.cameras;
     photo.value = settings.photo ?? NONE;
+    safe.checked = settings.safe;
+    hide(![settings.model, settings.beside].some((number) => models[number]?.scale?.safe), safe);
     hide(settings.cut === NONE, at);
     hide(settings.photo === null, opacity);
     measure.setAttribute("aria-pressed", String(settings.measuring));

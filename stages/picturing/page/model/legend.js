@@ -2,16 +2,18 @@
 
 const CLOSE = 0.06; // of the scale, two numbers
 
-/** Fill an element with a scale, highest first; hide it where a model has none. */
-export function legend(place, scale) {
+/** Fill an element with a scale, highest first, in colours that all eyes tell apart if wanted; hide it without one. */
+export function legend(place, scale, safe = false) {
   place.replaceChildren();
   place.hidden = !scale;
   if (!scale) return;
-  const { unit, low, high, colors, shares, within } = scale;
+  const { unit, low, high, shares, within, marks: given } = scale;
+  const colors = safe && scale.safe ? scale.safe : scale.colors;
+  const number = given ? plain : signed;
   const most = Math.max(...shares);
   const bars = element("div", "bars");
   bars.setAttribute("role", "img");
-  bars.setAttribute("aria-label", `Histogram from ${number(low)} to ${number(high)} ${unit}`);
+  bars.setAttribute("aria-label", `Share of the surface for ${unit} from ${number(given ? given[0] : low)} to ${number(given ? given.at(-1) : high)}: ${summary(scale)}`);
   for (let at = colors.length - 1; at >= 0; at--) {
     const row = element("div", "bin");
     row.title = `${(100 * shares[at]).toPrecision(2)} % of the surface`;
@@ -25,7 +27,7 @@ export function legend(place, scale) {
     bars.append(row);
   }
   const marks = element("div", "marks");
-  const wanted = low < 0 ? [high, low, within, -within, 0] : [high, low, within];
+  const wanted = given ?? (low < 0 ? [high, low, within, -within, 0] : [high, low, within]).filter((value) => value !== null);
   const told = [];
   for (const value of wanted) {
     // What would be written over another is left out.
@@ -41,7 +43,15 @@ export function legend(place, scale) {
   place.append(title, bars, marks);
 }
 
-const number = (value) => (value > 0 ? "+" : "") + Number(value.toPrecision(3));
+const plain = (value) => `${Number(value.toPrecision(3))}`;
+const signed = (value) => (value > 0 ? "+" : "") + plain(value);
+
+/** Say in words what the bars show: where most of the surface is. */
+function summary({ low, high, shares, unit }) {
+  const step = (high - low) / shares.length;
+  const most = shares.indexOf(Math.max(...shares));
+  return `most of it, ${(100 * shares[most]).toPrecision(2)} %, near ${plain(low + (most + 0.5) * step)} ${unit}`;
+}
 
 function element(kind, name) {
   const made = document.createElement(kind);

@@ -16,18 +16,20 @@ function fail(text) {
 
 async function start() {
   document.title = content.title;
-  const { models, cameras = [], unit = "m" } = content;
-  const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), models, cameras, unit);
+  document.getElementById("title").textContent = content.title;
+  const { files, models, cameras = [], unit = "m" } = content;
+  const drawn = picture(document.getElementById("picture"), document.getElementById("scale"), files, models, cameras, unit);
   const line = document.getElementById("divider");
   const moved = divider(line, (split) => drawn.set({ split }));
   bar(document.getElementById("bar"), drawn, models, cameras, unit);
   let explained = null;
   drawn.onChange(() => {
-    const { model, beside } = drawn.settings();
+    const { model, beside, safe } = drawn.settings();
     line.hidden = beside === null || beside === model;
     const scale = models[model].scale ?? models[beside]?.scale;
-    if (scale !== explained) legend(document.getElementById("legend"), scale);
-    explained = scale;
+    const wanted = scale && `${model} ${beside} ${safe}`;
+    if (wanted !== explained) legend(document.getElementById("legend"), scale, safe);
+    explained = wanted;
   });
   window.scanloom = { ...drawn, divide: moved.set };
   tell(document.getElementById("told"), content);

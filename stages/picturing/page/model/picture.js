@@ -24,11 +24,13 @@ import {
 } from "../library.js";
 import { orbitingCamera, outOfScene } from "../tiles/camera.js";
 import { camerasOf } from "./cameras.js";
+import { inLook, recolor } from "./looks.js";
 
 const MOST_PIXELS = 2; // of the screen to one of the page: more are not seen
 const STILL = 5; // pixels that a click may move
 const BAR = 0.22; // of the picture's width, the longest scale bar
 const MARK = "#e6009e";
+const ENOUGH = 5000; // points of a part, to frame it
 const FRAMED = 1.08; // of a photo's size, what is seen from its place
 // Which way a cut looks, in the scene; what is beyond it is left out.
 const CUTS = { x: [-1, 0, 0], y: [0, 0, 1], z: [0, -1, 0] };
@@ -36,7 +38,7 @@ const CUTS = { x: [-1, 0, 0], y: [0, 0, 1], z: [0, -1, 0] };
 const clay = new MeshLambertMaterial({ color: "#cfccc6", side: DoubleSide, flatShading: true });
 const lines = new MeshBasicMaterial({ color: "#3a4657", wireframe: true });
 
-export function picture(canvas, scale, models, cameras = [], unit = "m") {
+export function picture(canvas, scale, files, models, cameras = [], unit = "m") {
   const renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: false });
   renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
   const scene = new Scene();
@@ -49,7 +51,7 @@ export function picture(canvas, scale, models, cameras = [], unit = "m") {
   const view = orbitingCamera(canvas, change);
   const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
   // `beside`: a model left of `split`, a share of the width; `cut`: an axis, at a share of the model's box.
-  const state = { model: 0, mode: "colors", measuring: false, beside: null, split: 0.5, cut: "none", at: 0.5, cameras: false, photo: null, opacity: 0.6 };
+  const state = { model: 0, mode: "colors", measuring: false, beside: null, split: 0.5, cut: "none", at: 0.5, cameras: false, photo: null, opacity: 0.6, safe: false };
   const box = new Box3();
   const frustums = camerasOf(cameras, scene, change);
   let shown = null;
@@ -111,19 +113,43 @@ export function picture(canvas, scale, models, cameras = [], unit = "m") {
     return length < 0.01 ? `${+(1000 * length).toPrecision(1)} mm` : `${+(100 * length).toPrecision(1)} cm`;
   }
 
+  const read = new Map();
+
+  /** Read a file once, however many looks want it. */
+  function readFile(number) {
+    if (!read.has(number)) {
+      const bytes = Uint8Array.from(atob(files[number]), (letter) => letter.charCodeAt(0));
+      read.set(number, loader.parseAsync(bytes.buffer, "").then(({ scene: found }) => found));
+    }
+    return read.get(number);
+  }
+
   async function load(number) {
     if (!loaded.has(number)) {
-      const bytes = Uint8Array.from(atob(models[number].glb), (letter) => letter.charCodeAt(0));
-      const { scene: found } = await loader.parseAsync(bytes.buffer, "");
+      const { file, look, scale: colors } = models[number];
+      const model = await readFile(file);
+      const found = look === "own" ? model : inLook(model, look, colors);
       found.traverse((one) => {
         if (one.isMesh) {
           one.userData.own = one.material;
           one.material.side = DoubleSide;
         }
       });
-      loaded.set(number, found);
+      if (!loaded.has(number)) loaded.set(number, found);
     }
     return loaded.get(number);
+  }
+
+  /** Some points of a model, in the scene. */
+  function pointsOf(found) {
+    const points = [];
+    found.traverse((one) => {
+      if (!one.isMesh) return;
+      const places = one.geometry.attributes.position;
+      const step = Math.ceil(places.count / ENOUGH);
+      for (let k = 0; k < places.count; k += step) points.push(new Vector3().fromBufferAttribute(places, k).applyMatrix4(one.matrixWorld));
+    });
+    return points;
   }
 
   /** The model that is seen left of the divider, if there are two. */
@@ -133,7 +159,9 @@ export function picture(canvas, scale, models, cameras = [], unit = "m") {
   }
 
   function dress() {
-    for (const model of loaded.values()) {
+    for (const [number, model] of loaded) {
+      const colors = models[number].scale;
+      if (colors?.safe) recolor(model, state.safe ? colors.safe : colors.colors);
       model.traverse((one) => {
         if (!one.isMesh) return;
         one.material = state.mode === "clay" ? clay : state.mode === "triangles" ? lines : one.userData.own;
@@ -182,13 +210,14 @@ export function picture(canvas, scale, models, cameras = [], unit = "m") {
     const forward = ahead.clone().sub(eye);
     const caster = new Raycaster(eye, forward);
     const depth = (hitOf(caster, shown) ?? { distance: 0.5 * box.getSize(new Vector3()).length() }).distance;
-    await frustums.show(number, depth);
     // Upright, and so much that all of the photo is seen.
     const right = forward.clone().cross(new Vector3(0, 1, 0)).normalize();
     const up = right.clone().cross(forward).normalize();
     const most = (axis) => Math.max(...corners.map((corner) => Math.abs(corner.clone().sub(eye).dot(axis))));
     const tall = FRAMED * Math.max(most(up), most(right) / view.camera.aspect);
     view.set({ eye: outOfScene(eye), target: outOfScene(eye.clone().addScaledVector(forward, depth)), fov: (2 * Math.atan(tall) * 180) / Math.PI });
+    changed();
+    await frustums.show(number, depth);
     changed();
   }
 
@@ -266,7 +295,7 @@ export function picture(canvas, scale, models, cameras = [], unit = "m") {
         renderer.setSize(width, height, false);
         view.resize(width, height);
         box.setFromObject(found);
-        view.setModel(box, models[number].facing);
+        view.setModel(box, models[number].facing, pointsOf(found));
         frustums.build(box.getSize(new Vector3()).length());
         view.showAll();
       }

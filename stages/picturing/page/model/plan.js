@@ -13,13 +13,17 @@ export function plan(cameras, chosen, unit) {
   const size = [0, 1].map((axis) => 2 * ROOM + (high[axis] - low[axis]) * scale);
   const drawing = made("svg", { viewBox: `0 0 ${size[0]} ${size[1]}`, class: "plan" });
   drawing.setAttribute("aria-label", `The way of ${cameras.length} cameras from above, ${span.toPrecision(2)} ${unit} across`);
-  drawing.append(made("polyline", { points: points.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ") }));
-  cameras.forEach(({ frame, photo }, number) => {
+  // What was held out stands after all others, wherever it was taken.
+  const way = points.filter((_, number) => cameras[number].mark !== "held out");
+  drawing.append(made("polyline", { points: way.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ") }));
+  cameras.forEach(({ frame, photo, mark = "" }, number) => {
     const [cx, cy] = points[number];
-    if (!photo) return drawing.append(made("circle", { cx, cy, r: 1.6 }));
-    const button = made("circle", { cx, cy, r: 5, tabindex: 0, role: "button", "aria-label": `Photo of frame ${frame}` });
+    const marked = mark ? { class: "marked" } : {};
+    if (!photo) return drawing.append(made("circle", { cx, cy, r: mark ? 3 : 1.6, ...marked }));
+    const label = `Photo of frame ${frame}${mark ? `, ${mark}` : ""}`;
+    const button = made("circle", { cx, cy, r: 5, tabindex: 0, role: "button", "aria-label": label, ...marked });
     const title = made("title", {});
-    title.textContent = `frame ${frame}`;
+    title.textContent = `frame ${frame}${mark ? `: ${mark}` : ""}`;
     button.append(title);
     const choose = () => chosen(number);
     button.addEventListener("click", choose);

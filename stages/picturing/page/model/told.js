@@ -1,9 +1,10 @@
+import { frames } from "./frames.js";
 import { plan } from "./plan.js";
 
 // What is told of a run below its picture: warnings first, then stages, then all else.
 
 /** Fill an element with what the content holds; nothing of it is read as HTML. */
-export function tell(place, { warnings = [], tables = [], texts = [], cameras = [], unit = "m" }) {
+export function tell(place, { warnings = [], tables = [], texts = [], cameras = [], frames: sentence = "", unit = "m" }) {
   if (!warnings.length && !tables.length && !texts.length && !cameras.length) return;
   document.body.classList.add("told");
   if (warnings.length) {
@@ -14,32 +15,62 @@ export function tell(place, { warnings = [], tables = [], texts = [], cameras = 
     place.append(heading(title), table(head, rows, places));
   }
   if (cameras.length) {
-    place.append(heading("Cameras from above"));
-    place.append(plan(cameras, (number) => {
+    const chosen = (number) => {
       window.scanloom.showPhoto(number);
       document.getElementById("picture").scrollIntoView({ block: "nearest" });
-    }, unit));
+    };
+    place.append(heading("Frames"));
+    if (sentence) place.append(element("p", sentence));
+    if (cameras.some(({ photo }) => photo)) place.append(frames(cameras, chosen));
+    place.append(heading("Cameras from above"), plan(cameras, chosen, unit));
   }
   for (const { title, text } of texts) {
-    const folded = document.createElement("details");
-    folded.append(element("summary", title), element("pre", text));
-    place.append(folded);
+    place.append(folded(title, text));
   }
+}
+
+/** A text that unfolds, and can be copied. */
+function folded(title, text) {
+  const made = document.createElement("details");
+  const written = element("pre", text);
+  written.tabIndex = 0;
+  written.setAttribute("aria-label", title);
+  const copy = element("button", "copy");
+  copy.type = "button";
+  copy.addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(text);
+      copy.textContent = "copied";
+    } catch {
+      // Where pages may not, a person can: it is all chosen.
+      getSelection().selectAllChildren(written);
+      written.focus();
+    }
+  });
+  made.append(element("summary", title), copy, written);
+  return made;
 }
 
 function table(head, rows, places) {
   const made = document.createElement("table");
-  const top = made.createTHead().insertRow();
-  for (const name of head) {
-    const cell = element("th", name);
-    cell.scope = "col";
-    top.append(cell);
+  if (head.some((name) => name)) {
+    const top = made.createTHead().insertRow();
+    for (const name of head) {
+      const cell = element(name ? "th" : "td", name);
+      if (name) cell.scope = "col";
+      top.append(cell);
+    }
   }
   const body = made.createTBody();
   rows.forEach((row, number) => {
     const line = body.insertRow();
-    for (const value of row) {
-      const cell = line.insertCell();
+    for (const [column, value] of row.entries()) {
+      // What has no heading above it is named by what stands before it.
+      const cell = column === 0 && !head[0] ? document.createElement("th") : line.insertCell();
+      if (cell.tagName === "TH") {
+        cell.scope = "row";
+        line.append(cell);
+      }
       cell.textContent = value;
       if (/^[+−-]?[\d.,]+( [^ ]+)?$/.test(value)) cell.className = "number";
     }

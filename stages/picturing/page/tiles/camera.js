@@ -1,6 +1,6 @@
 // Where the picture is taken from. Positions outside this file are in the tileset's frame, metres, z up;
 // three.js has y up.
-import { Box3, OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } from "../library.js";
+import { OrbitControls, PerspectiveCamera, Sphere, Spherical, Vector3 } from "../library.js";
 
 const FIELD_OF_VIEW = 50; // degrees, of the picture's height
 // From the front and somewhat above, as z-up models are turned.
@@ -23,8 +23,8 @@ export function orbitingCamera(canvas, onMove) {
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
   controls.addEventListener("change", onMove);
-  const box = new Box3();
   const whole = new Sphere(new Vector3(), 1);
+  let points = [new Vector3()]; // that are to be seen when all of it is shown
   const look = FIRST_LOOK.clone(); // from the model to the eye, when all of it is shown
 
   /** Fit the depth that is drawn to the model. */
@@ -44,17 +44,21 @@ export function orbitingCamera(canvas, onMove) {
     onMove();
   }
 
-  /** Go where all of the model's box is seen, whatever the picture's shape. */
+  /** Go as near as all of the model's points are seen, whatever the picture's shape. */
   function showAll() {
-    const tall = Math.tan((camera.fov * Math.PI) / 360);
+    const tall = Math.tan((camera.fov * Math.PI) / 360) / ROOM;
     const right = new Vector3(0, 1, 0).cross(look).normalize();
     const up = look.clone().cross(right);
-    const away = cornersOf(box).map((corner) => {
-      const from = corner.sub(whole.center);
-      const needed = Math.max(Math.abs(from.dot(right)) / (tall * camera.aspect), Math.abs(from.dot(up)) / tall);
-      return from.dot(look) + ROOM * needed;
+    const [across, high] = [[right, tall * camera.aspect], [up, tall]].map(([axis, slope]) => {
+      // |x - eye| <= slope (away - z) for all points: both sides bound where the eye is.
+      const [lower, upper] = [-1, 1].map((side) =>
+        points.reduce((most, point) => Math.max(most, (side * point.dot(axis)) / slope + point.dot(look)), -Infinity),
+      );
+      return { eye: (slope * (upper - lower)) / 2, away: (upper + lower) / 2 };
     });
-    place(whole.center.clone().addScaledVector(look, Math.max(...away)), whole.center);
+    const away = Math.max(across.away, high.away);
+    const at = (along) => new Vector3().addScaledVector(right, across.eye).addScaledVector(up, high.eye).addScaledVector(look, along);
+    place(at(away), at(whole.center.dot(look)));
   }
 
   const keys = {
@@ -81,9 +85,12 @@ export function orbitingCamera(canvas, onMove) {
     camera,
     fitDepth,
     showAll,
-    /** Tell what there is to be seen: a box in the scene, and where its surface looks, if it was seen from one side. */
-    setModel(found, facing) {
-      box.copy(found);
+    /**
+     * Tell what there is to be seen: a box in the scene, where its surface looks, if it was seen from one side, and
+     * points of it, if it is known better than by its corners.
+     */
+    setModel(box, facing, known) {
+      points = known?.length ? known : cornersOf(box);
       const toward = facing ? intoScene(facing) : new Vector3();
       const front = new Vector3(toward.x, 0, toward.z);
       // What looks up or down is seen as all else is.

@@ -1,0 +1,82 @@
+"""What a report keeps of how far the result is from the clean mesh: figures, and distances at vertices."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stages.comparing.deviations import Deviations
+from stages.errors import InputError
+from stages.files.documents import read_json
+from stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
+from stages.surface.raycasting import Floats
+
+MESH, FIGURES = "deviation.ply", "deviation.json"
+# The property of its vertices, metres.
+_PROPERTY = "deviation"
+# In so many steps it is kept how the distances are spread.
+_STEPS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Deviations as they are kept.
+
+    Attributes
+    ----------
+    figures : those of `stages.Deviations`, without a tolerance.
+    quantiles : (_STEPS + 1,) distances of samples spread evenly over the surface, ascending, metres: as many
+        of them lie between two neighbours as between any others.
+    vertices : (n, 3) of the mesh that was measured.
+    at_vertices : (n,) distances there, metres.
+    """
+
+    figures: Mapping[str, Any]
+    quantiles: Floats
+    vertices: Floats
+    at_vertices: Floats
+
+    def share_within(self, low: float, high: float) -> float:
+        """Return the share of the surface that is between two distances."""
+        below = np.interp([low, high], self.quantiles, np.linspace(0, 1, len(self.quantiles)))
+        return float(below[1] - below[0])
+
+
+def kept_of(found: Deviations) -> Kept:
+    """Return what is kept of deviations."""
+    quantiles = np.quantile(found.samples, np.linspace(0, 1, _STEPS + 1))
+    return Kept(found.figures(), quantiles, found.painted.vertices, found.at_vertices)
+
+
+def write_deviations(folder: Path, found: Deviations) -> dict[str, Any]:
+    """Write the mesh in the colours of its deviations, with these as a property, and what there is to say."""
+    kept = kept_of(found)
+    write_ply(folder / MESH, found.painted, vertex_values={_PROPERTY: kept.at_vertices.astype(np.float32)})
+    document = {"figures": kept.figures, "quantiles_m": kept.quantiles.tolist()}
+    (folder / FIGURES).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return dict(kept.figures)
+
+
+def read_deviations(folder: Path) -> Kept | None:
+    """Return what `write_deviations` left in a folder; None if it holds nothing of it.
+
+    Raises
+    ------
+    InputError
+        If it holds files of these names that are not as they are written.
+    """
+    if not ((folder / FIGURES).is_file() and (folder / MESH).is_file()):
+        return None
+    document: Any = read_json(folder / FIGURES)
+    mesh, values = read_ply(folder / MESH), read_vertex_values(folder / MESH, _PROPERTY)
+    quantiles = np.array(document["quantiles_m"], np.float64)
+    if values is None or not np.isfinite(values).all():
+        raise InputError(f"its vertices have no property `{_PROPERTY}` that is finite.", folder / MESH)
+    if quantiles.shape != (_STEPS + 1,) or not (np.diff(quantiles) >= 0).all():
+        raise ValueError(quantiles.shape)
+    return Kept(document["figures"], quantiles, mesh.vertices, values)

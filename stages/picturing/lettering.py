@@ -1,0 +1,132 @@
+"""Words and a scale bar on pictures."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stages.picturing.render import Model
+from stages.picturing.viewpoints import Viewpoint
+from stages.scans.scan import ColorImage
+
+# Of a picture's height: letters, at least so many pixels, and what is left free around them.
+_LETTERS, _LEAST_LETTERS = 1 / 32, 11
+_MARGIN = 1 / 40
+# Of a picture's width, the longest bar.
+_LONGEST = 0.25
+_INK, _PAPER = (29, 37, 48, 255), (255, 255, 255, 205)
+# Rays along each side of a picture that look for the surface, where there is none in its middle.
+_LOOKS = 24
+
+
+class ScaleBar(NamedTuple):
+    """A bar of a round length.
+
+    Attributes
+    ----------
+    length, depth : metres; of a length across the view, so far ahead.
+    pixels : how long it is drawn.
+    """
+
+    length: float
+    depth: float
+    pixels: float
+
+    @property
+    def words(self) -> str:
+        """Its length, and where it holds: in perspective what is farther away is smaller."""
+        return f"{metres_in_words(self.length)} at {self.depth:.3g} m"
+
+
+def scale_bar(viewpoint: Viewpoint, depth: float) -> ScaleBar:
+    """Return the longest bar of 1, 2 or 5 times a power of ten that there is room for, at a depth in m."""
+    per_metre = viewpoint.camera.fx / depth
+    most = _LONGEST * viewpoint.camera.width / per_metre
+    power = 10.0 ** np.floor(np.log10(most))
+    length = float(next(digit * power for digit in (5, 2, 1) if digit * power <= most * (1 + 1e-9)))
+    return ScaleBar(length, depth, length * per_metre)
+
+
+def focus_of(model: Model, viewpoint: Viewpoint) -> float | None:
+    """Return the depth of what is seen in the middle of a picture, metres ahead.
+
+    Where there is nothing, it is the median depth of all that is seen; None where nothing is.
+    """
+    camera = viewpoint.camera
+    middle = np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]])
+    found = model.depths(viewpoint, middle)
+    if not len(found):
+        across, down = (np.linspace(0, size - 1, _LOOKS) for size in (camera.width, camera.height))
+        found = model.depths(viewpoint, np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
+    return float(np.median(found)) if len(found) else None
+
+
+def with_words(image: ColorImage, text: str) -> ColorImage:
+    """Return a picture with words at its upper left; what is too long for it is cut."""
+    drawing = _Drawing(image)
+    drawing.panel(drawing.fitting(text), drawing.margin, drawing.margin)
+    return drawing.finished()
+
+
+def with_scale_bar(image: ColorImage, bar: ScaleBar) -> ColorImage:
+    """Return a picture with a scale bar at its lower left."""
+    drawing = _Drawing(image)
+    drawing.bar(bar)
+    return drawing.finished()
+
+
+def metres_in_words(length: float) -> str:
+    """Return a length in mm, cm or m."""
+    if length < 0.00999:
+        return f"{1000 * length:.4g} mm"
+    return f"{100 * length:.4g} cm" if length < 0.999 else f"{length:.4g} m"
+
+
+class _Drawing:
+    """A picture that is drawn upon by Pillow."""
+
+    def __init__(self, image: ColorImage) -> None:
+        from PIL import Image, ImageDraw, ImageFont
+
+        self._picture = Image.fromarray(image)
+        # In this mode what is drawn is mixed with what is there.
+        self._draw: Any = ImageDraw.Draw(self._picture, "RGBA")
+        height = image.shape[0]
+        self._size = max(round(_LETTERS * height), _LEAST_LETTERS)
+        self._font: Any = ImageFont.load_default(self._size)
+        self.margin = max(round(_MARGIN * height), 4)
+        self._pad = max(self._size // 3, 3)
+
+    def fitting(self, text: str) -> str:
+        room = self._picture.width - 2 * (self.margin + self._pad)
+        if self._draw.textlength(text, self._font) <= room:
+            return text
+        while text and self._draw.textlength(text + "…", self._font) > room:
+            text = text[:-1]
+        return text + "…"
+
+    def panel(self, text: str, left: float, top: float) -> None:
+        """Write words onto a light panel, whose corner is given."""
+        wide = self._draw.textlength(text, self._font) + 2 * self._pad
+        high = self._size + 2 * self._pad
+        self._draw.rounded_rectangle((left, top, left + wide, top + high), self._pad, fill=_PAPER)
+        self._draw.text((left + self._pad, top + high / 2), text, fill=_INK, font=self._font, anchor="lm")
+
+    def bar(self, bar: ScaleBar) -> None:
+        """Draw a bar, and what it stands for above it."""
+        text = self.fitting(bar.words)
+        thick = max(self._size // 5, 2)
+        wide = max(bar.pixels, self._draw.textlength(text, self._font)) + 2 * self._pad
+        high = self._size + thick + 3 * self._pad
+        left, top = self.margin, self._picture.height - self.margin - high
+        self._draw.rounded_rectangle((left, top, left + wide, top + high), self._pad, fill=_PAPER)
+        at = (left + self._pad, top + self._pad + self._size / 2)
+        self._draw.text(at, text, fill=_INK, font=self._font, anchor="lm")
+        low = top + high - self._pad
+        # As many pixels as it stands for, the first and the last among them.
+        right = left + self._pad + round(bar.pixels) - 1
+        self._draw.rectangle((left + self._pad, low - thick, right, low - 1), fill=_INK)
+
+    def finished(self) -> ColorImage:
+        return np.asarray(self._picture, np.uint8)

@@ -1,0 +1,240 @@
+"""Pack models into a page of at most so many bytes: photos are left out and models made lighter for it."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.exporting.images import with_images
+from stages.exporting.presets import preset
+from stages.files.opening import content_of
+from stages.picturing.page.one_file import PageCamera, PageLook, PageModel, PageScale, one_file
+from stages.picturing.page.standing import facing
+from stages.scans.prefetch import read_ahead, workers
+from stages.simplification.simplify import simplify
+from stages.surface.formats.gltf_writer import write_gltf
+from stages.surface.mesh import Mesh
+from stages.surface.upright import turn_along_z
+
+# Told what a person should know, in a sentence.
+Warn = Callable[[str], None]
+
+# How often models are made lighter, until the page is small enough.
+_ATTEMPTS = 8
+_LEAST_TRIANGLES = 2_000
+_LEAST_IMAGE = 512
+# The first model is what a page is for: the others begin with so many triangles, and are made lighter so
+# often before it is.
+_MOST_BESIDE = 100_000
+_LAST = 2
+# A model is made no lighter than this share of itself at once.
+_AT_ONCE = 0.5
+# More is left out than must be, so that it fits at once: the fewer triangles, the more bytes each takes.
+_SPARE = 1.4
+# Of the page, photos may take one part of so many.
+_PHOTOS_SHARE = 4
+# Bytes in a page for one of a file in it, by base64.
+_GROWN = 4 / 3
+# So many looks a model can have, beside its own and its vertex colours.
+MOST_PAINTS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Paint:
+    """A look of a model: what is known of its vertices, in the colours of a scale.
+
+    Attributes
+    ----------
+    values : (n,) in the unit of the scale.
+    scale : what is beyond it has its last colours.
+    note : a few words.
+    """
+
+    values: NDArray[np.float64]
+    scale: PageScale
+    note: str = ""
+
+
+class Shown(NamedTuple):
+    """A model of a page before it is packed; see `PageModel`.
+
+    Looks are the paints, by their names, up to MOST_PAINTS of them, and the vertex colours of a mesh that has
+    a texture, too.
+    """
+
+    mesh: Mesh
+    note: str = ""
+    scale: PageScale | None = None
+    paints: Mapping[str, Paint] = {}
+
+
+# By their names, the most important first.
+Models = Mapping[str, Shown]
+
+
+def packed_page(
+    title: str,
+    models: Models,
+    most_bytes: int,
+    warn: Warn,
+    told: Mapping[str, Any] | None = None,
+    cameras: Sequence[PageCamera] = (),
+) -> bytes:
+    """Return a page of at most `most_bytes`, if it can be; what that takes is told in it, and warned of.
+
+    Parameters
+    ----------
+    title, told, cameras : see `one_file`.
+    models : in one place and one stand.
+    """
+    cameras, photos = _with_photos_within(cameras, most_bytes // _PHOTOS_SHARE)
+    if photos:
+        warn(f"{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.")
+    first, *others = (_Plan.of(name, shown) for name, shown in models.items())
+    plans = [first, *(one.lighter(_MOST_BESIDE / max(one.triangles, 1)) for one in others)]
+    done: dict[_Plan, tuple[Shown, PageModel]] = {}
+    for attempt in range(_ATTEMPTS):
+        changed = [plan for plan in plans if plan not in done]
+        made = read_ahead(_packed, changed, threads=workers(), ahead=len(changed))
+        done |= zip(changed, made, strict=True)
+        page = one_file(title, [done[plan][1] for plan in plans], told, cameras)
+        if len(page) <= most_bytes:
+            return page
+        # Of what cannot be made lighter, nothing can be left out.
+        sizes = [0.0 if plan.is_least else _GROWN * len(done[plan][1].glb) for plan in plans]
+        shares = _shares(sizes, _SPARE * (len(page) - most_bytes), is_first_kept=attempt < _LAST)
+        # From what is light already: that takes less time than from all of it.
+        plans = [
+            plan if share == 1 else replace(plan, shown=done[plan][0]).lighter(share)
+            for plan, share in zip(plans, shares, strict=True)
+        ]
+    warn(f"the page takes {len(page):,} bytes, more than {most_bytes:,}, as small as it gets.")
+    return page
+
+
+def turn_of_page(mesh: Mesh) -> NDArray[np.float64]:
+    """Return what turns a mesh z up, as the page's camera has it; unknown, it stands as glTF has it, y up."""
+    return turn_along_z(np.array((0.0, 1.0, 0.0) if mesh.up is None else mesh.up))
+
+
+def _shares(sizes: Sequence[float], excess: float, *, is_first_kept: bool) -> list[float]:
+    """Return the share of each model that is kept, so that together they take so much less, if they can.
+
+    Parameters
+    ----------
+    sizes : bytes that each takes, the first first; 0 for what stays as it is.
+    """
+    beside = sum(sizes[1:])
+    share = min(max(1 - excess / beside, _AT_ONCE), 1.0) if beside else 1.0
+    left = excess - (1 - share) * beside
+    is_first_kept = is_first_kept and beside > 0
+    of_first = 1.0 if is_first_kept or not sizes[0] else min(max(1 - left / sizes[0], _AT_ONCE), 1.0)
+    return [of_first, *[share] * (len(sizes) - 1)]
+
+
+def _with_photos_within(cameras: Sequence[PageCamera], most: int) -> tuple[list[PageCamera], int]:
+    """Return cameras without every other photo, as often as it takes, and how many photos that leaves out."""
+    sizes = [0 if camera.photo is None else len(camera.photo) for camera in cameras]
+    kept = [number for number, size in enumerate(sizes) if size]
+    count = len(kept)
+    while sum(sizes[number] for number in kept) > most:
+        kept = kept[1::2]
+    chosen = set(kept)
+    thinned = [
+        camera if number in chosen else replace(camera, photo=None) for number, camera in enumerate(cameras)
+    ]
+    return thinned, count - len(kept)
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """How a model gets into a page.
+
+    Attributes
+    ----------
+    name, shown : as given, or lighter already.
+    complete : triangles it had at first.
+    triangles, image_size : what it may have at most: the longer side of an image, pixels.
+    """
+
+    name: str
+    shown: Shown
+    complete: int
+    triangles: int
+    image_size: int
+
+    @classmethod
+    def of(cls, name: str, shown: Shown) -> _Plan:
+        count = len(shown.mesh.triangles)
+        return cls(name, shown, count, count, preset("web").image_size)
+
+    @property
+    def is_least(self) -> bool:
+        """Whether it is made no lighter."""
+        has_image = self.shown.mesh.texture is not None and self.image_size > _LEAST_IMAGE
+        return self.triangles <= _LEAST_TRIANGLES and not has_image
+
+    def lighter(self, share: float) -> _Plan:
+        """Return the plan with this share of the triangles and of the texels, if it is one."""
+        if share >= 1:
+            return self
+        triangles = max(round(share * self.triangles), min(_LEAST_TRIANGLES, self.triangles))
+        size = max(round(math.sqrt(share) * self.image_size), _LEAST_IMAGE)
+        return replace(self, triangles=triangles, image_size=size)
+
+
+def _simplified(shown: Shown, triangles: int) -> Shown:
+    mesh = shown.mesh
+    found = simplify(mesh, triangles=triangles)
+    light = found.mesh.with_(up=mesh.up)
+    if light.colors is None and mesh.colors is not None:
+        light = light.with_(colors=found.follow(mesh.colors))
+    paints = {name: replace(one, values=found.follow(one.values)) for name, one in shown.paints.items()}
+    return shown._replace(mesh=light, paints=paints)
+
+
+def _packed(plan: _Plan) -> tuple[Shown, PageModel]:
+    """Return the model as light as it may be, and as a file."""
+    shown = plan.shown
+    if plan.triangles < len(shown.mesh.triangles):
+        shown = _simplified(shown, plan.triangles)
+    mesh, note, scale, paints = shown
+    count = len(mesh.triangles)
+    words = f"of {plan.complete:,}, for this page" if count < plan.complete else ""
+    looks = [
+        PageLook(name, channel, ", ".join(filter(None, (paint.note, words))), paint.scale)
+        for channel, (name, paint) in enumerate(paints.items())
+    ]
+    if mesh.texture is not None and mesh.colors is not None:
+        looks.append(PageLook("vertex colours", None, words))
+    web = preset("web")
+    written, _ = with_images(mesh, web.images, web.quality, plan.image_size)
+    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
+        path = Path(folder) / "model.glb"
+        write_gltf(path, written, compress=web.compress, unlit=web.unlit, values=_values(paints))
+        glb = content_of(path)
+    look = facing(mesh, turn_of_page(mesh))
+    words = ", ".join(filter(None, (note, words)))
+    return shown, PageModel(plan.name, glb, count, words, look, scale, tuple(looks))
+
+
+def _values(paints: Mapping[str, Paint]) -> NDArray[np.uint8] | None:
+    """Return the values of paints as a GLB file holds them, (n, 4); None without any."""
+    if not paints:
+        return None
+    columns = [_as_share(paint) for paint in paints.values()]
+    columns += [np.zeros_like(columns[0])] * (MOST_PAINTS - len(columns))
+    return np.stack(columns, axis=1)
+
+
+def _as_share(paint: Paint) -> NDArray[np.uint8]:
+    low, high = paint.scale.low, paint.scale.high
+    shares = ((paint.values - low) / (high - low)).clip(0, 1)
+    return np.asarray(np.rint(255 * shares), np.uint8)

@@ -1,0 +1,52 @@
+"""Pictures of several meshes beside one another, from one viewpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stages.picturing.lettering import ScaleBar, focus_of, scale_bar, with_scale_bar, with_words
+from stages.picturing.render import Model, Shading
+from stages.picturing.viewpoints import Viewpoint
+from stages.scans.scan import ColorImage
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface
+
+# Between two pictures, pixels; even, as videos are.
+_GAP, _PAPER = 8, 255
+
+
+class Panels:
+    """Meshes made ready to be drawn beside one another from any number of viewpoints.
+
+    Parameters
+    ----------
+    meshes : one or more, each with a triangle.
+    texts : a few words for each; none where they are empty.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh], texts: Sequence[str]) -> None:
+        self._models = [Model(Surface(mesh)) for mesh in meshes]
+        self._texts = texts
+
+    def draw(
+        self, viewpoint: Viewpoint, shading: Shading = "color", bar: ScaleBar | None = None
+    ) -> ColorImage:
+        """Draw all meshes, from left to right, each with its words and the scale bar."""
+        images: list[ColorImage] = []
+        for model, text in zip(self._models, self._texts, strict=True):
+            image = model.draw(viewpoint, shading)
+            image = with_words(image, text) if text else image
+            image = image if bar is None else with_scale_bar(image, bar)
+            gap = np.full((image.shape[0], _GAP, 3), _PAPER, np.uint8)
+            images += [gap, image] if images else [image]
+        return np.ascontiguousarray(np.hstack(images))
+
+    def scale_bar(self, viewpoint: Viewpoint) -> ScaleBar | None:
+        """Return a scale bar for what a viewpoint is about; None where nothing is seen.
+
+        That is its focus, or else what the first mesh has in the middle of the picture.
+        """
+        depth = viewpoint.focus or focus_of(self._models[0], viewpoint)
+        return None if depth is None else scale_bar(viewpoint, depth)

@@ -1,0 +1,87 @@
+"""render on files: labels, scale bar, side by side, free views, videos; and what has no effect is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+Run = Callable[..., Any]
+
+
+def image(path: Path) -> np.ndarray:
+    return np.asarray(cv2.imread(str(path))).astype(int)
+
+
+def test_labels_and_scale_bar_are_drawn_over_the_same_picture(
+    scanloom: Run, clean_ball: Path, tmp_path: Path
+) -> None:
+    plain, worded = tmp_path / "plain.png", tmp_path / "worded.png"
+    words = ("--width", 240, "--height", 200)
+    assert scanloom("render", clean_ball, plain, *words).exit_code == 0
+    ran = scanloom("render", clean_ball, worded, *words, "--labels", "--scale-bar", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert image(plain).shape == (200, 240, 3)
+    changed = (image(plain) != image(worded)).any(axis=2)
+    assert changed[:30].any()
+    assert changed[170:].any()
+    assert not changed[40:150, 130:].any()
+    assert ran.json["scale_bar_m"] > 0
+    assert ran.json["scale_bar_at_m"] > ran.json["scale_bar_m"]
+
+
+def test_two_are_drawn_beside_one_another_from_one_viewpoint(
+    scanloom: Run, clean_ball: Path, tmp_path: Path
+) -> None:
+    target, alone = tmp_path / "both.png", tmp_path / "alone.png"
+    ran = scanloom("render", clean_ball, clean_ball, target, "--width", 100, "--no-labels")
+    assert ran.exit_code == 0, ran.stderr
+    scanloom("render", clean_ball, alone, "--width", 100)
+    np.testing.assert_array_equal(
+        image(target), np.hstack([image(alone), np.full((75, 8, 3), 255), image(alone)])
+    )
+    named = scanloom("render", clean_ball, clean_ball, target, "--width", 100, "--label", "A", "--label", "B")
+    assert named.exit_code == 0, named.stderr
+    left, right = image(target)[:, :100], image(target)[:, 108:]
+    assert (left != image(alone)).any()
+    assert (left != right).any()
+
+
+def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+    free, video = tmp_path / "free.png", tmp_path / "turn.mp4"
+    ran = scanloom("render", clean_ball, free, "--width", 64, "--eye", 0, 0, 9, "--look", 0, 0, 0, "--json")
+    assert (ran.exit_code, ran.json["viewpoint"]) == (0, "free")
+    ran = scanloom(
+        "render", clean_ball, video, "--width", 64, "--frames", 3, "--fps", 10, "--up", "+z", "--json"
+    )
+    assert ran.exit_code == 0, ran.stderr
+    opened = cv2.VideoCapture(str(video))
+    assert (ran.json["frames"], opened.get(cv2.CAP_PROP_FRAME_COUNT)) == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("out.png",), "one or more mesh files"),
+        (("ball.ply", "out.png", "--eye", "0", "0", "1"), "both --eye and --look"),
+        (("ball.ply", "out.png", "--frames", "9"), "--frames is of videos"),
+        (("ball.ply", "out.png", "--field", "50"), "of a free view"),
+        (("ball.ply", "out.mp4", "--viewpoint", "2"), "once around"),
+        (("ball.ply", "out.mp4", "--width", "101"), "even"),
+        (("ball.ply", "out.png", "--label", "a", "--label", "b"), "2 times for 1 mesh"),
+        (("ball.ply", "out.png", "--up", "left"), "up is 'left'"),
+        (("ball.ply", "out.png", "--up", "none"), "upper side"),
+        (("ball.ply", "out.png", "--scan", ".", "--height", "90"), "cameras of its own"),
+    ],
+)
+def test_what_has_no_effect_is_refused(
+    scanloom: Run, ball: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
+) -> None:
+    monkeypatch.chdir(ball.parent)
+    ran = scanloom("render", *words)
+    assert (ran.exit_code, said in ran.stderr) == (2, True), ran.stderr
+    assert not list(ball.parent.glob("out.*"))

@@ -1,0 +1,15 @@
+"""What a page in one file holds."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+
+def shown(page: bytes) -> dict[str, Any]:
+    """Return the content of a page."""
+    found = re.search(rb'id="content"[^>]*>(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    content: dict[str, Any] = json.loads(found[1])
+    return content

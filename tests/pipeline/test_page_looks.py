@@ -1,0 +1,192 @@
+"""Looks of a run's page: deviations as the report measured them, photos as the texture counted them."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from coloured_meshes import sheet
+from page_content import shown
+
+import pipeline.page
+from pipeline.deviations import FIGURES, MESH, kept_of, read_deviations, write_deviations
+from pipeline.page import page_of_run
+from pipeline.photos import write_photos
+from stages import Image, Material, Mesh, Texture, deviations
+from stages.errors import InputError
+from stages.scans.scan import Camera, Frame
+from stages.surface.formats.ply import write_ply
+from stages.surface.mesh_files import write_mesh
+
+N = 8
+
+
+def light() -> Mesh:
+    """Return the sheet, textured, 2 mm higher in one half."""
+    mesh = sheet(N)
+    vertices = mesh.vertices + np.where(mesh.vertices[:, :1] > 0.5, (0, 0, 0.002), 0)
+    pixels = np.full((16, 16, 3), 99, np.uint8)
+    uvs = mesh.vertices[mesh.triangles][..., :2]
+    texture = Texture(uvs, np.zeros(len(uvs), np.int32), (Material(image=Image(given=pixels)),))
+    return mesh.with_(vertices=vertices, colors=None, texture=texture, up=(0, 0, 1))
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """What there is of a run without a report."""
+    folder = tmp_path / "out"
+    (folder / "texture_maps").mkdir(parents=True)
+    (folder / "pictures").mkdir()
+    write_ply(folder / "clean.ply", sheet(N))
+    write_ply(folder / "simplified.ply", light().with_(texture=None, colors=sheet(N).colors))
+    write_mesh(folder / "textured.glb", light())
+    counts = np.zeros((16, 16), np.uint8)
+    counts[:, 8:] = 6
+    cv2.imwrite(str(folder / "texture_maps" / "count-1.png"), counts)
+    return folder
+
+
+def looks_of(page: bytes) -> dict[str, Any]:
+    return {one["name"]: one for one in shown(page)["models"]}
+
+
+def values_of(page: bytes, channel: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and values of the first model, by the file itself."""
+    from stages._kernels import decode_rows
+
+    glb = base64.b64decode(shown(page)["files"][0])
+    length = struct.unpack_from("<I", glb, 12)[0]
+    tree = json.loads(glb[20 : 20 + length])
+    binary = glb[20 + length + 8 :]
+    attributes = tree["meshes"][0]["primitives"][0]["attributes"]
+    node = next(one for one in tree["nodes"] if "mesh" in one)
+
+    def rows(name: str, kind: Any, width: int) -> np.ndarray:
+        view = tree["bufferViews"][tree["accessors"][attributes[name]]["bufferView"]]
+        packed = view["extensions"]["EXT_meshopt_compression"]
+        data = binary[packed["byteOffset"] :][: packed["byteLength"]]
+        raw = decode_rows(data, packed["count"], packed["byteStride"], packed.get("filter", "NONE"))
+        return np.frombuffer(raw, kind).reshape(-1, width)
+
+    places = rows("POSITION", np.uint16, 4)[:, :3] * node["scale"] + node["translation"]
+    return places, rows("_VALUES", np.uint8, 4)[:, channel]
+
+
+def silent(text: str) -> None:
+    raise AssertionError(text)
+
+
+def test_without_a_report_the_page_measures_itself(out: Path) -> None:
+    page = page_of_run(out, 5_000_000, silent)
+    looks = looks_of(page)
+    assert list(looks) == ["result", "clean mesh", "deviation", "confidence", "vertex colours"]
+    scale = looks["deviation"]["scale"]
+    assert scale["high"] == -scale["low"]
+    assert 1.5 < scale["high"] < 2.1
+    assert sum(scale["shares"]) == pytest.approx(1, abs=0.01)
+    assert len(scale["safe"]) == len(scale["colors"])
+    places, values = values_of(page, 0)
+    raised = values[places[:, 0] > 0.55]
+    assert (raised > 220).all(), "over, as the reference looks up"
+    assert (np.abs(values[places[:, 0] < 0.45].astype(int) - 127.5) < 3).all()
+
+
+def test_confidence_is_how_many_photos_show_a_place(out: Path) -> None:
+    page = page_of_run(out, 5_000_000, silent)
+    look = looks_of(page)["confidence"]
+    assert look["scale"]["marks"][-1] == 6
+    assert (look["scale"]["low"], look["scale"]["high"]) == (-0.5, 6.5)
+    places, values = values_of(page, 1)
+    counts = values / 255 * 7 - 0.5
+    np.testing.assert_allclose(counts[places[:, 0] < 0.45], 0, atol=0.02)
+    np.testing.assert_allclose(counts[places[:, 0] > 0.55], 6, atol=0.02)
+    # Half of the surface, by its area.
+    assert look["scale"]["shares"][0] == pytest.approx(0.5, abs=0.05)
+    (out / "texture_maps" / "count-1.png").unlink()
+    assert "confidence" not in looks_of(page_of_run(out, 5_000_000, silent))
+
+
+def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = deviations(sheet(N), light(), signed_samples=2000)
+    write_deviations(out / "pictures", found)
+    again = looks_of(page_of_run(out, 5_000_000, silent))
+    monkeypatch.setattr(pipeline.page.stages, "deviations", silent)
+    assert looks_of(page_of_run(out, 5_000_000, silent))["deviation"] == again["deviation"]
+    kept, read = kept_of(found), read_deviations(out / "pictures")
+    assert read is not None
+    np.testing.assert_array_equal(read.quantiles, kept.quantiles)
+    np.testing.assert_allclose(read.at_vertices, kept.at_vertices, atol=1e-9)
+    for low, high in ((-1, 1), (0.001, 0.003), (-0.0005, 0.0005)):
+        share = ((found.samples >= low) & (found.samples <= high)).mean()
+        assert read.share_within(low, high) == pytest.approx(share, abs=0.002)
+
+
+def test_what_is_kept_of_another_result_is_not_shown(out: Path) -> None:
+    write_deviations(out / "pictures", deviations(sheet(4), sheet(4), signed_samples=100))
+    assert looks_of(page_of_run(out, 5_000_000, silent))["deviation"]["scale"]["high"] > 1.5
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"figures": 7, "quantiles_m": []}', '{"figures": {}, "quantiles_m": "x"}']
+)
+def test_damaged_figures_are_one_sentence(out: Path, text: str) -> None:
+    write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
+    (out / "pictures" / FIGURES).write_text(text)
+    with pytest.raises(InputError, match="pictures"):
+        page_of_run(out, 5_000_000, silent)
+
+
+CHANGES: dict[str, Callable[[Any], Any]] = {
+    "no worst places": lambda told: told["figures"].pop("worst"),
+    "descending": lambda told: told["quantiles_m"].reverse(),
+    "no percentiles": lambda told: told["figures"].update(absolute_percentiles_m="x"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_changed_figures_are_one_sentence(out: Path, change: Any) -> None:
+    write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
+    path = out / "pictures" / FIGURES
+    told = json.loads(path.read_text())
+    change(told)
+    path.write_text(json.dumps(told))
+    with pytest.raises(InputError, match="pictures"):
+        page_of_run(out, 5_000_000, silent)
+
+
+def test_a_mesh_without_its_deviations_is_one_sentence(out: Path) -> None:
+    write_deviations(out / "pictures", deviations(sheet(N), light(), signed_samples=100))
+    write_ply(out / "pictures" / MESH, light().with_(texture=None))
+    with pytest.raises(InputError, match="no property `deviation`"):
+        page_of_run(out, 5_000_000, silent)
+
+
+def test_frames_are_marked_by_what_became_of_them(out: Path) -> None:
+    lens = Camera(80, 60, 70, 70, 39.5, 29.5)
+    frames = [Frame(f"f{k}", lens, color=np.zeros((60, 80, 3), np.uint8), world_from_camera=np.eye(4))
+              for k in range(4)]  # fmt: skip
+    write_photos(out / "pictures", frames[:3], 4, frames[3:])
+    skipped = [{"frame": "f1", "reason": "its depth is damaged"}]
+    report = {
+        "scan": {"frames": 3, "frames_skipped": [{"frame": "lost", "reason": "no pose"}]},
+        "held_out": {"photos": 1},
+        "stages": {"fuse": {"figures": {"frames_skipped": skipped}, "cached": True, "made_in_s": 1,
+                            "peak_memory_mb": 1, "reason": "", "seconds": 0}},
+        "placed": {"fuse": {"fused.ply": "c0ffee"}}, "scanloom": "9.9", "libraries": {"numpy": "2"},
+    }  # fmt: skip
+    (out / "report.json").write_text(json.dumps(report))
+    content = shown(page_of_run(out, 5_000_000, silent))
+    marks = {one["frame"]: one["mark"] for one in content["cameras"]}
+    assert marks == {"f0": "", "f1": "fuse: its depth is damaged", "f2": "", "f3": "held out"}
+    assert content["frames"] == "3 frames were read; 1 were held out, and compared; 2 were skipped."
+    table = next(one for one in content["tables"] if one["title"] == "Frames that were skipped")
+    assert table["rows"] == [["lost", "no pose"], ["f1", "fuse: its depth is damaged"]]
+    digests = next(one["text"] for one in content["texts"] if one["title"] == "Versions and digests")
+    assert {"scanloom 9.9", "numpy 2", "c0ffee  fused.ply"} <= set(digests.splitlines())

@@ -1,0 +1,67 @@
+"""A page of at most so many bytes: what is beside the first model is made lighter first, with its looks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from coloured_meshes import ball, sheet
+from page_content import shown
+
+from stages.picturing.page.one_file import PageScale
+from stages.picturing.page.packing import Paint, Shown, packed_page
+
+SCALE = PageScale("mm", -1.0, 1.0, 0.1, ["rgb(0, 0, 0)", "rgb(9, 9, 9)"], [0.5, 0.5])
+
+
+def silent(text: str) -> None:
+    raise AssertionError(text)
+
+
+def models() -> dict[str, Shown]:
+    main = sheet(60)
+    paint = Paint(np.linspace(-1, 1, len(main.vertices)), SCALE, "of it")
+    return {"main": Shown(main, "first", paints={"look": paint}), "beside": Shown(ball())}
+
+
+def triangles(page: bytes) -> dict[str, int]:
+    return {one["name"]: one["triangles"] for one in shown(page)["models"]}
+
+
+def test_where_there_is_room_nothing_is_lost() -> None:
+    page = packed_page("t", models(), 5_000_000, silent)
+    assert triangles(page) == {"main": 7200, "beside": 5120, "look": 7200}
+    told = {one["name"]: one for one in shown(page)["models"]}
+    look = told["look"]
+    assert (look["look"], look["file"], look["note"]) == (0, told["main"]["file"], "of it")
+    assert look["scale"]["unit"] == "mm"
+    assert len(shown(page)["files"]) == 2
+
+
+def test_models_are_made_lighter_until_it_fits_the_first_last() -> None:
+    complete = len(packed_page("t", models(), 5_000_000, silent))
+    page = packed_page("t", models(), complete - 5_000, silent)
+    assert len(page) <= complete - 5_000
+    assert triangles(page)["main"] == 7200
+    assert 2_000 <= triangles(page)["beside"] < 5120
+    smaller = packed_page("t", models(), complete - 40_000, silent)
+    assert len(smaller) <= complete - 40_000
+    assert triangles(smaller)["main"] == triangles(smaller)["look"] < 7200
+    told = {one["name"]: one for one in shown(smaller)["models"]}
+    assert told["main"]["note"] == "first, of 7,200, for this page"
+    assert told["look"]["note"] == "of it, of 7,200, for this page"
+    assert smaller == packed_page("t", models(), complete - 40_000, silent)
+
+
+def test_a_page_that_cannot_be_small_enough_says_so() -> None:
+    said: list[str] = []
+    page = packed_page("t", models(), 1000, said.append)
+    assert len(page) > 1000
+    assert said == [f"the page takes {len(page):,} bytes, more than 1,000, as small as it gets."]
+
+
+@pytest.mark.parametrize("looks", [0, 4])
+def test_a_model_has_as_many_looks_as_there_are(looks: int) -> None:
+    mesh = sheet(4)
+    paints = {f"look {k}": Paint(np.zeros(len(mesh.vertices)), SCALE) for k in range(looks)}
+    told = shown(packed_page("t", {"m": Shown(mesh, paints=paints)}, 5_000_000, silent))["models"]
+    assert [one["look"] for one in told] == ["own", *range(looks)]
