@@ -1,4 +1,4 @@
-"""Bring a mesh to where another one is, by a rigid motion: iterated closest points, point to plane.
+"""Bring a mesh or cloud to where another one is, by a rigid motion: iterated closest points, point to plane.
 
 Chen and Medioni, "Object modelling by registration of multiple range images", 1992; by Open3D.
 """
@@ -12,19 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.comparing.measurable import measurable
+from stages.comparing.measurable import box_of, comparable, is_cloud
 from stages.comparing.sampling import sampled
 from stages.errors import InputError
 from stages.printing import by_figures, table
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
+from stages.surface.raycasting import Floats
 from stages.surface.topology import areas
 from stages.surface.vertex_normals import vertex_normals
 
-# Points on each surface.
+# Points on each surface, or of each cloud.
 _POINTS = 60_000
 _SEED = 0
+# Points of a cloud that tell how it lies around one of them.
+_NEIGHBOURS = 30
 # How far partners may be apart, as shares of the smaller mesh's diagonal: coarse to fine.
 _REACHES = (0.1, 0.03, 0.01, 0.003)
 _ITERATIONS = 60
@@ -65,27 +67,28 @@ class Alignment:
 
 
 def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
-    """Return a mesh moved onto a reference, and the motion; its size stays.
+    """Return a mesh or cloud moved onto a reference, and the motion; its size stays.
 
     It has to lie there roughly already, within a tenth of its size: nearest points are taken for partners.
 
     Parameters
     ----------
-    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres.
+    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Without triangles it is
+        a cloud, whose normals come from the points around each, if it has none.
 
     Raises
     ------
     MeshError
-        If a mesh has no area.
+        If a mesh has no area, or a cloud is all in one place.
     InputError
         If the two do not overlap enough for it.
     """
-    moving, fixed = measurable(mesh, "mesh"), measurable(reference, "reference")
+    moving, fixed = comparable(mesh, "mesh"), comparable(reference, "reference")
     o3d = open3d()
     pipeline = o3d.pipelines.registration
-    centre = bounding_box(fixed).mean(axis=0)
-    source, target = (_cloud(one, centre, o3d) for one in (moving, fixed))
-    size = min(float(np.linalg.norm(np.diff(bounding_box(one), axis=0))) for one in (moving, fixed))
+    centre = box_of(fixed).mean(axis=0)
+    source, target = (_points_of(one, centre, o3d) for one in (moving, fixed))
+    size = min(float(np.linalg.norm(np.diff(box_of(one), axis=0))) for one in (moving, fixed))
     motion = np.eye(4)
     for share in _REACHES:
         found = pipeline.registration_icp(
@@ -102,7 +105,7 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     check = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
     if check.fitness < _LEAST_OVERLAP:
         raise InputError(
-            f"the two meshes cannot be aligned: {check.fitness:.0%} of the points have a partner nearby; "
+            f"the two cannot be aligned: {check.fitness:.0%} of the points have a partner nearby; "
             "bring them roughly into place first."
         )
     motion = _rigid(motion)
@@ -143,15 +146,39 @@ def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
     return rigid
 
 
-def _cloud(mesh: Mesh, centre: NDArray[np.float64], o3d: Any) -> Any:
-    """Return points spread evenly over a mesh, with the normals of its vertices."""
+def _points_of(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
+    """Return points with normals: spread evenly over a mesh, or some of a cloud."""
+    points, normals = (_some_of_cloud if is_cloud(mesh) else _spread_over)(mesh)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    found = o3d.geometry.PointCloud()
+    found.points = o3d.utility.Vector3dVector(points - centre)
+    found.normals = o3d.utility.Vector3dVector(normals / np.maximum(lengths, np.finfo(float).tiny))
+    return found
+
+
+def _spread_over(mesh: Mesh) -> tuple[Floats, Floats]:
     cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
     at = sampled(cumulative, slice(0, _POINTS), _POINTS, np.random.default_rng(_SEED))
     rows = mesh.triangles[at.triangles]
     normals = np.einsum("kc,kcx->kx", at.weights, vertex_normals(mesh)[rows])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    cloud = o3d.geometry.PointCloud()
-    points = np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]) - centre
-    cloud.points = o3d.utility.Vector3dVector(points)
-    cloud.normals = o3d.utility.Vector3dVector(normals / np.maximum(lengths, np.finfo(float).tiny))
-    return cloud
+    return np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]), normals
+
+
+def _some_of_cloud(cloud: Mesh) -> tuple[Floats, Floats]:
+    rows = np.arange(len(cloud.vertices))
+    if len(rows) > _POINTS:
+        rows = np.random.default_rng(_SEED).choice(len(rows), _POINTS, replace=False)
+    points = cloud.vertices[rows]
+    if cloud.normals is not None:
+        return points, cloud.normals[rows]
+    return points, _normals_around(points, cloud.vertices)
+
+
+def _normals_around(points: Floats, cloud: Floats) -> Floats:
+    """Return along which direction (k, 3) the cloud is thinnest around points (k, 3) of it, either way."""
+    from scipy.spatial import cKDTree
+
+    _, near = cKDTree(cloud, balanced_tree=False).query(points, min(_NEIGHBOURS, len(cloud)), workers=-1)
+    around = cloud[near] - points[:, None]
+    around -= around.mean(axis=1, keepdims=True)
+    return np.asarray(np.linalg.eigh(np.einsum("kni,knj->kij", around, around))[1][:, :, 0])
