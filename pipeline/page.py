@@ -11,22 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import stages
+from pipeline.deviation_scale import range_in_words, scale_of
 from pipeline.page_told import at, deviation_tables, told_of
 from pipeline.photos import FILE as CAMERAS
 from pipeline.results import REPORT
 from stages import Mesh
-from stages.comparing.palette import colors_of
 from stages.errors import InputError
 from stages.files.documents import read_json, require_inside
 from stages.files.opening import content_of
-from stages.picturing.page.one_file import PageCamera, PageScale
+from stages.picturing.page.one_file import PageCamera
 from stages.picturing.page.packing import Shown, Warn, packed_page, turn_of_page
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 _SAMPLES = 100_000
 _JPEG = b"\xff\xd8\xff"
-# Of the scale of deviations.
-_STEPS = 40
 # How far from a place the camera flies to, as a share of the model's size.
 _NEAR = 0.25
 
@@ -57,7 +55,7 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
         found = stages.deviations(clean, result, tolerance=bound, signed_samples=_SAMPLES)
         figures = found.figures()
         models["clean mesh"] = Shown(clean, "before simplification")
-        models["deviation"] = Shown(found.painted, _range_in_words(figures), _scale(found))
+        models["deviation"] = Shown(found.painted, range_in_words(found.is_signed), scale_of(found))
         proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
         turn, away = turn_of_page(result), _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
         places = [
@@ -98,21 +96,6 @@ def _as_runs_write(path: Path) -> Iterator[None]:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError("this is not as a run writes it; run once more, or move it away.", path) from error
-
-
-def _range_in_words(told: Mapping[str, Any]) -> str:
-    return "red outside, blue inside; green is near" if told["is_signed"] else "red far, green near"
-
-
-def _scale(found: stages.Deviations) -> PageScale:
-    most = found.color_range
-    low = -most if found.is_signed else 0.0
-    edges = np.linspace(low, most, _STEPS + 1)
-    colors = colors_of((edges[1:] + edges[:-1]) / 2, found.within, most)
-    # What lies beyond the scale has its last colours.
-    shares = np.histogram(found.samples.clip(low, most), edges)[0] / len(found.samples)
-    css = [f"rgb({r}, {g}, {b})" for r, g, b in colors.tolist()]
-    return PageScale("mm", 1000 * low, 1000 * most, 1000 * found.within, css, shares.round(5).tolist())
 
 
 def _cameras(folder: Path, mesh: Mesh) -> list[PageCamera]:

@@ -44,7 +44,10 @@ def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def deviation_tables(
-    told: Mapping[str, Any], proven: float | None, places: Sequence[Mapping[str, Any]]
+    told: Mapping[str, Any],
+    proven: float | None,
+    places: Sequence[Mapping[str, Any]],
+    title: str = "Deviation of the result from the clean mesh, by samples",
 ) -> list[dict[str, Any]]:
     """Return tables of a deviation: how large it is, and its worst places, which the page can fly to.
 
@@ -53,6 +56,7 @@ def deviation_tables(
     told : the figures of `stages.Deviations`.
     proven : metres that no point is farther off than; None where nothing is proven.
     places : of the worst, as `one_file` takes them.
+    title : of the first table.
     """
     rows = [[f"{p} % are within", f"{1000 * d:.4g} mm"] for p, d in told["absolute_percentiles_m"].items()]
     rows.append(["RMS", f"{1000 * told['rms_m']:.4g} mm"])
@@ -63,7 +67,7 @@ def deviation_tables(
     if told["delta_e_2000"] is not None:
         rows.append(["ΔE2000 of colours, on average", f"{told['delta_e_2000']['mean']:.3g}"])
     return [
-        {"title": "Deviation of the result from the clean mesh, by samples", "head": ["", ""], "rows": rows},
+        {"title": title, "head": ["", ""], "rows": rows},
         {
             "title": "Where it is farthest off",
             "head": ["deviation", "at, in the axes of the scan, m", ""],

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.comparing.measurable import box_of, comparable, is_cloud
+from stages.comparing.measurable import box_of, comparable
 from stages.comparing.sampling import sampled
 from stages.errors import InputError
 from stages.printing import by_figures, table
+from stages.surface.cloud import is_cloud, some_of
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats
@@ -25,8 +26,6 @@ from stages.surface.vertex_normals import vertex_normals
 # Points on each surface, or of each cloud.
 _POINTS = 60_000
 _SEED = 0
-# Points of a cloud that tell how it lies around one of them.
-_NEIGHBOURS = 30
 # How far partners may be apart, as shares of the smaller mesh's diagonal: coarse to fine.
 _REACHES = (0.1, 0.03, 0.01, 0.003)
 _ITERATIONS = 60
@@ -102,13 +101,14 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
         if found.fitness < _LEAST_OVERLAP:
             break
         motion = found.transformation
-    check = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
-    if check.fitness < _LEAST_OVERLAP:
+    found = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
+    if found.fitness < _LEAST_OVERLAP:
         raise InputError(
-            f"the two cannot be aligned: {check.fitness:.0%} of the points have a partner nearby; "
+            f"the two cannot be aligned: {found.fitness:.0%} of the points have a partner nearby; "
             "bring them roughly into place first."
         )
     motion = _rigid(motion)
+    rms = _rms_to_planes(source, target, np.asarray(found.correspondence_set), motion)
     # Told of the world, not of the points around the centre.
     motion[:3, 3] += centre - motion[:3, :3] @ centre
     vertices = moving.vertices @ motion[:3, :3].T + motion[:3, 3]
@@ -116,8 +116,8 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     cosine = np.clip((np.trace(motion[:3, :3]) - 1) / 2, -1, 1)
     alignment = Alignment(
         reference_from_mesh=motion,
-        overlap=float(check.fitness),
-        rms=float(check.inlier_rmse),
+        overlap=float(found.fitness),
+        rms=rms,
         moved_rms=float(np.sqrt((moved**2).mean())),
         angle=float(np.degrees(np.arccos(cosine))),
     )
@@ -146,9 +146,22 @@ def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
     return rigid
 
 
+def _rms_to_planes(source: Any, target: Any, pairs: NDArray[np.int32], motion: NDArray[np.float64]) -> float:
+    """Return how far the moved points are from the planes of their partners, RMS."""
+    moved = np.asarray(source.points)[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
+    away = moved - np.asarray(target.points)[pairs[:, 1]]
+    distances = np.einsum("kx,kx->k", away, np.asarray(target.normals)[pairs[:, 1]])
+    return float(np.sqrt((distances**2).mean()))
+
+
 def _points_of(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
     """Return points with normals: spread evenly over a mesh, or some of a cloud."""
-    points, normals = (_some_of_cloud if is_cloud(mesh) else _spread_over)(mesh)
+    if is_cloud(mesh):
+        chosen = some_of(mesh, _POINTS)
+        assert chosen.normals is not None
+        points, normals = chosen.vertices, chosen.normals
+    else:
+        points, normals = _spread_over(mesh)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     found = o3d.geometry.PointCloud()
     found.points = o3d.utility.Vector3dVector(points - centre)
@@ -162,23 +175,3 @@ def _spread_over(mesh: Mesh) -> tuple[Floats, Floats]:
     rows = mesh.triangles[at.triangles]
     normals = np.einsum("kc,kcx->kx", at.weights, vertex_normals(mesh)[rows])
     return np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]), normals
-
-
-def _some_of_cloud(cloud: Mesh) -> tuple[Floats, Floats]:
-    rows = np.arange(len(cloud.vertices))
-    if len(rows) > _POINTS:
-        rows = np.random.default_rng(_SEED).choice(len(rows), _POINTS, replace=False)
-    points = cloud.vertices[rows]
-    if cloud.normals is not None:
-        return points, cloud.normals[rows]
-    return points, _normals_around(points, cloud.vertices)
-
-
-def _normals_around(points: Floats, cloud: Floats) -> Floats:
-    """Return along which direction (k, 3) the cloud is thinnest around points (k, 3) of it, either way."""
-    from scipy.spatial import cKDTree
-
-    _, near = cKDTree(cloud, balanced_tree=False).query(points, min(_NEIGHBOURS, len(cloud)), workers=-1)
-    around = cloud[near] - points[:, None]
-    around -= around.mean(axis=1, keepdims=True)
-    return np.asarray(np.linalg.eigh(np.einsum("kni,knj->kij", around, around))[1][:, :, 0])

@@ -14,10 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.measurable import is_cloud
 from stages.comparing.needles import WithNeedles
 from stages.comparing.sampling import sampled
 from stages.comparing.signed import Sides
+from stages.surface.cloud import is_cloud
 from stages.surface.color import color_at, has_color
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, chunks, interpolated
@@ -76,28 +76,28 @@ class Asked(Protocol):
         """Return what is nearest to points (k, 3)."""
 
 
-def asked(mesh: Mesh, box: Floats, surface: Surface | None = None) -> Asked:
+def asked(mesh: Mesh, box: Floats, searched: WithNeedles | None = None) -> Asked:
     """Return a mesh or cloud ready to be asked.
 
     Parameters
     ----------
     mesh : that `comparable` returned.
     box : (2, 3) lowest and highest corner of everything that will be asked.
-    surface : of the mesh, in this box, if there is one already.
+    searched : the mesh's surface, in this box, if there is one already.
     """
-    return _Cloud(mesh) if is_cloud(mesh) else _Surface(mesh, box, surface)
+    return _Cloud(mesh) if is_cloud(mesh) else _Surface(mesh, box, searched)
 
 
 class _Surface:
     """A mesh: its points are spread evenly over its area, and its vertices stray most."""
 
-    def __init__(self, mesh: Mesh, box: Floats, surface: Surface | None) -> None:
+    def __init__(self, mesh: Mesh, box: Floats, searched: WithNeedles | None) -> None:
         self.mesh = mesh
-        self._box, self._given = box, surface
+        self._box, self._given = box, searched
 
     @cached_property
-    def _target(self) -> WithNeedles:
-        return WithNeedles(self._given or Surface(self.mesh, self._box), self._box)
+    def _searched(self) -> WithNeedles:
+        return self._given or WithNeedles(Surface(self.mesh, self._box), self._box)
 
     @cached_property
     def _sides(self) -> Sides | None:
@@ -135,7 +135,7 @@ class _Surface:
             yield Points(self.mesh.vertices[used[rows]], colors)
 
     def nearest(self, points: Floats, *, colored: bool = False, signed: bool = False) -> Nearest:
-        found = self._target.closest(points)
+        found = self._searched.closest(points)
         colors = color_at(self.mesh, found.triangles, found.weights) if colored else None
         if signed and self._sides is not None:
             return Nearest(found.distances * self._sides.signs(points, found), colors)

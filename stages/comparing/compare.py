@@ -17,6 +17,7 @@ import numpy as np
 
 from stages.comparing.asked import Asked, Points, asked, is_colored
 from stages.comparing.measurable import box_of, comparable
+from stages.comparing.needles import WithNeedles
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, facts, line, table
 from stages.surface.convert import MeshLike
@@ -208,6 +209,12 @@ def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Compariso
 
     Their boxes hold both meshes, and both have passed `require_area`.
     """
+    box = bounding_box(a.mesh, b.mesh)
+    return compare_searched(WithNeedles(a, box), WithNeedles(b, box), params)
+
+
+def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> Comparison:
+    """Do as `compare_surfaces` does, with what finds needles too."""
     box = bounding_box(a.mesh, b.mesh)
     return _compared(asked(a.mesh, box, a), asked(b.mesh, box, b), params)
 

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.comparing.asked import Asked, asked, is_colored
-from stages.comparing.measurable import box_of, comparable, is_cloud
+from stages.comparing.measurable import box_of, comparable
+from stages.comparing.needles import WithNeedles
 from stages.comparing.palette import PALETTES, colors_of
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
+from stages.surface.cloud import is_cloud
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, chunks, is_used
@@ -191,7 +193,20 @@ def deviations(
     params = resolve(DeviationParams, params, changes)
     fixed, measured = comparable(reference, "reference"), comparable(mesh, "mesh")
     box = box_of(fixed, measured)
-    target, source = asked(fixed, box), asked(measured, box)
+    return _measured(asked(fixed, box), asked(measured, box), params)
+
+
+def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParams) -> Deviations:
+    """Do as `deviations` does, from a surface that serves other queries too.
+
+    Its box holds both meshes, and both have passed `require_area`.
+    """
+    box = box_of(surface.mesh, measured)
+    return _measured(asked(surface.mesh, box, surface), asked(measured, box), params)
+
+
+def _measured(target: Asked, source: Asked, params: DeviationParams) -> Deviations:
+    measured = source.mesh
     count = source.samples(params.signed_samples)
     rng, colored = np.random.default_rng(0), is_colored(target, source)
     points = source.spread(slice(0, count), count, rng, colored=colored)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stages.errors import MeshError
+from stages.surface.cloud import is_cloud
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, bounding_box
@@ -40,11 +41,6 @@ def comparable(given: MeshLike, called: str) -> Mesh:
     if not np.ptp(mesh.vertices, axis=0).any():
         raise MeshError("it has no triangles, and its points are all in one place.", called)
     return mesh
-
-
-def is_cloud(mesh: Mesh) -> bool:
-    """Return whether there are points and no triangles."""
-    return len(mesh.triangles) == 0 and len(mesh.vertices) > 0
 
 
 def box_of(*meshes: Mesh) -> Floats:
