@@ -6,9 +6,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from cli.output import table_of
+from stages.printing import place_in_words
 
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 _MEASURES = {"maximum": "maximum", "mean": "mean", "rms": "RMS"}
+
+# From here on, lengths are told in metres, and below in millimetres.
+_LONG = 1.0
 
 # A length in the unit of the tables, with a sign if that is wanted.
 Length = Callable[..., str]
@@ -16,11 +20,11 @@ Length = Callable[..., str]
 
 def comparison_text(figures: Mapping[str, Any]) -> str:
     """Return the figures of a comparison in words."""
-    # Millimetres, unless what is compared is far larger than that or far off.
-    length = _metres if figures["distance"]["symmetric"]["maximum_m"] >= 1 else _millimetres
+    # Of one unit in all tables, so that numbers are compared at a glance.
+    length = _metres if figures["distance"]["symmetric"]["maximum_m"] >= _LONG else _millimetres
     clouds = figures.get("clouds", {"a": None, "b": None})
     parts = [
-        *(_compared(name, clouds[name], figures["samples_per_side"], length) for name in "ab"),
+        *(_compared(name, clouds[name], figures["samples_per_side"]) for name in "ab"),
         "",
         _distance_text(figures, length),
         "",
@@ -29,7 +33,7 @@ def comparison_text(figures: Mapping[str, Any]) -> str:
         _deviation_text(figures["deviation"], length),
     ]
     if clouds["a"] is not None:
-        gap = length(clouds["a"]["spacing_m"])
+        gap = _fitting(clouds["a"]["spacing_m"])
         parts += ["", f"A is a cloud: a distance below {gap}, as its points are apart, is as good as none."]
         if clouds["b"] is None:
             parts += ["The other way round, compare B A, its points are measured from B exactly."]
@@ -50,14 +54,18 @@ def _millimetres(value: float, sign: str = "") -> str:
     return f"{1000 * value:{sign}.4g} mm"
 
 
+def _fitting(value: float) -> str:
+    return (_metres if value >= _LONG else _millimetres)(value)
+
+
 def _place(point: Any) -> str:
-    return f"({', '.join(f'{x:.6g}' for x in point)}) m"
+    return f"({place_in_words(point)}) m"
 
 
-def _compared(name: str, cloud: Mapping[str, Any] | None, samples: int, length: Length) -> str:
+def _compared(name: str, cloud: Mapping[str, Any] | None, samples: int) -> str:
     if cloud is None:
         return f"{name.upper()}: surface, {samples:,} samples spread evenly over its area, and its vertices"
-    apart = length(cloud["spacing_m"])
+    apart = _fitting(cloud["spacing_m"])
     return (
         f"{name.upper()}: cloud of {cloud['points']:,} points, all of them measured; {apart} apart (median)"
     )
@@ -76,7 +84,7 @@ def _distance_text(figures: Mapping[str, Any], length: Length) -> str:
 def _color_text(color: Mapping[str, Any] | None) -> str:
     if color is None:
         return "No colours compared: A or B has none."
-    rows = [["colour", "RMSE", "PSNR", "maximum"]]
+    rows = [["colour, of 255 levels", "RMSE", "PSNR", "maximum"]]
     for key, way in _WAYS.items():
         of = color[key]
         rows.append([
@@ -85,7 +93,7 @@ def _color_text(color: Mapping[str, Any] | None) -> str:
             "equal" if of["psnr_db"] is None else f"{of['psnr_db']:.1f} dB",
             f"{of['maximum_levels']:.3g} levels",
         ])  # fmt: skip
-    return f"{table_of(rows)}\n\nLevels are of 255."
+    return table_of(rows)
 
 
 def _deviation_text(told: Mapping[str, Any], length: Length) -> str:
@@ -103,7 +111,8 @@ def _deviation_text(told: Mapping[str, Any], length: Length) -> str:
     rows.append([f"worst, at {_place(worst['point_m'])}", length(worst["distance_m"], signed)])
     text = table_of(rows)
     if not told["is_signed"]:
-        text += "\n\nWithout signs: A has no side that it looks to."
+        lacks = "normals, which would tell sides" if told["reference_spacing_m"] else "side that it looks to"
+        text += f"\n\nWithout signs: A has no {lacks}."
     if told["share_within"] is not None:
         text += f"\n\n{told['share_within']:.2%} within {told['tolerance_m']:g} m"
         if told["is_signed"]:
@@ -144,7 +153,7 @@ def _views_text(told: Mapping[str, Any]) -> str:
             one["viewpoint"],
             "equal" if one["psnr_db"] is None else f"{one['psnr_db']:.1f} dB",
             "–" if one["ssim"] is None else f"{one['ssim']:.4f}",
-            f"{one['silhouette_iou']:.2%}",
+            f"{100 * one['silhouette_iou']:.2f} %",
             f"{one['pixels_compared']:,}",
         ]
         for one in [*told["each"], {**told, "viewpoint": "all"}]

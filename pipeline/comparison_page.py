@@ -14,13 +14,17 @@ from stages.comparing.change import Changes
 from stages.comparing.deviations import Deviations
 from stages.picturing.page.packing import Shown, Warn, packed_page, turn_of_page
 from stages.picturing.spots import spots
+from stages.printing import place_in_words
 from stages.surface.cloud import is_cloud
 from stages.surface.mesh import Mesh
+from stages.surface.vertex_normals import vertex_normals
 
 # Of a cloud, so many points are shown.
 _MOST_SPOTS = 40_000
 # How far from a place the camera flies to, as a share of the model's size.
 _NEAR = 0.25
+# How dark it is where no light falls, and where that comes from.
+_AMBIENT, _LIGHT = 0.5, np.array((0.35, 0.55, 0.75)) / np.linalg.norm((0.35, 0.55, 0.75))
 _WAYS = {"a_to_b": "A to B", "b_to_a": "B to A", "symmetric": "both ways"}
 
 
@@ -52,7 +56,8 @@ def page_of_comparison(
     for letter, name, mesh in zip("AB", names, meshes, strict=True):
         models[f"{letter}: {name}"] = _shown(mesh, up)
     if moved is not None:
-        models["change"] = _shown(moved.painted, up, "what is new in B is green, what is gone of A red")
+        about = "what is new in B is green, what is gone of A red"
+        models["change"] = _shown(_shaded(moved.painted), up, about)
     turn = turn_of_page(next(iter(models.values())).mesh)
     away = _NEAR * float(np.linalg.norm(np.ptp(found.painted.vertices, axis=0)))
     told = {"tables": list(_tables(figures, turn, away))}
@@ -64,7 +69,14 @@ def _shown(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") ->
         return Shown(mesh.with_(up=up), note)
     drawn = spots(mesh, _MOST_SPOTS).with_(up=up)
     count = f"{len(drawn.triangles):,} of {len(mesh.vertices):,} points, each a triangle"
-    return Shown(drawn, ", ".join(filter(None, (note, count))))
+    return Shown(drawn, "; ".join(filter(None, (note, count))))
+
+
+def _shaded(mesh: Mesh) -> Mesh:
+    """Return a mesh of few colours as a light from aside shows it: pages have none, and it would be flat."""
+    assert mesh.colors is not None
+    light = _AMBIENT + (1 - _AMBIENT) * np.abs(vertex_normals(mesh) @ _LIGHT)
+    return mesh.with_(colors=np.rint(mesh.colors * light[:, None]).astype(np.uint8))
 
 
 def _tables(figures: Mapping[str, Any], turn: NDArray[np.float64], away: float) -> Sequence[dict[str, Any]]:
@@ -82,7 +94,7 @@ def _tables(figures: Mapping[str, Any], turn: NDArray[np.float64], away: float) 
             "title": f"Farther than {1000 * change['distance_m']:.4g} mm from the other, largest first",
             "head": ["", "area", "in the middle, in the axes of the scan, m", ""],
             "rows": [
-                [one["kind"], f"{one['area_m2']:.4g} m²", ", ".join(f"{x:.4g}" for x in one["point_m"])]
+                [one["kind"], f"{one['area_m2']:.4g} m²", place_in_words(one["point_m"])]
                 for one in change["largest"]
             ],
             "places": places(change["largest"]),
@@ -106,7 +118,7 @@ def _views(told: Mapping[str, Any]) -> dict[str, Any]:
             one["viewpoint"],
             "equal" if one["psnr_db"] is None else f"{one['psnr_db']:.1f} dB",
             "–" if one["ssim"] is None else f"{one['ssim']:.4f}",
-            f"{one['silhouette_iou']:.2%}",
+            f"{100 * one['silhouette_iou']:.2f} %",
         ]
         for one in [*told["each"], {**told, "viewpoint": "all"}]
     ]

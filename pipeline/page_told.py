@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stages.printing import at_most
+from stages.printing import at_most, place_in_words
 
 
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def deviation_tables(
             "title": "Where it is farthest off",
             "head": ["deviation", "at, in the axes of the scan, m", ""],
             "rows": [
-                [f"{1000 * one['distance_m']:+.3g} mm", ", ".join(f"{x:.4g}" for x in one["point_m"])]
+                [f"{1000 * one['distance_m']:+.3g} mm", place_in_words(one["point_m"])]
                 for one in told["worst"]
             ],
             "places": list(places),

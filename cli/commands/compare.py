@@ -137,7 +137,8 @@ def compare(
     if how == "icp":
         with about_file(other), about_file(reference, "reference"):
             b, alignment = stages.align(b, a)
-    figures = stages.compare(a, b, params).figures()
+    with about_file(reference, "first mesh"), about_file(other, "second mesh"):
+        figures = stages.compare(a, b, params).figures()
     require_overlap(other, b, reference, a, out)
     found = stages.deviations(a, b, told)
     if save_aligned is not None:

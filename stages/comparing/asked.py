@@ -24,6 +24,9 @@ from stages.surface.raycasting import Floats, Surface, chunks, interpolated
 from stages.surface.topology import areas, topology
 
 Levels = NDArray[np.floating]
+# Points of a cloud whose distances differ by less than this share count as equally near: where a cloud is far
+# off that is true of many of its points, and to tell them apart takes minutes.
+_ALIKE = 1e-6
 # Points that the spacing of a cloud is measured at.
 _SPACING_AT = 50_000
 
@@ -178,7 +181,7 @@ class _Cloud:
         return iter(())
 
     def nearest(self, points: Floats, *, colored: bool = False, signed: bool = False) -> Nearest:
-        distances, rows = self._tree.query(points, workers=-1)
+        distances, rows = self._tree.query(points, eps=_ALIKE, workers=-1)
         colors = None
         if colored and self.mesh.colors is not None:
             colors = self.mesh.colors[rows].astype(np.float64)

@@ -156,7 +156,12 @@ class Comparison:
         figures = {"distance_rms_m": distance.rms, "distance_maximum_m": distance.maximum}
         if color is not None:
             figures["color_rmse_levels"] = color.rmse
-        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a side"])
+        clouds = [
+            f"{name} a cloud of {counted(one.points, 'point')}"
+            for name, one in zip("AB", self.clouds, strict=True)
+            if one is not None
+        ]
+        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a surface", *clouds])
 
     _repr_html_ = table
 

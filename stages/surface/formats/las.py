@@ -43,17 +43,22 @@ def read_las(path: Path, parts: Parts) -> None:
     with laspy.open(opened(path), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as reader:
         parts.notes += _unit_notes(reader.header)
         names = {name.lower(): name for name in reader.header.point_format.dimension_names}
-        left_out = 0
+        left_out = outside = 0
         for part in reader.chunk_iterator(PART):
             keep = np.ones(len(part), bool)
             if "withheld" in names:
                 keep = np.asarray(part[names["withheld"]]) == 0
             left_out += len(part) - int(np.count_nonzero(keep))
             points = np.stack([np.asarray(part[axis], np.float64) for axis in "xyz"], axis=1)
+            outside += _outside(points, reader.header)
             columns = (_columns(part, names, ("red", "green", "blue")), _normals(part, names))
             parts.append(points[keep], *(None if column is None else column[keep] for column in columns))
         if left_out:
             parts.notes.append(f"{left_out:,} points are left out: they are marked as withheld")
+        if outside:
+            parts.notes.append(
+                f"{outside:,} points are not where its header says that all are: it may be damaged"
+            )
 
 
 def _checked_points(path: Path) -> int:
@@ -73,6 +78,14 @@ def _checked_points(path: Path) -> int:
     if is_short or (not kind & _PACKED and points > held):
         raise InputError(f"promises {points:,} points, more than it holds; it is damaged or cut short.", path)
     return int(points)
+
+
+def _outside(points: NDArray[np.float64], header: Any) -> int:
+    """Return how many points are outside of the box that a header tells: packed points have no check sum."""
+    low, high = header.mins - 2 * header.scales, header.maxs + 2 * header.scales
+    if not header.mins.any() and not header.maxs.any():
+        return 0
+    return int(np.count_nonzero(((points < low) | (points > high)).any(axis=1)))
 
 
 def _columns(part: Any, names: Mapping[str, str], wanted: tuple[str, ...]) -> NDArray[Any] | None:
