@@ -68,6 +68,7 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     for name, column in columns.items():
         buffers.append(libe57.SourceDestBuffer(file.image_file, name, column, count, True, True))
     limits = _color_limits(scan) if _COLORS in wanted else None
+    turn, shift = _pose(scan)
     reader = scan.points.reader(buffers)
     left, invalid = int(scan.point_count), 0
     while left > 0 and (held := int(reader.read())) > 0:
@@ -78,9 +79,8 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
         invalid += held - int(np.count_nonzero(is_valid))
         groups = {group: np.stack([columns[name][:held][is_valid] for name in group], 1) for group in wanted}
         points = groups[places] if places is _CARTESIAN else _from_spherical(groups[places])
-        turn = scan.rotation_matrix
         parts.append(
-            points @ turn.T + scan.translation,
+            points @ turn.T + shift,
             None if limits is None else _scaled(groups[_COLORS], *limits),
             groups[_NORMALS] @ turn.T if _NORMALS in groups else None,
         )
@@ -88,6 +88,22 @@ def _read_scan(file: Any, scan: Any, parts: Parts, path: Path) -> int:
     if left > 0:
         raise InputError(f"ends {left:,} points before the {scan.point_count:,} that it promises.", path)
     return invalid
+
+
+def _pose(scan: Any) -> tuple[Floats, Floats]:
+    """Return the rotation (3, 3) and translation (3,) of a scan, by the names of their numbers.
+
+    pye57 takes these in the order in which they stand in the file, which is free.
+    """
+    turn, shift = np.eye(3), np.zeros(3)
+    pose = scan["pose"] if "pose" in scan.scan_fields else None
+    if pose is not None and pose.isDefined("rotation"):
+        w, x, y, z = (pose["rotation"][name].value() for name in "wxyz")
+        axis = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        turn += (2 * w * axis + 2 * axis @ axis) / (w * w + x * x + y * y + z * z)
+    if pose is not None and pose.isDefined("translation"):
+        shift = np.array([pose["translation"][name].value() for name in "xyz"])
+    return turn, shift
 
 
 def _from_spherical(values: Floats) -> Floats:

@@ -77,8 +77,21 @@ def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
         image = file.image_file
         scan, points = libe57.StructureNode(image), libe57.StructureNode(image)
         names = ("sphericalRange", "sphericalAzimuth", "sphericalElevation", "sphericalInvalidState")
-        for name in names:
+        points.set(names[0], libe57.ScaledIntegerNode(image, 0, 0, 2**30, 1e-7, 0.5))
+        for name in names[1:]:
             points.set(name, libe57.FloatNode(image, 0.0, libe57.E57_DOUBLE, -1e9, 1e9))
+        # Half of a quarter turn around x, and its numbers in another order than is usual.
+        half = np.sqrt(0.5)
+        pose = libe57.StructureNode(image)
+        for name, numbers in (
+            ("rotation", {"z": 0.0, "x": 3 * half, "y": 0.0, "w": 3 * half}),
+            ("translation", {"z": 30.0, "y": 20.0, "x": 10.0}),
+        ):
+            part = libe57.StructureNode(image)
+            for key, value in numbers.items():
+                part.set(key, libe57.FloatNode(image, value))
+            pose.set(name, part)
+        scan.set("pose", pose)
         vector = libe57.CompressedVectorNode(image, points, libe57.VectorNode(image, True))
         scan.set("guid", libe57.StringNode(image, "{1}"))
         scan.set("points", vector)
@@ -96,7 +109,8 @@ def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
         data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), places.T, strict=True))
         file.write_scan_raw(data, translation=np.array((10.0, 0, 0)), rotation=np.array((1.0, 0, 0, 0)))
     read = read_cloud(tmp_path / "a.e57")
-    np.testing.assert_allclose(read.vertices[:46], places[4:], atol=1e-9)
+    turned = places[4:, [0, 2, 1]] * (1, -1, 1) + (10, 20, 30)
+    np.testing.assert_allclose(read.vertices[:46], turned, atol=2e-7)
     np.testing.assert_allclose(read.vertices[46:], places + np.array((10, 0, 0)), atol=1e-5)
     assert any("4 points are left out" in note for note in read.notes)
 
