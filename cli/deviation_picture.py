@@ -1,4 +1,4 @@
-"""A picture of a mesh in the colours of its deviations, with the scale beside it."""
+"""A picture of a mesh or cloud in the colours of its deviations, with the scale beside it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from stages import Deviations
 from stages._opencv import require_opencv
 from stages.comparing.palette import colors_of
 from stages.picturing.render import Model, write_png
+from stages.picturing.spots import spots
 from stages.picturing.viewpoints import viewpoints
+from stages.surface.cloud import is_cloud
 from stages.surface.raycasting import Surface
 
+# Of a cloud, so many points are drawn.
+_MOST_SPOTS = 400_000
 _WIDTH, _BAR, _MARGIN = 1000, 28, 200
 _INK, _PAPER = (40, 44, 52), 250
 _STEPS = 9
@@ -21,8 +25,9 @@ _STEPS = 9
 
 def write_deviation_picture(path: Path, found: Deviations, palette: str) -> None:
     """Write the mesh from two sides in the colours of its deviations, and what these stand for."""
-    views = viewpoints(found.painted, 4, width=_WIDTH)
-    model = Model(Surface(found.painted))
+    painted = spots(found.painted, _MOST_SPOTS) if is_cloud(found.painted) else found.painted
+    views = viewpoints(painted, 4, width=_WIDTH)
+    model = Model(Surface(painted))
     drawn = [model.draw(view, "color") for view in (views[0], views[2])]
     height = drawn[0].shape[0]
     write_png(path, np.ascontiguousarray(np.hstack([*drawn, _scale(found, palette, height)])))

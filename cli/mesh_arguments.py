@@ -14,6 +14,8 @@ import stages
 from cli.output import Output
 from cli.paths import require_file
 from stages import Mesh, MeshError
+from stages.surface.cloud import is_cloud
+from stages.surface.cloud_files import read_mesh_or_cloud
 
 # Formats without colours.
 SHAPE_ALONE = (".off", ".stl")
@@ -35,6 +37,15 @@ def read_file(path: Path, out: Output) -> Mesh:
     """Return the mesh of a file; what its reader changed or could not use is told."""
     mesh = stages.read_mesh(require_file(path))
     tell_notes(path, mesh.notes, out)
+    return mesh
+
+
+def read_file_or_cloud(path: Path, out: Output) -> Mesh:
+    """Return the mesh of a file, or its cloud, which has no triangles, and remark that it is one."""
+    mesh = read_mesh_or_cloud(require_file(path))
+    tell_notes(path, mesh.notes, out)
+    if is_cloud(mesh):
+        out.remark(f"{path}: no triangles; it is taken as a cloud of {len(mesh.vertices):,} points.")
     return mesh
 
 
@@ -69,4 +80,7 @@ def write_file(path: Path, mesh: Mesh, out: Output) -> None:
 
 def tell_written(path: Path, mesh: Mesh, out: Output) -> None:
     """Remark how large a mesh is that was written."""
-    out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")
+    if is_cloud(mesh):
+        out.remark(f"{path}: {len(mesh.vertices):,} points")
+    else:
+        out.remark(f"{path}: {len(mesh.vertices):,} vertices, {len(mesh.triangles):,} triangles")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from stages.printing import at_most
+from stages.printing import at_most, place_in_words
 
 
 def told_of(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,6 +59,7 @@ def deviation_tables(
     told: Mapping[str, Any],
     proven: float | None,
     places: Sequence[Mapping[str, Any]],
+    title: str = "Deviation of the result from the clean mesh, by samples",
     *,
     is_metric: bool = True,
 ) -> list[dict[str, Any]]:
@@ -69,6 +70,7 @@ def deviation_tables(
     told : the figures of `stages.Deviations`.
     proven : metres that no point is farther off than; None where nothing is proven.
     places : of the worst, as `one_file` takes them.
+    title : of the first table.
     is_metric : lengths are metres, else units of the scan.
     """
     per, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
@@ -85,12 +87,12 @@ def deviation_tables(
     if told["delta_e_2000"] is not None:
         rows.append(["ΔE2000 of colours, on average", f"{told['delta_e_2000']['mean']:.3g}"])
     return [
-        {"title": "Deviation of the result from the clean mesh, by samples", "head": ["", ""], "rows": rows},
+        {"title": title, "head": ["", ""], "rows": rows},
         {
             "title": "Where it is farthest off",
             "head": ["deviation", f"at, in the axes of the scan, {large}", ""],
             "rows": [
-                [f"{per * one['distance_m']:+.3g} {small}", ", ".join(f"{x:.4g}" for x in one["point_m"])]
+                [f"{per * one['distance_m']:+.3g} {small}", place_in_words(one["point_m"])]
                 for one in told["worst"]
             ],
             "places": list(places),

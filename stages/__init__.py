@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from stages.inspecting.inspect import Inspection, inspect
     from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
     from stages.normal_meshes.remesh import RemeshParams, remesh
+    from stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
     from stages.picturing.render import Viewpoint, render
     from stages.picturing.viewpoints import viewpoints
     from stages.registration.register import RegisterParams, Registration, register
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from stages.simplification.simplify import Simplified, SimplifyParams, simplify
     from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
     from stages.stereo.views_depth import views_depth
+    from stages.surface.cloud_files import read_cloud
     from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
     from stages.surface.mesh import Mesh
     from stages.surface.mesh_files import read_mesh, write_mesh
@@ -79,6 +81,7 @@ _NAMES_OF = {
     "inspecting.inspect": ("Inspection", "inspect"),
     "normal_meshes.normal_mesh": ("NormalMesh", "Offsets", "decode"),
     "normal_meshes.remesh": ("RemeshParams", "remesh"),
+    "picturing.compare_views": ("ViewComparison", "ViewsParams", "compare_views"),
     "picturing.render": ("Viewpoint", "render"),
     "picturing.viewpoints": ("viewpoints",),
     "registration.register": ("RegisterParams", "Registration", "register"),
@@ -95,6 +98,7 @@ _NAMES_OF = {
     "simplification.simplify": ("Simplified", "SimplifyParams", "simplify"),
     "stereo.depth": ("DepthMap", "DepthParams", "depth", "depth_scan"),
     "stereo.views_depth": ("views_depth",),
+    "surface.cloud_files": ("read_cloud",),
     "surface.convert": ("MeshLike", "as_mesh", "to_open3d", "to_open3d_legacy", "to_trimesh"),
     "surface.mesh": ("Mesh",),
     "surface.mesh_files": ("read_mesh", "write_mesh"),
@@ -165,7 +169,9 @@ __all__ = [
     "Textured",
     "Topology",
     "UsageError",
+    "ViewComparison",
     "Viewpoint",
+    "ViewsParams",
     "__version__",
     "adjust",
     "align",
@@ -176,6 +182,7 @@ __all__ = [
     "check",
     "clean",
     "compare",
+    "compare_views",
     "decode",
     "depth",
     "depth_scan",
@@ -186,6 +193,7 @@ __all__ = [
     "load_record",
     "planar_patches",
     "preset",
+    "read_cloud",
     "read_mesh",
     "read_scan",
     "register",

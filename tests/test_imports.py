@@ -33,7 +33,11 @@ LATER = {"compression", "tomllib"}
 # Type checkers bring it themselves; no program imports it.
 TYPES_ONLY = {"typing_extensions"}
 # Files that import what only an extra brings, and say so where it is missing.
-OF_EXTRAS = {"stages/exporting/usd.py": {"pxr": "usd-core"}}
+OF_EXTRAS = {
+    "stages/exporting/usd.py": {"pxr": "usd-core"},
+    "stages/surface/formats/e57.py": {"pye57": "pye57"},
+    "stages/surface/formats/las.py": {"laspy": "laspy"},
+}
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 
 

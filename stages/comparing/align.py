@@ -1,4 +1,4 @@
-"""Bring a mesh to where another one is, by a rigid motion: iterated closest points, point to plane.
+"""Bring a mesh or cloud to where another one is, by a rigid motion: iterated closest points, point to plane.
 
 Chen and Medioni, "Object modelling by registration of multiple range images", 1992; by Open3D.
 """
@@ -12,17 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages._open3d import open3d
-from stages.comparing.measurable import measurable
+from stages.comparing.measurable import box_of, comparable
 from stages.comparing.sampling import sampled
 from stages.errors import InputError
 from stages.printing import by_figures, table
+from stages.surface.cloud import is_cloud, some_of
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import bounding_box
+from stages.surface.raycasting import Floats
 from stages.surface.topology import areas
 from stages.surface.vertex_normals import vertex_normals
 
-# Points on each surface.
+# Points on each surface, or of each cloud.
 _POINTS = 60_000
 _SEED = 0
 # How far partners may be apart, as shares of the smaller mesh's diagonal: coarse to fine.
@@ -65,27 +66,28 @@ class Alignment:
 
 
 def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
-    """Return a mesh moved onto a reference, and the motion; its size stays.
+    """Return a mesh or cloud moved onto a reference, and the motion; its size stays.
 
     It has to lie there roughly already, within a tenth of its size: nearest points are taken for partners.
 
     Parameters
     ----------
-    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres.
+    mesh, reference : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Without triangles it is
+        a cloud, whose normals come from the points around each, if it has none.
 
     Raises
     ------
     MeshError
-        If a mesh has no area.
+        If a mesh has no area, or a cloud is all in one place.
     InputError
         If the two do not overlap enough for it.
     """
-    moving, fixed = measurable(mesh, "mesh"), measurable(reference, "reference")
+    moving, fixed = comparable(mesh, "mesh"), comparable(reference, "reference")
     o3d = open3d()
     pipeline = o3d.pipelines.registration
-    centre = bounding_box(fixed).mean(axis=0)
-    source, target = (_cloud(one, centre, o3d) for one in (moving, fixed))
-    size = min(float(np.linalg.norm(np.diff(bounding_box(one), axis=0))) for one in (moving, fixed))
+    centre = box_of(fixed).mean(axis=0)
+    source, target = (_points_of(one, centre, o3d) for one in (moving, fixed))
+    size = min(float(np.linalg.norm(np.diff(box_of(one), axis=0))) for one in (moving, fixed))
     motion = np.eye(4)
     for share in _REACHES:
         found = pipeline.registration_icp(
@@ -99,13 +101,14 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
         if found.fitness < _LEAST_OVERLAP:
             break
         motion = found.transformation
-    check = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
-    if check.fitness < _LEAST_OVERLAP:
+    found = pipeline.evaluate_registration(source, target, _REACHES[1] * size, motion)
+    if found.fitness < _LEAST_OVERLAP:
         raise InputError(
-            f"the two meshes cannot be aligned: {check.fitness:.0%} of the points have a partner nearby; "
+            f"the two cannot be aligned: {found.fitness:.0%} of the points have a partner nearby; "
             "bring them roughly into place first."
         )
     motion = _rigid(motion)
+    rms = _rms_to_planes(source, target, np.asarray(found.correspondence_set), motion)
     # Told of the world, not of the points around the centre.
     motion[:3, 3] += centre - motion[:3, :3] @ centre
     vertices = moving.vertices @ motion[:3, :3].T + motion[:3, 3]
@@ -113,8 +116,8 @@ def align(mesh: MeshLike, reference: MeshLike) -> tuple[Mesh, Alignment]:
     cosine = np.clip((np.trace(motion[:3, :3]) - 1) / 2, -1, 1)
     alignment = Alignment(
         reference_from_mesh=motion,
-        overlap=float(check.fitness),
-        rms=float(check.inlier_rmse),
+        overlap=float(found.fitness),
+        rms=rms,
         moved_rms=float(np.sqrt((moved**2).mean())),
         angle=float(np.degrees(np.arccos(cosine))),
     )
@@ -143,15 +146,32 @@ def _rigid(motion: NDArray[np.float64]) -> NDArray[np.float64]:
     return rigid
 
 
-def _cloud(mesh: Mesh, centre: NDArray[np.float64], o3d: Any) -> Any:
-    """Return points spread evenly over a mesh, with the normals of its vertices."""
+def _rms_to_planes(source: Any, target: Any, pairs: NDArray[np.int32], motion: NDArray[np.float64]) -> float:
+    """Return how far the moved points are from the planes of their partners, RMS."""
+    moved = np.asarray(source.points)[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
+    away = moved - np.asarray(target.points)[pairs[:, 1]]
+    distances = np.einsum("kx,kx->k", away, np.asarray(target.normals)[pairs[:, 1]])
+    return float(np.sqrt((distances**2).mean()))
+
+
+def _points_of(mesh: Mesh, centre: Floats, o3d: Any) -> Any:
+    """Return points with normals: spread evenly over a mesh, or some of a cloud."""
+    if is_cloud(mesh):
+        chosen = some_of(mesh, _POINTS)
+        assert chosen.normals is not None
+        points, normals = chosen.vertices, chosen.normals
+    else:
+        points, normals = _spread_over(mesh)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    found = o3d.geometry.PointCloud()
+    found.points = o3d.utility.Vector3dVector(points - centre)
+    found.normals = o3d.utility.Vector3dVector(normals / np.maximum(lengths, np.finfo(float).tiny))
+    return found
+
+
+def _spread_over(mesh: Mesh) -> tuple[Floats, Floats]:
     cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
     at = sampled(cumulative, slice(0, _POINTS), _POINTS, np.random.default_rng(_SEED))
     rows = mesh.triangles[at.triangles]
     normals = np.einsum("kc,kcx->kx", at.weights, vertex_normals(mesh)[rows])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    cloud = o3d.geometry.PointCloud()
-    points = np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]) - centre
-    cloud.points = o3d.utility.Vector3dVector(points)
-    cloud.normals = o3d.utility.Vector3dVector(normals / np.maximum(lengths, np.finfo(float).tiny))
-    return cloud
+    return np.einsum("kc,kcx->kx", at.weights, mesh.vertices[rows]), normals

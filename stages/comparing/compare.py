@@ -1,31 +1,27 @@
-"""How far apart two meshes are, in shape and in colour.
+"""How far apart two meshes are, or a mesh and a cloud of points, in shape and in colour.
 
 Both surfaces are sampled densely, each sample is taken to the nearest point of the other surface, and the
 distances are summed up in both directions (Cignoni, Rocchini and Scopigno, "Metro: measuring error on
 simplified surfaces", 1998). Samples are spread over the area, so mean and RMS are integrals over the
-surface; the maximum also looks at every vertex, where simplified surfaces stray most.
+surface; the maximum also looks at every vertex, where simplified surfaces stray most. Of a cloud every point
+is a sample, and distances to it are to its nearest point.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stages.comparing.measurable import measurable
+from stages.comparing.asked import Asked, Points, asked, is_colored
+from stages.comparing.measurable import box_of, comparable
 from stages.comparing.needles import WithNeedles
-from stages.comparing.sampling import sampled
 from stages.params import check, param, resolve
 from stages.printing import by_figures, counted, facts, line, table
-from stages.surface.color import color_at, has_color
 from stages.surface.convert import MeshLike
-from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Surface, bounding_box, chunks, interpolated
-from stages.surface.topology import areas
+from stages.surface.raycasting import Surface, bounding_box, chunks
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -110,16 +106,39 @@ class ColorError:
 
 
 @dataclass(frozen=True)
+class CloudFacts:
+    """What there is to know of a cloud to read distances to it.
+
+    Attributes
+    ----------
+    points : all of them are measured.
+    spacing : metres from a point to its nearest neighbour, the median. Less than this a distance to the cloud
+        says little: between its points, nothing tells where the surface is.
+    """
+
+    points: int
+    spacing: float
+
+    __repr__ = by_figures
+
+    def figures(self) -> dict[str, float]:
+        """Return both, units in the names."""
+        return {"points": self.points, "spacing_m": self.spacing}
+
+
+@dataclass(frozen=True)
 class Comparison:
-    """The two-sided distance of two meshes A and B.
+    """The two-sided distance of two meshes or clouds A and B.
 
     Attributes
     ----------
     a_to_b, b_to_a : from each surface to the other. Different where one of them is incomplete.
-    symmetric : both together; its maximum is the Hausdorff distance, as far as the samples see it.
+    symmetric : both together, each as much as the other; its maximum is the Hausdorff distance, as far as the
+        samples see it.
     color_a_to_b, color_b_to_a, color : the same for colour; None unless both meshes have colours.
     diagonal : metres, of the bounding box of A; what relative figures refer to.
     samples : on each surface.
+    clouds : of A and B, what there is to know of it where it is a cloud.
     """
 
     a_to_b: Deviation
@@ -130,18 +149,25 @@ class Comparison:
     color: ColorError | None
     diagonal: float
     samples: int
+    clouds: tuple[CloudFacts | None, CloudFacts | None] = (None, None)
 
     def __repr__(self) -> str:
         distance, color = self.symmetric, self.color
         figures = {"distance_rms_m": distance.rms, "distance_maximum_m": distance.maximum}
         if color is not None:
             figures["color_rmse_levels"] = color.rmse
-        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a side"])
+        clouds = [
+            f"{name} a cloud of {counted(one.points, 'point')}"
+            for name, one in zip("AB", self.clouds, strict=True)
+            if one is not None
+        ]
+        return line(self, [*facts(figures), f"{counted(self.samples, 'sample')} a surface", *clouds])
 
     _repr_html_ = table
 
     def figures(self) -> dict[str, Any]:
-        """Return all figures for JSON, units in the names."""
+        """Return all figures for JSON, units in the names; those of clouds only where there are any."""
+        clouds = {name: one and one.figures() for name, one in zip("ab", self.clouds, strict=True)}
         directions = {"a_to_b": self.a_to_b, "b_to_a": self.b_to_a, "symmetric": self.symmetric}
         colors = {"a_to_b": self.color_a_to_b, "b_to_a": self.color_b_to_a, "symmetric": self.color}
         return {
@@ -151,34 +177,36 @@ class Comparison:
             "color": {name: value and value.figures() for name, value in colors.items()}
             if self.color
             else None,
+            **({"clouds": clouds} if any(self.clouds) else {}),
         }
 
 
 def compare(
     a: MeshLike, b: MeshLike, params: CompareParams | None = None, **changes: Unpack[CompareKeywords]
 ) -> Comparison:
-    """Measure the two-sided distance and colour error between two meshes.
+    """Measure the two-sided distance and colour error between two meshes, or a mesh and a cloud.
 
     Parameters
     ----------
-    a, b : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Relative distances refer to
-        the bounding-box diagonal of `a`, so give the reference first.
+    a, b : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres. Without triangles it is a cloud.
+        Relative distances refer to the bounding-box diagonal of `a`, so give the reference first.
     params : see CompareParams; its fields can also be given by name.
 
     Returns
     -------
     Comparison
-        Colours are those of the texture where there is one, else of the vertices; see `color_at`.
+        Colours are those of the texture where there is one, else of the vertices; see `color_at`. Those of a
+        cloud are of its nearest point.
 
     Raises
     ------
     MeshError
-        If a mesh has no triangles, or no area to sample.
+        If a mesh has no area to sample, or a cloud is all in one place.
     """
     params = resolve(CompareParams, params, changes)
-    mesh_a, mesh_b = measurable(a, "first mesh"), measurable(b, "second mesh")
-    box = bounding_box(mesh_a, mesh_b)
-    return compare_surfaces(Surface(mesh_a, box), Surface(mesh_b, box), params)
+    mesh_a, mesh_b = comparable(a, "first mesh"), comparable(b, "second mesh")
+    box = box_of(mesh_a, mesh_b)
+    return _compared(asked(mesh_a, box), asked(mesh_b, box), params)
 
 
 def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Comparison:
@@ -192,10 +220,15 @@ def compare_surfaces(a: Surface, b: Surface, params: CompareParams) -> Compariso
 
 def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> Comparison:
     """Do as `compare_surfaces` does, with what finds needles too."""
-    forward = _one_way(a.mesh, b, params.samples, (params.seed, 0))
-    backward = _one_way(b.mesh, a, params.samples, (params.seed, 1))
-    both = forward.merged(backward)
-    low, high = bounding_box(a.mesh)
+    box = bounding_box(a.mesh, b.mesh)
+    return _compared(asked(a.mesh, box, a), asked(b.mesh, box, b), params)
+
+
+def _compared(a: Asked, b: Asked, params: CompareParams) -> Comparison:
+    forward = _one_way(a, b, params.samples, (params.seed, 0))
+    backward = _one_way(b, a, params.samples, (params.seed, 1))
+    both = forward.merged(backward.counted_as(forward.count))
+    low, high = box_of(a.mesh)
     return Comparison(
         a_to_b=forward.deviation(),
         b_to_a=backward.deviation(),
@@ -205,7 +238,12 @@ def compare_searched(a: WithNeedles, b: WithNeedles, params: CompareParams) -> C
         color=both.color(),
         diagonal=float(np.linalg.norm(high - low)),
         samples=params.samples,
+        clouds=(_facts_of(a), _facts_of(b)),
     )
+
+
+def _facts_of(one: Asked) -> CloudFacts | None:
+    return None if one.spacing is None else CloudFacts(len(one.mesh.vertices), one.spacing)
 
 
 @dataclass(frozen=True)
@@ -218,6 +256,14 @@ class _Sums:
     maximum: float
     color_squared: float | None
     color_maximum: float
+
+    def counted_as(self, count: int) -> _Sums:
+        """Return the sums as of so many points, so that a cloud of many weighs no more than a surface."""
+        factor = count / self.count
+        color = None if self.color_squared is None else factor * self.color_squared
+        return replace(
+            self, count=count, total=factor * self.total, squared=factor * self.squared, color_squared=color
+        )
 
     def merged(self, other: _Sums) -> _Sums:
         colored = self.color_squared is not None and other.color_squared is not None
@@ -239,40 +285,26 @@ class _Sums:
         return ColorError(math.sqrt(self.color_squared / (3 * self.count)), self.color_maximum)
 
 
-def _one_way(mesh: Mesh, other: WithNeedles, count: int, seed: tuple[int, int]) -> _Sums:
+def _one_way(source: Asked, target: Asked, wanted: int, seed: tuple[int, int]) -> _Sums:
     rng = np.random.default_rng(seed)
-    cumulative = np.cumsum(areas(mesh.vertices, mesh.triangles))
-    colored = has_color(mesh) and has_color(other.mesh)
+    colored = is_colored(source, target)
+    count = source.samples(wanted)
     sums = _Sums(0, 0.0, 0.0, 0.0, 0.0 if colored else None, 0.0)
     for rows in chunks(count):
-        at = sampled(cumulative, rows, count, rng)
-        colors = color_at(mesh, at.triangles, at.weights) if colored else None
-        sums = sums.merged(_measured(interpolated(mesh.vertices, mesh, at), colors, other))
-    at_vertices = list(_at_vertices(mesh, other))
+        sums = sums.merged(_measured(source.spread(rows, count, rng, colored=colored), target))
+    at_corners = [_measured(points, target) for points in source.corners(colored=colored)]
     return replace(
         sums,
-        maximum=max([sums.maximum, *(one.maximum for one in at_vertices)]),
-        color_maximum=max([sums.color_maximum, *(one.color_maximum for one in at_vertices)]),
+        maximum=max([sums.maximum, *(one.maximum for one in at_corners)]),
+        color_maximum=max([sums.color_maximum, *(one.color_maximum for one in at_corners)]),
     )
 
 
-def _at_vertices(mesh: Mesh, other: WithNeedles) -> Iterator[_Sums]:
-    # A corner of each vertex in use: along a seam of a texture it has several colours, and one is looked at.
-    used, corners = np.unique(mesh.triangles, return_index=True)
-    colored = has_color(mesh) and has_color(other.mesh)
-    for rows in chunks(len(used)):
-        colors = None
-        if colored:
-            colors = color_at(mesh, corners[rows] // 3, np.eye(3)[corners[rows] % 3])
-        yield _measured(mesh.vertices[used[rows]], colors, other)
-
-
-def _measured(points: Floats, colors: NDArray[np.floating] | None, other: WithNeedles) -> _Sums:
-    nearest = other.closest(points)
+def _measured(points: Points, target: Asked) -> _Sums:
+    nearest = target.nearest(points.places, colored=points.colors is not None)
     d = nearest.distances
     color_squared, color_maximum = None, 0.0
-    if colors is not None:
-        seen = color_at(other.mesh, nearest.triangles, nearest.weights)
-        difference = np.abs(colors - seen)
+    if points.colors is not None and nearest.colors is not None:
+        difference = np.abs(points.colors - nearest.colors)
         color_squared, color_maximum = float(np.sum(difference**2)), float(difference.max())
     return _Sums(len(d), float(d.sum()), float((d * d).sum()), float(d.max()), color_squared, color_maximum)

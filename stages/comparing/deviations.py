@@ -1,4 +1,4 @@
-"""How a mesh deviates from a reference, as metrology tells it: with signs, percentiles and a tolerance."""
+"""How a mesh or cloud is off a reference, as metrology tells it: with signs, percentiles and a tolerance."""
 
 from __future__ import annotations
 
@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.comparing.measurable import measurable
+from stages.comparing.asked import Asked, asked, is_colored
+from stages.comparing.measurable import box_of, comparable
 from stages.comparing.needles import WithNeedles
 from stages.comparing.palette import PALETTES, colors_of
-from stages.comparing.sampling import sampled
-from stages.comparing.signed import Sides, sides_of
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
-from stages.surface.color import color_at, has_color
+from stages.surface.cloud import is_cloud
 from stages.surface.convert import MeshLike
 from stages.surface.mesh import Mesh
-from stages.surface.raycasting import Floats, Located, Surface, bounding_box, chunks, interpolated, is_used
-from stages.surface.topology import areas
+from stages.surface.raycasting import Floats, chunks, is_used
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -28,6 +26,8 @@ PERCENTILES = (50, 90, 95, 99)
 # As many of the worst places are told, apart by this share of the mesh's size.
 _PLACES = 10
 _APART = 0.03
+# Of more points only as many of the farthest are looked at for these.
+_LOOKED_AT = 2_000_000
 # The range of colours, where none is given: this share of the surface is nearer.
 _IN_RANGE = 0.99
 # And of what is well, where no tolerance is given.
@@ -42,7 +42,10 @@ class DeviationParams:
         None, "What is nearer to the reference is within tolerance.", unit="m", low=0
     )
     signed_samples: int = param(
-        200_000, "Points on the mesh that is measured, spread evenly over its area.", low=1, high=100_000_000
+        200_000,
+        "Points on the mesh that is measured, spread evenly over its area; of a cloud all points count.",
+        low=1,
+        high=100_000_000,
     )
     color_range: float | None = param(
         None,
@@ -74,21 +77,23 @@ class DeviationKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Distances of a mesh's surface from a reference.
+    """Distances of a mesh's surface, or of a cloud, from a reference.
 
     Attributes
     ----------
     is_signed : whether the reference is oriented; then distances are positive on the side that it looks to.
-    samples : (k,) distances at points spread evenly over the mesh's area, metres.
+    spacing : metres, of the reference's points, if that is a cloud: less than this a distance says little.
+    samples : (k,) distances at points spread evenly over the mesh's area, or at a cloud's points, metres.
     points : (k, 3) these points.
     at_vertices : (n,) distances at the mesh's vertices, metres; 0 at those without triangles.
     delta_e : (k,) colour differences ΔE2000 at these points; None unless both have colours.
     tolerance : metres, or None.
     within, color_range : metres: what is nearer has the colour of what is well, and where the last begins.
-    painted : the mesh in the colours of its deviations.
+    painted : the mesh, or cloud, in the colours of its deviations.
     """
 
     is_signed: bool
+    spacing: float | None
     samples: Floats
     points: Floats
     at_vertices: Floats
@@ -107,6 +112,8 @@ class Deviations:
         extremes = self._all()[1]
         told: dict[str, Any] = {
             "is_signed": known,
+            "is_cloud": is_cloud(self.painted),
+            "reference_spacing_m": self.spacing,
             "samples": len(distances),
             "rms_m": float(np.sqrt((distances**2).mean())),
             "mean_m": float(self.samples.mean()) if known else None,
@@ -140,6 +147,9 @@ class Deviations:
         points, distances = self._all()
         size = float(np.linalg.norm(np.ptp(points, axis=0)))
         left = np.abs(distances)
+        if len(left) > _LOOKED_AT:
+            rows = np.argpartition(left, -_LOOKED_AT)[-_LOOKED_AT:]
+            points, distances, left = points[rows], distances[rows], left[rows]
         found: list[dict[str, Any]] = []
         while len(found) < _PLACES and left.max() >= 0:
             at = int(left.argmax())
@@ -149,6 +159,8 @@ class Deviations:
 
     def _all(self) -> tuple[Floats, Floats]:
         """Return the points that were spread, and vertices, which stray most; and their distances."""
+        if is_cloud(self.painted):
+            return self.points, self.samples
         used = is_used(self.painted)
         points = np.concatenate([self.points, self.painted.vertices[used]])
         return points, np.concatenate([self.samples, self.at_vertices[used]])
@@ -162,22 +174,26 @@ def deviations(
 ) -> Deviations:
     """Measure how far a mesh is from a reference, on which side of it, and how its colours differ.
 
+    Distances from a surface are exact; those from a cloud are to its nearest point, with the signs of that
+    point's normal, if it has one.
+
     Parameters
     ----------
-    reference, mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one place.
+    reference, mesh : Mesh, Open3D or trimesh mesh, or (vertices, triangles); metres, in one place. Without
+        triangles it is a cloud.
     params : DeviationParams; single fields can be given by name instead.
 
     Raises
     ------
     MeshError
-        If a mesh has no area.
+        If a mesh has no area, or a cloud is all in one place.
     UsageError
         If a parameter is out of range.
     """
     params = resolve(DeviationParams, params, changes)
-    fixed, measured = measurable(reference, "reference"), measurable(mesh, "mesh")
-    box = bounding_box(fixed, measured)
-    return deviations_from(WithNeedles(Surface(fixed, box), box), measured, params)
+    fixed, measured = comparable(reference, "reference"), comparable(mesh, "mesh")
+    box = box_of(fixed, measured)
+    return _measured(asked(fixed, box), asked(measured, box), params)
 
 
 def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParams) -> Deviations:
@@ -185,35 +201,48 @@ def deviations_from(surface: WithNeedles, measured: Mesh, params: DeviationParam
 
     Its box holds both meshes, and both have passed `require_area`.
     """
-    fixed = surface.mesh
-    sides = sides_of(fixed)
-    count = params.signed_samples
-    cumulative = np.cumsum(areas(measured.vertices, measured.triangles))
-    at = sampled(cumulative, slice(0, count), count, np.random.default_rng(0))
-    points = interpolated(measured.vertices, measured, at)
-    colored = has_color(fixed) and has_color(measured)
-    samples, delta_e = np.empty(len(points)), np.empty(len(points)) if colored else None
-    for rows in chunks(len(points)):
-        samples[rows], nearest = _distances(surface, sides, points[rows])
-        if delta_e is not None:
-            own = color_at(measured, at.triangles[rows], at.weights[rows])
-            delta_e[rows] = _delta_e(own, color_at(fixed, nearest.triangles, nearest.weights))
-    at_vertices = np.zeros(len(measured.vertices))
-    used = np.unique(measured.triangles)
-    for rows in chunks(len(used)):
-        at_vertices[used[rows]], _ = _distances(surface, sides, measured.vertices[used[rows]])
+    box = box_of(surface.mesh, measured)
+    return _measured(asked(surface.mesh, box, surface), asked(measured, box), params)
+
+
+def _measured(target: Asked, source: Asked, params: DeviationParams) -> Deviations:
+    measured = source.mesh
+    count = source.samples(params.signed_samples)
+    rng, colored = np.random.default_rng(0), is_colored(target, source)
+    points = source.spread(slice(0, count), count, rng, colored=colored)
+    samples, seen = _distances(points.places, target, colored=points.colors is not None)
+    delta_e = None
+    if points.colors is not None and seen is not None:
+        delta_e = np.concatenate([_delta_e(points.colors[rows], seen[rows]) for rows in chunks(count)])
+    if is_cloud(measured):
+        at_vertices = samples
+    else:
+        at_vertices = np.zeros(len(measured.vertices))
+        used = np.unique(measured.triangles)
+        at_vertices[used], _ = _distances(measured.vertices[used], target, colored=False)
     most = params.color_range or _range_of(samples, params.tolerance)
     within = params.tolerance if params.tolerance is not None else _WELL * most
     painted = measured.with_(colors=colors_of(at_vertices, within, most, params.palette), texture=None)
     return Deviations(
-        sides is not None, samples, points, at_vertices, delta_e, params.tolerance, within, most, painted
+        is_signed=target.is_oriented,
+        spacing=target.spacing,
+        samples=samples,
+        points=points.places,
+        at_vertices=at_vertices,
+        delta_e=delta_e,
+        tolerance=params.tolerance,
+        within=within,
+        color_range=most,
+        painted=painted,
     )
 
 
-def _distances(surface: WithNeedles, sides: Sides | None, points: Floats) -> tuple[Floats, Located]:
-    nearest = surface.closest(points)
-    signs = 1.0 if sides is None else sides.signs(points, nearest)
-    return nearest.distances * signs, nearest
+def _distances(points: Floats, target: Asked, *, colored: bool) -> tuple[Floats, NDArray[np.floating] | None]:
+    """Return distances (k,) of points from a reference, signed if oriented, and colours (k, 3) there."""
+    found = [target.nearest(points[rows], colored=colored, signed=True) for rows in chunks(len(points))]
+    distances = np.concatenate([one.distances for one in found])
+    colors = [one.colors for one in found if one.colors is not None]
+    return distances, np.concatenate(colors) if colors else None
 
 
 def _range_of(samples: Floats, tolerance: float | None) -> float:

@@ -1,10 +1,15 @@
-"""Meshes that can be measured, of whatever is given."""
+"""Meshes and clouds that can be measured, of whatever is given. A cloud is a mesh without triangles."""
 
 from __future__ import annotations
 
+import numpy as np
+
+from stages.errors import MeshError
+from stages.surface.cloud import is_cloud
 from stages.surface.convert import MeshLike, as_mesh
 from stages.surface.mesh import Mesh
-from stages.surface.topology import require_area
+from stages.surface.raycasting import Floats, bounding_box
+from stages.surface.topology import require_area, require_measurable
 
 
 def measurable(given: MeshLike, called: str) -> Mesh:
@@ -18,3 +23,32 @@ def measurable(given: MeshLike, called: str) -> Mesh:
     mesh = as_mesh(given, called)
     require_area(mesh, called)
     return mesh
+
+
+def comparable(given: MeshLike, called: str) -> Mesh:
+    """Return a mesh that has an area, or a cloud of points that are not all in one place.
+
+    Raises
+    ------
+    MeshError
+        If it is neither; `called` names it there.
+    """
+    mesh = as_mesh(given, called)
+    if not is_cloud(mesh):
+        require_area(mesh, called)
+        return mesh
+    require_measurable(mesh, called)
+    if not np.ptp(mesh.vertices, axis=0).any():
+        raise MeshError("it has no triangles, and its points are all in one place.", called)
+    return mesh
+
+
+def box_of(*meshes: Mesh) -> Floats:
+    """Return the lowest and the highest corner, (2, 3), around all that counts of meshes and clouds."""
+    boxes = [_box_of_points(mesh.vertices) if is_cloud(mesh) else bounding_box(mesh) for mesh in meshes]
+    lows, highs = np.array(boxes).swapaxes(0, 1)
+    return np.array([lows.min(axis=0), highs.max(axis=0)])
+
+
+def _box_of_points(points: Floats) -> Floats:
+    return np.array([points.min(axis=0), points.max(axis=0)])

@@ -39,6 +39,8 @@ _UNITS = {
 # Characters of a repr, rows of a table, items of a list that are still named one by one.
 _LONGEST, _MOST_ROWS, _NAMED = 240, 40, 4
 _LONGEST_CELL = 120
+# Coordinates beyond, metres, have more digits.
+_FAR = 10.0
 
 
 def name_and_value(key: str, value: Any) -> tuple[str, str]:
@@ -68,6 +70,11 @@ def value_in_words(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(map(value_in_words, value)) or "–"
     return str(value)
+
+
+def place_in_words(point: Iterable[float]) -> str:
+    """Return coordinates in metres, in four digits; far from the origin to the millimetre."""
+    return ", ".join(f"{x:.4g}" if abs(x) < _FAR else f"{x:.3f}" for x in point)
 
 
 def at_most(value: float) -> str:

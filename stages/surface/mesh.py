@@ -31,6 +31,8 @@ _UNIT = 1e-12
 class Mesh:
     """Triangles with optional colours, normals and texture. Immutable in spirit: functions return a new one.
 
+    A cloud of points is a mesh without triangles; few stages take one, and the others say so.
+
     Attributes
     ----------
     vertices : (n, 3) float64, metres.
@@ -66,7 +68,9 @@ class Mesh:
     def _facts(self) -> tuple[str, ...]:
         images = 0 if self.texture is None else len(self.texture.images)
         return (
-            counted(len(self.triangles), "triangle") or "no triangles",
+            counted(len(self.triangles), "triangle")
+            or counted(len(self.vertices), "point")
+            or "no triangles",
             "" if self.colors is None else "colours",
             "" if self.texture is None else counted(images, "texture image") or "texture without images",
             counted(0 if self.part_ids is None else len(self.part_names), "part"),

@@ -43,26 +43,30 @@ def read_mesh(path: Path | str) -> Mesh:
         If the file is missing, of an unknown format, damaged, or holds no triangles; one sentence with the
         name of the file.
     """
-    require_buffers(1)
     path = Path(path)
+    mesh = read_whatever_it_holds(path)
+    if len(mesh.vertices) == 0:
+        raise InputError("holds no vertices.", path)
+    if len(mesh.triangles) == 0:
+        raise InputError(f"holds {len(mesh.vertices):,} vertices but no triangles; a mesh is expected.", path)
+    return mesh
+
+
+def read_whatever_it_holds(path: Path) -> Mesh:
+    """Read a mesh file as `read_mesh` does, also where it holds no triangles, or nothing."""
+    require_buffers(1)
     extension = path.suffix.lower()
     if extension not in EXTENSIONS:
         raise InputError(f"is of an unknown format {path.suffix!r}; known are {', '.join(EXTENSIONS)}.", path)
     if not path.is_file():
         raise InputError("does not exist." if not path.exists() else "is not a file.", path)
     if extension == ".ply":
-        mesh = read_ply(path)
-    elif extension == ".obj":
-        mesh = read_obj(path)
-    elif extension in (".glb", ".gltf"):
-        mesh = read_gltf(path)
-    else:
-        mesh = _read_with_trimesh(path, extension)
-    if len(mesh.vertices) == 0:
-        raise InputError("holds no vertices.", path)
-    if len(mesh.triangles) == 0:
-        raise InputError(f"holds {len(mesh.vertices):,} vertices but no triangles; a mesh is expected.", path)
-    return mesh
+        return read_ply(path)
+    if extension == ".obj":
+        return read_obj(path)
+    if extension in (".glb", ".gltf"):
+        return read_gltf(path)
+    return _read_with_trimesh(path, extension)
 
 
 def write_mesh(path: Path | str, mesh: Mesh) -> None:

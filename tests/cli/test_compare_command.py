@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from clouds import cloud, write_cloud
 from coloured_sheet import bumpy
 
+from stages.picturing.page.one_file import is_page
+from stages.surface.cloud_files import read_mesh_or_cloud
 from stages.surface.mesh_files import read_mesh, write_mesh
 
 Run = Callable[..., Any]
@@ -101,11 +105,138 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
     [
         (("--save-change", "c.ply"), "--save-change needs --change"),
         (("--change", "--save-change", "c.stl"), ".stl"),
+        (("--save-views", "v"), "--save-views needs --views"),
+        (("--views", "-1"), "--views"),
+        (("--page", "p.htm"), "stands for no format"),
     ],
 )
-def test_changes_need_their_option_and_colours(
+def test_what_is_saved_needs_its_option_and_a_format_that_holds_it(
     scanloom: Run, clean_ball: Path, words: tuple[str, ...], message: str
 ) -> None:
     ran = scanloom("compare", clean_ball, clean_ball, *words)
     assert ran.exit_code == 2
     assert message in ran.stderr
+
+
+NUMBER = r"[+-]?\d[\d.,]*(?:e[+-]\d+)?"
+UNIT = r" (?:mm|m|dB|levels|points|samples|places)\b| m²| ?%|°"
+
+
+def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) -> None:
+    """But for ΔE2000, which is one itself."""
+    body = bumpy()
+    pair = tmp_path / "a.ply", tmp_path / "b.ply"
+    colors = np.tile(np.array((200, 120, 40), np.uint8), (len(body.vertices), 1))
+    write_mesh(pair[0], body.with_(colors=colors))
+    write_mesh(pair[1], body.with_(vertices=1.02 * body.vertices, colors=colors // 2))
+    few = ("--samples", 2000, "--signed-samples", 2000)
+    change = ("--change", "--change-distance", 0.01)
+    text = scanloom("compare", *pair, "--tolerance", 0.02, *change, "--align", "icp", *few).stdout
+    assert "ΔE2000" in text
+    assert "largest changes" in text
+    assert "Without signs" not in text
+    for line in text.splitlines():
+        # A place has its unit behind the bracket.
+        said = re.sub(r"\([^)]*\) m\b|ΔE2000|\d+(\.\d+)? ΔE2000|by \d+(\.\d+)? at most", "", line)
+        for found in re.finditer(rf"(?<![\w.]){NUMBER}", said):
+            rest = said[found.end() :]
+            assert re.match(UNIT, rest) or rest.startswith(" on average"), line
+
+
+@pytest.mark.slow
+def test_pictures_from_around_are_compared_and_saved(
+    scanloom: Run, clean_ball: Path, larger: Path, tmp_path: Path
+) -> None:
+    words = ("--views", 2, "--view-width", 96, "--save-views", tmp_path / "new" / "v", "--samples", 500)
+    ran = scanloom("compare", clean_ball, larger, *words, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    told = ran.json["views"]
+    assert told["compared"] == "colors"
+    assert told["psnr_db"] > 20
+    assert told["worst"] in ("view1", "view2")
+    assert 0.9 < told["silhouette_iou"] < 1
+    for one in told["each"]:
+        assert cv2.imread(str(tmp_path / "new" / "v" / f"{one['viewpoint']}.png")).shape == (72, 288, 3)
+    text = scanloom("compare", clean_ball, larger, *words).stdout
+    assert "Their colours are compared" in text
+    assert re.search(r"all +\d+\.\d dB +0\.\d{4} +\d+\.\d\d %", text)
+    assert scanloom("compare", clean_ball, larger, "--samples", 500, "--json").json["views"] is None
+
+
+@pytest.fixture
+def points(clean_ball: Path, tmp_path: Path) -> Path:
+    """The vertices of the ball, 1 % farther out, as a cloud in colours."""
+    mesh = read_mesh(clean_ball)
+    return write_cloud(tmp_path / "points.laz", cloud(1.01 * mesh.vertices, mesh.colors))
+
+
+def test_a_cloud_is_measured_from_a_mesh_and_drawn(
+    scanloom: Run, clean_ball: Path, points: Path, tmp_path: Path
+) -> None:
+    words = ("--save-ply", tmp_path / "d.ply", "--picture", tmp_path / "d.png", "--samples", 500)
+    ran = scanloom("compare", clean_ball, points, *words, "--tolerance", 0.005, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    count = len(read_mesh(clean_ball).vertices)
+    assert ran.json["clouds"] == {
+        "a": None,
+        "b": {"points": count, "spacing_m": pytest.approx(0.14, abs=0.03)},
+    }
+    told = ran.json["deviation"]
+    assert told["is_signed"]
+    assert told["mean_m"] == pytest.approx(0.01, abs=1e-4)
+    assert told["share_over"] == 1
+    painted = read_mesh_or_cloud(tmp_path / "d.ply")
+    assert (len(painted.vertices), len(painted.triangles)) == (count, 0)
+    assert (painted.colors[:, 0] > painted.colors[:, 2]).all()
+    assert cv2.imread(str(tmp_path / "d.png")).shape[1] > 1000
+    text = scanloom("compare", clean_ball, points, "--samples", 500).stdout
+    assert f"B: cloud of {count:,} points, all of them measured" in text
+    assert "of its points is within" in text
+
+
+def test_a_mesh_is_measured_from_a_cloud_that_tells_how_far_it_sees(
+    scanloom: Run, clean_ball: Path, points: Path
+) -> None:
+    ran = scanloom("compare", points, clean_ball, "--samples", 500)
+    assert ran.exit_code == 0, ran.stderr
+    assert "taken as a cloud of" in ran.stderr
+    assert "A is a cloud: a distance below 1" in ran.stdout
+    assert "compare B A" in ran.stdout
+    assert "A has no normals" in ran.stdout
+
+
+def test_what_a_cloud_cannot_tell_is_refused(
+    scanloom: Run, clean_ball: Path, points: Path, tmp_path: Path
+) -> None:
+    for words in (("--change",), ("--views", 2)):
+        ran = scanloom("compare", clean_ball, points, *words)
+        assert ran.exit_code == 2
+        assert f"{words[0]} needs two surfaces" in ran.stderr
+        assert "points.laz is a cloud" in ran.stderr
+    ran = scanloom("compare", clean_ball, points, "--align", "icp", "--save-aligned", tmp_path / "moved.glb")
+    assert ran.exit_code == 2
+    ran = scanloom("clean", points, tmp_path / "c.ply")
+    assert ran.exit_code == 3
+    assert "unknown format '.laz'" in ran.stderr
+
+
+def test_a_cloud_is_aligned(scanloom: Run, tmp_path: Path) -> None:
+    body = bumpy()
+    write_mesh(tmp_path / "a.ply", body)
+    write_cloud(tmp_path / "b.las", cloud(body.vertices + np.array((0.02, 0, -0.01))))
+    saved = ("--save-aligned", tmp_path / "c.ply")
+    ran = scanloom("compare", tmp_path / "a.ply", tmp_path / "b.las", "--align", "icp", *saved, "--json")
+    assert ran.exit_code == 0, ran.stderr
+    moved = read_mesh_or_cloud(tmp_path / "c.ply")
+    np.testing.assert_allclose(moved.vertices, body.vertices, atol=4e-3)
+
+
+def test_a_page_of_a_comparison_is_written(
+    scanloom: Run, clean_ball: Path, larger: Path, points: Path, tmp_path: Path
+) -> None:
+    for other, words in ((larger, ("--change",)), (points, ())):
+        target = tmp_path / "pages" / f"{other.stem}.html"
+        ran = scanloom("compare", clean_ball, other, "--samples", 500, *words, "--page", target)
+        assert ran.exit_code == 0, ran.stderr
+        assert is_page(target)
+        assert target.stat().st_size < 5e6

@@ -87,6 +87,8 @@ def everything():
     pair = (np.ascontiguousarray(left[:, 8:136]), np.ascontiguousarray(left[:, 16:144]))
     remeshed = stages.remesh(mesh, levels=1, base_triangles=20)
     comparison = stages.compare(mesh, mesh, samples=1000)
+    views = stages.compare_views(mesh, mesh, views=1, view_width=64)
+    points = Mesh(mesh.vertices, mesh.triangles[:0])
     cleaned = stages.clean(mesh)
     inspected = stages.inspect(scan)
     fused = stages.fuse(scan, voxel_size=0.02, min_weight=1)
@@ -135,6 +137,10 @@ def everything():
         stages.align(mesh, mesh)[1],
         stages.deviations(mesh, mesh),
         stages.changes(mesh, mesh),
+        views,
+        views.worst,
+        stages.compare(mesh, points, samples=100),
+        stages.compare(mesh, points, samples=100).clouds[1],
     ]
 
 

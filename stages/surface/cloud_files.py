@@ -1,0 +1,98 @@
+"""Read clouds of points: PLY without triangles, LAS and LAZ, E57. A cloud is a mesh without triangles.
+
+LAS and E57 are read by libraries that are an extra, in a process of its own: a damaged file may end it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+from stages.errors import InputError, UsageError
+from stages.files.opening import require_regular, said_of
+from stages.files.own_process import DiedError, asked
+from stages.surface.formats.cloud_parts import collected
+from stages.surface.formats.ply import read_ply
+from stages.surface.mesh import Mesh, validated
+from stages.surface.mesh_files import EXTENSIONS, read_whatever_it_holds
+
+# What reads them, and what else that needs.
+_READERS = {".las": ("laspy",), ".laz": ("laspy", "lazrs"), ".e57": ("pye57",)}
+CLOUD_EXTENSIONS = (".ply", *_READERS)
+# Processor time that reading may take, at first and for each byte: 200 kB/s is slow.
+_SECONDS, _SECONDS_A_BYTE = 60.0, 5e-6
+
+
+def read_cloud(path: Path | str) -> Mesh:
+    """Read a cloud's file; its extension tells the format, of CLOUD_EXTENSIONS.
+
+    Returns
+    -------
+    Mesh
+        Without triangles: points, with colours and normals where the file has them. Of a PLY file with
+        triangles the vertices. `up` is z in LAS, which has heights there, and in E57, whose scanners stand.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of another format, damaged, or holds no points.
+    MeshError
+        For a point that is not finite.
+    UsageError
+        If the library that reads the format is not installed.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in CLOUD_EXTENSIONS:
+        known = ", ".join(CLOUD_EXTENSIONS)
+        raise InputError(f"is of no format of clouds, {path.suffix!r}; known are {known}.", path)
+    try:
+        require_regular(path)
+    except OSError as error:
+        raise InputError(f"cannot be read: {said_of(error)}.", path) from error
+    if suffix == ".ply":
+        mesh = read_ply(path)
+        cloud = Mesh(mesh.vertices, mesh.triangles[:0], mesh.colors, mesh.normals, notes=mesh.notes)
+    else:
+        cloud = validated(_read_elsewhere(path).with_(up=(0.0, 0.0, 1.0)), str(path))
+    if len(cloud.vertices) == 0:
+        raise InputError("holds no points.", path)
+    return cloud
+
+
+def read_mesh_or_cloud(path: Path | str) -> Mesh:
+    """Read a mesh's file, or that of a cloud: what has no triangles is one.
+
+    Raises
+    ------
+    InputError, UsageError
+        As `read_mesh`, but for that of no triangles, and `read_cloud`.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in _READERS:
+        return read_cloud(path)
+    if suffix not in EXTENSIONS:
+        known = ", ".join((*EXTENSIONS, *_READERS))
+        raise InputError(f"is of an unknown format {path.suffix!r}; known are {known}.", path)
+    mesh = read_whatever_it_holds(path)
+    if len(mesh.vertices) == 0:
+        raise InputError("holds no vertices.", path)
+    return mesh
+
+
+def _read_elsewhere(path: Path) -> Mesh:
+    suffix = path.suffix.lower()
+    missing = [name for name in _READERS[suffix] if find_spec(name) is None]
+    if missing:
+        raise UsageError(f"{path}: {suffix} is read by {' and '.join(missing)}; install scanloom[clouds].")
+    seconds = _SECONDS + _SECONDS_A_BYTE * path.stat().st_size
+    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
+        try:
+            told = asked("stages.surface.formats.cloud_process", [str(path), folder], seconds)
+        except DiedError as error:
+            raise InputError(
+                f"cannot be read as {suffix[1:].upper()}: it is damaged or cut short; get a whole copy.", path
+            ) from error
+        return collected(Path(folder), told)

@@ -1,0 +1,115 @@
+"""Read LAS and LAZ: points of laser scanners and of surveys.
+
+ASPRS, "LAS specification 1.4 - R15", 2019; by `laspy` and `lazrs`, which are an extra. Called in a process of
+its own: see `cloud_process`. What the header promises is checked here first.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.opening import opened
+from stages.surface.formats.cloud_parts import PART, Parts
+
+# Of a header, with how many points there are as it has been told since version 1.4; and of a record that says
+# more about the file.
+_SHORTEST_HEADER, _LONG_HEADER, _RECORD = 227, 255, 54
+# Of LAZ: the upper bits of the kind of points say that they are packed.
+_PACKED = 0xC0
+# What CloudCompare and others call normals among the extra dimensions, in small letters.
+_NORMALS = (("normalx", "normaly", "normalz"), ("nx", "ny", "nz"))
+# GeoTIFF's keys for the kind of coordinates and for their unit; the values that stand for angles and metres.
+_KIND_KEY, _UNIT_KEYS, _ANGLES, _METRE = 1024, (3076, 4099), 2, 9001
+
+
+def read_las(path: Path, parts: Parts) -> None:
+    """Read a file's points, with their colours and normals, part by part.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, or promises more than it holds. What laspy raises besides is damage, too.
+    """
+    import laspy
+
+    parts.promise(_checked_points(path))
+    with laspy.open(opened(path), laz_backend=laspy.LazBackend.Lazrs, read_evlrs=False) as reader:
+        parts.notes += _unit_notes(reader.header)
+        names = {name.lower(): name for name in reader.header.point_format.dimension_names}
+        left_out = outside = 0
+        for part in reader.chunk_iterator(PART):
+            keep = np.ones(len(part), bool)
+            if "withheld" in names:
+                keep = np.asarray(part[names["withheld"]]) == 0
+            left_out += len(part) - int(np.count_nonzero(keep))
+            points = np.stack([np.asarray(part[axis], np.float64) for axis in "xyz"], axis=1)
+            outside += _outside(points, reader.header)
+            columns = (_columns(part, names, ("red", "green", "blue")), _normals(part, names))
+            parts.append(points[keep], *(None if column is None else column[keep] for column in columns))
+        if left_out:
+            parts.notes.append(f"{left_out:,} points are left out: they are marked as withheld")
+        if outside:
+            parts.notes.append(
+                f"{outside:,} points are not where its header says that all are: it may be damaged"
+            )
+
+
+def _checked_points(path: Path) -> int:
+    """Return how many points a header promises, after a look at whether they, and its records, fit in it."""
+    size = path.stat().st_size
+    with opened(path) as file:
+        head = file.read(_LONG_HEADER)
+    if head[:4] != b"LASF":
+        raise InputError("is no LAS or LAZ file: it does not start with `LASF`.", path)
+    if len(head) < _SHORTEST_HEADER:
+        raise InputError("is cut short within its header; get a whole copy of it.", path)
+    header_size, start, records, kind, length, points = struct.unpack_from("<HIIBHI", head, 94)
+    if head[25] >= 4 and len(head) == _LONG_HEADER:
+        (points,) = struct.unpack_from("<Q", head, 247)
+    held = max(size - start, 0) // max(length, 1)
+    is_short = start > size or header_size + _RECORD * records > size
+    if is_short or (not kind & _PACKED and points > held):
+        raise InputError(f"promises {points:,} points, more than it holds; it is damaged or cut short.", path)
+    return int(points)
+
+
+def _outside(points: NDArray[np.float64], header: Any) -> int:
+    """Return how many points are outside of the box that a header tells: packed points have no check sum."""
+    low, high = header.mins - 2 * header.scales, header.maxs + 2 * header.scales
+    if not header.mins.any() and not header.maxs.any():
+        return 0
+    return int(np.count_nonzero(((points < low) | (points > high)).any(axis=1)))
+
+
+def _columns(part: Any, names: Mapping[str, str], wanted: tuple[str, ...]) -> NDArray[Any] | None:
+    if not all(name in names for name in wanted):
+        return None
+    return np.stack([np.asarray(part[names[name]]) for name in wanted], axis=1)
+
+
+def _normals(part: Any, names: Mapping[str, str]) -> NDArray[Any] | None:
+    found = (_columns(part, names, wanted) for wanted in _NORMALS)
+    return next((columns for columns in found if columns is not None), None)
+
+
+def _unit_notes(header: Any) -> Iterator[str]:
+    """Say so where the file has its coordinates in another unit than metres."""
+    words = "its coordinates are in {}, and are taken as metres: all lengths are in that unit"
+    for record in header.vlrs:
+        keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
+        if keys.get(_KIND_KEY) == _ANGLES:
+            yield words.format("degrees")
+        elif any(keys.get(key, _METRE) != _METRE for key in _UNIT_KEYS):
+            yield words.format("a unit other than metres")
+        text = str(getattr(record, "string", "")).upper()
+        if text.startswith(("GEOGCS", "GEOGCRS")):
+            yield words.format("degrees")
+        elif "FOOT" in text or "FEET" in text:
+            yield words.format("feet")

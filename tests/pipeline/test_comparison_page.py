@@ -1,0 +1,172 @@
+"""The page of a comparison, in a browser: what it shows, says, and where it flies to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from browsers import browser
+from clouds import cloud
+
+import stages
+from pipeline.comparison_page import page_of_comparison
+from stages import Mesh
+
+pytestmark = pytest.mark.slow
+UP = (0.0, 0.0, 1.0)
+# As surveys have it: what single precision is too coarse for.
+FAR = np.array((432_100.0, 5_211_000.0, 310.0))
+
+
+def ball(at: tuple[float, float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
+    made = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return np.array(made.vertices) + at, np.array(made.faces, np.int32)
+
+
+def of(*parts: tuple[np.ndarray, np.ndarray], color: tuple[int, int, int]) -> Mesh:
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    vertices = np.concatenate([vertices for vertices, _ in parts]) + FAR
+    triangles = np.concatenate([rows + start for (_, rows), start in zip(parts, starts, strict=False)])
+    return Mesh(
+        vertices, triangles.astype(np.int32), np.tile(np.array(color, np.uint8), (len(vertices), 1)), up=UP
+    )
+
+
+def figures_of(a: Mesh, b: Mesh, found: Any, moved: Any, views: Any) -> dict[str, Any]:
+    return {
+        **stages.compare(a, b, samples=2000).figures(),
+        "deviation": found.figures(),
+        "change": None if moved is None else moved.figures(),
+        "views": None if views is None else views.figures(),
+    }
+
+
+def silent(text: str) -> None:
+    raise AssertionError(text)
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Two balls of which one grows and one goes, and another comes; and a cloud of the first two."""
+    folder = tmp_path_factory.mktemp("pages")
+    before = of(ball((0, 0, 0), 1), ball((0, 1.75, 0), 0.3), color=(200, 120, 40))
+    after = of(ball((0, 0, 0), 1.02), ball((0, 3, 0), 0.5), color=(40, 120, 200))
+    points = cloud(before.vertices * (1, 1, 1), before.colors).with_(up=UP)
+    written = {}
+    for name, other in (("meshes", after), ("points", points)):
+        found = stages.deviations(before, other, tolerance=0.01, color_range=0.05, signed_samples=3000)
+        moved = views = None
+        if name == "meshes":
+            moved = stages.changes(before, other, change_distance=0.2)
+            views = stages.compare_views(before, other, views=1, view_width=64)
+        figures = figures_of(before, other, found, moved, views)
+        names = ("before.ply", "<i>after</i>.ply")
+        page = page_of_comparison(names, (before, other), found, moved, figures, 5_000_000, silent)
+        written[name] = folder / f"{name}.html"
+        written[name].write_bytes(page)
+    return written
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(params=["meshes", "points"])
+def page(request: pytest.FixtureRequest, chromium: Any, pages: dict[str, Path]) -> Iterator[Any]:
+    said: list[str] = []
+    asked: list[str] = []
+    opened = chromium.new_page(viewport={"width": 640, "height": 480})
+    opened.on("console", lambda message: said.append(message.text))
+    opened.on("pageerror", lambda error: said.append(str(error)))
+    opened.on("request", lambda request: asked.append(request.url))
+    opened.goto(pages[request.param].as_uri())
+    opened.wait_for_selector("#message", state="hidden", timeout=60_000)
+    opened.is_of_meshes = request.param == "meshes"
+    yield opened
+    assert said == []
+    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [pages[request.param].as_uri()]
+    opened.close()
+
+
+def wait_for(page: Any, what: str) -> None:
+    for _ in range(300):
+        if page.evaluate(what):
+            return
+        time.sleep(0.1)
+    pytest.fail(what)
+
+
+def seen(page: Any, key: str) -> np.ndarray:
+    """Return what is drawn of the model that a key shows, above the bar and beside the legend."""
+    page.keyboard.press(key)
+    wait_for(page, f"scanloom.settings().model === {int(key) - 1}")
+    page.evaluate("scanloom.drawn()")
+    data = page.locator("#picture").screenshot()
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1].astype(int)
+    return image[: image.shape[0] * 2 // 3, : image.shape[1] * 3 // 4]
+
+
+def counts(image: np.ndarray) -> dict[str, int]:
+    red, green, blue = np.moveaxis(image, 2, 0)
+    return {
+        "red": int(((red - green > 60) & (red - blue > 60)).sum()),
+        "green": int(((green - red > 50) & (green - blue > 20)).sum()),
+        "blue": int(((blue - red > 60) & (blue - green > 30)).sum()),
+    }
+
+
+def test_models_have_their_colours_and_the_deviation_its_scale(page: Any) -> None:
+    options = page.locator("#model option").all_inner_texts()
+    assert options[:3] == ["deviation of B from A", "A: before.ply", "B: <i>after</i>.ply"]
+    deviation = counts(seen(page, "1"))
+    assert page.locator("#legend").is_visible()
+    assert {"mm", "+50", "+10", "-10", "-50"} <= set(page.inner_text("#legend").split())
+    assert counts(seen(page, "2"))["red"] > 500
+    assert page.locator("#legend").is_hidden()
+    if page.is_of_meshes:
+        # The grown ball is outside by more than the tolerance, and so is the new one.
+        assert deviation["red"] > 500
+        assert counts(seen(page, "3"))["blue"] > 500
+        assert options[3:] == ["change"]
+        change = counts(seen(page, "4"))
+        assert change["green"] > 100
+        assert change["red"] > 30
+    else:
+        assert deviation["green"] > 500
+        assert deviation["red"] == 0
+        assert counts(seen(page, "3"))["red"] > 500
+        assert "points, each a triangle" in page.inner_text("#figures")
+        assert len(options) == 3
+
+
+def test_what_is_told_and_flown_to(page: Any) -> None:
+    text = page.inner_text("#told")
+    assert "Deviation of B from A, by samples" in text
+    assert "before.ply" in page.title()
+    assert ("Farther than 200 mm" in text) == page.is_of_meshes
+    assert ("Drawn from around, by their colours" in text) == page.is_of_meshes
+    assert "nan" not in text.lower()
+    if page.is_of_meshes:
+        # The farthest off is the new ball: its place is told in the axes of the files, and flown to.
+        row = page.locator("table").nth(1).locator("tbody tr").first
+        place = np.array([float(word) for word in row.locator("td").nth(1).inner_text().split(",")])
+        assert np.linalg.norm(place - FAR - (0, 3, 0)) == pytest.approx(0.5, abs=0.02)
+        row.get_by_role("button").click()
+        np.testing.assert_allclose(page.evaluate("scanloom.view()")["target"], place, atol=2e-3)
+
+
+def test_two_models_stand_in_one_place(page: Any) -> None:
+    """At map coordinates, where numbers of single precision are half a metre apart."""
+    first, second = (seen(page, key) for key in ("2", "3"))
+    background = first[0, 0]
+    shown = [(np.abs(image - background).max(axis=2) > 20)[40:] for image in (first, second)]
+    if not page.is_of_meshes:
+        assert (shown[0] & shown[1]).sum() / (shown[0] | shown[1]).sum() > 0.9
