@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,23 +19,11 @@ from stages.comparing.palette import colors_of
 from stages.errors import InputError
 from stages.files.documents import read_json, require_inside
 from stages.files.opening import content_of
-from stages.picturing.page.one_file import PageCamera, PageModel, PageScale, one_file
-from stages.picturing.page.standing import facing
-from stages.surface.upright import turn_along_z
-
-# Told what a person should know, in a sentence.
-Warn = Callable[[str], None]
+from stages.picturing.page.one_file import PageCamera, PageScale
+from stages.picturing.page.packing import Shown, Warn, packed_page, turn_of_page
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
-# What the models of a page are made smaller by, until it is small enough.
-_HALVINGS = 6
-_LEAST_TRIANGLES = 2_000
-# The first model is what a page is for, and is made lighter last; those beside it have at most so many.
-_MOST_BESIDE = 150_000
-_LAST = 2
 _SAMPLES = 100_000
-# Of the page, photos may take one part of so many.
-_PHOTOS_SHARE = 4
 _JPEG = b"\xff\xd8\xff"
 # Of the scale of deviations.
 _STEPS = 40
@@ -47,7 +33,7 @@ _NEAR = 0.25
 
 def page_of_mesh(name: str, mesh: Mesh, most_bytes: int, warn: Warn) -> bytes:
     """Return the page of a mesh, of so many bytes at most, if it can be."""
-    return _fitted(name, {name: Shown(mesh)}, {}, [], most_bytes, warn)
+    return packed_page(name, {name: Shown(mesh)}, most_bytes, warn)
 
 
 def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
@@ -64,7 +50,7 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
         raise InputError(f"holds none of {known}, nor tiles; give a mesh file, or the OUT of a run.", folder)
     result = standing(folder / name, _read(folder / name, warn))
     report, told = _reported(folder / REPORT)
-    models: Models = {"result": Shown(result, name)}
+    models = {"result": Shown(result, name)}
     if (folder / "clean.ply").is_file():
         clean = _read(folder / "clean.ply", warn).with_(up=result.up)
         bound = at(report, "stages", "simplify", "params", "simplify", "max_shape")
@@ -73,13 +59,13 @@ def page_of_run(folder: Path, most_bytes: int, warn: Warn) -> bytes:
         models["clean mesh"] = Shown(clean, "before simplification")
         models["deviation"] = Shown(found.painted, _range_in_words(figures), _scale(found))
         proven = at(report, "stages", "simplify", "figures", "details", "shape_bound_m")
-        turn, away = _turn(result), _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
+        turn, away = turn_of_page(result), _NEAR * float(np.linalg.norm(np.ptp(result.vertices, axis=0)))
         places = [
             {"target": (turn @ np.array(one["point_m"])).tolist(), "away": away} for one in figures["worst"]
         ]
         told["tables"] = [*deviation_tables(figures, proven, places), *told.get("tables", ())]
     cameras = _cameras(folder / "pictures", result)
-    return _fitted(folder.resolve().name, models, told, cameras, most_bytes, warn)
+    return packed_page(folder.resolve().name, models, most_bytes, warn, told, cameras)
 
 
 def standing(path: Path, mesh: Mesh) -> Mesh:
@@ -87,17 +73,6 @@ def standing(path: Path, mesh: Mesh) -> Mesh:
     if mesh.up is None and path.suffix.lower() in (".glb", ".gltf"):
         return mesh.with_(up=(0.0, 1.0, 0.0))
     return mesh
-
-
-class Shown(NamedTuple):
-    """A model of a page before it is packed; see `PageModel`."""
-
-    mesh: Mesh
-    note: str = ""
-    scale: PageScale | None = None
-
-
-Models = dict[str, Shown]
 
 
 def _read(path: Path, warn: Warn) -> Mesh:
@@ -125,66 +100,6 @@ def _as_runs_write(path: Path) -> Iterator[None]:
         raise InputError("this is not as a run writes it; run once more, or move it away.", path) from error
 
 
-def _fitted(
-    title: str,
-    models: Models,
-    told: Mapping[str, Any],
-    cameras: Sequence[PageCamera],
-    most_bytes: int,
-    warn: Warn,
-) -> bytes:
-    cameras, photos = _with_photos_within(cameras, most_bytes // _PHOTOS_SHARE)
-    if photos:
-        warn(f"{photos} of the photos are left out of the page, which may take {most_bytes:,} bytes.")
-    page = b""
-    for halvings in range(_HALVINGS):
-        page = one_file(title, list(_packed(models, halvings)), told, cameras)
-        if len(page) <= most_bytes:
-            return page
-    warn(f"the page takes {len(page):,} bytes, more than {most_bytes:,}, as small as it gets.")
-    return page
-
-
-def _with_photos_within(cameras: Sequence[PageCamera], most: int) -> tuple[list[PageCamera], int]:
-    """Return cameras without every other photo, as often as it takes, and how many photos that leaves out."""
-    sizes = [0 if camera.photo is None else len(camera.photo) for camera in cameras]
-    kept = [number for number, size in enumerate(sizes) if size]
-    count = len(kept)
-    while sum(sizes[number] for number in kept) > most:
-        kept = kept[1::2]
-    chosen = set(kept)
-    thinned = [
-        camera if number in chosen else replace(camera, photo=None) for number, camera in enumerate(cameras)
-    ]
-    return thinned, count - len(kept)
-
-
-def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
-    """Give the models as files, with fewer triangles and smaller images the more often they are halved."""
-    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
-        for number, (name, (mesh, note, scale)) in enumerate(models.items()):
-            light, words = mesh, note
-            count = len(mesh.triangles)
-            halved = (
-                count >> max(halvings - _LAST, 0) if number == 0 else min(count, _MOST_BESIDE) >> halvings
-            )
-            target = max(halved, _LEAST_TRIANGLES)
-            if count > target:
-                light = stages.simplify(mesh, triangles=target).mesh.with_(up=mesh.up)
-                words = ", ".join(filter(None, (note, f"of {count:,}, for this page")))
-            path = Path(folder) / "model.glb"
-            web = stages.preset("web")
-            size = max(web.image_size >> max(halvings - _LAST, 0), 512)
-            stages.export(light, path, web, image_size=size)
-            look = facing(light, _turn(mesh))
-            yield PageModel(name, content_of(path), len(light.triangles), words, look, scale)
-
-
-def _turn(mesh: Mesh) -> NDArray[np.float64]:
-    """Return what turns a mesh z up, as the page's camera has it; unknown, it stands as glTF has it, y up."""
-    return turn_along_z(np.array((0.0, 1.0, 0.0) if mesh.up is None else mesh.up))
-
-
 def _range_in_words(told: Mapping[str, Any]) -> str:
     return "red outside, blue inside; green is near" if told["is_signed"] else "red far, green near"
 
@@ -205,7 +120,7 @@ def _cameras(folder: Path, mesh: Mesh) -> list[PageCamera]:
     path = folder / CAMERAS
     if not path.is_file():
         return []
-    turn = _turn(mesh)
+    turn = turn_of_page(mesh)
     with _as_runs_write(path):
         told: Any = read_json(path)
         return [_camera(one, path, turn) for one in told["cameras"] if "fx" in one]
