@@ -11,6 +11,7 @@ import typer
 from cli.options import Changes, as_typed
 from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
+from cli.quality import QualityOption, config_of
 from cli.watch import watching
 from stages import ScanParams
 
@@ -40,17 +41,23 @@ def run(
             "--config", metavar="FILE", help="Parameters as TOML; see scanloom config.", show_default=False
         ),
     ] = None,
+    quality: QualityOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="STAGE.PARAM=VALUE",
-            help="Change one parameter, after --config; may be given many times.",
+            help="Change one parameter, after --quality and --config; may be given many times.",
             show_default=False,
         ),
     ] = None,
     until: Annotated[
-        str | None, typer.Option(metavar="STAGE", help="Stop after this stage.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="STAGE",
+            help="Stop after this stage.",
+            show_default=False,
+        ),
     ] = None,
     force: Annotated[
         list[str] | None,
@@ -114,15 +121,16 @@ def run(
     same as 3D Tiles in tiles/. Where frames have no colour, simplified.glb stands for textured.glb; both are
     turned upright. With --set export.web=true it holds web.glb, of a few bytes for viewers of the web.
 
+    --quality draft is for a first look, best for what is kept; --config and --set win over it.
+
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
-    from pipeline.config import Config
     from pipeline.dry_run import foresee
     from pipeline.run import run as run_pipeline
     from stages.simplification.auto import chosen
 
     require_scan(scan)
-    config = Config.load(config_file) if config_file is not None else Config()
+    config = config_of(config_file, quality, out)
     switched = {"report.page": page, "report.enabled": report}
     switches = [f"{name}={str(on).lower()}" for name, on in switched.items() if on is not None]
     config = config.set((*(settings or ()), *switches))

@@ -75,7 +75,8 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     found = survey(pairs)
     noise = found.noise
     voxel_size = params.voxel_size or _two_digits(
-        max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
+        params.voxel_factor
+        * max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
     )
     truncation = params.truncation or max(
         3 * voxel_size, 3 * noise.at(found.median), min(3 * noise.at(found.far), 5 * voxel_size)
