@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stages.comparing.change import ChangeParams, Changes, changes
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
+    from stages.comparing.tradeoff import Tradeoff, TradeoffParams, tradeoff
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
     from stages.normal_meshes.remesh import RemeshParams, remesh
     from stages.picturing.render import Viewpoint, render
+    from stages.picturing.show import Page, show
     from stages.picturing.viewpoints import viewpoints
     from stages.registration.register import RegisterParams, Registration, register
     from stages.scans.params import ScanParams
@@ -71,6 +73,7 @@ _NAMES_OF = {
     "comparing.change": ("ChangeParams", "Changes", "changes"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
+    "comparing.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),
@@ -80,6 +83,7 @@ _NAMES_OF = {
     "normal_meshes.normal_mesh": ("NormalMesh", "Offsets", "decode"),
     "normal_meshes.remesh": ("RemeshParams", "remesh"),
     "picturing.render": ("Viewpoint", "render"),
+    "picturing.show": ("Page", "show"),
     "picturing.viewpoints": ("viewpoints",),
     "registration.register": ("RegisterParams", "Registration", "register"),
     "scans.params": ("ScanParams",),
@@ -144,6 +148,7 @@ __all__ = [
     "MeshLike",
     "NormalMesh",
     "Offsets",
+    "Page",
     "PatchParams",
     "Patches",
     "RegisterParams",
@@ -164,6 +169,8 @@ __all__ = [
     "TextureParams",
     "Textured",
     "Topology",
+    "Tradeoff",
+    "TradeoffParams",
     "UsageError",
     "Viewpoint",
     "__version__",
@@ -192,12 +199,14 @@ __all__ = [
     "remesh",
     "render",
     "repair",
+    "show",
     "simplify",
     "texture",
     "to_open3d",
     "to_open3d_legacy",
     "to_trimesh",
     "topology",
+    "tradeoff",
     "viewpoints",
     "views_depth",
     "write_mesh",

@@ -33,7 +33,10 @@ LATER = {"compression", "tomllib"}
 # Type checkers bring it themselves; no program imports it.
 TYPES_ONLY = {"typing_extensions"}
 # Files that import what only an extra brings, and say so where it is missing.
-OF_EXTRAS = {"stages/exporting/usd.py": {"pxr": "usd-core"}}
+OF_EXTRAS = {
+    "stages/exporting/usd.py": {"pxr": "usd-core"},
+    "stages/picturing/plots.py": {"matplotlib": "matplotlib"},
+}
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 
 
