@@ -45,6 +45,7 @@ from cli.commands import (
     run,
     simplify,
     texture,
+    tradeoff,
     view,
 )
 from cli.one_line import one_line
@@ -75,6 +76,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         check.check,
         patches.patches,
         compare.compare,
+        tradeoff.tradeoff,
         certify.certify,
         render.render,
         view.view,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 from pipeline.baking import BakeSection
 from pipeline.cache_size import CacheParams
 from pipeline.exporting import ExportSection
 from pipeline.levels import LodSection
+from pipeline.quality import QUALITIES
 from pipeline.remeshing import RemeshSection
 from pipeline.report import ReportParams
 from pipeline.sections import Sections
@@ -26,7 +29,12 @@ from stages.stereo.depth import DepthParams
 
 @dataclass(frozen=True)
 class Config(Sections):
-    """Every parameter of a run, by section; see each section's class."""
+    """Every parameter of a run, by section; see each section's class.
+
+    `Config()` has the defaults, `Config.of("draft")` what a quality makes of them.
+    """
+
+    QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = QUALITIES
 
     scan: ScanParams = field(default_factory=ScanParams)
     depth: DepthParams = field(default_factory=DepthParams)

@@ -7,6 +7,7 @@ import os
 import warnings as python_warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,10 @@ from pipeline.results import PAGE, REPORT, Results
 from pipeline.sources import sources_of
 from stages import __version__
 from stages.errors import InputError, UsageError
+from stages.files.opening import content_of
 from stages.params import RenamedWarning
+from stages.picturing.show import Page
+from stages.printing import counted, line, rows_table
 from stages.scans.read import read_scan, require_complete
 from stages.scans.scan import Scan
 
@@ -50,6 +54,39 @@ class RunResult:
     stages: tuple[Outcome, ...]
     report: Mapping[str, Any]
     page: Path | None = None
+
+    def __repr__(self) -> str:
+        return line(self, (str(self.out), *self._facts()))
+
+    def _repr_html_(self) -> str:
+        rows = [
+            [one.stage, "cached" if one.cached else f"{one.seconds:.1f} s", f"{one.made['seconds']:.1f} s"]
+            for one in self.stages
+        ]
+        told = ", ".join(fact for fact in self._facts() if fact)
+        of_stages = rows_table([["stage", "this run", "when it was made"], *rows])
+        return f"<div><b>{escape(str(self.out))}</b>: {escape(told)}{of_stages}</div>"
+
+    def _facts(self) -> tuple[str, ...]:
+        return (
+            counted(len(self.stages), "stage"),
+            f"{sum(one.cached for one in self.stages)} cached",
+            counted((self.report["mesh"] or {"triangles": 0})["triangles"], "triangle"),
+            counted(len(self.unmet), "unmet wish", "unmet wishes"),
+        )
+
+    def show(self, *, width: str = "100%", height: int = 640) -> Page:
+        """Return the page of the run, which a notebook shows in a frame of this size, CSS and pixels.
+
+        Raises
+        ------
+        UsageError
+            If the run left none.
+        """
+        if self.page is None:
+            raise UsageError("this run left no page; report.page=true and report.enabled=true make one.")
+        html = content_of(self.page)
+        return Page(title=self.out.name, html=html, width=width, height=height, warnings=())
 
     @property
     def unmet(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_args, get_type_hints
 
 from stages.errors import UsageError
 from stages.files.documents import parse_toml
@@ -29,6 +29,25 @@ _WORDS = {"true": True, "yes": True, "on": True, "false": False, "no": False, "o
 class Sections:
     """Base of a frozen dataclass whose fields are parameter objects, each a section of the config file."""
 
+    # What parameters begin with in place of their defaults, by section, under a word for it.
+    QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = {}
+
+    @classmethod
+    def of(cls: type[S], quality: str) -> S:
+        """Return what a configuration begins with, by one of the words of `QUALITIES`.
+
+        Raises
+        ------
+        UsageError
+            For another word.
+        """
+        if quality not in [*cls.QUALITIES]:  # a file may hold what is no word
+            raise UsageError(f"quality is {quality!r}; it must be one of {', '.join(cls.QUALITIES)}.")
+        config = cls()
+        for section, values in cls.QUALITIES[quality].items():
+            config = config._with(section, values, f"quality {quality}")
+        return config
+
     @classmethod
     def types(cls) -> dict[str, type]:
         """Parameter class of every section, in order."""
@@ -36,8 +55,12 @@ class Sections:
         return {f.name: hints[f.name] for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
-    def load(cls: type[S], path: Path) -> S:
-        """Read a TOML file; what it does not name keeps its default.
+    def load(cls: type[S], path: Path, quality: str | None = None) -> S:
+        """Read a TOML file; what it does not name keeps its default, or has that of the quality.
+
+        Parameters
+        ----------
+        quality : in place of the one that the file names, if it names any.
 
         Raises
         ------
@@ -52,16 +75,22 @@ class Sections:
             raise UsageError(f"{path}: the config file cannot be read ({error.strerror}).") from error
         except UnicodeDecodeError as error:
             raise UsageError(f"{path}: the config file is not UTF-8 text.") from error
-        return cls.loads(text, str(path))
+        return cls.loads(text, str(path), quality)
 
     @classmethod
-    def loads(cls: type[S], text: str, where: str = "config") -> S:
-        """Read TOML text; `where` starts every message."""
+    def loads(cls: type[S], text: str, where: str = "config", quality: str | None = None) -> S:
+        """Read TOML text as `load` does a file; `where` starts every message."""
         try:
             data = parse_toml(text)
         except ValueError as error:
             raise UsageError(f"{where}: this is not TOML ({error}).") from error
-        config = cls()
+        named = data.pop("quality", None) if cls.QUALITIES else None
+        try:
+            config = cls() if named is None else cls.of(named)
+        except UsageError as error:
+            raise UsageError(f"{where}: {error}") from error
+        if quality is not None:
+            config = cls.of(quality)
         for section, values in data.items():
             config._require_section(section, where)
             if not isinstance(values, dict):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from stages.comparing.change import ChangeParams, Changes, changes
     from stages.comparing.compare import CompareParams, Comparison, compare
     from stages.comparing.deviations import DeviationParams, Deviations, deviations
+    from stages.comparing.tradeoff import Tradeoff, TradeoffParams, tradeoff
     from stages.errors import InputError, MeshError, ScanloomError, StageError, UsageError
     from stages.exporting.export import Exported, ExportParams, export
     from stages.exporting.presets import preset
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from stages.normal_meshes.remesh import RemeshParams, remesh
     from stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
     from stages.picturing.render import Viewpoint, render
+    from stages.picturing.show import Page, show
     from stages.picturing.viewpoints import viewpoints
     from stages.registration.register import RegisterParams, Registration, register
     from stages.scans.params import ScanParams
@@ -73,6 +75,7 @@ _NAMES_OF = {
     "comparing.change": ("ChangeParams", "Changes", "changes"),
     "comparing.compare": ("CompareParams", "Comparison", "compare"),
     "comparing.deviations": ("DeviationParams", "Deviations", "deviations"),
+    "comparing.tradeoff": ("Tradeoff", "TradeoffParams", "tradeoff"),
     "errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "Exported", "export"),
     "exporting.presets": ("preset",),
@@ -83,6 +86,7 @@ _NAMES_OF = {
     "normal_meshes.remesh": ("RemeshParams", "remesh"),
     "picturing.compare_views": ("ViewComparison", "ViewsParams", "compare_views"),
     "picturing.render": ("Viewpoint", "render"),
+    "picturing.show": ("Page", "show"),
     "picturing.viewpoints": ("viewpoints",),
     "registration.register": ("RegisterParams", "Registration", "register"),
     "scans.params": ("ScanParams",),
@@ -148,6 +152,7 @@ __all__ = [
     "MeshLike",
     "NormalMesh",
     "Offsets",
+    "Page",
     "PatchParams",
     "Patches",
     "RegisterParams",
@@ -168,6 +173,8 @@ __all__ = [
     "TextureParams",
     "Textured",
     "Topology",
+    "Tradeoff",
+    "TradeoffParams",
     "UsageError",
     "ViewComparison",
     "Viewpoint",
@@ -200,12 +207,14 @@ __all__ = [
     "remesh",
     "render",
     "repair",
+    "show",
     "simplify",
     "texture",
     "to_open3d",
     "to_open3d_legacy",
     "to_trimesh",
     "topology",
+    "tradeoff",
     "viewpoints",
     "views_depth",
     "write_mesh",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -12,7 +13,8 @@ import pytest
 
 from stages import UsageError, read_mesh, topology, write_mesh
 
-RECIPES = Path(__file__).resolve().parents[1] / "docs" / "recipes"
+ROOT = Path(__file__).resolve().parents[1]
+RECIPES = ROOT / "docs" / "recipes"
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +72,29 @@ def test_bends_are_how_much_neighbours_turn(deform: ModuleType) -> None:
     corner = (0.5, 0.5, np.sqrt(0.5))
     folded = flat.with_(vertices=np.vstack([flat.vertices[:3], corner]))
     np.testing.assert_allclose(deform.bends(flat, folded), (0, 90, 90, 0), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_notebook_of_its_cells_runs_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from nbclient import NotebookClient
+    from nbformat import v4
+
+    cells = re.findall(r"```python\n(.*?)```", (RECIPES / "notebook.md").read_text(), flags=re.DOTALL)
+    (tmp_path / "samples").symlink_to(ROOT / "samples")
+    # The kernel is a process of its own, which keeps nothing outside of the test.
+    for name in ("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
+        monkeypatch.setenv(name, str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    book = v4.new_notebook(cells=[v4.new_code_cell(code) for code in cells])
+    NotebookClient(book, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+
+    shown = [cell.outputs[-1].data["text/html"] for cell in book.cells]
+    names = ("Scan", "Mesh", "Tradeoff", "Simplified")
+    assert [re.match(r"<div><b>(\w+)</b>", html)[1] for html in shown[:4]] == list(names)
+    assert all(html.count("<img") == 1 for html in shown[:4])
+    assert shown[4].startswith('<iframe title="mesh"')
+    assert "stage" in shown[5]
+    assert shown[6].startswith('<iframe title="out"')
 
 
 def test_pictures_of_recipes_are_small() -> None:

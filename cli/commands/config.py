@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cli.output import Output
-
-if TYPE_CHECKING:
-    pass
+from cli.quality import QualityOption, config_of, quality_toml
 
 
 def config(
@@ -22,13 +20,17 @@ def config(
             "--check", metavar="FILE", help="Check this file, and print all that it sets.", show_default=False
         ),
     ] = None,
+    quality: QualityOption = None,
 ) -> None:
     """Print every parameter of every stage as TOML: its default, unit, range and meaning.
+
+    With --quality first what that sets; parameters that are left out of a file are then of that quality.
 
     Example: scanloom config > my.toml
     """
     from pipeline.config import Config
 
-    chosen = Config.load(file) if file is not None else Config()
+    chosen = config_of(file, quality, out)
     figures = {name: asdict(getattr(chosen, name)) for name in Config.types()}
-    out.result(figures, chosen.dumps().rstrip())
+    text = chosen.dumps().rstrip()
+    out.result(figures, text if quality is None else f"{quality_toml(quality)}\n{text}")

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from cli import completing
 from cli.options import Changes, as_typed
 from cli.output import Output, size_of, table_of
 from cli.paths import require_scan, require_writable
+from cli.plot_option import plot_option, require_plot
+from cli.quality import QualityOption, config_of
 from cli.watch import watching
-from stages import ScanParams
+from stages import ScanParams, UsageError
 
 if TYPE_CHECKING:
     from pipeline.dry_run import DryRun
@@ -40,22 +43,31 @@ def run(
             "--config", metavar="FILE", help="Parameters as TOML; see scanloom config.", show_default=False
         ),
     ] = None,
+    quality: QualityOption = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="STAGE.PARAM=VALUE",
-            help="Change one parameter, after --config; may be given many times.",
+            autocompletion=completing.settings,
+            help="Change one parameter, after --quality and --config; may be given many times.",
             show_default=False,
         ),
     ] = None,
     until: Annotated[
-        str | None, typer.Option(metavar="STAGE", help="Stop after this stage.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="STAGE",
+            help="Stop after this stage.",
+            autocompletion=completing.stage_names,
+            show_default=False,
+        ),
     ] = None,
     force: Annotated[
         list[str] | None,
         typer.Option(
             metavar="STAGE",
+            autocompletion=completing.stage_names,
             help="Run this stage even though its result is cached; may be given many times.",
             show_default=False,
         ),
@@ -100,6 +112,7 @@ def run(
             show_default=False,
         ),
     ] = None,
+    plot: Annotated[Path | None, plot_option("how long each stage took")] = None,
 ) -> None:
     """Make a light, coloured mesh from a scan folder; every stage's result is kept and reused.
 
@@ -114,15 +127,19 @@ def run(
     same as 3D Tiles in tiles/. Where frames have no colour, simplified.glb stands for textured.glb; both are
     turned upright. With --set export.web=true it holds web.glb, of a few bytes for viewers of the web.
 
+    --quality draft is for a first look, best for what is kept; --config and --set win over it.
+
     Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
     """
-    from pipeline.config import Config
     from pipeline.dry_run import foresee
     from pipeline.run import run as run_pipeline
     from stages.simplification.auto import chosen
 
     require_scan(scan)
-    config = Config.load(config_file) if config_file is not None else Config()
+    if dry_run and plot is not None:
+        raise UsageError("--plot draws how long stages took; --dry-run writes nothing.")
+    require_plot(plot)
+    config = config_of(config_file, quality, out)
     switched = {"report.page": page, "report.enabled": report}
     switches = [f"{name}={str(on).lower()}" for name, on in switched.items() if on is not None]
     config = config.set((*(settings or ()), *switches))
@@ -140,9 +157,20 @@ def run(
         return
     with watching(out) as events:
         result = run_pipeline(scan, target, config, **how, events=events)
+    if plot is not None:
+        _plot(plot, result)
     for sentence in result.unmet:
         out.unmet(sentence)
     out.result(result.figures(), _summary(result))
+
+
+def _plot(path: Path, result: RunResult) -> None:
+    """Draw the seconds of each stage."""
+    from stages.picturing.plots import plot_seconds
+
+    seconds = {one.stage: float(one.made["seconds"]) for one in result.stages}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    plot_seconds(path, seconds, {one.stage for one in result.stages if one.cached})
 
 
 def _tell_dry_run(found: DryRun, out: Output) -> None:

@@ -26,6 +26,13 @@ class FuseParams:
         low=0,
         low_open=True,
     )
+    voxel_factor: float = param(
+        1.0,
+        "The derived voxel size is this many times as large: 2 for a quarter of the triangles, 0.7 for twice "
+        "as many. Without effect where voxel_size is given.",
+        low=0.1,
+        high=100,
+    )
     truncation: float | None = param(
         None,
         "Distance from the surface, along its normal, at which the field is cut off. Derived: three times "
@@ -119,6 +126,7 @@ class FuseKeywords(TypedDict, total=False):
     """FuseParams as keywords of `fuse`."""
 
     voxel_size: float | None
+    voxel_factor: float
     truncation: float | None
     min_depth: float
     max_depth: float | None

@@ -109,7 +109,8 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
     kept = what_is_kept(frames, looked_at, scene, noise, params, limits, threads)
     found = survey([cropped(view, kept.crop) for view in kept.views], noise)
     voxel_size = params.voxel_size or _two_digits(
-        max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
+        params.voxel_factor
+        * max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
     )
     truncation = params.truncation or max(
         3 * voxel_size, 3 * noise.at(found.median), min(3 * noise.at(found.far), 5 * voxel_size)

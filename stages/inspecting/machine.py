@@ -19,7 +19,7 @@ from stages.inspecting.libraries import version_of
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd")
 _LIBRARIES = ("numpy", "open3d", "opencv", "scikit-image", "scipy", "trimesh", "typer")
 # By the extra that brings them.
-_EXTRAS = {"usd": "usd-core"}
+_EXTRAS = {"plot": "matplotlib", "usd": "usd-core"}
 
 
 def machine() -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -131,7 +131,16 @@ def table(self: Any) -> str:
         cells += f"<tr><td>and {len(rows) - _MOST_ROWS} more</td></tr>"
     name = escape(type(self).__name__)
     content = f"{_picture(mesh)}<table>{cells}</table>"
-    return f"<div><b>{name}</b><div style='display:flex;gap:1em'>{content}</div></div>"
+    return f"<div><b>{name}</b><div style='display:flex;gap:1em;align-items:start'>{content}</div></div>"
+
+
+def rows_table(rows: Sequence[Sequence[str]]) -> str:
+    """For `_repr_html_`: rows of words, the heading first."""
+    right = "style='text-align:right'"
+    head = "".join(f"<th {right}>{escape(word)}</th>" for word in rows[0])
+    body = ("".join(f"<td {right}>{escape(word)}</td>" for word in row) for row in rows[1:])
+    lines = "".join(f"<tr>{cells}</tr>" for cells in (head, *body))
+    return f"<table>{lines}</table>"
 
 
 def extent_in_words(points: NDArray[np.float64]) -> str:
@@ -187,16 +196,24 @@ def _fact(key: str, value: Any) -> str:
 
 
 def _listed(key: str, items: list[Any] | tuple[Any, ...]) -> str:
-    if len(items) <= _NAMED and all(isinstance(item, (str, int, float)) for item in items):
+    if _is_short(items):
         return " ".join(name_and_value(key, items)) if items else ""
     return counted(len(items), key.replace("_", " "), key.replace("_", " "))
+
+
+def _is_short(value: Any) -> bool:
+    """Return whether this is a list of a few words and numbers, which are named one by one."""
+    is_list = isinstance(value, (list, tuple))
+    return is_list and len(value) <= _NAMED and all(isinstance(item, (str, int, float)) for item in value)
 
 
 def _rows(figures: Mapping[str, Any], of: str = "") -> Iterator[tuple[str, str]]:
     for key, value in figures.items():
         if isinstance(value, Mapping):
             yield from _rows(value, f"{of}{key} · ".replace("_", " "))
-        elif isinstance(value, (list, tuple)) or hasattr(value, "shape") or dataclasses.is_dataclass(value):
+        elif not _is_short(value) and (
+            isinstance(value, (list, tuple)) or hasattr(value, "shape") or dataclasses.is_dataclass(value)
+        ):
             name = key.replace("_", " ")
             yield f"{of}{name}", _fact(key, value).removeprefix(f"{name} ").removesuffix(f" {name}") or "–"
         else:

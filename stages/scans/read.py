@@ -56,7 +56,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     if options.align_axes:
         scan = aligned(scan, folder)
     warnings = (*scan.warnings, *_time_warnings(scan.frames))
-    scan = _split(replace(scan, frames=_selected(scan.frames, options), warnings=warnings), options.hold_out)
+    scan = _split(replace(scan, frames=_selected(scan, options), warnings=warnings), options.hold_out)
     if len(scan.frames) == 1:
         scan = _at_origin(scan)
     if complete:
@@ -129,14 +129,17 @@ def _unknown(folder: Path) -> str:
     return f"unknown layout. The folder holds {shown}. Layouts that can be read are {known}; see the README."
 
 
-def _selected(frames: Sequence[Frame], options: ScanParams) -> Sequence[Frame]:
+def _selected(scan: Scan, options: ScanParams) -> Sequence[Frame]:
     end = None if options.last is None else options.last + 1
-    chosen = frames[options.first : end : options.every]
+    chosen = scan.frames[options.first : end : options.every]
     if not chosen:
         raise UsageError(
-            f"first={options.first}, last={options.last} leaves no frame of the scan's {len(frames)}."
+            f"first={options.first}, last={options.last} leaves no frame of the scan's {len(scan.frames)}."
         )
-    return chosen
+    most = options.max_frames
+    if most is None or len(chosen) <= most or scan.is_views or not scan.has_poses:
+        return chosen
+    return [chosen[k * (len(chosen) - 1) // (most - 1)] for k in range(most)]
 
 
 def _split(scan: Scan, every: int | None) -> Scan:

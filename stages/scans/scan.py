@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.printing import counted, line
+from stages.printing import counted, line, table
+from stages.scans.thumbnail import thumbnail
 from stages.scans.world import Scale, WorldUp
 
 Pose = NDArray[np.float64]
@@ -193,6 +194,25 @@ class Frame:
         size = f"{self.camera.width} × {self.camera.height} px"
         return line(self, (self.name, size, *(name for name, part in parts.items() if part is not None)))
 
+    _repr_html_ = table
+
+    def _thumbnail(self) -> bytes | None:
+        return thumbnail([one for one in (self.color, self.right) if one is not None])
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the frame has, ready for JSON; no image is read."""
+        return {
+            "frame": self.name,
+            "size_px": [self.camera.width, self.camera.height],
+            "color": self.color is not None,
+            "right": self.right is not None,
+            "depth": self.depth is not None,
+            "pose": self.world_from_camera is not None,
+            "confidence": self.confidence is not None,
+            "mask": self.mask is not None,
+            "position_m": None if self.world_from_camera is None else self.world_from_camera[:3, 3].tolist(),
+        }
+
 
 @dataclass(frozen=True)
 class SkippedFrame:
@@ -234,13 +254,12 @@ class Scan:
     scale: Scale | None = None
 
     def __repr__(self) -> str:
-        kind = "stereo pairs" if self.is_stereo else "views" if self.is_views else "colour and depth"
         return line(
             self,
             (
                 self.layout,
                 counted(len(self.frames), "frame") or "no frames",
-                kind,
+                self._kind,
                 "poses" if self.has_poses else "no poses",
                 "" if self.is_metric else "not metric",
                 f"{len(self.held_out):,} held out" if self.held_out else "",
@@ -249,6 +268,30 @@ class Scan:
                 counted(len(self.warnings), "warning"),
             ),
         )
+
+    _repr_html_ = table
+
+    def _thumbnail(self) -> bytes | None:
+        return thumbnail([frame.color for frame in self.frames if frame.color is not None])
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the scan has, ready for JSON; no image is read. `inspect` tells far more."""
+        camera = self.frames[0].camera if self.frames else None
+        return {
+            "layout": self.layout,
+            "kind": self._kind,
+            "frames": len(self.frames),
+            "frames_with_poses": sum(frame.world_from_camera is not None for frame in self.frames),
+            "size_px": None if camera is None else [camera.width, camera.height],
+            "frames_held_out": len(self.held_out),
+            "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
+            "missing": list(self.missing),
+            "warnings": list(self.warnings),
+        }
+
+    @property
+    def _kind(self) -> str:
+        return "stereo pairs" if self.is_stereo else "views" if self.is_views else "colour and depth"
 
     @property
     def has_poses(self) -> bool:

@@ -141,6 +141,9 @@ def everything():
         views.worst,
         stages.compare(mesh, points, samples=100),
         stages.compare(mesh, points, samples=100).clouds[1],
+        (curve := stages.tradeoff(mesh, counts=(200, 100, 50), samples=1000)),
+        curve.points[0],
+        stages.show(mesh, page_size=2),
     ]
 
 
@@ -205,8 +208,9 @@ def picture_in(html: str) -> np.ndarray | None:
 
 
 def test_a_notebook_shows_a_table_and_a_picture(results):
-    shown = [result for result in results if hasattr(result, "_repr_html_")]
-    assert {"Simplified", "Mesh", "Fused", "Baked", "NormalMesh", "Comparison"} <= {
+    # A page is no table; tests/stages/picturing/test_show.py opens it.
+    shown = [one for one in results if hasattr(one, "_repr_html_") and not isinstance(one, stages.Page)]
+    assert {"Simplified", "Mesh", "Fused", "Baked", "NormalMesh", "Comparison", "Scan", "Frame"} <= {
         type(one).__name__ for one in shown
     }
     for result in shown:
@@ -215,7 +219,8 @@ def test_a_notebook_shows_a_table_and_a_picture(results):
         assert type(result).__name__ in html
         assert len(html) < 200_000
         has_mesh = isinstance(getattr(result, "mesh", result), Mesh)
-        assert (picture_in(html) is not None) == has_mesh, type(result)
+        has_photo = isinstance(result, Frame) or (isinstance(result, Scan) and len(result.frames) > 0)
+        assert (picture_in(html) is not None) == (has_mesh or has_photo), type(result)
 
 
 def test_the_picture_shows_colours_texture_or_clay():
@@ -230,6 +235,27 @@ def test_the_picture_shows_colours_texture_or_clay():
     assert clay.min() > 100
     towards = middle(ball())
     assert towards[1] > 128 > towards[0], "y is up, and x goes to the right behind the viewer"
+
+
+def test_a_scan_shows_photos_of_all_of_it():
+    def solid(*levels: int) -> np.ndarray:
+        return np.broadcast_to(np.array(levels, np.uint8), (30, 40, 3)).copy()
+
+    colors = [solid(20 * k, 0, 0) for k in range(12)]
+    shown = [replace(frame, color=color) for frame, color in zip(frames(12), colors, strict=True)]
+    image = picture_in(Scan("made", shown)._repr_html_())
+    assert image.shape == (90, 480, 3)
+    assert image[45, 60::120, 2].tolist() == [20, 80, 140, 200]
+    one = picture_in(replace(shown[3], right=solid(0, 0, 255))._repr_html_())
+    assert one[45, 60].tolist() == [0, 0, 60]
+    assert one[45, 180].tolist() == [255, 0, 0]
+
+
+@pytest.mark.parametrize("color", [Path("missing.png"), np.zeros((0, 0, 3), np.uint8), None])
+def test_a_frame_whose_photo_cannot_be_shown_is_still_a_table(color):
+    html = replace(frames()[0], color=color)._repr_html_()
+    assert "<th style='text-align:left'>size</th><td>64, 48 px</td>" in html
+    assert "<img" not in html
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,13 @@ class ReadingParams:
         None, "Position of the last frame to use; by default the scan's last.", unit="frames", low=0
     )
     every: int = param(1, "Use every n-th frame.", unit="frames", low=1)
+    max_frames: int | None = param(
+        None,
+        "Use at most so many frames, spread evenly. Frames without poses and single views are all used: of "
+        "these, neighbours have to overlap.",
+        unit="frames",
+        low=2,
+    )
     hold_out: int | None = param(
         None,
         "Keep every n-th frame from all stages; a run then compares its photo with the mesh.",

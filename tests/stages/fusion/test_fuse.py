@@ -206,6 +206,15 @@ def test_derived_scale_follows_the_depth(sphere: Fused) -> None:
     assert np.sqrt((error**2).mean()) < 0.3 * fused.voxel_size
 
 
+def test_a_factor_scales_what_is_derived_and_not_what_is_given() -> None:
+    plans = [fuse(sphere_frames(), voxel_factor=factor) for factor in (1.0, 2.0, 4.0)]
+    sizes = [plan.voxel_size for plan in plans]
+    np.testing.assert_allclose(sizes, sizes[0] * np.array([1, 2, 4]), rtol=0.06)
+    counts = [len(plan.mesh.triangles) for plan in plans]
+    assert counts[1] == pytest.approx(counts[0] / 4, rel=0.3)
+    assert fuse(sphere_frames(), voxel_size=0.05, voxel_factor=4.0).voxel_size == 0.05
+
+
 def test_noise_is_measured_and_sets_the_scale() -> None:
     rng = np.random.default_rng(7)
     frames = []

@@ -1,0 +1,80 @@
+"""What `--quality draft`, `standard` and `best` take, and what they come to.
+
+    python benches/quality.py SCAN [SCAN ...] [--truth MESH] [--quality draft ...]
+
+Every tenth frame is kept from all stages, and its photo compared with the result; a draft of many frames uses
+fewer, and so compares fewer. Seconds are of the processor, all threads together, report and page included.
+With `--truth`, also how far the result is off a mesh in the scans' world.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+from markdown_tables import print_head, print_row
+
+import stages
+from pipeline.config import Config
+from pipeline.quality import QUALITIES
+from pipeline.run import run
+from stages import Mesh
+
+HOLD_OUT = 10
+COLUMNS = (
+    "scan",
+    "quality",
+    "processor s",
+    "voxel mm",
+    "triangles",
+    "GLB bytes",
+    "photos",
+    "PSNR dB",
+    "SSIM",
+)
+
+
+def row(scan: Path, quality: str, truth: Mesh | None) -> list[str]:
+    """Run a scan in a quality, from nothing, and return the cells of its row."""
+    with tempfile.TemporaryDirectory() as folder:
+        out, begun = Path(folder) / "out", time.process_time()
+        report = run(scan, out, Config.of(quality).set([f"scan.hold_out={HOLD_OUT}"])).report
+        seconds = time.process_time() - begun
+        photos, fused = report["held_out"], report["stages"]["fuse"]["figures"]
+        cells = [
+            scan.resolve().name,
+            quality,
+            f"{seconds:.0f}",
+            f"{1000 * fused['voxel_size_m']:.2g}",
+            f"{report['mesh']['triangles']:,}",
+            f"{(out / 'textured.glb').stat().st_size:,}",
+            f"{photos['photos']}",
+            f"{photos['psnr_affine_db']:.2f}",
+            f"{photos['ssim']:.3f}",
+        ]
+        if truth is not None:
+            found = stages.deviations(truth, stages.read_mesh(out / "simplified.ply")).figures()
+            cells += [f"{1000 * found['rms_m']:.2f}", f"{1000 * found['absolute_percentiles_m']['95']:.2f}"]
+        return cells
+
+
+def main() -> None:
+    """Print a Markdown table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
+    parser.add_argument("--truth", type=Path, metavar="MESH", help="the true surface of the scans")
+    parser.add_argument("--quality", nargs="+", choices=tuple(QUALITIES), default=list(QUALITIES))
+    options = parser.parse_args()
+    truth = None if options.truth is None else stages.read_mesh(options.truth)
+    print_head([*COLUMNS, *([] if truth is None else ["off truth, RMS mm", "95 % mm"])], words=2)
+    for scan in options.scans:
+        for quality in options.quality:
+            print_row(row(scan, quality, truth))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""The option --plot of commands whose figures can be drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from cli.paths import require_new_file
+
+
+def plot_option(what: str) -> Any:
+    """Return the option, which draws `what`."""
+    return typer.Option(
+        "--plot",
+        metavar="FILE",
+        help=f"Draw {what}, as .png or .svg; needs scanloom\\[plot].",
+        show_default=False,
+    )
+
+
+def require_plot(path: Path | None) -> None:
+    """Check that a plot can be drawn, and written there, before the work starts; nothing for None."""
+    if path is None:
+        return
+    from stages.picturing.plots import SUFFIXES, require_plots
+
+    require_new_file(path, SUFFIXES)
+    require_plots()

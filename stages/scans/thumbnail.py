@@ -1,0 +1,53 @@
+"""A few photos of a scan side by side, small: for a first look in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages._opencv import require_opencv
+from stages.files.image_bytes import encoded_png
+from stages.files.images import decode_color, file_bytes
+
+_HEIGHT = 90
+# Images wider than this, of their height, are shown narrower.
+_WIDEST = 3.0
+_PHOTOS = 4
+
+
+def thumbnail(photos: Sequence[Any]) -> bytes | None:
+    """Return up to four photos, spread evenly, as one PNG file; None without photos.
+
+    Parameters
+    ----------
+    photos : of frames, as a frame has them: files, `Packed`, or (h, w, 3) uint8.
+
+    Raises
+    ------
+    InputError
+        If one cannot be read.
+    """
+    if not photos:
+        return None
+    count = min(_PHOTOS, len(photos))
+    chosen = [photos[(2 * k + 1) * len(photos) // (2 * count)] for k in range(count)]
+    return encoded_png(np.concatenate([_small(photo) for photo in chosen], axis=1))
+
+
+def _small(photo: Any) -> NDArray[np.uint8]:
+    require_opencv()
+    import cv2
+
+    if isinstance(photo, Path):
+        image = decode_color(file_bytes(photo), photo)
+    else:
+        image = np.asarray(photo.load() if hasattr(photo, "load") else photo)
+    if image.ndim == 2:
+        image = np.repeat(image[:, :, None], 3, axis=2)
+    height, width = image.shape[:2]
+    size = (max(round(_HEIGHT * min(width / height, _WIDEST)), 1), _HEIGHT)
+    return np.asarray(cv2.resize(image[:, :, :3], size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,0 +1,64 @@
+"""--quality: what it prints, what it makes, and what it says where a file is in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.config import Config
+from pipeline.quality import QUALITIES
+
+Run = Callable[..., Any]
+
+
+def test_config_prints_what_a_quality_sets(scanloom: Run) -> None:
+    for quality, values in QUALITIES.items():
+        text = scanloom("config", "--quality", quality).stdout
+        comment, _, rest = text.partition("quality = ")
+        assert rest.startswith(f'"{quality}"\n')
+        for section, names in values.items():
+            assert all(f"{section}.{name}" in comment.replace("\n# ", " ") for name in names)
+        assert Config.loads(text) == Config.of(quality)
+
+
+def test_another_word_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    ran = scanloom("run", tiny_scan, "-o", tmp_path / "out", "--quality", "bests")
+    assert (ran.exit_code, ran.stderr) == (
+        2,
+        "scanloom: quality is 'bests'; it must be one of draft, standard, best.\n",
+    )
+
+
+def test_what_a_file_keeps_from_the_quality_is_told(scanloom: Run, tmp_path: Path) -> None:
+    file = tmp_path / "f.toml"
+    file.write_text(scanloom("config").stdout)
+    ran = scanloom("config", "--check", file, "--quality", "draft")
+    [line] = ran.stderr.splitlines()
+    assert line.startswith("warning: --quality draft leaves fuse.voxel_factor, ")
+    file.write_text('quality = "best"\n[simplify]\nratio = 0.5\n')
+    ran = scanloom("config", "--check", file, "--quality", "draft", "--json")
+    assert ran.stderr == ""
+    assert ran.json["simplify"]["ratio"] == 0.5
+    assert ran.json["fuse"]["voxel_factor"] == 2
+
+
+@pytest.mark.slow
+def test_a_draft_is_coarser_and_standard_is_what_there_was(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    words = ("run", tiny_scan, "-o", tmp_path / "out", "--no-page", "--json")
+    few = ("--set", "report.viewpoints=1", "--set", "report.width=64", "--set", "compare.samples=1000")
+    usual = scanloom(*words, *few).json
+    again = scanloom(*words, *few, "--quality", "standard").json
+    assert all(stage["cached"] for stage in again["stages"].values())
+    draft = scanloom(*words, "--quality", "draft").json
+    assert [name for name, stage in draft["stages"].items() if stage["cached"]] == ["adjust"]
+    assert draft["mesh"]["triangles"] < usual["mesh"]["triangles"] / 2
+    sizes = [one["stages"]["fuse"]["figures"]["voxel_size_m"] for one in (usual, draft)]
+    assert sizes[1] == pytest.approx(2 * sizes[0], rel=0.05)
+    assert draft["pictures"] == []
+    set_here = scanloom(*words, *few, "--quality", "draft", "--set", "fuse.voxel_factor=1").json
+    assert set_here["stages"]["fuse"]["cached"]

@@ -1,0 +1,45 @@
+"""A run in a notebook: its stages as a table, and its page."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.engine import Outcome
+from pipeline.run import RunResult
+from stages.errors import UsageError
+
+
+def outcome(stage: str, *, cached: bool, unmet: tuple[str, ...] = ()) -> Outcome:
+    made = {"seconds": 2.5}
+    return Outcome(stage, cached, "", 0.25, {}, {}, made, Path(), (), unmet)
+
+
+@pytest.fixture
+def result(tmp_path: Path) -> RunResult:
+    stages = (outcome("fuse", cached=True), outcome("<simplify>", cached=False, unmet=("no",)))
+    return RunResult(tmp_path / "o<u>t", tmp_path, stages, {"mesh": {"triangles": 1234}})
+
+
+def test_it_prints_as_a_line(result):
+    assert repr(result) == f"RunResult({result.out}, 2 stages, 1 cached, 1,234 triangles, 1 unmet wish)"
+    early = RunResult(result.out, result.cache, result.stages[:1], {"mesh": None})
+    assert repr(early) == f"RunResult({result.out}, 1 stage, 1 cached)"
+
+
+def test_a_notebook_shows_the_stages(result):
+    html = result._repr_html_()
+    assert html.count("<tr>") == 3
+    assert "2.5 s" in html
+    assert "&lt;simplify&gt;" in html
+    assert "<simplify>" not in html
+    assert "o<u>t" not in html
+
+
+def test_its_page_is_shown_if_there_is_one(result, tmp_path):
+    with pytest.raises(UsageError, match=r"this run left no page; report\.page=true"):
+        result.show()
+    page = tmp_path / "report.html"
+    page.write_bytes(b"<!doctype html>page")
+    shown = RunResult(result.out, result.cache, result.stages, result.report, page).show(height=99)
+    assert shown.html == page.read_bytes()
+    assert "height:99px" in shown._repr_html_()
