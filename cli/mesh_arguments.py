@@ -15,8 +15,9 @@ from cli.output import Output
 from cli.paths import require_file
 from stages import Mesh, MeshError
 
-# Formats without colours.
+# Formats without colours, and those that are y-up.
 SHAPE_ALONE = (".off", ".stl")
+GLTF = (".glb", ".gltf")
 # The one note of a reader that nothing is lost by: a surface of polygons is as good as one of triangles.
 _HARMLESS = re.compile(r"[\d,]+ polygons? (was|were) split into triangles")
 
@@ -36,6 +37,13 @@ def read_file(path: Path, out: Output) -> Mesh:
     mesh = stages.read_mesh(require_file(path))
     tell_notes(path, mesh.notes, out)
     return mesh
+
+
+def read_standing(path: Path, out: Output) -> Mesh:
+    """Return the same, and what is up in it: y in a glTF file that says nothing else, by its format."""
+    mesh = read_file(path, out)
+    is_gltf = path.suffix.lower() in GLTF
+    return mesh.with_(up=(0.0, 1.0, 0.0)) if mesh.up is None and is_gltf else mesh
 
 
 def tell_notes(path: Path, notes: Iterable[str], out: Output) -> None:

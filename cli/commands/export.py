@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 import stages
-from cli.mesh_arguments import MeshFile, about_file, read_file
+from cli.mesh_arguments import MeshFile, about_file, read_standing
 from cli.output import Output
 from cli.paths import require_writable
 from stages import ExportParams
 from stages.errors import InputError
-from stages.exporting.export import GLTF, SUFFIXES, require_fitting
+from stages.exporting.export import SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS, preset
 
 
@@ -48,9 +48,7 @@ def export(
     if target.is_dir():
         raise InputError("this is a folder; give the name of a file.", target)
     require_writable(target.parent)
-    mesh = read_file(source, out)
-    if mesh.up is None and source.suffix.lower() in GLTF:
-        mesh = mesh.with_(up=(0.0, 1.0, 0.0))
+    mesh = read_standing(source, out)
     target.parent.mkdir(parents=True, exist_ok=True)
     with about_file(source):
         written = stages.export(mesh, target, wanted)
