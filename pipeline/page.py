@@ -173,7 +173,8 @@ def _packed(models: Models, halvings: int) -> Iterator[PageModel]:
                 light = stages.simplify(mesh, triangles=target).mesh.with_(up=mesh.up)
                 words = ", ".join(filter(None, (note, f"of {count:,}, for this page")))
             path = Path(folder) / "model.glb"
-            web = stages.preset("web")
+            # A page is looked at closely, and has room for it.
+            web = replace(stages.preset("web"), position_bits=16, texel_steps=0, quality=85)
             size = max(web.image_size >> max(halvings - _LAST, 0), 512)
             stages.export(light, path, web, image_size=size)
             look = facing(light, _turn(mesh))

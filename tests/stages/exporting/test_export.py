@@ -102,13 +102,13 @@ def test_the_validator_of_gltf_finds_nothing(tmp_path):
     folder.mkdir()
     for name, made in (("colours", sheet), ("image", textured_sheet), ("ball", ball)):
         for way in COMPRESSIONS:
-            for unlit in (False, True):
+            for shading in ("bare", "keep", "unlit", "lit"):
                 for up in (UP, (0.6, 0.0, 0.8)):
-                    path = folder / f"{name}-{way}-{unlit}-{up[1]}.glb"
-                    export(made().with_(up=up), path, compress=way, unlit=unlit)
+                    path = folder / f"{name}-{way}-{shading}-{up[1]}.glb"
+                    export(made().with_(up=up), path, compress=way, shading=shading)
     export(textured_sheet(), folder / "web.glb", preset("web"))
     said = node(VALIDATE, PAGE, folder)
-    assert len(said) == 37
+    assert len(said) == 73
     worse = {name: [m for m in found if m["severity"] < 2] for name, found in said.items()}
     assert not any(worse.values()), worse
 
@@ -124,7 +124,7 @@ def test_a_file_for_the_web_is_small(tmp_path):
         ("a.fbx", {}, "stands for no format"),
         ("a", {}, "stands for no format"),
         ("a.obj", {"compress": "meshopt"}, "are of glTF"),
-        ("a.ply", {"unlit": True}, "are of glTF"),
+        ("a.ply", {"shading": "unlit"}, "are of glTF"),
         ("a.glb", {"unit": "mm"}, "is in metres"),
         ("a.usdz", {"on_floor": True}, "is in metres"),
         ("a.glb", {"up": "sideways"}, "up is"),
