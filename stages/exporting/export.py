@@ -247,7 +247,9 @@ def _placed(mesh: Mesh, params: ExportParams, notes: list[str]) -> Mesh:
     """Return the mesh with its positions turned, scaled and moved as asked."""
     if params.axes != "scan":
         if mesh.up is None:
-            notes.append(f"nothing tells what is up: the axes are taken to be {params.axes} already; give up")
+            notes.append(
+                f"nothing tells what is up: the axes are taken to be {params.axes} already; `up` says it"
+            )
         else:
             up = np.array(mesh.up)
             mesh = _turned(mesh, turn_along_y(up) if params.axes == "y-up" else turn_along_z(up))
