@@ -462,7 +462,7 @@ def test_what_is_up_is_what_the_levels_say_or_the_model(
     hierarchies: dict[str, Hierarchy], tmp_path: Path
 ) -> None:
     plain, upright = hierarchies["open"], replace(hierarchies["open"], up=(0.0, 0.0, 1.0))
-    model = plain.cut().mesh.with_(up=(1.0, 0.0, 0.0))
+    model = plain.cut(max_shape=0).mesh.with_(up=(1.0, 0.0, 0.0))
     model = model.with_(colors=np.full((len(model.vertices), 3), 99, np.uint8))
 
     def told(hierarchy: Hierarchy, **words: Any) -> tuple[float, float, float] | None:
