@@ -16,6 +16,7 @@ from cli.paths import require_file
 from stages import Mesh, MeshError
 from stages.surface.cloud import is_cloud
 from stages.surface.cloud_files import read_mesh_or_cloud
+from stages.surface.mesh_files import standing
 
 # Formats without colours.
 SHAPE_ALONE = (".off", ".stl")
@@ -47,6 +48,11 @@ def read_file_or_cloud(path: Path, out: Output) -> Mesh:
     if is_cloud(mesh):
         out.remark(f"{path}: no triangles; it is taken as a cloud of {len(mesh.vertices):,} points.")
     return mesh
+
+
+def read_standing(path: Path, out: Output) -> Mesh:
+    """Return the same, and what is up in it: y in a glTF file that says nothing else, by its format."""
+    return standing(path, read_file(path, out))
 
 
 def tell_notes(path: Path, notes: Iterable[str], out: Output) -> None:

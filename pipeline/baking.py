@@ -9,8 +9,8 @@ from typing import Any
 from pipeline.standing import Up
 from stages.params import param
 from stages.progress import Progress
+from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh
-from stages.surface.mesh_files import write_mesh
 from stages.texturing.bake import BakeParams, bake
 
 
@@ -36,5 +36,6 @@ def make(
 ) -> dict[str, Any]:
     """Write baked.glb, which stands by what is up, and return the figures."""
     baked = bake(light, original, params, progress=progress)
-    write_mesh(folder / "baked.glb", baked.mesh.with_(up=up))
+    # Colours of a scan have their light.
+    write_gltf(folder / "baked.glb", baked.mesh.with_(up=up), shading="unlit")
     return baked.figures()

@@ -10,6 +10,7 @@ from stages.exporting.export import ExportParams, export
 from stages.exporting.presets import preset
 from stages.params import check, param
 from stages.surface.mesh import Mesh
+from stages.surface.vertex_normals import vertex_normals
 
 FILE, WEB = "simplified.glb", "web.glb"
 
@@ -37,7 +38,8 @@ def make(folder: Path, mesh: Mesh, name: str | None, params: ExportSection) -> d
     """
     figures: dict[str, Any] = {}
     if name is not None:
-        figures["plain"] = export(mesh, folder / name, ExportParams()).figures()
+        shaded = mesh.with_(normals=vertex_normals(mesh)) if len(mesh.triangles) else mesh
+        figures["plain"] = export(shaded, folder / name, ExportParams()).figures()
     if params.web:
         figures["web"] = export(mesh, folder / WEB, preset("web")).figures()
     warnings = [note for of_file in figures.values() for note in of_file.pop("notes")]

@@ -156,12 +156,12 @@ def _bake(job: Job) -> Mapping[str, Any]:
 
 
 def _remesh(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["simplified"] / "simplified.ply")
+    mesh = read_ply(job.inputs["simplified"] / "simplified.ply").with_(up=_up(job))
     return remeshing.make(job.folder, mesh, job.config.remesh, job.progress)
 
 
 def _lod(job: Job) -> Mapping[str, Any]:
-    mesh = read_ply(job.inputs["clean"] / "clean.ply")
+    mesh = read_ply(job.inputs["clean"] / "clean.ply").with_(up=_up(job))
     return levels.make(job.folder, mesh, _frames(job).frames, job.config.lod, job.progress)
 
 
@@ -344,7 +344,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="remesh",
-        reads=("simplified",),
+        reads=("simplified", "standing"),
         writes="remeshed",
         sections=("remesh",),
         make=_remesh,
@@ -356,7 +356,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="lod",
-        reads=("frames", "posed", "adjusted", "clean"),
+        reads=("frames", "posed", "adjusted", "clean", "standing"),
         writes="levels",
         sections=("lod",),
         make=_lod,

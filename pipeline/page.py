@@ -20,6 +20,7 @@ from stages import Mesh
 from stages.errors import InputError
 from stages.files.documents import read_json
 from stages.picturing.page.packing import Paint, Shown, Warn, packed_page, turn_of_page
+from stages.surface.mesh_files import standing
 
 _RESULTS = ("textured.glb", "simplified.glb", "simplified.ply")
 # How far from a place the camera flies to, as a share of the model's size.
@@ -113,13 +114,6 @@ def _is_same(vertices: np.ndarray, mesh: Mesh) -> bool:
 
 def _size(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-
-
-def standing(path: Path, mesh: Mesh) -> Mesh:
-    """Return a mesh with what is up, where its format says it."""
-    if mesh.up is None and path.suffix.lower() in (".glb", ".gltf"):
-        return mesh.with_(up=(0.0, 1.0, 0.0))
-    return mesh
 
 
 def _read(path: Path, warn: Warn) -> Mesh:

@@ -715,6 +715,9 @@ class NormalMesh:
     def base_source(self) -> NDArray[np.int32] | None: ...
     @property
     def reached(self) -> list[float]: ...
+    @property
+    def up(self) -> list[float] | None:
+        """What is up (3,), of length 1, where that is known."""
     def vertices(self, level: int) -> NDArray[np.float64]:
         """Return (n, 3), metres."""
     def triangles(self, level: int) -> NDArray[np.int32]:
@@ -750,6 +753,7 @@ def remesh(
     relaxations: int,
     tolerance: float | None,
     color_tolerance: float,
+    up: tuple[float, float, float] | None,
     threads: int,
     progress: Callable[[int, int], object],
 ) -> NormalMesh:

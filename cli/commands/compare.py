@@ -15,11 +15,11 @@ from cli.output import Output
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_new_file, require_writable
 from pipeline.comparison_page import page_of_comparison
-from pipeline.page import standing
 from stages import ChangeParams, CompareParams, DeviationParams, Mesh, UsageError, ViewsParams
 from stages.files.replacing import replacing
 from stages.picturing.render import write_png
 from stages.surface.cloud import is_cloud
+from stages.surface.mesh_files import standing
 
 # Formats that keep the colours of a change.
 COLORED_SUFFIXES = tuple(suffix for suffix in MESH_SUFFIXES if suffix not in SHAPE_ALONE)

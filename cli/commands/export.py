@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import stages
-from cli.mesh_arguments import MeshFile, about_file, read_file
+from cli.mesh_arguments import MeshFile, about_file, read_standing
+from cli.options import Changes
 from cli.output import Output
 from cli.paths import require_writable
 from stages import ExportParams
 from stages.errors import InputError
-from stages.exporting.export import GLTF, SUFFIXES, require_fitting
+from stages.exporting.export import SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS, preset
 
 
@@ -24,7 +25,7 @@ def export(
         Path,
         typer.Argument(metavar="OUT", help=f"File to write ({', '.join(SUFFIXES)}).", show_default=False),
     ],
-    params: ExportParams,
+    given: Changes[ExportParams],
     out: Output,
     intent: Annotated[
         str | None,
@@ -43,14 +44,12 @@ def export(
 
     Example: scanloom export out/textured.glb web.glb --preset web
     """
-    wanted = params if intent is None else _over(preset(intent, target.suffix), params)
+    wanted = replace(ExportParams() if intent is None else preset(intent, target.suffix), **given)
     require_fitting(target, wanted)
     if target.is_dir():
         raise InputError("this is a folder; give the name of a file.", target)
     require_writable(target.parent)
-    mesh = read_file(source, out)
-    if mesh.up is None and source.suffix.lower() in GLTF:
-        mesh = mesh.with_(up=(0.0, 1.0, 0.0))
+    mesh = read_standing(source, out)
     target.parent.mkdir(parents=True, exist_ok=True)
     with about_file(source):
         written = stages.export(mesh, target, wanted)
@@ -60,11 +59,3 @@ def export(
         out.unmet(f"{source}: {sentence}")
     out.remark(f"{target}: {written.triangles:,} triangles, {written.bytes:,} bytes")
     out.result({**written.figures(), "output": str(target)})
-
-
-def _over(of_preset: ExportParams, given: ExportParams) -> ExportParams:
-    """Return a preset with what was given in place of it: all that is not a default."""
-    default = ExportParams()
-    names = [field.name for field in fields(ExportParams)]
-    changes = {name: getattr(given, name) for name in names if getattr(given, name) != getattr(default, name)}
-    return replace(of_preset, **changes)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cli.baked import TEXTURED_SUFFIXES, baked_text, baked_to
-from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, tell_notes, write_file
+from cli.mesh_arguments import MeshFile, NewMesh, about_file, read_file, read_standing, tell_notes, write_file
 from cli.output import Output, size_of, table_of
 from cli.overlap import require_overlap
 from cli.paths import MESH_SUFFIXES, require_file, require_new_file
@@ -35,7 +35,7 @@ def build(
     Example: scanloom lod build clean.ply clean.slod
     """
     require_new_file(target, (".slod",))
-    mesh = read_file(source, out)
+    mesh = read_standing(source, out)
     with about_file(source), out.progress("lod", "triangles") as progress:
         hierarchy = lod.build(mesh, params, progress=progress)
     tell_notes(source, hierarchy.notes[len(mesh.notes) :], out)
@@ -136,7 +136,8 @@ def cut(
     if texture is None or model is None:
         write_file(target, found.mesh, out)
     else:
-        figures["texture"] = baked_to(target, found.mesh, model, BakeParams(), out)
+        mesh = found.mesh if found.mesh.up is not None else found.mesh.with_(up=model.up)
+        figures["texture"] = baked_to(target, mesh, model, BakeParams(), out)
         require_overlap(source, found.mesh, texture, model, out)
         text += f"\n\n{baked_text(figures['texture'])}"
     out.result(figures, None if out.as_json else text)

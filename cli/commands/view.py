@@ -10,10 +10,10 @@ from typing import Annotated
 
 import typer
 
-from cli.mesh_arguments import read_file
+from cli.mesh_arguments import read_standing
 from cli.output import Output
 from cli.paths import require_new_file
-from pipeline.page import page_of_mesh, page_of_run, standing
+from pipeline.page import page_of_mesh, page_of_run
 from stages.errors import InputError, UsageError
 from stages.files.replacing import replacing
 from stages.lod.tiles import TILESET
@@ -75,7 +75,7 @@ def view(
     if what.is_dir():
         page = page_of_run(what, most_bytes, out.warn)
     else:
-        page = page_of_mesh(what.resolve().stem, standing(what, read_file(what, out)), most_bytes, out.warn)
+        page = page_of_mesh(what.resolve().stem, read_standing(what, out), most_bytes, out.warn)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
             _serve(Path(empty), {INDEX: page}, port, open_browser, out)

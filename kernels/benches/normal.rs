@@ -31,6 +31,7 @@ pub fn remeshed((points, triangles): (Vec<Vec3>, Triangles)) -> NormalMesh {
         relaxations: 1,
         tolerance: Some(1e-4),
         color_tolerance: 2.0,
+        up: None,
         threads: 1,
     };
     let carried = Carried::default();

@@ -17,7 +17,7 @@ from stages.params import check as check_params
 from stages.params import param, resolve
 from stages.printing import by_figures, table
 from stages.surface.convert import MeshLike, as_mesh
-from stages.surface.formats.gltf_packing import COMPRESSIONS, lattice_of
+from stages.surface.formats.gltf_packing import COMPRESSIONS, SHADINGS, lattice_of
 from stages.surface.formats.gltf_writer import write_gltf
 from stages.surface.mesh import Mesh
 from stages.surface.mesh_files import EXTENSIONS, write_mesh
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 # Raised by hand when the same mesh and parameters come to another file.
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 SUFFIXES = (*EXTENSIONS, *USD)
 GLTF = (".glb", ".gltf")
@@ -64,8 +64,27 @@ class ExportParams:
         "know these.",
         choices=COMPRESSIONS,
     )
-    unlit: bool = param(
-        False, "Show the colours of a glTF file as they are, without further light: a scan has its own."
+    position_bits: int = param(
+        16,
+        "Of positions in a compressed glTF file: of the steps that so many tell apart, as many as there are "
+        "along the longest side.",
+        low=8,
+        high=16,
+    )
+    texel_steps: int = param(
+        0,
+        "Steps of texture coordinates for a texel of the image, in a compressed glTF file: few make a small "
+        "file, which viewers need KHR_texture_transform for. 0 for 65,535 steps along each side, without it.",
+        low=0,
+        high=64,
+    )
+    shading: str = param(
+        "bare",
+        "How a glTF file takes light: `unlit` not at all (KHR_materials_unlit), for colours that have their "
+        "light, as a scan's do; `lit` in any case; `keep` as the mesh's materials say, and colours of "
+        "vertices are lit; `bare` the same, but colours of vertices have no material in a file that is not "
+        "compressed: trimesh forgets them beside one, and viewers draw them as metal without.",
+        choices=SHADINGS,
     )
     images: str = param("keep", "How texture images are kept.", choices=FORMATS)
     quality: int = param(90, "Of JPEG and WebP images that are made.", low=1, high=100)
@@ -88,7 +107,9 @@ class ExportKeywords(TypedDict, total=False):
     unit: str
     on_floor: bool
     compress: str
-    unlit: bool
+    position_bits: int
+    texel_steps: int
+    shading: str
     images: str
     quality: int
     image_size: int
@@ -174,7 +195,14 @@ def export(
         if suffix in SHAPE_ALONE and (given.colors is not None or given.texture is not None):
             notes.append(f"{suffix} holds the shape alone: the colours are left out; write .ply or .glb")
     if suffix in GLTF:
-        write_gltf(path, written, compress=params.compress, unlit=params.unlit)
+        write_gltf(
+            path,
+            written,
+            compress=params.compress,
+            shading=params.shading,
+            position_bits=params.position_bits,
+            texel_steps=params.texel_steps,
+        )
     elif suffix in USD:
         notes += write_usd(path, written)
     else:
@@ -185,7 +213,7 @@ def export(
         triangles=len(given.triangles),
         bytes=path.stat().st_size,
         up=given.up,
-        position_error=lattice_of(given.vertices[np.unique(given.triangles)]).farthest if is_small else 0.0,
+        position_error=_position_error(given, params.position_bits) if is_small else 0.0,
         notes=tuple(notes),
         unmet=tuple(_unprintable(given)) if params.watertight else (),
     )
@@ -203,19 +231,25 @@ def require_fitting(path: Path, params: ExportParams) -> None:
     if suffix not in SUFFIXES:
         ending = path.suffix or "(none)"
         raise UsageError(f"{path}: the extension {ending} stands for no format; use {', '.join(SUFFIXES)}.")
-    if suffix not in GLTF and (params.compress != "none" or params.unlit):
-        raise UsageError(f"{path}: compress and unlit are of glTF; write .glb.")
+    if suffix not in GLTF and (params.compress != "none" or params.shading != "bare"):
+        raise UsageError(f"{path}: compress and shading are of glTF; write .glb.")
     if suffix in STANDING and (params.unit != "m" or params.on_floor):
         raise UsageError(f"{path}: {suffix} is in metres, and placed by its own axes; write .stl or .obj.")
     if suffix in USD:
         require_usd()
 
 
+def _position_error(mesh: Mesh, bits: int) -> float:
+    return lattice_of(mesh.vertices[np.unique(mesh.triangles)], bits).farthest
+
+
 def _placed(mesh: Mesh, params: ExportParams, notes: list[str]) -> Mesh:
     """Return the mesh with its positions turned, scaled and moved as asked."""
     if params.axes != "scan":
         if mesh.up is None:
-            notes.append(f"nothing tells what is up: the axes are taken to be {params.axes} already; give up")
+            notes.append(
+                f"nothing tells what is up: the axes are taken to be {params.axes} already; `up` says it"
+            )
         else:
             up = np.array(mesh.up)
             mesh = _turned(mesh, turn_along_y(up) if params.axes == "y-up" else turn_along_z(up))

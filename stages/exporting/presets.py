@@ -8,20 +8,30 @@ from stages.errors import UsageError
 from stages.exporting.export import GLTF, STANDING, ExportKeywords, ExportParams
 
 PRESETS: dict[str, ExportKeywords] = {
-    "web": {"compress": "meshopt", "unlit": True, "images": "webp", "quality": 85, "image_size": 2048},
-    "unity": {"axes": "y-up", "images": "jpeg", "quality": 90},
-    "blender": {"axes": "z-up"},
+    "web": {
+        "compress": "meshopt",
+        "position_bits": 14,
+        "texel_steps": 2,
+        "shading": "unlit",
+        "images": "webp",
+        "quality": 75,
+        "image_size": 2048,
+    },
+    "unity": {"axes": "y-up", "shading": "keep", "images": "jpeg", "quality": 90},
+    "blender": {"axes": "z-up", "shading": "keep"},
     "print": {"axes": "z-up", "unit": "mm", "on_floor": True, "watertight": True},
 }
 
 
 # What these formats have no place for.
-_OF_GLTF = ("compress", "unlit")
+_OF_GLTF = ("compress", "position_bits", "texel_steps", "shading")
 _OF_OTHERS = ("axes", "unit", "on_floor")
 
 
 def preset(name: str, suffix: str = ".glb") -> ExportParams:
     """Return what a preset sets for a format, over the defaults.
+
+    Programs that read WebP images in other formats than glTF are few: there they are JPEG.
 
     Parameters
     ----------
@@ -38,4 +48,9 @@ def preset(name: str, suffix: str = ".glb") -> ExportParams:
     suffix = suffix.lower()
     left_out = (*(() if suffix in GLTF else _OF_GLTF), *(_OF_OTHERS if suffix in STANDING else ()))
     kept: Any = {key: value for key, value in PRESETS[name].items() if key not in left_out}
+    if kept.get("images") == "webp" and suffix not in GLTF:
+        kept["images"] = "jpeg"
+    if name == "blender" and suffix == ".obj":
+        # Its reader takes y for up, unlike those of PLY and STL.
+        kept["axes"] = "y-up"
     return ExportParams(**kept)

@@ -156,6 +156,7 @@ def build(
         input_triangles=len(given.triangles),
         dropped_islands=islands,
         dropped_triangles=len(given.triangles) - len(kept.triangles),
+        up=given.up,
     )
 
 

@@ -52,6 +52,7 @@ class Levels:
     notes : what a person should know.
     dropped_islands, dropped_triangles : loose pieces of the mesh that was given and their triangles, which no
         level has, so that bounds are one-sided: all of a level is near the mesh, but not these near a level.
+    up : (3,) of length 1, what is up in the mesh, where that is known.
     """
 
     vertices: Floats
@@ -74,6 +75,7 @@ class Levels:
     notes: tuple[str, ...] = ()
     dropped_islands: int = 0
     dropped_triangles: int = 0
+    up: tuple[float, float, float] | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -221,7 +223,9 @@ class Levels:
             below=np.ascontiguousarray(self.vertices_after[first + done]),
         )
         colors = None if self.colors is None else self.colors[front.vertices]
-        mesh = Mesh(self.vertices[front.vertices], front.triangles, colors=colors, notes=self.notes)
+        mesh = Mesh(
+            self.vertices[front.vertices], front.triangles, colors=colors, notes=self.notes, up=self.up
+        )
         return mesh, np.repeat(chosen, count).astype(np.int32)
 
     def figures(self) -> dict[str, Any]:
@@ -256,6 +260,7 @@ class Levels:
             "levels": levels,
             "stored_triangles": len(self.triangles),
             "stored_per_input": len(self.triangles) / max(self.input_triangles, 1),
+            "up": self.up,
         }
 
 

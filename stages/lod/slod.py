@@ -32,6 +32,8 @@ _CHECKSUM = struct.Struct("<I")
 _NODE = ("parent", "level", "coarse", "splits", "vertices", "triangles", "shape_bound", "color_bound")
 # Beyond this, numbers of vertices are not those of a file that was written here.
 _MOST = 2**31 - 1
+# How far the length of a direction may be from 1.
+_UNIT = 1e-9
 
 
 def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
@@ -57,6 +59,8 @@ def write_slod(path: Path | str, hierarchy: Hierarchy) -> None:
         "dropped_islands": h.dropped_islands,
         "dropped_triangles": h.dropped_triangles,
         "notes": list(h.notes),
+        # Only where it is known; whoever does not look for it loses nothing else.
+        **({} if h.up is None else {"up": list(h.up)}),
         "nodes": {
             "parent": h.parent.tolist(),
             "level": h.level.tolist(),
@@ -203,7 +207,17 @@ def _joined(
         notes=tuple(str(note) for note in tree["notes"]),
         dropped_islands=_natural(tree.get("dropped_islands", 0)),
         dropped_triangles=_natural(tree.get("dropped_triangles", 0)),
+        up=_direction(tree["up"]) if "up" in tree else None,
     )
+
+
+def _direction(value: object) -> tuple[float, float, float]:
+    if not isinstance(value, list) or [type(x) for x in value] != [float] * 3:
+        raise ValueError(f"{value!r} is no direction")
+    x, y, z = value
+    if not abs(x * x + y * y + z * z - 1) < _UNIT:
+        raise ValueError(f"{value!r} is no direction of length 1")
+    return x, y, z
 
 
 def _natural(value: object) -> int:

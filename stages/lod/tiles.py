@@ -52,6 +52,8 @@ COMPRESSIONS = ("none", "meshopt")
 WHAT = "a tileset of scanloom"
 # A tile with one tile below it has at most this share of its triangles; else that one stands for both.
 _MOST_OF_CHILD = 0.8
+# Up in the frame of a camera, and so in a scan whose poses were not given.
+_OF_CAMERAS = "-y"
 # Digits of a bound, rounded up.
 _DIGITS = 6
 
@@ -60,11 +62,11 @@ _DIGITS = 6
 class TilesParams:
     """How tiles are written."""
 
-    up: str = param(
-        "-y",
+    up: str | None = param(
+        None,
         "The axis of the mesh that is up (+x, -x, +y, -y, +z, -z), or a direction, as three numbers; the "
-        "tileset turns it along z, and `none` leaves it as it is. In the frame of a camera -y is up, so it "
-        "is in a scan whose poses were not given.",
+        "tileset turns it along z, and `none` leaves it as it is. By default what the file says, or that of "
+        "the texture; where neither says it -y, which is up in the frame of a camera.",
     )
     page: bool = param(
         False, "Write a page beside the tiles, index.html and what it needs, that draws them in a browser."
@@ -78,13 +80,14 @@ class TilesParams:
 
     def __post_init__(self) -> None:
         check_params(self)
-        direction_of(self.up)
+        if self.up is not None:
+            direction_of(self.up)
 
 
 class TilesKeywords(TypedDict, total=False):
     """TilesParams as keywords of `write_tiles`."""
 
-    up: str
+    up: str | None
     page: bool
     compress: str
 
@@ -99,6 +102,7 @@ class Tileset:
     sizes : (k,) int64, bytes of each tile's file, the root's first.
     triangles : (k,) int64, of each tile.
     tree : what tileset.json says.
+    up : (3,) what is up in the levels, and is turned along z; None where they stay as they are.
     images : of each tile; none where tiles have vertex colours.
     notes : what a person should know of what was left out.
     """
@@ -107,6 +111,7 @@ class Tileset:
     sizes: NDArray[np.int64]
     triangles: NDArray[np.int64]
     tree: Tree
+    up: tuple[float, float, float] | None
     images: tuple[TileImage, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -126,6 +131,7 @@ class Tileset:
             "grid_step_m": self.grid.step,
             "grid_share_m": self.grid.share_m,
             "geometric_error_m": float(self.tree["root"]["geometricError"]),
+            "up": self.up,
             "images": figures_of(self.images) if self.images else None,
             "one_sided": "one_sided" in self.tree["asset"]["extras"],
         }
@@ -200,14 +206,24 @@ def write_tiles(
                 found[number] = image
             progress(done + 1, len(tiles))
         of_tiles = tuple(found[number] for number in sorted(found))
-        tree = _tileset(placed, tiles, of_tiles, grid, params.up)
+        up = _up(params, hierarchy, model)
+        tree = _tileset(placed, tiles, of_tiles, grid, up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), "utf-8")
         for name, content in (tiles_page() if params.page else {}).items():
             (draft / name).parent.mkdir(parents=True, exist_ok=True)
             (draft / name).write_bytes(content)
     is_lost = model is not None and is_transparent(model)
     notes = ("tiles left out: the transparency of the model's images.",) if is_lost else ()
-    return Tileset(grid, sizes, triangles, tree, of_tiles, notes)
+    told = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
+    return Tileset(grid, sizes, triangles, tree, told, of_tiles, notes)
+
+
+def _up(params: TilesParams, hierarchy: Hierarchy, model: Mesh | None) -> Floats | None:
+    """Return what is up, (3,) of length 1; None to turn nothing."""
+    if params.up is not None:
+        return direction_of(params.up)
+    known = hierarchy.up if model is None or hierarchy.up is not None else model.up
+    return direction_of(_OF_CAMERAS) if known is None else np.array(known)
 
 
 def is_tileset(folder: Path) -> bool:
@@ -310,7 +326,9 @@ def _below(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
     return [() if tile.is_base else fronts[int(h.level[tile.node])] for tile in tiles]
 
 
-def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: Grid, up: str) -> Tree:
+def _tileset(
+    placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: Grid, up: Floats | None
+) -> Tree:
     """Return what tileset.json says."""
     low, high = placed.boxes
     described: dict[int, Tree] = {}
@@ -329,13 +347,13 @@ def _tileset(placed: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage],
         (described[node],) = below
     root = described[0]
     transform = np.eye(4)
-    transform[:3, :3] = turn_along_z(direction_of(up))
+    transform[:3, :3] = turn_along_z(up)
     transform[:3, 3] = transform[:3, :3] @ grid.origin
     moves = not np.array_equal(transform, np.eye(4))
     # Where nothing is shown, all of the model is missing.
     diagonal = float(np.linalg.norm(high[0] - low[0]))
     about: Tree = {"scanloom": installed_version()}
-    look = facing(placed.mesh([0], [0]), turn_along_z(direction_of(up)))
+    look = facing(placed.mesh([0], [0]), turn_along_z(up))
     if look is not None:
         about["facing"] = look
     if placed.is_one_sided:

@@ -262,12 +262,12 @@ def decode(source: bytes | Path | str, level: int | None = None) -> NormalMesh:
 def normal_mesh_of(
     found: _kernels.NormalMesh,
     level_notes: tuple[str, ...],
-    up: tuple[float, float, float] | None = None,
     **known: Any,
 ) -> NormalMesh:
     """Return what a kernel found, with `level_notes` for each of its meshes and what else is known of it."""
     numbers = range(found.levels + 1)
     confidence = tuple(values for level in numbers if (values := found.confidence(level)) is not None)
+    up = None if found.up is None else (found.up[0], found.up[1], found.up[2])
     return NormalMesh(
         levels=tuple(
             Mesh(found.vertices(level), found.triangles(level), found.colors(level), notes=level_notes, up=up)

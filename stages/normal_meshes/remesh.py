@@ -238,7 +238,6 @@ def remesh(
     return normal_mesh_of(
         found,
         level_notes=(*start.mesh.notes, *_left_out(mesh), *notes),
-        up=start.mesh.up,
         base_source=traced.vertex_source[found.base_source].astype(np.int32),
         triangle_source=tuple(triangles.astype(np.int32) for triangles in hits),
         max_distances_m=tuple(found.reached),
@@ -312,6 +311,7 @@ def _remeshed(
         relaxations=params.relaxations,
         tolerance=params.tolerance,
         color_tolerance=params.color_tolerance,
+        up=mesh.up,
         threads=params.threads or 0,
         progress=progress,
     )

@@ -69,6 +69,13 @@ def read_whatever_it_holds(path: Path) -> Mesh:
     return _read_with_trimesh(path, extension)
 
 
+def standing(path: Path, mesh: Mesh) -> Mesh:
+    """Return the mesh of a file with what is up, where its format says it: y in glTF."""
+    if mesh.up is None and path.suffix.lower() in (".glb", ".gltf"):
+        return mesh.with_(up=(0.0, 1.0, 0.0))
+    return mesh
+
+
 def write_mesh(path: Path | str, mesh: Mesh) -> None:
     """Write a mesh; the extension tells the format. The file appears whole or not at all.
 

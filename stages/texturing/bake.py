@@ -23,6 +23,7 @@ from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.surface.color import has_color, is_transparent
 from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.formats.gltf_materials import is_shown_as_it_is, shown_as_it_is
 from stages.surface.mesh import Mesh
 from stages.surface.raycasting import Floats, Surface, bounding_box
 from stages.surface.texture import Image, Material, Texture
@@ -36,7 +37,7 @@ from stages.texturing.reducing import reduced
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 _MIN_SIZE = 64
 # Of the images, that charts fill.
@@ -227,7 +228,7 @@ def bake(
     surface = Surface(reference, box)
     colors_of = FacingColors(surface if shown is reference else Surface(shown, box), given, texel_size)
     painted = painted_pages(given, pages, samples, colors_of, progress=progress)
-    mesh = _textured(given, pages, painted.images)
+    mesh = _textured(given, pages, painted.images, reference)
     if is_transparent(reference):
         mesh = mesh.with_(notes=(*mesh.notes, "bake left out: the transparency of the original's images."))
     if shown is not reference:
@@ -250,11 +251,16 @@ def bake(
     )
 
 
-def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]]) -> Mesh:
-    """Return the mesh with the images, and without vertex colours: a viewer would multiply the two."""
+def _textured(mesh: Mesh, pages: Pages, images: Sequence[NDArray[np.uint8]], original: Mesh) -> Mesh:
+    """Return the mesh with the images, and without vertex colours: a viewer would multiply the two.
+
+    It takes no light where the original takes none.
+    """
     names = [f"baked-{number}" for number in range(1, len(images) + 1)] if len(images) > 1 else ["baked"]
+    theirs = () if original.texture is None else original.texture.materials
+    kept = shown_as_it_is() if theirs and all(map(is_shown_as_it_is, theirs)) else None
     materials = tuple(
-        Material(name=name, image=Image(name=f"{name}.png", given=image), wrap=("clamp", "clamp"))
+        Material(name, Image(name=f"{name}.png", given=image), wrap=("clamp", "clamp"), kept=kept)
         for name, image in zip(names, images, strict=True)
     )
     return mesh.with_(colors=None, texture=Texture(pages.uvs, pages.images, materials))

@@ -25,6 +25,7 @@ from stages.scans.formats.trajectories import inverted
 from stages.scans.prefetch import both
 from stages.scans.scan import Frame, Scan, SkippedFrame
 from stages.surface.convert import MeshLike, as_mesh
+from stages.surface.formats.gltf_materials import shown_as_it_is
 from stages.surface.mesh import Mesh
 from stages.surface.texture import Image, Material, Texture
 from stages.surface.topology import require_area
@@ -41,7 +42,7 @@ from stages.texturing.survey import judged, survey
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 _MIN_SIZE = 64
 # Of a photo's width: photos that are off by less in the mean are where they should be.
@@ -346,6 +347,7 @@ def _result(
             name=f"photos-{number}",
             image=Image(name=f"photos-{number}.{suffix}", encoded=data),
             wrap=("clamp", "clamp"),
+            kept=shown_as_it_is(),
         )
         for number, data in enumerate(images, 1)
     )

@@ -27,9 +27,9 @@ def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) ->
     assert ran.exit_code == 0, ran.stderr
     assert ran.json["bytes"] == target.stat().st_size < 0.7 * model.stat().st_size
     assert ran.json["up"] == list(UP)
-    assert 0 < ran.json["position_error_m"] < 1e-4
+    assert 0 < ran.json["position_error_m"] < 2e-4
     np.testing.assert_allclose(
-        np.sort(read_mesh(target).vertices, axis=0), np.sort(read_mesh(model).vertices, axis=0), atol=1e-4
+        np.sort(read_mesh(target).vertices, axis=0), np.sort(read_mesh(model).vertices, axis=0), atol=2e-4
     )
     (image,) = read_mesh(target).texture.images
     assert image.mime == "image/webp"
@@ -37,6 +37,12 @@ def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) ->
     assert scanloom("export", model, target, "--preset", "web", "--images", "jpeg").exit_code == 0
     (image,) = read_mesh(target).texture.images
     assert image.mime == "image/jpeg"
+    # What it is by default, too.
+    told = [
+        scanloom("export", model, target, "--preset", "web", *words, "--json").json["position_error_m"]
+        for words in ((), ("--position-bits", "16"), ("--compress", "none"))
+    ]
+    assert told[0] > 3 * told[1] > told[2] == 0
 
 
 def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -> None:

@@ -144,6 +144,9 @@ def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan
     told = figures_of(run(scan, out, quick("lod.enabled=true")), "upright")
     assert told["up_source"] == "cameras"
     np.testing.assert_allclose(told["up"], -tilt()[:, 1], atol=1e-5)
+    np.testing.assert_allclose(
+        lod.read_slod(out / "lod.slod").cut(triangles=100).mesh.up, told["up"], atol=1e-12
+    )
     transform = np.array(read_tree(out)["root"]["transform"]).reshape(4, 4).T
     np.testing.assert_allclose(transform[:3, :3] @ -tilt()[:, 1], (0, 0, 1), atol=1e-5)
     assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
@@ -152,7 +155,8 @@ def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan
     assert np.ptp(up[:, 2]) == pytest.approx(72 / 80, rel=0.1)
 
     turned = run(scan, out, quick("lod.enabled=true", "upright.up=as-is"))
-    assert ran(turned) == ["upright", "tiles", "export"]
+    assert ran(turned) == ["upright", "lod", "tiles", "export"]
+    assert lod.read_slod(out / "lod.slod").up is None
     assert "transform" not in read_tree(out)["root"]
 
 

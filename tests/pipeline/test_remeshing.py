@@ -69,6 +69,10 @@ def names(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir() if path.name != "cache")
 
 
+def told_up(out) -> list[float]:
+    return json.loads((out / "report.json").read_text())["stages"]["upright"]["figures"]["up"]
+
+
 def ran(result) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
@@ -80,6 +84,7 @@ def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, 
     assert names(out) == sorted([*PLAIN, *OWN])
     assert sorted(path.name for path in (out / "levels").iterdir()) == [f"level_{i}.ply" for i in range(3)]
     decoded = decode(out / "remeshed.snm")
+    assert decoded.mesh.up == pytest.approx(told_up(out))
     for level, mesh in enumerate(decoded.levels):
         np.testing.assert_array_equal(read_ply(out / "levels" / f"level_{level}.ply").vertices, mesh.vertices)
     assert (out / "remeshed.ply").read_bytes() == (out / "levels" / "level_2.ply").read_bytes()

@@ -49,6 +49,7 @@ pub fn header(bounds: [Vec3; 2], carried: &Carried, settings: &Settings) -> Resu
         channels: carried.channels(),
         units: carried.units(settings.color_tolerance),
         levels: settings.levels.unwrap_or(MOST_LEVELS),
+        up: settings.up,
     })
 }
 

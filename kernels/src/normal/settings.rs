@@ -18,6 +18,8 @@ pub struct Settings {
     pub tolerance: Option<f64>,
     /// How far it may take a level of colour.
     pub color_tolerance: f64,
+    /// What is up in the mesh, of length 1, where that is known: kept in the file, and of no effect.
+    pub up: Option<[f64; 3]>,
     pub threads: usize,
 }
 

@@ -84,6 +84,11 @@ impl NormalMesh {
     }
 
     #[getter]
+    fn up(&self) -> Option<[f64; 3]> {
+        self.made.header.up
+    }
+
+    #[getter]
     fn base_source(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray1<i32>>>> {
         let Some(origin) = &self.made.origin else { return Ok(None) };
         guarded(origin.base_source.len(), || Ok(Some(id_array(py, origin.base_source.iter().copied()))))
@@ -210,7 +215,7 @@ impl NormalMesh {
 /// Make a normal mesh; `colors` and `confidence` may have no columns and no rows.
 #[pyfunction]
 #[pyo3(signature = (vertices, colors, confidence, triangles, original, *, levels, base_triangles, base_error, at_any_price,
-                    max_error, butterfly, relaxations, tolerance, color_tolerance, threads, progress))]
+                    max_error, butterfly, relaxations, tolerance, color_tolerance, up, threads, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn remesh(
     py: Python<'_>,
@@ -228,6 +233,7 @@ pub fn remesh(
     relaxations: u8,
     tolerance: Option<f64>,
     color_tolerance: f64,
+    up: Option<[f64; 3]>,
     #[pyo3(from_py_with = threads_from)] threads: usize,
     progress: Py<PyAny>,
 ) -> PyResult<NormalMesh> {
@@ -263,6 +269,7 @@ pub fn remesh(
             relaxations,
             tolerance,
             color_tolerance,
+            up,
             threads,
         };
         let original = match &original {

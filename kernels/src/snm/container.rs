@@ -12,7 +12,12 @@ use super::levels::Levels;
 use crate::subdivision::contents::{Base, Header, Refinement};
 
 /// How every file begins: three letters, and the version of the format.
-const MAGIC: [u8; 4] = *b"snm\x01";
+const MAGIC: [u8; 3] = *b"snm";
+/// Of a file that does not say what is up, and of one that does.
+const PLAIN: u8 = 1;
+const UPRIGHT: u8 = 2;
+/// How far the length of a direction may be from 1.
+const UNIT: f64 = 1e-9;
 
 pub struct Writer {
     file: Vec<u8>,
@@ -25,10 +30,11 @@ impl Writer {
     /// Begin a file with its base mesh, which must be in the order of [`super::base::canonical`].
     ///
     /// # Errors
-    /// [`SnmError::Misfit`] if it is not, or if the header has a number that is not positive and finite.
+    /// [`SnmError::Misfit`] if it is not, or if the header has a number that is not
+    /// positive and finite, or what is up is no direction.
     pub fn new(header: &Header, base: &Base) -> Result<Self, SnmError> {
         if !valid(header) {
-            return Err(SnmError::Misfit("the header holds a number that is not positive and finite"));
+            return Err(SnmError::Misfit("the header holds a number that is not as it must be"));
         }
         let given = Given::new(base)?;
         let mut coder = Encoder::default();
@@ -40,7 +46,9 @@ impl Writer {
             return Err(SnmError::Misfit("the base mesh is not in the order of its coder"));
         }
         let mut file = MAGIC.to_vec();
-        let mut checksum = 0;
+        let version = if header.up.is_some() { UPRIGHT } else { PLAIN };
+        file.push(version);
+        let mut checksum = before_all(version);
         chunks::append(&mut file, &coder.finish(), &mut checksum);
         let levels = Levels::new(header, base);
         Ok(Self { file, checksum, levels, left: header.levels })
@@ -93,18 +101,17 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// Not such a file, of another version, truncated or damaged within the base mesh.
     pub fn new(file: &'a [u8]) -> Result<(Self, Header, Base), SnmError> {
-        let [magic @ .., version] = MAGIC;
-        let mut rest = file.strip_prefix(&magic).ok_or(SnmError::Magic)?;
-        let (&found, behind) = rest.split_first().ok_or(SnmError::Truncated { part: 0 })?;
-        rest = behind;
-        if found != version {
-            return Err(SnmError::Version(found));
+        let rest = file.strip_prefix(&MAGIC).ok_or(SnmError::Magic)?;
+        let (&version, mut rest) = rest.split_first().ok_or(SnmError::Truncated { part: 0 })?;
+        if ![PLAIN, UPRIGHT].contains(&version) {
+            return Err(SnmError::Version(version));
         }
-        let mut checksum = 0;
+        let mut checksum = before_all(version);
         let coded = chunks::take(&mut rest, 0, &mut checksum)?;
         let damaged = |Exhausted| SnmError::Damaged { part: 0 };
         let mut coder = Decoder::new(coded).map_err(damaged)?;
-        let header = header::code(&mut coder, &Header::default()).map_err(damaged)?;
+        let up = (version == UPRIGHT).then_some([0.0; 3]);
+        let header = header::code(&mut coder, &Header { up, ..Header::default() }).map_err(damaged)?;
         if !valid(&header) {
             return Err(SnmError::Damaged { part: 0 });
         }
@@ -145,9 +152,16 @@ impl<'a> Reader<'a> {
     }
 }
 
+/// What stands for the checksum of a part before the first: another version is another file.
+fn before_all(version: u8) -> u32 {
+    u32::from(version - PLAIN)
+}
+
 fn valid(header: &Header) -> bool {
     let units = &header.units[..usize::from(header.channels.min(4))];
+    let is_direction = |up: [f64; 3]| (up.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < UNIT;
     header.channels <= 4
+        && header.up.is_none_or(is_direction)
         && [header.grid, header.step, header.step_ratio]
             .iter()
             .chain(units)
@@ -174,11 +188,14 @@ mod tests {
     #[test]
     fn noise_with_good_checksums_is_refused_or_read_within_bounds() {
         let state = &mut 7;
-        let header = Header { grid: 1.0, step: 1.0, step_ratio: 2.0, levels: 3, ..Header::default() };
         let mut read = [0; 2];
         for round in 0..3000 {
+            let up = [None, Some([0.0, -1.0, 0.0]), Some([0.6, 0.0, 0.8])][round % 3];
+            let header = Header { grid: 1.0, step: 1.0, step_ratio: 2.0, levels: 3, up, ..Header::default() };
             let mut file = MAGIC.to_vec();
-            let mut checksum = 0;
+            let version = if up.is_some() { UPRIGHT } else { PLAIN };
+            file.push(version);
+            let mut checksum = before_all(version);
             let length = next(state) as usize % 200;
             let mut coded = noise(state, length);
             if round % 2 == 0 {

@@ -3,7 +3,7 @@
 use super::coder::{Coder, Exhausted};
 use crate::subdivision::contents::{Header, Scheme};
 
-/// Code the header; what a decoder is given counts for nothing.
+/// Code the header; what a decoder is given counts for nothing, but for whether there is an `up`.
 pub(super) fn code<C: Coder>(coder: &mut C, header: &Header) -> Result<Header, Exhausted> {
     let butterfly = coder.even(header.scheme == Scheme::Butterfly)?;
     let relaxations = number(coder, header.relaxations.into(), 2)? as u8;
@@ -20,8 +20,32 @@ pub(super) fn code<C: Coder>(coder: &mut C, header: &Header) -> Result<Header, E
     for (axis, &given) in origin.iter_mut().zip(&header.origin) {
         *axis = zigzag_back(number(coder, zigzag(given), 0)?);
     }
+    let up = header.up.map(|given| up(coder, given)).transpose()?;
     let scheme = if butterfly { Scheme::Butterfly } else { Scheme::Linear };
-    Ok(Header { scheme, relaxations, origin, grid, step, step_ratio, channels, units, levels })
+    Ok(Header { scheme, relaxations, origin, grid, step, step_ratio, channels, units, levels, up })
+}
+
+/// What is up: one of the six axes, or three numbers. What is neither reads as no direction at all.
+fn up<C: Coder>(coder: &mut C, given: [f64; 3]) -> Result<[f64; 3], Exhausted> {
+    let along = given.iter().position(|x| x.abs() == 1.0);
+    let axis = along.filter(|_| given.iter().filter(|&&x| x == 0.0).count() == 2);
+    let mut decoded = [0.0; 3];
+    if coder.even(axis.is_some())? {
+        let number = number(coder, axis.unwrap_or(0) as u64, 0)?;
+        let down = coder.even(axis.is_some_and(|axis| given[axis] < 0.0))?;
+        if let Some(along) = usize::try_from(number).ok().and_then(|axis| decoded.get_mut(axis)) {
+            *along = if down { -1.0 } else { 1.0 };
+        }
+        return Ok(decoded);
+    }
+    for (along, given) in decoded.iter_mut().zip(given) {
+        let mut bits = 0;
+        for i in (0..u64::BITS).rev() {
+            bits |= u64::from(coder.even(given.to_bits() >> i & 1 != 0)?) << i;
+        }
+        *along = f64::from_bits(bits);
+    }
+    Ok(decoded)
 }
 
 fn zigzag(x: i64) -> u64 {

@@ -1,9 +1,10 @@
-//! The `.snm` container of normal meshes, version 1.
+//! The `.snm` container of normal meshes, versions 1 and 2.
 //!
 //! # Layout
 //!
 //! ```text
-//! file    = "snm" 01 part part*            the first part: header and base mesh; then one part a level
+//! file    = "snm" version part part*       the first part: header and base mesh; then one part a level
+//! version = 01, or 02 where the header says what is up
 //! part    = length checksum coded
 //! length  = bytes of `coded`, 7 bits a byte, the lowest first, the top bit set in all but the last
 //! checksum= 2 bytes if length < 4096, else 4, the highest first
@@ -13,8 +14,8 @@
 //! A file may end after any part: it is a mesh with fewer levels than its header says. The checksum is a
 //! cyclic one over the bytes of `length` and `coded`, polynomial 0x1021 (2 bytes) or 0x04c11db7 (4 bytes),
 //! bits neither reflected nor inverted at the end. The register starts as the complement of the checksum of
-//! the part before (its lower bits, if that had more), in the first part of 0; so a part is good only in its
-//! place.
+//! the part before (its lower bits, if that had more), in the first part of 0, or of 1 in version 2; so a part
+//! is good only in its place.
 //!
 //! # Numbers
 //!
@@ -35,6 +36,10 @@
 //! whether the scheme is butterfly; relaxations (order 2), levels (order 3), channels (order 0); the reals
 //! grid, step, step ratio and one unit a channel; the three origins, as numbers of order 0, 0, −1, 1, −2, …
 //! counted as 0, 1, 2, 3, ….
+//!
+//! In version 2 what is up follows: whether it is along an axis; if so which (0, 1 or 2, order 0), and whether it is down
+//! along it; else three numbers in double precision, each of 64 bits, the highest first. Its length is 1. Version 1 says
+//! nothing of it, and is what is written where it is not known.
 //!
 //! # Base mesh
 //!

@@ -30,6 +30,8 @@ pub struct Header {
     pub units: [f32; 4],
     /// Refinements the file was made with.
     pub levels: u8,
+    /// What is up, of length 1, where that is known.
+    pub up: Option<[f64; 3]>,
 }
 
 /// The base mesh, numbered in the order of its coder.

@@ -58,6 +58,7 @@ fn settings(levels: u8, scheme: Scheme) -> Settings {
         relaxations: 1,
         tolerance: Some(1e-4),
         color_tolerance: 2.0,
+        up: None,
         threads: 1,
     }
 }

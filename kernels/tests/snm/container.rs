@@ -26,6 +26,7 @@ fn header(levels: u8, channels: u8) -> Header {
         channels,
         units: std::array::from_fn(|i| if i < channels.into() { 0.1 + i as f32 } else { 0.0 }),
         levels,
+        up: [None, Some([0.0, -1.0, 0.0]), Some([0.6, -0.0, -0.8])][usize::from(levels) % 3],
     }
 }
 
@@ -158,6 +159,29 @@ fn the_largest_numbers_are_kept() {
 }
 
 #[test]
+fn what_is_up_is_kept_and_takes_a_byte_along_an_axis() {
+    let (points, triangles) = sheet(3, 2);
+    let base = canonical(&base(&points, triangles, 0, &mut Noise(4), 3.0)).unwrap().base;
+    let file = |up| Writer::new(&Header { up, ..header(0, 0) }, &base).unwrap().finish();
+    let plain = file(None).len();
+    for axis in 0..3 {
+        for sign in [1.0, -1.0] {
+            let mut up = [0.0; 3];
+            up[axis] = sign;
+            let made = file(Some(up));
+            assert!(made.len() <= plain + 1, "{} {plain}", made.len());
+            assert_eq!(Reader::new(&made).unwrap().1.up, Some(up));
+        }
+    }
+    let tilted = [0.004_913, -0.894_4, -0.447_2];
+    let length = tilted.iter().map(|x: &f64| x * x).sum::<f64>().sqrt();
+    let up = tilted.map(|x| x / length);
+    let made = file(Some(up));
+    assert!(made.len() <= plain + 25);
+    assert_eq!(Reader::new(&made).unwrap().1.up, Some(up));
+}
+
+#[test]
 fn the_order_of_the_coder_renumbers_and_stays() {
     for (name, points, triangles) in random_meshes() {
         let given = base(&points, triangles, 2, &mut Noise(3), 3.0);
@@ -211,7 +235,8 @@ fn any_wrong_byte_is_found_and_levels_before_it_are_kept() {
         let made = made(base, 2, 0, &mut noise, 3.0);
         for at in 0..made.file.len() {
             let part = made.ends.iter().filter(|&&whole| whole <= at).count();
-            for flip in [1, 128, 1 + noise.below(255) as u8] {
+            // 3 makes one version of the other.
+            for flip in [1, 3, 128, 1 + noise.below(255) as u8] {
                 let mut wrong = made.file.clone();
                 wrong[at] ^= flip;
                 match read(&wrong) {
@@ -238,6 +263,9 @@ fn what_does_not_fit_is_not_written() {
     assert!(refuses(&Header { grid: 0.0, ..header }, &base));
     assert!(refuses(&Header { step: f32::NAN, ..header }, &base));
     assert!(refuses(&Header { channels: 5, ..header }, &base));
+    for up in [[0.0; 3], [1.0, 1.0, 0.0], [f64::NAN, 0.0, 0.0], [0.0, f64::INFINITY, 0.0]] {
+        assert!(refuses(&Header { up: Some(up), ..header }, &base));
+    }
     let mut turned = base.clone();
     turned.triangles[1].rotate_left(1);
     assert!(refuses(&header, &turned));

@@ -214,11 +214,12 @@ def _packed(plan: _Plan) -> tuple[Shown, PageModel]:
     ]
     if mesh.texture is not None and mesh.colors is not None:
         looks.append(PageLook("vertex colours", None, words))
-    web = preset("web")
+    # A page is looked at closely, and has room for it.
+    web = replace(preset("web"), position_bits=16, texel_steps=0, quality=85)
     written, _ = with_images(mesh, web.images, web.quality, plan.image_size)
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         path = Path(folder) / "model.glb"
-        write_gltf(path, written, compress=web.compress, unlit=web.unlit, values=_values(paints))
+        write_gltf(path, written, compress=web.compress, shading=web.shading, values=_values(paints))
         glb = content_of(path)
     look = facing(mesh, turn_of_page(mesh))
     words = ", ".join(filter(None, (note, words)))

@@ -34,7 +34,7 @@ _KNOWN = (
     *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
     *("emissiveFactor", "alphaMode", "alphaCutoff", "doubleSided", "extensions", "extras"),
 )
-# A material without further statements would be metal. Read back, this one says nothing.
+# A material without further statements would be metal, as what has none is. Read back, this one says nothing.
 _PLAIN: Tree = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
 _PLAIN_UNLIT: Tree = {**_PLAIN, "extensions": {UNLIT: {}}}
 
@@ -188,10 +188,24 @@ def _placement(info: Tree) -> Placement:
 def _forget_placement(info: Tree) -> None:
     """Take out what the coordinates of the corners already follow."""
     info.pop("texCoord", None)
-    extensions = info.get("extensions", {})
-    extensions.pop(_TRANSFORM, None)
+    _forget(info, _TRANSFORM)
+
+
+def _forget(tree: Tree, name: str) -> None:
+    extensions = tree.get("extensions", {})
+    extensions.pop(name, None)
     if not extensions:
-        info.pop("extensions", None)
+        tree.pop("extensions", None)
+
+
+def shown_as_it_is() -> GltfStatements:
+    """Return what a file says of a material whose image has its light already, as photos do."""
+    return GltfStatements(copy.deepcopy(_PLAIN_UNLIT))
+
+
+def is_shown_as_it_is(material: Material) -> bool:
+    """Return whether a material takes no further light."""
+    return isinstance(material.kept, GltfStatements) and UNLIT in material.kept.tree.get("extensions", {})
 
 
 def multiplies_colors(material: Material) -> bool:
@@ -214,26 +228,38 @@ class MaterialWriter:
     Attributes
     ----------
     tree : gets the lists "materials", "textures" and "samplers", and "extensionsUsed".
-    unlit : materials are shown without further light, as a scan has its own.
+    shading : of SHADINGS, as of `write_gltf`.
+    bare_colors : whether colours of vertices get no material.
     images : the bytes of each image, its media type and name; textures name them by position.
     """
 
-    def __init__(self, tree: Tree, *, unlit: bool = False) -> None:
+    def __init__(self, tree: Tree, shading: str, *, bare_colors: bool) -> None:
         self.tree = tree
-        self._unlit = unlit
+        self._shading = shading
+        self._bare_colors = bare_colors
         self.images: list[tuple[bytes, str, str]] = []
         self._image_numbers: dict[int, int | None] = {}
 
-    def number(self, material: Material | None, *, with_colors: bool) -> int:
-        """Return the number of a material in the file; None is one that says nothing.
+    def number(
+        self, material: Material | None, *, with_colors: bool, steps: tuple[int, int] | None = None
+    ) -> int | None:
+        """Return the number of a material in the file; None where colours of vertices get none.
 
         Vertex colours multiply it there. Unless they did so where it was read, it must leave the colour to
         them.
+
+        Parameters
+        ----------
+        material : None is one that says nothing.
+        steps : along u and v, that coordinates are in; None where they are shares of the image.
         """
         if material is None:
-            if self._unlit:
+            if with_colors and self._bare_colors:
+                return None
+            if self._shading == "unlit":
                 self._number("extensionsUsed", UNLIT)
-            return self._number("materials", _PLAIN_UNLIT if self._unlit else _PLAIN)
+                return self._number("materials", _PLAIN_UNLIT)
+            return self._number("materials", _PLAIN)
         kept = material.kept if isinstance(material.kept, GltfStatements) else GltfStatements(_PLAIN)
         tree = copy.deepcopy(kept.tree)
         surface = tree.setdefault("pbrMetallicRoughness", {})
@@ -260,8 +286,15 @@ class MaterialWriter:
             number = self._texture(material.image, _sampler(material.wrap))
             if number is not None:
                 surface["baseColorTexture"] = {"index": number}
-        if self._unlit:
+        if steps is not None:
+            for holder, key in _texture_holders(tree):
+                moved = {"scale": [1 / count for count in steps]}
+                holder[key].setdefault("extensions", {})[_TRANSFORM] = moved
+            self._number("extensionsRequired", _TRANSFORM)
+        if self._shading == "unlit":
             tree.setdefault("extensions", {})[UNLIT] = {}
+        elif self._shading == "lit":
+            _forget(tree, UNLIT)
         for name in sorted(_extensions(tree)):
             self._number("extensionsUsed", name)
         return self._number("materials", tree)

@@ -15,11 +15,16 @@ from stages import _kernels
 
 # How a file is made small: not at all, in whole numbers, or in whole numbers that are packed.
 COMPRESSIONS = ("none", "quantize", "meshopt")
+# How a surface takes light: as its materials say, where colours of vertices have none, or one that is lit;
+# not at all; as one without gloss.
+SHADINGS = ("bare", "keep", "unlit", "lit")
 
 PACKED, QUANTIZED = "EXT_meshopt_compression", "KHR_mesh_quantization"
 VERTICES, INDICES = 34962, 34963  # what a buffer view is for
 
-_STEPS = 65535
+# Bits of a number: of positions at most, of texture coordinates where nothing else is asked for.
+_BITS = 16
+_STEPS = 2**_BITS - 1
 _UNIT = 127
 
 Floats = NDArray[np.float64]
@@ -27,7 +32,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Places in steps, of which 16 bits hold as many as there are along the longest side.
+    """Places in steps, of which a few bits hold as many as there are along the longest side.
 
     Attributes
     ----------
@@ -49,12 +54,17 @@ class Lattice:
         return float(0.5 * np.sqrt(3) * self.step)
 
 
-def lattice_of(vertices: Floats) -> Lattice:
-    """Return the lattice of a mesh, one for all its parts, so that they stay joined."""
+def lattice_of(vertices: Floats, bits: int = _BITS) -> Lattice:
+    """Return the lattice of a mesh, one for all its parts, so that they stay joined.
+
+    Parameters
+    ----------
+    bits : of a number, 1 to 16.
+    """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = float((high - low).max())
     # A power of two: then places are exact sums in the numbers of viewers, too, where these are small enough.
-    return Lattice(low, float(2.0 ** np.ceil(np.log2(size / _STEPS))) if size > 0 else 1.0)
+    return Lattice(low, float(2.0 ** np.ceil(np.log2(size / (2**bits - 1)))) if size > 0 else 1.0)
 
 
 def quantized_unit(normals: NDArray[np.float32]) -> NDArray[np.int8]:
@@ -62,10 +72,15 @@ def quantized_unit(normals: NDArray[np.float32]) -> NDArray[np.int8]:
     return np.pad(np.rint(normals * _UNIT).astype(np.int8), ((0, 0), (0, 1)))
 
 
-def quantized_uvs(uvs: Floats) -> NDArray[np.uint16] | None:
-    """Return texture coordinates (n, 2) in 16 bits a number; None if they go beyond the image."""
-    places = np.rint(uvs * _STEPS)
-    if places.size and (places.min() < 0 or places.max() > _STEPS):
+def quantized_uvs(uvs: Floats, steps: tuple[int, int] = (_STEPS, _STEPS)) -> NDArray[np.uint16] | None:
+    """Return texture coordinates (n, 2) in steps of the image's sides; None if they go beyond the image.
+
+    Parameters
+    ----------
+    steps : along u and v.
+    """
+    places = np.rint(uvs * steps)
+    if max(steps) > _STEPS or (places.size and (places.min() < 0 or (places > steps).any())):
         return None
     return np.asarray(places, np.uint16)
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from stages.errors import MeshError, StageError
 from stages.files.replacing import replacing
 from stages.surface.formats.colors import linear_from_srgb
+from stages.surface.formats.gltf_buffer import Buffer
 from stages.surface.formats.gltf_container import SCAN_FROM_WORLD, Tree
 from stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
 from stages.surface.formats.gltf_packing import (
@@ -28,9 +29,7 @@ from stages.surface.formats.gltf_packing import (
     PACKED,
     QUANTIZED,
     VERTICES,
-    Lattice,
     lattice_of,
-    packed,
     quantized_unit,
     quantized_uvs,
     strips,
@@ -54,85 +53,14 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-class _Buffer:
-    """The binary part of a file, as its views and accessors describe it.
-
-    What is packed says of itself where it would be in a second buffer, which is not there.
-    """
-
-    def __init__(self, tree: Tree, lattice: Lattice | None, *, pack: bool) -> None:
-        self._tree = tree
-        self.lattice = lattice
-        self.pack = pack
-        self.pieces: list[bytes] = []
-        self.size = 0
-        self.plain_size = 0
-
-    def view(self, data: bytes, **details: Any) -> int:
-        """Append bytes, aligned for every type; return the number of the view."""
-        views: list[Tree] = self._tree.setdefault("bufferViews", [])
-        views.append({"buffer": 0, "byteOffset": self._append(data), "byteLength": len(data), **details})
-        return len(views) - 1
-
-    def accessor(self, values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
-        """Append numbers, rows of them with their filling; return the number of the accessor."""
-        accessors: list[Tree] = self._tree.setdefault("accessors", [])
-        accessors.append({
-            "bufferView": self._rows(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
-            "componentType": code,
-            "count": len(values),
-            "type": kind,
-            **details,
-        })  # fmt: skip
-        return len(accessors) - 1
-
-    def _rows(self, values: NDArray[Any], target: int) -> int:
-        row = values[0].nbytes
-        strides = {"byteStride": row} if target == VERTICES and self.lattice is not None else {}
-        if not self.pack:
-            return self.view(values.tobytes(), target=target, **strides)
-        data, mode = packed(values, target)
-        views: list[Tree] = self._tree.setdefault("bufferViews", [])
-        views.append({
-            "buffer": 1,
-            "byteOffset": self.plain_size,
-            "byteLength": values.nbytes,
-            "target": target,
-            **strides,
-            "extensions": {
-                PACKED: {
-                    "buffer": 0,
-                    "byteOffset": self._append(data),
-                    "byteLength": len(data),
-                    "byteStride": row,
-                    "count": len(values),
-                    "mode": mode,
-                }
-            },
-        })  # fmt: skip
-        self.plain_size += values.nbytes + -values.nbytes % 4
-        return len(views) - 1
-
-    def _append(self, data: bytes) -> int:
-        at, padding = self.size, -len(data) % 4
-        self.pieces += [data, bytes(padding)]
-        self.size += len(data) + padding
-        return at
-
-    def described(self, **details: Any) -> list[Tree]:
-        """Return what the file says of its buffers."""
-        buffers: list[Tree] = [{"byteLength": self.size, **details}]
-        if self.pack:
-            buffers.append({"byteLength": self.plain_size, "extensions": {PACKED: {"fallback": True}}})
-        return buffers
-
-
 def write_gltf(
     path: Path | str,
     mesh: Mesh,
     *,
     compress: str = "none",
-    unlit: bool = False,
+    shading: str = "bare",
+    position_bits: int = 16,
+    texel_steps: int = 0,
     values: NDArray[np.uint8] | None = None,
 ) -> None:
     """Write a mesh as .glb, or as .gltf with its buffer and images beside; each file whole or not at all.
@@ -147,8 +75,13 @@ def write_gltf(
         longest side; normals in 8 bits, coordinates within the image in 16; viewers need
         KHR_mesh_quantization. `meshopt`: the same, packed without loss, triangles and vertices in another
         order; viewers need EXT_meshopt_compression.
-    unlit : shown in the colours that are there, without further light, and without normals; of no effect on a
-        mesh without colours.
+    shading : of SHADINGS. `keep`: as materials say; colours of vertices alone are lit. `bare`: the same, but
+        these have no material in a file that is not compressed, for trimesh forgets them beside any. `unlit`:
+        shown in the colours that are there, without further light, and without normals; of no effect on a
+        mesh without colours. `lit`: whatever materials say.
+    position_bits : of a number of a position that is compressed, 1 to 16.
+    texel_steps : of coordinates that are compressed, for a texel of their image; viewers need
+        KHR_texture_transform. 0 for 16 bits, without it.
     values : (n, 4) four more numbers of each vertex, written as `_VALUES`, which programs pass over.
 
     Raises
@@ -160,17 +93,18 @@ def write_gltf(
     """
     path = Path(path)
     tree: Tree = {"asset": {"version": "2.0", "generator": "scanloom"}, "scene": 0, "scenes": [{}]}
-    unlit = unlit and (mesh.colors is not None or mesh.texture is not None)
-    if unlit:
-        mesh = mesh.with_(normals=None, corner_normals=None)
+    if shading == "unlit":
+        is_colored = mesh.colors is not None or mesh.texture is not None
+        shading = "unlit" if is_colored else "keep"
+        mesh = mesh.with_(normals=None, corner_normals=None) if is_colored else mesh
     small = compress != "none" and len(mesh.triangles) > 0
     # Vertices that no triangle names are not written.
-    lattice = lattice_of(mesh.vertices[np.unique(mesh.triangles)]) if small else None
-    buffer = _Buffer(tree, lattice, pack=small and compress == "meshopt")
+    lattice = lattice_of(mesh.vertices[np.unique(mesh.triangles)], position_bits) if small else None
+    buffer = Buffer(tree, lattice, texel_steps, pack=small and compress == "meshopt")
     if small:
         needed = [QUANTIZED, PACKED] if buffer.pack else [QUANTIZED]
         tree |= {"extensionsUsed": [*needed], "extensionsRequired": [*needed]}
-    materials = MaterialWriter(tree, unlit=unlit)
+    materials = MaterialWriter(tree, shading, bare_colors=shading == "bare" and not small)
     _add_nodes(tree, buffer, materials, mesh, values)
     if path.suffix.lower() == ".gltf":
         _write_apart(path, tree, buffer, materials)
@@ -179,7 +113,7 @@ def write_gltf(
 
 
 def _add_nodes(
-    tree: Tree, buffer: _Buffer, materials: MaterialWriter, mesh: Mesh, values: NDArray[np.uint8] | None
+    tree: Tree, buffer: Buffer, materials: MaterialWriter, mesh: Mesh, values: NDArray[np.uint8] | None
 ) -> None:
     if len(mesh.triangles) == 0:
         return
@@ -198,9 +132,10 @@ def _add_nodes(
     for part, material, chosen in _groups(mesh, parts):
         name = mesh.part_names[part] if part >= 0 else ""
         of_group = mesh.texture.materials[material] if mesh.texture is not None and material >= 0 else None
-        primitive = _primitive(buffer, mesh, chosen, of_group, values)
+        primitive, steps = _primitive(buffer, mesh, chosen, of_group, values)
         colored = "COLOR_0" in primitive["attributes"]
-        primitive["material"] = materials.number(of_group, with_colors=colored)
+        if (number := materials.number(of_group, with_colors=colored, steps=steps)) is not None:
+            primitive["material"] = number
         if (one_node and name) or (mesh.part_names and not name):
             primitive["extras"] = {"part": name}
         nodes.setdefault(0 if one_node else part, ("" if one_node else name, []))[1].append(primitive)
@@ -272,13 +207,18 @@ def _groups(mesh: Mesh, parts: NDArray[np.int32]) -> Iterator[tuple[int, int, Ro
 
 
 def _primitive(
-    buffer: _Buffer,
+    buffer: Buffer,
     mesh: Mesh,
     chosen: Rows | None,
     material: Material | None,
     values: NDArray[np.uint8] | None,
-) -> Tree:
-    """Add the chosen triangles, which are alike in what they have."""
+) -> tuple[Tree, tuple[int, int] | None]:
+    """Add the chosen triangles, which are alike in what they have.
+
+    Returns
+    -------
+    What the file says of them, and the steps along u and v that their coordinates are in, if they are.
+    """
     rows: Any = slice(None) if chosen is None else chosen
     triangles = mesh.triangles[rows]
     columns: list[NDArray[Any]] = []
@@ -318,8 +258,9 @@ def _primitive(
     attributes = {"POSITION": _positions(buffer, mesh.vertices[source])}
     if normals is not None and (unit := _unit(normals)) is not None:
         attributes["NORMAL"] = _normals(buffer, unit)
+    steps = None
     if uvs is not None:
-        attributes["TEXCOORD_0"] = _coordinates(buffer, uvs[wedges] * (1, -1) + (0, 1))
+        attributes["TEXCOORD_0"], steps = _coordinates(buffer, uvs[wedges] * (1, -1) + (0, 1), material)
     if mesh.colors is not None:
         shown = material is None or material.image is None or multiplies_colors(material)
         attributes |= _colors(buffer, mesh.colors[source], shown=shown)
@@ -328,10 +269,10 @@ def _primitive(
     narrow = len(source) < np.iinfo(np.uint16).max  # the last value stands for none in some programs
     indices = index.astype(np.uint16 if narrow else np.uint32).reshape(-1)
     code = _SHORT if narrow else _INT
-    return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, INDICES)}
+    return {"attributes": attributes, "indices": buffer.accessor(indices, "SCALAR", code, INDICES)}, steps
 
 
-def _positions(buffer: _Buffer, vertices: Floats) -> int:
+def _positions(buffer: Buffer, vertices: Floats) -> int:
     positions: NDArray[Any]
     if buffer.lattice is None:
         positions, code = vertices.astype(np.float32), _FLOAT
@@ -341,17 +282,34 @@ def _positions(buffer: _Buffer, vertices: Floats) -> int:
     return buffer.accessor(positions, "VEC3", code, VERTICES, **bounds)
 
 
-def _normals(buffer: _Buffer, unit: NDArray[np.float32]) -> int:
+def _normals(buffer: Buffer, unit: NDArray[np.float32]) -> int:
     if buffer.lattice is None:
         return buffer.accessor(unit, "VEC3", _FLOAT, VERTICES)
     return buffer.accessor(quantized_unit(unit), "VEC3", _SIGNED_BYTE, VERTICES, normalized=True)
 
 
-def _coordinates(buffer: _Buffer, uvs: Floats) -> int:
-    if buffer.lattice is not None and (places := quantized_uvs(uvs)) is not None:
-        return buffer.accessor(places, "VEC2", _SHORT, VERTICES, normalized=True)
+def _coordinates(
+    buffer: Buffer, uvs: Floats, material: Material | None
+) -> tuple[int, tuple[int, int] | None]:
+    if buffer.lattice is not None:
+        steps = _steps(buffer.texel_steps, material)
+        if steps is not None and (places := quantized_uvs(uvs, steps)) is not None:
+            return buffer.accessor(places, "VEC2", _SHORT, VERTICES), steps
+        if (places := quantized_uvs(uvs)) is not None:
+            return buffer.accessor(places, "VEC2", _SHORT, VERTICES, normalized=True), None
     held = uvs.clip(-_LARGEST_FLOAT, _LARGEST_FLOAT).astype(np.float32)
-    return buffer.accessor(held, "VEC2", _FLOAT, VERTICES)
+    return buffer.accessor(held, "VEC2", _FLOAT, VERTICES), None
+
+
+def _steps(of_texel: int, material: Material | None) -> tuple[int, int] | None:
+    """Return the steps along u and v of a material's image; None where there is none that can be read."""
+    if of_texel == 0 or material is None or material.image is None:
+        return None
+    try:
+        height, width = material.image.pixels.shape[:2]
+    except MeshError:
+        return None
+    return of_texel * width, of_texel * height
 
 
 def _unit(normals: Floats) -> NDArray[np.float32] | None:
@@ -363,7 +321,7 @@ def _unit(normals: Floats) -> NDArray[np.float32] | None:
     return np.where(abs(length - 1) > _UNIT, normals / length, normals).astype(np.float32)
 
 
-def _colors(buffer: _Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[str, int]:
+def _colors(buffer: Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[str, int]:
     """Add vertex colours; beside an image, which they would darken, as one that programs pass over."""
     if not shown:
         padded = np.pad(colors, ((0, 0), (0, 1)), constant_values=255)
@@ -377,7 +335,7 @@ def _colors(buffer: _Buffer, colors: NDArray[np.uint8], *, shown: bool) -> dict[
     return {"COLOR_0": buffer.accessor(padded, "VEC4", _SHORT, VERTICES, normalized=True)}
 
 
-def _write_one(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWriter) -> None:
+def _write_one(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter) -> None:
     for data, mime, name in materials.images:
         label = {"name": name} if name else {}
         image = {"bufferView": buffer.view(data), "mimeType": mime, **label}
@@ -397,7 +355,7 @@ def _write_one(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWrite
             file.writelines(buffer.pieces)
 
 
-def _write_apart(path: Path, tree: Tree, buffer: _Buffer, materials: MaterialWriter) -> None:
+def _write_apart(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWriter) -> None:
     names = write_images(path, [Image(name, data) for data, _, name in materials.images])
     for name in names.values():
         tree.setdefault("images", []).append({"uri": quote(name)})

@@ -12,7 +12,7 @@ from coloured_sheet import UP, ball, sheet, textured_sheet
 
 from stages import Image, Material, export, preset, read_mesh
 from stages.errors import UsageError
-from stages.exporting.export import AXES, SUFFIXES, require_fitting
+from stages.exporting.export import AXES, GLTF, SUFFIXES, require_fitting
 from stages.exporting.presets import PRESETS
 from stages.surface.formats.gltf_container import read_container
 from stages.surface.formats.gltf_packing import COMPRESSIONS
@@ -102,20 +102,36 @@ def test_the_validator_of_gltf_finds_nothing(tmp_path):
     folder.mkdir()
     for name, made in (("colours", sheet), ("image", textured_sheet), ("ball", ball)):
         for way in COMPRESSIONS:
-            for unlit in (False, True):
+            for shading in ("bare", "keep", "unlit", "lit"):
                 for up in (UP, (0.6, 0.0, 0.8)):
-                    path = folder / f"{name}-{way}-{unlit}-{up[1]}.glb"
-                    export(made().with_(up=up), path, compress=way, unlit=unlit)
+                    path = folder / f"{name}-{way}-{shading}-{up[1]}.glb"
+                    export(made().with_(up=up), path, compress=way, shading=shading)
     export(textured_sheet(), folder / "web.glb", preset("web"))
     said = node(VALIDATE, PAGE, folder)
-    assert len(said) == 37
+    assert len(said) == 73
     worse = {name: [m for m in found if m["severity"] < 2] for name, found in said.items()}
     assert not any(worse.values()), worse
 
 
 def test_a_file_for_the_web_is_small(tmp_path):
     plain = export(textured_sheet(120, "jpeg"), tmp_path / "a.glb").bytes
-    assert export(textured_sheet(120, "jpeg"), tmp_path / "b.glb", preset("web")).bytes < 0.3 * plain
+    written = export(textured_sheet(120, "jpeg"), tmp_path / "b.glb", preset("web"))
+    assert written.bytes < 0.2 * plain
+    assert written.position_error == pytest.approx(0.5 * 3**0.5 * 2.0**-13)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_images_for_the_web_are_webp_where_programs_read_it(suffix):
+    assert preset("web", suffix).images == ("webp" if suffix in GLTF else "jpeg")
+
+
+def test_blender_turns_obj_files_and_no_others(tmp_path):
+    for suffix, height in ((".obj", 1), (".ply", 2), (".stl", 2)):
+        export(sheet().with_(up=UP), tmp_path / f"a{suffix}", preset("blender", suffix))
+        back = read_mesh(tmp_path / f"a{suffix}")
+        np.testing.assert_allclose(
+            np.sort(back.vertices[:, height]), np.sort(-sheet().vertices[:, 1]), atol=1e-6
+        )
 
 
 @pytest.mark.parametrize(
@@ -124,7 +140,7 @@ def test_a_file_for_the_web_is_small(tmp_path):
         ("a.fbx", {}, "stands for no format"),
         ("a", {}, "stands for no format"),
         ("a.obj", {"compress": "meshopt"}, "are of glTF"),
-        ("a.ply", {"unlit": True}, "are of glTF"),
+        ("a.ply", {"shading": "unlit"}, "are of glTF"),
         ("a.glb", {"unit": "mm"}, "is in metres"),
         ("a.usdz", {"on_floor": True}, "is in metres"),
         ("a.glb", {"up": "sideways"}, "up is"),

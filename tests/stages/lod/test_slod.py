@@ -35,6 +35,36 @@ def test_what_is_read_is_what_was_written(built: Built, file: Path) -> None:
             assert ours == theirs
 
 
+@pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.6, 0.0, 0.8)])
+def test_what_is_up_comes_back_in_the_file_and_in_cuts(
+    tmp_path: Path, up: tuple[float, float, float]
+) -> None:
+    asked = {"cell_triangles": 200, "root_triangles": 50}
+    hierarchy = lod.build(sheet(20).with_(up=up), **asked)
+    path = tmp_path / "m.slod"
+    lod.write_slod(path, hierarchy)
+    read = lod.read_slod(path)
+    assert read.up == hierarchy.up == read.figures()["up"] == up
+    assert read.cut(triangles=100).mesh.up == up
+    lod.write_slod(path, lod.build(sheet(20), **asked))
+    assert lod.read_slod(path).up is None
+    assert b'"up"' not in path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "up", ["up", [0, 1], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0], [True, 0.0, 0.0], [1e400, 0.0, 0.0], None]
+)
+def test_what_is_no_direction_is_damage(file: Path, up: object) -> None:
+    data = file.read_bytes()
+    size = struct.unpack_from("<Q", data, 8)[0]
+    text = json.dumps({**json.loads(data[20 : 20 + size]), "up": up}).encode()
+    file.write_bytes(
+        struct.pack("<4sIQI", b"SLOD", 2, len(text), zlib.crc32(text)) + text + data[20 + size :]
+    )
+    with pytest.raises(InputError, match="is no direction"):
+        lod.read_slod(file)
+
+
 def test_single_precision_is_used_where_it_loses_nothing(tmp_path: Path) -> None:
     mesh = sheet(20)
     rounded = mesh.with_(vertices=mesh.vertices.astype(np.float32).astype(np.float64))

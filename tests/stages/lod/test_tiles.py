@@ -458,6 +458,24 @@ def test_none_leaves_it_as_it_is(hierarchies: dict[str, Hierarchy], tmp_path: Pa
     assert "transform" not in json.loads((tmp_path / "out" / "tileset.json").read_bytes())["root"]
 
 
+def test_what_is_up_is_what_the_levels_say_or_the_model(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path
+) -> None:
+    plain, upright = hierarchies["open"], replace(hierarchies["open"], up=(0.0, 0.0, 1.0))
+    model = plain.cut(max_shape=0).mesh.with_(up=(1.0, 0.0, 0.0))
+    model = model.with_(colors=np.full((len(model.vertices), 3), 99, np.uint8))
+
+    def told(hierarchy: Hierarchy, **words: Any) -> tuple[float, float, float] | None:
+        return lod.write_tiles(hierarchy, tmp_path / "out", **words).up
+
+    assert told(plain) == (0, -1, 0)
+    assert told(upright) == (0, 0, 1)
+    assert told(plain, texture=model) == (1, 0, 0)
+    assert told(upright, texture=model) == (0, 0, 1)
+    assert told(upright, up="+y") == (0, 1, 0)
+    assert told(upright, up="none") is None
+
+
 def test_no_other_axis_is_up(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="up is 'y'; it must be one of"):
         lod.write_tiles(hierarchies["open"], tmp_path / "out", up="y")

@@ -347,11 +347,34 @@ def test_other_files_are_told_apart(tmp_path: Path, data: bytes) -> None:
         decode(path)
 
 
-def test_another_version_is_told() -> None:
+@pytest.mark.parametrize(("version", "words"), [(0, "of version 0"), (2, "damaged"), (3, "of version 3")])
+def test_another_version_is_told(version: int, words: str) -> None:
     made = bytearray(small().data)
-    made[3] += 1
-    with pytest.raises(InputError, match="version"):
+    assert made[3] == 1
+    made[3] = version
+    with pytest.raises(InputError, match=words):
         decode(bytes(made))
+
+
+@pytest.mark.parametrize(
+    "up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.004913, -0.8944, -0.4472), (3.0, 4.0, 0.0)]
+)
+def test_what_is_up_comes_back_to_the_bit_on_every_level(up: tuple[float, float, float]) -> None:
+    plain, up = small(), tuple(np.divide(up, np.linalg.norm(up)).tolist())
+    mesh = coloured_meshes.sheet(12).with_(up=up)
+    files = [remesh(mesh, levels=2, base_triangles=20, threads=threads) for threads in (1, 2)]
+    assert files[0].data == files[1].data
+    assert files[0].data[:4] == b"snm\2"
+    for end in files[0].level_ends:
+        found = decode(files[0].data[:end])
+        assert all(level.up == up for level in found.levels)
+    assert all(level.up == up for level in files[0].levels)
+    assert all(level.up is None for level in decode(plain.data).levels)
+    without = remesh(mesh.with_(up=None), levels=2, base_triangles=20)
+    assert without.data[:4] == b"snm\1"
+    assert len(files[0].data) <= len(without.data) + (1 if max(map(abs, up)) == 1 else 25)
+    for one, other in zip(files[0].levels, without.levels, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:

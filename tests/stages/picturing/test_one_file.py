@@ -96,7 +96,7 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # The one of all that look right is high.
     values = np.zeros((len(mesh.vertices), 4), np.uint8)
     values[:, 1] = np.where(mesh.vertices[:, 0] > 0, 255, 0)
-    write_gltf(folder / "m.glb", mesh, compress="meshopt", unlit=True, values=values)
+    write_gltf(folder / "m.glb", mesh, compress="meshopt", shading="unlit", values=values)
     looks = (PageLook("values", 1, "which side", VALUES), PageLook("vertex colours", None))
     models.append(PageModel("checked", (folder / "m.glb").read_bytes(), 24, looks=looks))
     told = {

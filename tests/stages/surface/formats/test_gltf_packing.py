@@ -104,8 +104,55 @@ def test_coordinates_beyond_the_image_stay_as_they_are(tmp_path):
     np.testing.assert_allclose([back.min(), back.max()], [texture.uvs.min(), texture.uvs.max()], atol=1e-6)
 
 
+@pytest.mark.parametrize("steps", [1, 2, 8])
+@pytest.mark.parametrize("way", SMALL)
+def test_coordinates_may_be_in_steps_of_texels(tmp_path, way, steps):
+    mesh = textured()
+    write_gltf(tmp_path / "a.glb", mesh, compress=way, texel_steps=steps)
+    tree = read_container(tmp_path / "a.glb").tree
+    assert "KHR_texture_transform" in tree["extensionsRequired"]
+    given = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["extensions"]
+    # The image has 32 × 32 texels.
+    assert given["KHR_texture_transform"]["scale"] == [1 / (32 * steps)] * 2
+    back = read_mesh(tmp_path / "a.glb")
+    assert back.notes == ()
+
+    def placed(one):
+        rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)
+        return rows[np.lexsort(rows[:, :2].round(3).T)]
+
+    off = np.abs(placed(back)[:, 3:] - placed(mesh)[:, 3:]).max()
+    assert 0 < off <= 0.5 / (32 * steps) + 1e-9
+    # Read and written again, nothing more is lost, and nothing is scaled twice.
+    write_gltf(tmp_path / "b.glb", back, compress=way, texel_steps=steps)
+    np.testing.assert_allclose(placed(read_mesh(tmp_path / "b.glb"))[:, 3:], placed(back)[:, 3:], atol=1e-9)
+
+
+def test_steps_that_16_bits_do_not_hold_are_not_taken(tmp_path):
+    mesh = textured()
+    write_gltf(tmp_path / "a.glb", mesh, compress="quantize", texel_steps=4096)
+    assert "KHR_texture_transform" not in (tmp_path / "a.glb").read_bytes().decode("latin-1")
+    beyond = mesh.with_(texture=replace(mesh.texture, uvs=mesh.texture.uvs * 7 - 3))
+    write_gltf(tmp_path / "b.glb", beyond, compress="quantize", texel_steps=2)
+    assert "KHR_texture_transform" not in (tmp_path / "b.glb").read_bytes().decode("latin-1")
+    back = read_mesh(tmp_path / "b.glb").texture.uvs
+    np.testing.assert_allclose([back.min(), back.max()], [beyond.texture.uvs.min(), beyond.texture.uvs.max()])
+
+
+@pytest.mark.parametrize("bits", [8, 12, 14, 16])
+def test_fewer_bits_move_vertices_by_half_of_larger_steps(tmp_path, bits):
+    mesh = sheet()
+    write_gltf(tmp_path / "a.glb", mesh, compress="meshopt", position_bits=bits)
+    back = read_mesh(tmp_path / "a.glb")
+    lattice = lattice_of(mesh.vertices, bits)
+    # A power of two, of which the longest side of 1 m has no more than fit.
+    assert lattice.step == 2.0 ** (1 - bits)
+    off = np.abs(np.sort(back.vertices, axis=0) - np.sort(mesh.vertices, axis=0)).max()
+    assert lattice.step / 8 < off <= lattice.step / 2 + 1e-9
+
+
 def test_unlit_has_no_normals_and_shows_colours_as_they_are(tmp_path):
-    write_gltf(tmp_path / "a.glb", textured().with_(normals=np.tile((0.0, 0, 1), (144, 1))), unlit=True)
+    write_gltf(tmp_path / "a.glb", textured().with_(normals=np.tile((0.0, 0, 1), (144, 1))), shading="unlit")
     tree = read_container(tmp_path / "a.glb").tree
     assert tree["extensionsUsed"] == ["KHR_materials_unlit"]
     assert all("KHR_materials_unlit" in material["extensions"] for material in tree["materials"])
@@ -113,10 +160,10 @@ def test_unlit_has_no_normals_and_shows_colours_as_they_are(tmp_path):
     back = read_mesh(tmp_path / "a.glb")
     assert back.texture.materials[0].name == "m"
     # A surface without any colour needs light to be seen.
-    write_gltf(tmp_path / "b.glb", sheet().with_(colors=None), unlit=True)
+    write_gltf(tmp_path / "b.glb", sheet().with_(colors=None), shading="unlit")
     assert "extensionsUsed" not in read_container(tmp_path / "b.glb").tree
     # And colours of vertices alone are no material when they come back.
-    write_gltf(tmp_path / "c.glb", sheet(), unlit=True)
+    write_gltf(tmp_path / "c.glb", sheet(), shading="unlit")
     assert read_mesh(tmp_path / "c.glb").texture is None
 
 

@@ -1,0 +1,91 @@
+"""The binary part of a glTF file that is being written, as its views and accessors describe it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.surface.formats.gltf_container import Tree
+from stages.surface.formats.gltf_packing import PACKED, VERTICES, Lattice, packed
+
+
+class Buffer:
+    """The bytes of a file, and what is told of them.
+
+    What is packed says of itself where it would be in a second buffer, which is not there.
+
+    Attributes
+    ----------
+    lattice : of positions in whole numbers; None where numbers are in single precision.
+    texel_steps : of coordinates in whole numbers, for a texel of the image; 0 for as many as 16 bits hold.
+    pack : whether meshoptimizer packs them.
+    """
+
+    def __init__(self, tree: Tree, lattice: Lattice | None, texel_steps: int = 0, *, pack: bool) -> None:
+        self._tree = tree
+        self.lattice = lattice
+        self.texel_steps = texel_steps
+        self.pack = pack
+        self.pieces: list[bytes] = []
+        self.size = 0
+        self.plain_size = 0
+
+    def view(self, data: bytes, **details: Any) -> int:
+        """Append bytes, aligned for every type; return the number of the view."""
+        views: list[Tree] = self._tree.setdefault("bufferViews", [])
+        views.append({"buffer": 0, "byteOffset": self._append(data), "byteLength": len(data), **details})
+        return len(views) - 1
+
+    def accessor(self, values: NDArray[Any], kind: str, code: int, target: int, **details: Any) -> int:
+        """Append numbers, rows of them with their filling; return the number of the accessor."""
+        accessors: list[Tree] = self._tree.setdefault("accessors", [])
+        accessors.append({
+            "bufferView": self._rows(np.ascontiguousarray(values, values.dtype.newbyteorder("<")), target),
+            "componentType": code,
+            "count": len(values),
+            "type": kind,
+            **details,
+        })  # fmt: skip
+        return len(accessors) - 1
+
+    def _rows(self, values: NDArray[Any], target: int) -> int:
+        row = values[0].nbytes
+        strides = {"byteStride": row} if target == VERTICES and self.lattice is not None else {}
+        if not self.pack:
+            return self.view(values.tobytes(), target=target, **strides)
+        data, mode = packed(values, target)
+        views: list[Tree] = self._tree.setdefault("bufferViews", [])
+        views.append({
+            "buffer": 1,
+            "byteOffset": self.plain_size,
+            "byteLength": values.nbytes,
+            "target": target,
+            **strides,
+            "extensions": {
+                PACKED: {
+                    "buffer": 0,
+                    "byteOffset": self._append(data),
+                    "byteLength": len(data),
+                    "byteStride": row,
+                    "count": len(values),
+                    "mode": mode,
+                }
+            },
+        })  # fmt: skip
+        self.plain_size += values.nbytes + -values.nbytes % 4
+        return len(views) - 1
+
+    def _append(self, data: bytes) -> int:
+        at, padding = self.size, -len(data) % 4
+        self.pieces += [data, bytes(padding)]
+        self.size += len(data) + padding
+        return at
+
+    def described(self, **details: Any) -> list[Tree]:
+        """Return what the file says of its buffers."""
+        buffers: list[Tree] = [{"byteLength": self.size, **details}]
+        if self.pack:
+            buffers.append({"byteLength": self.plain_size, "extensions": {PACKED: {"fallback": True}}})
+        return buffers
