@@ -259,7 +259,7 @@ def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, 
             raise OSError(code, os.strerror(code))
 
     # 3 files are flushed to the disk, then 2 folders.
-    monkeypatch.setattr("pipeline.files.os.fsync", refuse)
+    monkeypatch.setattr("os.fsync", refuse)
     with pytest.raises(
         StageError, match=r"^the result of fuse cannot be written to the cache .*: the disk .*free some"
     ):
@@ -463,11 +463,11 @@ def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
 @pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
 def test_lock_of_an_output_folder_is_healed(cache, tmp_path, become):
     outside = what_is_outside(tmp_path)
-    os.close(cache.sole_run(tmp_path / "out", lambda: None))
+    cache.sole_run(tmp_path / "out", lambda: None).release()
     [lock] = (cache.folder / "runs").glob("*.lock")
     lock.unlink()
     become(lock, outside)
-    os.close(cache.sole_run(tmp_path / "out", lambda: None))
+    cache.sole_run(tmp_path / "out", lambda: None).release()
     assert untouched(outside)
 
 
@@ -563,7 +563,7 @@ def test_cache_that_may_only_be_read_serves_hits(cache, warnings, tmp_path, requ
     assert [text.partition(":")[0] for text in warnings] == [f"the cache {cache.folder} may only be read"]
     with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache .*Read-only"):
         cache.store(Recipe("fuse", {"fuse": 2}), make)
-    os.close(sole)
+    sole.release()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
