@@ -123,7 +123,7 @@ def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
         **record,
     }
     text = json.dumps({**manifest, "digest": digest(manifest)}, indent=1)
-    (draft / MANIFEST).write_text(text, encoding="utf-8")
+    (draft / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
     flush(draft / MANIFEST)
     flush_all([*(path for path in draft.rglob("*") if path.is_dir()), draft])
 

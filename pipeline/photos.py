@@ -56,7 +56,9 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int) -> int:
     threads = os.cpu_count() or 1
     photos = dict(read_ahead(written, chosen, threads=threads, ahead=threads))
     cameras = [_told(frame, photos.get(number)) for number, frame in enumerate(told)]
-    (folder / FILE).write_text(json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8")
+    (folder / FILE).write_text(
+        json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8", newline="\n"
+    )
     return sum(name is not None for name in photos.values())
 
 
