@@ -127,9 +127,9 @@ def _is_locked(descriptor: int, shared: bool) -> bool:
 
 
 def _failure(path: Path | None) -> OSError:
-    code = ctypes.get_last_error()
-    said = ctypes.FormatError(code).strip()
-    return OSError(0, said, None if path is None else str(path), code)
+    error = ctypes.WinError(ctypes.get_last_error())
+    error.filename = None if path is None else str(path)
+    return error
 
 
 def flush(path: Path) -> None:
