@@ -151,7 +151,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A file name need not be text, and a terminal need not know every sign: neither may end a command.
-        sys.stdout.reconfigure(errors="backslashreplace")
+        # What other programs read is UTF-8, on Windows too, which has another encoding for pipes and files.
+        is_piped_on_windows = sys.platform == "win32" and not sys.stdout.isatty()
+        sys.stdout.reconfigure(encoding="utf-8" if is_piped_on_windows else None, errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else arguments
     try:
         interrupts.raise_interrupt()

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.errors import InputError, UsageError
+from stages.files.moving import move
 
 # What stages.surface.mesh_files.write_mesh can write.
 MESH_SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
@@ -79,7 +80,7 @@ def new_folder(path: Path) -> Iterator[Path]:
     try:
         yield draft
         draft.chmod(0o777 & ~_umask())  # mkdtemp keeps a folder to its owner
-        draft.replace(path)
+        move(draft, path)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 

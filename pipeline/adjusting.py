@@ -41,7 +41,7 @@ def write(folder: Path, found: Adjusted) -> Mapping[str, Any]:
         "names": {str(place): found.frames[place].name for place in poses},
         "poses": {str(place): pose.tolist() for place, pose in poses.items()},
     }
-    (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return found.figures()
 
 

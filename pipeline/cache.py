@@ -21,10 +21,10 @@ only be read, what it holds is used.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import re
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -36,8 +36,12 @@ from typing import Any
 from pipeline.digest import digest
 from pipeline.entry import IN_USE, DamagedError, Entry, Recipe, read_manifest, seal, verified
 from pipeline.failures import explained
-from pipeline.files import READ_ONLY, flush, is_folder, is_same_file, take_lock, try_lock, write_whole
+from pipeline.files import write_whole
+from pipeline.locks import READ_ONLY, Lock, is_folder, take_folder, take_lock, try_folder, try_lock
+from pipeline.own_paths import from_there
+from pipeline.system import flush
 from stages.errors import StageError
+from stages.files.moving import move
 from stages.files.opening import text_in
 
 _DRAFTS = "drafts"
@@ -81,7 +85,7 @@ class Cache:
                 with self._names():
                     if not self._is_entry(place):
                         break
-                    lock = take_lock(place / IN_USE, fcntl.LOCK_SH)
+                    lock = take_lock(place / IN_USE, shared=True)
                 try:
                     manifest = verified(place)
                 except DamagedError as error:
@@ -91,12 +95,12 @@ class Cache:
                         )
                     continue
                 except BaseException:
-                    os.close(lock)
+                    lock.release()
                     raise
                 with contextlib.suppress(
                     OSError
                 ):  # A cache that may only be read does not note who reads it.
-                    os.utime(lock)
+                    lock.touch()
                 return Entry(place, manifest, lock)
         return None
 
@@ -121,7 +125,7 @@ class Cache:
             draft, lock = self._new_draft(recipe.stage)
             try:
                 seal(draft, recipe, make(draft))
-                while not self._publish(draft, self._place(recipe), lock, replace):
+                while (held := self._publish(draft, self._place(recipe), lock, replace)) is None:
                     winner = self.get(recipe)
                     if winner is not None:
                         _discard(draft, lock)
@@ -131,7 +135,7 @@ class Cache:
                 raise
             if replace:
                 self.remove_abandoned()
-            return Entry(self._place(recipe), read_manifest(self._place(recipe)), lock)
+            return Entry(self._place(recipe), read_manifest(self._place(recipe)), held)
 
     def remove_abandoned(self) -> None:
         """Remove what killed processes left half-made, and what was dropped while another was reading it."""
@@ -207,8 +211,8 @@ class Cache:
                 f"{max_size / 1e9:.3g} GB: all of it is of the latest run of an output folder, or in use."
             )
 
-    def sole_run(self, out: Path, waiting: Callable[[], None]) -> int:
-        """Wait until no other run works into an output folder; close the descriptor to let the next one in.
+    def sole_run(self, out: Path, waiting: Callable[[], None]) -> Lock:
+        """Wait until no other run works into an output folder; release the lock to let the next one in.
 
         Parameters
         ----------
@@ -225,13 +229,13 @@ class Cache:
                 return _sole_folder(out, waiting)
             if lock is None:
                 waiting()
-                lock = take_lock(path, fcntl.LOCK_EX)
+                lock = take_lock(path)
             return lock
 
     def remember_run(self, out: Path, record: Mapping[str, Any]) -> None:
         """Keep what the latest run of an output folder used; `record["keys"]` names its entries."""
         with explained(f"the cache folder {self.folder} cannot be used"):
-            text = json.dumps({"out": os.path.relpath(out, self.folder), **record}, indent=1)
+            text = json.dumps({"out": self._seen_from_here(out), **record}, indent=1)
             try:
                 self._prepare()
                 write_whole(self._run_record(out), text.encode())
@@ -289,7 +293,7 @@ class Cache:
     @contextlib.contextmanager
     def _names(self) -> Iterator[None]:
         try:
-            lock = take_lock(self.folder / "names.lock", fcntl.LOCK_EX)
+            lock = take_lock(self.folder / "names.lock")
         except OSError as error:
             # Where no lock can be made, nobody moves anything either.
             if error.errno not in READ_ONLY:
@@ -299,13 +303,13 @@ class Cache:
         try:
             yield
         finally:
-            os.close(lock)
+            lock.release()
 
-    def _new_draft(self, stage: str) -> tuple[Path, int]:
+    def _new_draft(self, stage: str) -> tuple[Path, Lock]:
         self._prepare()
         with self._names():
             draft = self._fresh_folder(stage)
-            return draft, take_lock(draft / IN_USE, fcntl.LOCK_EX)
+            return draft, take_lock(draft / IN_USE)
 
     def _fresh_folder(self, stage: str) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=f"{stage}-", dir=self.folder / _DRAFTS))
@@ -313,31 +317,34 @@ class Cache:
         folder.chmod(self.folder.stat().st_mode & 0o777)
         return folder
 
-    def _publish(self, draft: Path, place: Path, lock: int, replace: bool) -> bool:
+    def _publish(self, draft: Path, place: Path, lock: Lock, replace: bool) -> Lock | None:
+        """Make a draft an entry, and return a shared lock on it; None if there is one already."""
         with self._names():
             if self._is_entry(place):
                 if not replace:
-                    return False
+                    return None
                 self._put_aside(place)
             place.parent.mkdir(exist_ok=True)
-            draft.rename(place)
-            fcntl.flock(lock, fcntl.LOCK_SH)
+            # Nobody else locks an entry or a draft while the names are locked, so there is no gap. Windows
+            # moves no folder in which a file is open.
+            lock.release()
+            move(draft, place)
             flush(place.parent)
-        return True
+            return take_lock(place / IN_USE, shared=True)
 
-    def _drop(self, place: Path, lock: int) -> bool:
+    def _drop(self, place: Path, lock: Lock) -> bool:
         """Put a damaged entry aside unless another process has done so; `lock` is given up."""
         with self._names():
-            ours = is_same_file(lock, place / IN_USE)
+            ours = lock.is_of(place / IN_USE)
+            lock.release()
             if ours:
                 self._put_aside(place)
-            os.close(lock)
         self.remove_abandoned()
         return ours
 
     def _put_aside(self, place: Path) -> None:
         # Out of sight at once, but its files stay until the last process that reads them has let go.
-        place.rename(self._fresh_folder(place.parent.name))
+        move(place, self.folder / _DRAFTS / f"{place.parent.name}-{secrets.token_hex(8)}")
 
     def _remove(self, entry: Listed) -> bool:
         place = self.folder / entry.stage / entry.key
@@ -347,13 +354,16 @@ class Cache:
             lock = try_lock(place / IN_USE)
             if lock is None:
                 return False
+            lock.release()
             self._put_aside(place)
-            os.close(lock)
         return True
 
     def _run_record(self, out: Path) -> Path:
-        # Named relative to the cache: an output folder moved together with its cache keeps its record.
-        return self.folder / _RUNS / f"{digest(os.path.relpath(out, self.folder))[:16]}.json"
+        return self.folder / _RUNS / f"{digest(self._seen_from_here(out))[:16]}.json"
+
+    def _seen_from_here(self, out: Path) -> str:
+        # An output folder that is moved together with its cache keeps its record.
+        return from_there(out, self.folder)
 
     def _used_by_latest_runs(self) -> set[str]:
         used: set[str] = set()
@@ -375,24 +385,19 @@ def _require_folder(path: Path) -> None:
         )
 
 
-def _sole_folder(out: Path, waiting: Callable[[], None]) -> int:
+def _sole_folder(out: Path, waiting: Callable[[], None]) -> Lock:
     """Wait until no other run with a cache that may only be read works into an output folder."""
-    lock = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        try:
-            waiting()
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        except BaseException:
-            os.close(lock)
-            raise
+    lock = try_folder(out)
+    if lock is None:
+        waiting()
+        lock = take_folder(out)
     return lock
 
 
-def _discard(draft: Path, lock: int) -> None:
+def _discard(draft: Path, lock: Lock) -> None:
+    # Windows removes no folder in which a file is open; whoever takes it for debris now may have it.
+    lock.release()
     shutil.rmtree(draft, ignore_errors=True)
-    os.close(lock)
 
 
 def _read_record(path: Path) -> dict[str, Any]:

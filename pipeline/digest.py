@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.own_paths import home
+from pipeline.own_paths import from_there, home
 from stages.errors import StageError
 from stages.files.opening import opened
 from stages.progress import Progress, silent
@@ -153,7 +153,7 @@ def _place(value: Any, folder: Path | None) -> str | None:
     if not isinstance(file, Path):
         return None
     # From the folder on, so that a moved scan keeps its results.
-    return str(file) if folder is None else os.path.relpath(file, home(folder))
+    return str(file) if folder is None else from_there(file, home(folder))
 
 
 def _content(path: Path) -> str:

@@ -6,7 +6,6 @@ The engine knows no stage by name; `pipeline.graph` declares them.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,10 +17,10 @@ from pipeline.entry import Entry, Recipe
 from pipeline.events import Events, StageFinished, StageProgress, StageStarted, Waiting, Warned
 from pipeline.expectation import Cost
 from pipeline.failures import explained
-from pipeline.memory import peak_bytes, reset_peak
 from pipeline.reasons import reason
 from pipeline.results import Results
 from pipeline.sections import Sections
+from pipeline.system import peak_bytes, reset_peak
 from stages.progress import Progress
 
 
@@ -152,7 +151,7 @@ class Engine:
     def __exit__(self, *exception: object) -> None:
         for entry in self._entries:
             entry.close()
-        os.close(self._lock)
+        self._lock.release()
 
     def run(self, until: str, force: Collection[str]) -> Iterator[Outcome]:
         """Run the stages up to and with `until`, one a step; those in `force` without asking the cache."""

@@ -19,7 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.digest import digest, file_digests
-from pipeline.files import flush, flush_all
+from pipeline.files import flush_all
+from pipeline.locks import Lock
+from pipeline.system import flush
 from stages.files.opening import text_in
 
 # Raise it when the meaning of a key or the form of an entry changes: all older entries then miss.
@@ -69,10 +71,10 @@ class Entry:
     manifest : what its manifest.json says.
     """
 
-    def __init__(self, folder: Path, manifest: dict[str, Any], lock: int) -> None:
+    def __init__(self, folder: Path, manifest: dict[str, Any], lock: Lock) -> None:
         self.folder = folder
         self.manifest = manifest
-        self._lock: int | None = lock
+        self._lock = lock
 
     @property
     def key(self) -> str:
@@ -97,9 +99,7 @@ class Entry:
 
     def close(self) -> None:
         """Let the entry go."""
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        self._lock.release()
 
 
 class DamagedError(Exception):
@@ -123,7 +123,7 @@ def seal(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> None:
         **record,
     }
     text = json.dumps({**manifest, "digest": digest(manifest)}, indent=1)
-    (draft / MANIFEST).write_text(text, encoding="utf-8")
+    (draft / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
     flush(draft / MANIFEST)
     flush_all([*(path for path in draft.rglob("*") if path.is_dir()), draft])
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from stages.errors import StageError, is_lack_of_memory
 
 _FULL = {errno.ENOSPC: "the disk is full", errno.EDQUOT: "the disk quota is used up"}
+# ERROR_ACCESS_DENIED and ERROR_SHARING_VIOLATION: what Windows says of files that are open elsewhere.
+_IN_USE = (5, 32)
 _ADVICE = "free some space, or keep the cache elsewhere (SCANLOOM_CACHE)"
 
 
@@ -34,4 +36,6 @@ def _reason(error: OSError) -> str:
     if error.errno in _FULL:
         return f"{_FULL[error.errno]}; {_ADVICE}"
     reason = error.strerror or str(error)
+    if getattr(error, "winerror", None) in _IN_USE:
+        reason = f"{reason.rstrip('.')}; another program may have it open"
     return f"{reason} ({error.filename})" if error.filename else reason

@@ -23,6 +23,14 @@ def from_folder(value: T, folder: Path | None) -> T:
     return value if folder is None else _shortened(value, f"{home(folder)}{os.sep}")
 
 
+def from_there(path: Path, folder: Path) -> str:
+    """Return a path as it is written from a folder on; whole where no way leads there, to another drive."""
+    try:
+        return os.path.relpath(path, folder)
+    except ValueError:
+        return str(path.absolute())
+
+
 def home(folder: Path) -> Path:
     """Return the folder files of a scan are named from: the scan's own, or that of the one file it is."""
     return folder.parent if folder.is_file() else folder

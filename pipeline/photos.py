@@ -63,7 +63,9 @@ def write_photos(folder: Path, frames: Sequence[Frame], count: int, held_out: Se
         {**_told(frame, photos.get(number)), "held_out": shown[number] >= last}
         for number, frame in enumerate(told)
     ]
-    (folder / FILE).write_text(json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8")
+    (folder / FILE).write_text(
+        json.dumps({"posed": len(posed), "cameras": cameras}) + "\n", encoding="utf-8", newline="\n"
+    )
     return sum(name is not None for name in photos.values())
 
 

@@ -54,7 +54,7 @@ def write(folder: Path, found: Registration, scan_folder: Path | None = None) ->
         "skipped": [{"frame": one.name, "reason": one.reason} for one in found.skipped],
     }
     text = json.dumps(from_folder(document, scan_folder), indent=1)
-    (folder / _FILE).write_text(text + "\n", encoding="utf-8")
+    (folder / _FILE).write_text(text + "\n", encoding="utf-8", newline="\n")
     write_ply_cloud(folder / "path.ply", *_cloud(found.frames))
     return found.figures()
 

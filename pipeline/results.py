@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection, Iterable, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from pipeline.cache import Cache
@@ -21,6 +21,7 @@ from pipeline.failures import explained
 from pipeline.files import copy_whole, remove_abandoned, write_whole
 from pipeline.report_text import to_json
 from stages.errors import InputError
+from stages.files.inside import leads_inside
 from stages.files.opening import text_in
 from stages.picturing.page.one_file import is_page
 
@@ -255,7 +256,7 @@ def _reported(path: Path) -> dict[str, dict[str, str]] | None:
 
 def _is_record(files: Mapping[Any, Any]) -> bool:
     return all(
-        isinstance(name, str) and isinstance(content, str) and _is_inside(name)
+        isinstance(name, str) and isinstance(content, str) and leads_inside(name)
         for name, content in files.items()
     )
 
@@ -268,12 +269,7 @@ def _sound(stages: object) -> dict[str, Any]:
 
 def _is_placed(stage: object) -> bool:
     placed = stage.get("placed") if isinstance(stage, dict) else None
-    return isinstance(placed, dict) and all(_is_inside(name) for name in placed)
-
-
-def _is_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    return not path.is_absolute() and ".." not in path.parts and "\0" not in name
+    return isinstance(placed, dict) and all(map(leads_inside, placed))
 
 
 def _is_decided(stage: Mapping[str, Any]) -> bool:

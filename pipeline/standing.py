@@ -15,7 +15,7 @@ _FILE = "upright.json"
 
 def write_up(folder: Path, up: Up | None) -> None:
     """Write what is up; None to turn nothing."""
-    (folder / _FILE).write_text(json.dumps({"up": up}) + "\n", encoding="utf-8")
+    (folder / _FILE).write_text(json.dumps({"up": up}) + "\n", encoding="utf-8", newline="\n")
 
 
 def read_up(folder: Path) -> Up | None:

@@ -51,7 +51,7 @@ def check(
     if save_places is not None:
         save_places.parent.mkdir(parents=True, exist_ok=True)
         with replacing(save_places) as draft:
-            draft.write_text(json.dumps(place_lists(found)) + "\n", encoding="utf-8")
+            draft.write_text(json.dumps(place_lists(found)) + "\n", encoding="utf-8", newline="\n")
     if save_ply is not None:
         write_coloured(save_ply, mesh, found, out)
     for sentence in unmet:

@@ -59,15 +59,21 @@ def _write(path: Path, found: Mapping[str, Any], of_run: Path | None) -> None:
         texts[REPORT] = text_in(report, "utf-8")
     path.parent.mkdir(parents=True, exist_ok=True)
     home = str(Path.home())
+    # As it is, and as JSON has it: where folders are parted by \, or names are of other letters than English.
+    homes = dict.fromkeys((json.dumps(home)[1:-1], json.dumps(home, ensure_ascii=False)[1:-1], home))
     with replacing(path) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, text in texts.items():
             # A home of "/" would make every path start with ~.
-            packed.writestr(name, text.replace(home, "~") if len(home) > 1 else text)
+            for written in homes if len(home) > 1 else ():
+                text = text.replace(written, "~")
+            packed.writestr(name, text)
 
 
 def _text(found: Mapping[str, Any]) -> str:
     rows = [["", ""]]
     for name, value in found.items():
+        if name == "oddities":
+            continue
         if isinstance(value, dict):
             rows += [[key, "not installed" if version is None else version] for key, version in value.items()]
         elif value is None:
@@ -77,4 +83,4 @@ def _text(found: Mapping[str, Any]) -> str:
         else:
             words = ", ".join(value) if isinstance(value, list) else str(value)
             rows.append([name.replace("_", " "), words])
-    return table_of(rows)
+    return "\n".join([table_of(rows), *(f"odd: {sentence}" for sentence in found["oddities"])])

@@ -56,7 +56,7 @@ def write_usd(path: Path, mesh: Mesh) -> list[str]:
     require_usd()
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: USD is written as {', '.join(SUFFIXES)}.")
-    with tempfile.TemporaryDirectory(prefix="scanloom-") as kept:
+    with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         folder = Path(kept)
         text = folder / f"{path.stem}.usda"
         images, notes = _write_stage(text, mesh)

@@ -9,10 +9,11 @@ import json
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
+from stages.files.inside import leads_inside
 from stages.files.opening import text_in
 
 if TYPE_CHECKING:
@@ -63,9 +64,7 @@ def require_inside(name: str, path: Path, where: str) -> str:
     parts = name.split("/")
     if (
         not all(parts)
-        or PurePosixPath(name).is_absolute()
-        or ".." in parts
-        or "\0" in name
+        or not leads_inside(name)
         or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME
     ):
         raise InputError(f"{where}: {name[:100]!r} is not a path inside the folder.", path)

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.errors import InputError, StageError
+from stages.files.moving import move
 
 # Bytes of a name that file systems take; a draft's is longer than its file's by the rest.
 _LONGEST_NAME = 255
@@ -41,7 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             if mode is not None:
                 part.chmod(mode)
-            part.replace(target)
+            move(part, target)
         finally:
             part.unlink(missing_ok=True)
     except OSError as error:

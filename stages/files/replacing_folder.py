@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from stages.errors import InputError, StageError
+from stages.files.moving import move
 from stages.files.replacing import draft_of
 
 
@@ -39,11 +40,11 @@ def replacing_folder(path: Path, is_ours: Callable[[Path], bool], what: str) -> 
             yield draft
             try:
                 if target.exists():
-                    target.replace(old)
-                draft.replace(target)
+                    move(target, old)
+                move(draft, target)
             finally:
                 if old.exists() and not target.exists():
-                    old.replace(target)
+                    move(old, target)
         finally:
             shutil.rmtree(draft, ignore_errors=True)
             shutil.rmtree(old, ignore_errors=True)

@@ -208,7 +208,7 @@ def write_tiles(
         of_tiles = tuple(found[number] for number in sorted(found))
         up = _up(params, hierarchy, model)
         tree = _tileset(placed, tiles, of_tiles, grid, up)
-        (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), "utf-8")
+        (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), encoding="utf-8", newline="\n")
         for name, content in (tiles_page() if params.page else {}).items():
             (draft / name).parent.mkdir(parents=True, exist_ok=True)
             (draft / name).write_bytes(content)

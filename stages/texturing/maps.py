@@ -43,7 +43,7 @@ def write_maps(folder: Path, textured: Textured) -> None:
         "photos": {str(number): name for number, name in enumerate(textured.photos, 1)},
         "texel_size_m": textured.texel_size,
     }
-    (folder / "photos.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    (folder / "photos.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
 def _measured(

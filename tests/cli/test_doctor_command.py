@@ -47,6 +47,30 @@ def test_the_bundle_holds_no_home(scanloom: Run, tmp_path: Path, monkeypatch: py
         assert str(tmp_path / "home").encode() not in packed.read("doctor.json")
 
 
+@pytest.mark.parametrize("home", ["C:\\Users\\ada", "/home/åda"])
+def test_the_bundle_holds_no_home_as_json_writes_it(
+    scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str
+) -> None:
+    monkeypatch.setenv("HOME", home)
+    for number, is_ascii in enumerate((True, False)):
+        out = tmp_path / str(number)
+        out.mkdir()
+        text = json.dumps({"folder": f"{home}/scan"}, ensure_ascii=is_ascii)
+        (out / "report.json").write_text(text, encoding="utf-8")
+        ran = scanloom("doctor", "--bundle", out / "b.zip", "--run", out)
+        assert ran.exit_code == 0, ran.stderr
+        with zipfile.ZipFile(out / "b.zip") as packed:
+            assert json.loads(packed.read("report.json")) == {"folder": "~/scan"}
+
+
+def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stages.inspecting.system.ignores_case", lambda folder: True)  # noqa: ARG005
+    lines = [line for line in scanloom("doctor").stdout.splitlines() if line.startswith("odd: ")]
+    assert len(lines) == 1
+    assert "upper and lower case" in lines[0]
+    assert len(scanloom("doctor", "--json").json["oddities"]) == 1
+
+
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [

@@ -1,7 +1,8 @@
 """Kill a process at every step it takes in the file system, and look at what it leaves.
 
 `python kill_everywhere.py SCAN FOLDER EVERY` works on the toy pipeline and prints how many kills there were.
-A child is forked for each; it kills itself when it is about to make its n-th call that touches a file.
+A child is forked for each; it kills itself when it is about to make its n-th call that touches a file. With
+`windows` as fourth word the sources take this for Windows.
 """
 
 import os
@@ -10,11 +11,17 @@ import signal
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "made")]
 
-import toy
+fork = os.fork
+if sys.argv[4:] == ["windows"]:
+    from pretend_windows import pretend
 
-from pipeline.cache import Cache
+    pretend()
+
+import toy  # noqa: E402
+
+from pipeline.cache import Cache  # noqa: E402
 
 RESULTS = ("mixed.bin", "cut.bin", "tables/counts.txt")
 WATCHED = {
@@ -37,7 +44,7 @@ def contents(out: Path) -> list[bytes | None]:
 
 def killed_at(step: int, scan: Path, out: Path) -> bool:
     """Run with another parameter in a child that dies at its n-th step; return whether it got there."""
-    child = os.fork()
+    child = fork()
     if child == 0:
         left = step
 

@@ -208,6 +208,7 @@ def test_events_tell_the_story(toy, scan, tmp_path):
     assert [(e.stage, e.cached, e.reason) for e in told] == [("mix", True, "")]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the peak is that of the whole run")
 def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
     def hungry(job):
         block = bytearray(200_000_000)

@@ -1,15 +1,14 @@
 """A changed result never comes from the cache: every RESULT_VERSION is in the key of a stage that runs it."""
 
 import ast
-import pkgutil
 from collections.abc import Iterator, Mapping
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from own_modules import modules_of
 
 import pipeline
 import stages
@@ -19,11 +18,7 @@ from pipeline.graph import STAGES
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 
 ROOT = Path(stages.__file__).parents[1]
-MODULES = [
-    import_module(found.name)
-    for package in (pipeline, stages)
-    for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
-]
+MODULES = modules_of(pipeline, stages)
 STATING = [module for module in MODULES if hasattr(module, "RESULT_VERSION")]
 
 CAMERA = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)

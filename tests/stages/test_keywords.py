@@ -1,17 +1,18 @@
 """What editors and type checkers know of keywords is what the parameters are."""
 
 import inspect
-import pkgutil
 from collections.abc import Callable, Iterator
 from dataclasses import fields
 from importlib import import_module
 from types import ModuleType
 from typing import Any, get_type_hints
 
+from own_modules import modules_of
+
 import stages
 
 SHARED = ("stages.simplification.shared_params", "stages.simplification.keywords")
-MODULES = [import_module(found.name) for found in pkgutil.walk_packages(stages.__path__, "stages.")]
+MODULES = modules_of(stages)
 
 
 def classes_of(module: ModuleType) -> list[type]:

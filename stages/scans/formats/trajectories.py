@@ -146,7 +146,7 @@ def write_tum(path: Path, seconds: Sequence[float], poses: Sequence[Pose]) -> No
     for time, pose in zip(seconds, poses, strict=True):
         turn = Rotation.from_matrix(pose[:3, :3]).as_quat()
         lines.append(" ".join([f"{time:.9f}", *(f"{value:.9f}" for value in (*pose[:3, 3], *turn))]))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
 def read_log(path: Path) -> Trajectory:

@@ -90,7 +90,7 @@ def write_scan_json(
         "frames": [_frame_table(frame, folder, first.camera) for frame in frames],
     }
     path = folder / FILE
-    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return path
 
 

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from stages.errors import InputError
 from stages.files.images import image_size
+from stages.files.inside import leads_inside
 from stages.scans.scan import SkippedFrame
 
 IMAGES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
@@ -63,17 +64,16 @@ def inside(folder: Path, value: object, what: str, file: Path) -> Path:
     InputError
         If it is no relative path, or leaves the folder.
     """
-    relative = PurePosixPath(value.replace("\\", "/") if isinstance(value, str) else "/")
-    parts = relative.parts
-    if not parts or relative.is_absolute() or ".." in parts or not all(_is_name(part) for part in parts):
+    name = value.replace("\\", "/") if isinstance(value, str) else "/"
+    if not leads_inside(name) or not all(_is_name(part) for part in PurePosixPath(name).parts):
         raise InputError(f"{what} is not a path inside the folder.", file)
-    return folder / relative
+    return folder / PurePosixPath(name)
 
 
 def _is_name(part: str) -> bool:
     """Say whether a file can be called so: JSON can hold half a character, and any length."""
     try:
-        return "\0" not in part and len(part.encode()) <= 255
+        return len(part.encode()) <= 255
     except UnicodeEncodeError:
         return False
 

@@ -365,4 +365,4 @@ def _write_apart(path: Path, tree: Tree, buffer: Buffer, materials: MaterialWrit
         with replacing(binary) as part, part.open("wb") as file:
             file.writelines(buffer.pieces)
     with replacing(path) as part:
-        part.write_text(json.dumps(tree, indent=1), "utf-8")
+        part.write_text(json.dumps(tree, indent=1), encoding="utf-8", newline="\n")

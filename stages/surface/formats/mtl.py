@@ -189,7 +189,7 @@ def write_library(path: Path, materials: Sequence[Material], names: list[str]) -
     for material, name in zip(materials, names, strict=True):
         lines += [f"newmtl {name}", *_lines(material, files)]
     with replacing(path.with_name(f"{path.stem}.mtl")) as part:
-        part.write_text("\n".join([*lines, ""]), "utf-8")
+        part.write_text("\n".join([*lines, ""]), encoding="utf-8", newline="\n")
 
 
 def _kept(material: Material) -> MtlStatements:

@@ -15,6 +15,8 @@ from stages.surface.texture import Image
 # Bytes that file systems take; some are for what is put before or after.
 _LONGEST_NAME = 255
 _LONGEST_PART = 80
+# What Windows takes for devices, whatever follows a dot.
+_DEVICES = re.compile(r"^((?:con|prn|aux|nul|com\d|lpt\d)(?:\.|$))", re.IGNORECASE)
 
 
 def beside(folder: Path, name: str) -> Path:
@@ -95,6 +97,7 @@ def _safe_name(name: str, extension: str) -> str:
     """Return a name that stays in its folder on every system, and fits the kind of image."""
     last = PureWindowsPath(PurePosixPath(name).name).name
     last = re.sub(r'[\x00-\x1f<>:"|?*]', "_", last).strip(" .")
+    last = _DEVICES.sub(r"_\1", last)
     last = _cut(last, _LONGEST_PART)
     known = {".jpeg": ".jpg", ".tiff": ".tif"}
     suffix = PurePosixPath(last).suffix.lower()

@@ -1,0 +1,76 @@
+"""What systems tell of themselves, each in its own way, and what is odd about one."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from stages.files.opening import text_in
+
+if sys.platform == "win32":
+    from stages.inspecting import windows
+
+
+def memory_bytes() -> tuple[int | None, int | None]:
+    """Return all memory there is and what is free of it; None for what the system does not tell."""
+    if sys.platform == "win32":
+        return windows.memory_bytes()
+    else:  # noqa: RET505 - type checkers take the rest for unreachable on Windows
+        total, free = (_first(Path("/proc/meminfo"), key) for key in ("MemTotal", "MemAvailable"))
+        if total is not None:
+            return _of_kilobytes(total), None if free is None else _of_kilobytes(free)
+        try:
+            return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"), None
+        except (OSError, ValueError):
+            return None, None
+
+
+def of_processor(key: str) -> str | None:
+    """Return what the system says of the first processor under a key; None where it does not."""
+    return _first(Path("/proc/cpuinfo"), key)
+
+
+def oddities(folder: Path) -> list[str]:
+    """Return sentences on what is other here than where scanloom is tried most, if anything.
+
+    Parameters
+    ----------
+    folder : on the file system that is meant; nothing is written.
+    """
+    system = {"win32": "Windows", "darwin": "macOS"}.get(sys.platform, sys.platform)
+    sentences = {
+        f"scanloom is tried on Linux; on {system} it is expected to work, see docs/platforms.md.": (
+            sys.platform != "linux"
+        ),
+        "this Python has 32 bits: scans may not fit into its memory.": sys.maxsize < 1 << 32,
+        "this processor has its bytes in another order than files of scans do.": sys.byteorder != "little",
+        f"{folder}: names that differ in upper and lower case alone are one file here.": ignores_case(folder),
+        "paths may have 260 characters only: keep output folders near the root, or switch on long paths in "
+        "Windows.": (sys.platform == "win32" and not windows.takes_long_paths()),
+    }
+    return [sentence for sentence, holds in sentences.items() if holds]
+
+
+def ignores_case(folder: Path) -> bool:
+    """Return whether names that differ in case alone are one file where a folder is."""
+    there = folder.absolute()
+    lettered = next((p for p in (there, *there.parents) if p.name.swapcase() != p.name), None)
+    try:
+        return lettered is not None and lettered.with_name(lettered.name.swapcase()).samefile(lettered)
+    except OSError:
+        return False
+
+
+def _of_kilobytes(text: str) -> int:
+    return 1024 * int(text.split()[0])
+
+
+def _first(path: Path, key: str) -> str | None:
+    """Return what stands behind a key of a file of the system; None where there is none."""
+    try:
+        lines = text_in(path, "utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    pairs = (line.partition(":") for line in lines)
+    return next((value.strip() for name, _, value in pairs if name.strip() == key), None)

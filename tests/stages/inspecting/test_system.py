@@ -1,0 +1,53 @@
+"""What the system tells of itself, and what is odd about it."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from stages.inspecting import system
+
+
+def test_memory_is_told() -> None:
+    total, available = system.memory_bytes()
+    assert total is not None
+    assert total > 1 << 28
+    assert available is None or 0 < available <= total
+
+
+def test_memory_where_there_is_no_proc(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 16384}
+    monkeypatch.setattr(system, "_first", lambda path, key: None)  # noqa: ARG005
+    monkeypatch.setattr(os, "sysconf", told.__getitem__)
+    assert system.memory_bytes() == (16_384_000, None)
+
+    def refuse(name: str) -> int:
+        raise ValueError(name)
+
+    monkeypatch.setattr(os, "sysconf", refuse)
+    assert system.memory_bytes() == (None, None)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
+def test_nothing_is_odd_about_a_usual_machine(tmp_path: Path) -> None:
+    assert system.oddities(tmp_path) == []
+
+
+def test_letter_case_that_does_not_count_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "Scan 1" / "0123"
+    folder.mkdir(parents=True)
+    assert not system.ignores_case(folder)
+    # As on a file system that finds one by the other's name.
+    (tmp_path / "sCAN 1").symlink_to(tmp_path / "Scan 1")
+    assert system.ignores_case(folder)
+    assert any("upper and lower case" in sentence for sentence in system.oddities(folder))
+    monkeypatch.chdir("/")
+    assert not system.ignores_case(Path("/"))
+
+
+def test_another_system_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert [text.partition(",")[0] for text in system.oddities(tmp_path)] == [
+        "scanloom is tried on Linux; on macOS it is expected to work"
+    ]
