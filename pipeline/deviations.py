@@ -58,7 +58,7 @@ def write_deviations(folder: Path, found: Deviations) -> dict[str, Any]:
     kept = kept_of(found)
     write_ply(folder / MESH, found.painted, vertex_values={_PROPERTY: kept.at_vertices.astype(np.float32)})
     document = {"figures": kept.figures, "quantiles_m": kept.quantiles.tolist()}
-    (folder / FIGURES).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    (folder / FIGURES).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return dict(kept.figures)
 
 

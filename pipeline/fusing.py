@@ -26,7 +26,9 @@ def write(folder: Path, fused: Fused) -> None:
     """Write what was fused."""
     write_ply(folder / "fused.ply", fused.mesh)
     if fused.support is not None:
-        (folder / _PLANE).write_text(json.dumps({"up": fused.support.normal}) + "\n", encoding="utf-8")
+        (folder / _PLANE).write_text(
+            json.dumps({"up": fused.support.normal}) + "\n", encoding="utf-8", newline="\n"
+        )
 
 
 def up_from_plane(folder: Path) -> Up | None:
