@@ -133,10 +133,14 @@ def _alignment_text(moved: Mapping[str, Any], length: Length) -> str:
     )
 
 
+def _places(count: int) -> str:
+    return f"{count:,} place" if count == 1 else f"{count:,} places"
+
+
 def _change_text(told: Mapping[str, Any], length: Length) -> str:
     text = (
-        f"New in B: {told['new_area_m2']:.4g} m² in {told['new_places']:,} places; gone of A: "
-        f"{told['gone_area_m2']:.4g} m² in {told['gone_places']:,} places; farther than "
+        f"New in B: {told['new_area_m2']:.4g} m² in {_places(told['new_places'])}; gone of A: "
+        f"{told['gone_area_m2']:.4g} m² in {_places(told['gone_places'])}; farther than "
         f"{length(told['distance_m'])} from the other."
     )
     if not told["largest"]:

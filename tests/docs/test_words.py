@@ -109,8 +109,8 @@ def test_two_scans_are_compared(
 
     assert len(lines) == 4
     told = capsys.readouterr().out
-    assert "B was moved onto A by 0.001" in told
-    assert "New in B: 0 m² in 0 places; gone of A: 0.1" in told
+    assert "B was moved onto A by 1.00" in told and " mm RMS" in told
+    assert "New in B: 0 m² in 0 places; gone of A: 0.1016 m² in 1 place;" in told
     for name in ("off.png", "change.ply"):
         assert (tmp_path / name).stat().st_size > 10_000
 

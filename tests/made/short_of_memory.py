@@ -214,6 +214,7 @@ def _remeshed(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
         relaxations=1,
         tolerance=1e-5,
         color_tolerance=1.0,
+        up=None,
         threads=2,
         progress=_told,
     )

@@ -55,8 +55,8 @@ def silent(text: str) -> None:
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Two balls of which one grows and one goes, and another comes; and a cloud of the first two."""
     folder = tmp_path_factory.mktemp("pages")
-    before = of(ball((0, 0, 0), 1), ball((0, 1.75, 0), 0.3), color=(200, 120, 40))
-    after = of(ball((0, 0, 0), 1.02), ball((0, 3, 0), 0.5), color=(40, 120, 200))
+    before = of(ball((0, 0, 0), 1), ball((1.75, 0, 0), 0.3), color=(200, 120, 40))
+    after = of(ball((0, 0, 0), 1.02), ball((3, 0, 0), 0.5), color=(40, 120, 200))
     points = cloud(before.vertices * (1, 1, 1), before.colors).with_(up=UP)
     written = {}
     for name, other in (("meshes", after), ("points", points)):
@@ -158,7 +158,7 @@ def test_what_is_told_and_flown_to(page: Any) -> None:
         # The farthest off is the new ball: its place is told in the axes of the files, and flown to.
         row = page.locator("table").nth(1).locator("tbody tr").first
         place = np.array([float(word) for word in row.locator("td").nth(1).inner_text().split(",")])
-        assert np.linalg.norm(place - FAR - (0, 3, 0)) == pytest.approx(0.5, abs=0.02)
+        assert np.linalg.norm(place - FAR - (3, 0, 0)) == pytest.approx(0.5, abs=0.02)
         row.get_by_role("button").click()
         np.testing.assert_allclose(page.evaluate("scanloom.view()")["target"], place, atol=2e-3)
 

@@ -173,7 +173,14 @@ def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     assert report == result.report
     assert result.figures()["out"] == str(out)
     assert report["schema"] == SCHEMA
-    assert report["scan"] == {"layout": "plain-rgbd", "frames": 6, "frames_skipped": [], "warnings": [], "metric": True, "scale": None}
+    assert report["scan"] == {
+        "layout": "plain-rgbd",
+        "frames": 6,
+        "frames_skipped": [],
+        "warnings": [],
+        "metric": True,
+        "scale": None,
+    }
     assert list(report["stages"]) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
     for stage in report["stages"].values():
         assert stage["cached"] is False

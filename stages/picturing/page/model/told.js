@@ -55,8 +55,10 @@ function table(head, rows, places) {
   const made = document.createElement("table");
   if (head.some((name) => name)) {
     const top = made.createTHead().insertRow();
-    for (const name of head) {
+    for (const [column, name] of head.entries()) {
       const cell = element(name ? "th" : "td", name);
+      // A heading stands over what is below it.
+      if (rows.length && rows.every((row) => isNumber(row[column]))) cell.className = "number";
       if (name) cell.scope = "col";
       top.append(cell);
     }
@@ -72,7 +74,7 @@ function table(head, rows, places) {
         line.append(cell);
       }
       cell.textContent = value;
-      if (/^[+−-]?[\d.,]+( [^ ]+)?$/.test(value)) cell.className = "number";
+      if (isNumber(value)) cell.className = "number";
     }
     if (places) line.insertCell().append(flight(places[number]));
   });
@@ -91,6 +93,8 @@ function flight({ target, away }) {
   });
   return button;
 }
+
+const isNumber = (value) => /^[+−-]?[\d.,]+( [^ ]+)?$/.test(value);
 
 const heading = (text) => element("h2", text);
 
