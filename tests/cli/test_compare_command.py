@@ -119,7 +119,7 @@ def test_what_is_saved_needs_its_option_and_a_format_that_holds_it(
 
 
 NUMBER = r"[+-]?\d[\d.,]*(?:e[+-]\d+)?"
-UNIT = r" (?:mm|m|dB|levels|points|samples|places)\b| m²| ?%|°"
+UNIT = r" (?:mm|m|dB|levels|points|samples|places?)\b| m²| ?%|°"
 
 
 def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) -> None:
