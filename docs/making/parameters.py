@@ -10,6 +10,7 @@ from typing import Any, get_type_hints
 
 from making.markdown import definitions, escaped
 from pipeline.config import Config
+from pipeline.quality import QUALITIES
 from pipeline.sections import facts_of
 from stages.params import Described, described
 
@@ -28,6 +29,23 @@ def of_all() -> str:
         listed = _grouped(params, partial(_anchored, section))
         written.append(f"## `[{section}]`\n\n{escaped(summary)}\n\n{listed}")
     return "\n\n".join(written)
+
+
+def of_qualities() -> str:
+    """Return a table of what each quality of a run sets, and what is set without one."""
+    rows = ["| quality | sets |", "|---|---|"]
+    for quality, sections in QUALITIES.items():
+        words = [
+            f"`{section}.{name}={_value(value)}` ({_value(getattr(getattr(Config(), section), name))})"
+            for section, params in sections.items()
+            for name, value in params.items()
+        ]
+        rows.append(f"| `{quality}` | {', '.join(words) or 'nothing'} |")
+    return "\n".join([*rows, "", "In brackets: what `standard` has."])
+
+
+def _value(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) or value is None else str(value)
 
 
 def entries_of(params: Any) -> Iterator[tuple[str, Described, str]]:

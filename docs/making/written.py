@@ -38,6 +38,7 @@ def guides() -> str:
 MAKERS: dict[str, Any] = {
     "guides": guides,
     "parameters": parameters.of_section,
+    "qualities": parameters.of_qualities,
     "configuration": parameters.of_all,
     "commands": commands.reference,
     "python": python.reference,

@@ -20,8 +20,8 @@ SUFFIXES = (".png", ".svg")
 _WIDTH, _DPI = 7.0, 150  # inches, and pixels for each
 # Told apart also by eyes that mix up red and green: Okabe and Ito, "Color universal design", 2008.
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "#999999"
-# Of the greatest distance: what is less is the rounding of a mesh that is the input.
-_ROUNDING = 1e-9
+# What is off by less than this share of the worst is not off: it would take most of a logarithmic axis.
+_NOTHING = 1e-4
 
 
 def require_plots() -> None:
@@ -51,7 +51,7 @@ def plot_tradeoff(path: Path, found: Tradeoff) -> None:
     colored = found.points[0].color_rmse_levels is not None
     figure, parts = _figure(5.6 if colored else 3.8, 2 if colored else 1)
     most = max(point.maximum_m for point in found.points)
-    shown = [point for point in found.points if point.rms_m > _ROUNDING * most]
+    shown = [point for point in found.points if point.maximum_m > _NOTHING * most]
     triangles = [point.triangles for point in shown]
     for name, label, color in (
         ("maximum_m", "maximum", _ORANGE),

@@ -78,7 +78,7 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
     """Return the depth camera, the depth scale and what is to be said about them."""
     unregistered = (
         "depth and colour of 7-Scenes come from two cameras and are not registered: "
-        "colour is off by a few pixels"
+        "colour is off by a few pixels where the stage adjust does not put it right"
     )
     stated = options.camera(width, height)
     if stated is not None:
