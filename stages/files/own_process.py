@@ -90,22 +90,23 @@ def answer(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
 
 def _limit(seconds: float) -> None:
     """Take no more than so much time and memory from here on, where the system has such limits."""
-    try:
+    if sys.platform != "win32":  # which has none
         import resource
-    except ImportError:  # Windows has none
-        return
-    _lower(resource.RLIMIT_CPU, int(seconds) + 1)
-    _lower(resource.RLIMIT_CORE, 0)
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except (OSError, ValueError, IndexError):  # nothing tells how much it has
-        return
-    _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + _MEMORY)
+
+        _lower(resource.RLIMIT_CPU, int(seconds) + 1)
+        _lower(resource.RLIMIT_CORE, 0)
+        try:
+            pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        except (OSError, ValueError, IndexError):  # nothing tells how much it has
+            return
+        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + _MEMORY)
 
 
-def _lower(limit: int, most: int) -> None:
-    import resource
+if sys.platform != "win32":
 
-    soft, hard = resource.getrlimit(limit)
-    known = [value for value in (soft, hard, most) if value != resource.RLIM_INFINITY]
-    resource.setrlimit(limit, (min(known), hard))
+    def _lower(limit: int, most: int) -> None:
+        import resource
+
+        soft, hard = resource.getrlimit(limit)
+        known = [value for value in (soft, hard, most) if value != resource.RLIM_INFINITY]
+        resource.setrlimit(limit, (min(known), hard))
