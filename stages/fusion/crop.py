@@ -81,7 +81,12 @@ def cut(mesh: Mesh, crop: Crop) -> Mesh:
     if not crop:
         return mesh
     inside = crop.outside(mesh.vertices) <= 0
-    triangles = mesh.triangles[inside[mesh.triangles].all(axis=1)]
+    return part_of(mesh, np.asarray(inside[mesh.triangles].all(axis=1)))
+
+
+def part_of(mesh: Mesh, kept: Mask) -> Mesh:
+    """Return the triangles of a mesh with vertex colours that are kept (m,), in the same order."""
+    triangles = mesh.triangles[kept]
     used = np.zeros(len(mesh.vertices), np.bool_)
     used[triangles] = True
     rank = np.cumsum(used, dtype=np.int32) - 1

@@ -12,6 +12,7 @@ import numpy as np
 from stages._open3d import open3d
 from stages.errors import InputError, UsageError
 from stages.fusion.crop import Crop, cut
+from stages.fusion.lone import as_one, continued, on_depth
 from stages.fusion.params import FuseKeywords, FuseParams
 from stages.fusion.plan import make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
@@ -22,13 +23,13 @@ from stages.params import resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans.prefetch import read_ahead, workers
-from stages.scans.scan import ColorImage, Frame, Scan, SkippedFrame
+from stages.scans.scan import Camera, ColorImage, Frame, Scan, SkippedFrame
 from stages.surface.mesh import Mesh
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -117,9 +118,10 @@ class Fused:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A frame ready to be integrated."""
+    """A frame ready to be integrated: as it was read, and the camera that what is integrated belongs to."""
 
     view: PosedDepth
+    camera: Camera
     used: int
     parts: list[Layer]
     color: ColorImage | None
@@ -186,9 +188,15 @@ def fuse(
             image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
         except InputError as error:
             return SkippedFrame(frame.name, str(error))
-        return _Prepared(view, int(np.count_nonzero(here)), plan.layers(view, here), image)
+        used = int(np.count_nonzero(here))
+        if not plan.is_lone:
+            return _Prepared(view, view.camera, used, plan.layers(view, here), image)
+        wider = continued(view, here, image, plan.voxel_size)
+        parts = as_one(plan.layers(wider.view, wider.here))
+        return _Prepared(view, wider.view.camera, used, parts, wider.color)
 
     skipped: list[SkippedFrame] = []
+    lone: PosedDepth | None = None
     pixels = valid = used = outside = 0
     for done, item in enumerate(read_ahead(prepare, frames, threads=threads, ahead=threads + 2), 1):
         if isinstance(item, SkippedFrame):
@@ -196,8 +204,9 @@ def fuse(
             _require_share(skipped, len(frames), params.max_bad_share, where)
         else:
             view = item.view
+            lone = view if plan.is_lone else None
             # Without parts, nothing is added.
-            volume.integrate(item.parts, view.camera, plan.local(view.pose), item.color)
+            volume.integrate(item.parts, item.camera, plan.local(view.pose), item.color)
             outside += item.used == 0
             pixels += view.surface.depth.size
             valid += view.valid
@@ -206,6 +215,8 @@ def fuse(
 
     min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 2), 1, 3))
     mesh = volume.mesh(min_weight)
+    if lone is not None:
+        mesh = on_depth(mesh, lone, plan.local(lone.pose))
     mesh = cut(mesh.with_(vertices=mesh.vertices + plan.origin), plan.crop)
     fused = len(frames) - len(skipped) - outside
     if len(mesh.triangles) == 0:

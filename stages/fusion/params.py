@@ -36,7 +36,8 @@ class FuseParams:
     truncation: float | None = param(
         None,
         "Distance from the surface, along its normal, at which the field is cut off. Derived: three times "
-        "the measured noise of far depth, but 3 to 5 voxels (more if the voxels are finer than the noise).",
+        "the measured noise of far depth, but 3 to 5 voxels (more if the voxels are finer than the noise); "
+        "5 for a frame alone.",
         unit="m",
         low=0,
         low_open=True,

@@ -31,6 +31,8 @@ _PIXELS = 8_000_000
 _FREE = 2.0
 # A derived voxel size aims at no more than this; about 200 bytes of volume for each.
 _TRIANGLES = 2_000_000
+# Of a frame alone nobody knows the noise, and no other fills what it tears: the field reaches so many voxels.
+_LONE = 5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,6 +51,7 @@ class Plan:
     triangles : how many triangles are expected, roughly.
     scene : where the scan lies, before anything is left out of it.
     crop : what is fused of it.
+    is_lone : whether a frame is fused alone (see stages.fusion.lone).
     reach : metres; the field is made up to so far outside, so that it is whole at the border.
     support : the plane that is left out, with what is below it.
     warnings : of what is left out.
@@ -62,6 +65,7 @@ class Plan:
     origin: NDArray[np.float64]
     scene: Scene
     crop: Crop
+    is_lone: bool
     reach: float
     support: Support | None
     warnings: tuple[str, ...]
@@ -112,8 +116,11 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         params.voxel_factor
         * max(2 * found.spacing, 2 * noise.at(found.median), math.sqrt(2 * found.area / _TRIANGLES))
     )
+    is_lone = len(frames) == 1
     truncation = params.truncation or max(
-        3 * voxel_size, 3 * noise.at(found.median), min(3 * noise.at(found.far), 5 * voxel_size)
+        (_LONE if is_lone else 3) * voxel_size,
+        3 * noise.at(found.median),
+        min(3 * noise.at(found.far), 5 * voxel_size),
     )
     # Another frame may see farther than those looked at, hence the half more.
     max_depth = params.max_depth or min(noise.reach(truncation / 3), 1.5 * found.farthest)
@@ -135,6 +142,7 @@ def make_plan(frames: Sequence[Frame], params: FuseParams, where: Path | None, t
         origin=np.rint(np.median(centers, axis=0) / block) * block,
         scene=scene,
         crop=crop,
+        is_lone=is_lone,
         reach=truncation + voxel_size,
         support=kept.support,
         warnings=kept.warnings,

@@ -153,8 +153,10 @@ class DepthParams:
     )
     backdrop: float = param(
         3.0,
-        "Single views: where pixels two apart differ by less in the mean around, the image shows a backdrop, "
-        "which matches anything, and gets no depth",
+        "Single views: where pixels two apart differ by less in the mean around, the image may show a "
+        "backdrop, which matches anything and gets no depth. Where all views have one of the same colour "
+        "around the thing, only what looks like it goes; where masks cut the thing out, they alone tell. "
+        "0 keeps all that no mask leaves out",
         unit="grey levels",
         low=0,
     )

@@ -19,11 +19,11 @@ from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
-from stages.scans.images import read_color, read_mask, read_pinhole, read_seen
+from stages.scans.images import read_color, read_mask, read_pinhole
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
-from stages.stereo.background import measurable
+from stages.stereo.coverage import Counts, with_warning
 from stages.stereo.depth import DepthMap, PairStage
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
@@ -33,13 +33,14 @@ from stages.stereo.posed_views import PosedView, posed_views
 from stages.stereo.recognised import Recognised, neighbours, recognised
 from stages.stereo.reduced import reduced
 from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
+from stages.stereo.shown import Outline, in_hull, outline_of, shown
 from stages.stereo.turned import Corners, corners, turned
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
@@ -58,6 +59,7 @@ class _Measured:
     depth: DepthImage
     confidence: NDArray[np.uint8]
     search: SearchRange
+    counts: Counts
 
 
 def views_depth(
@@ -70,7 +72,12 @@ def views_depth(
 
     Each view makes a stereo pair with each of a few others: rows are made to correspond, the pair is matched
     as any other, and depth is brought back into the view. What its partners say is merged, and stays
-    where the maps of enough other views say the same. Flat background, which matches anything, goes that way.
+    where the maps of enough other views say the same.
+
+    Background that is plain matches anything, and gets no depth. Masks tell it, else a backdrop that all
+    views have around the thing, and only then the want of texture (see stages.stereo.background). Where masks
+    cut a thing out of all views, nothing is kept outside the hull of its silhouettes. If depth covers little
+    of what the views show, the last map has a warning that says why.
 
     Images larger than `max_side` are made smaller first, and those that are upside down against their poses
     are turned back (see stages.stereo.turned); the maps say so among their warnings.
@@ -100,6 +107,13 @@ def views_depth(
         views cannot be used.
     """
     params = resolve(DepthParams, params, changes)
+    yield from with_warning(_results(scan, params, progress), params)
+
+
+def _results(
+    scan: Scan, params: DepthParams, progress: Progress
+) -> Iterator[tuple[Frame, DepthMap | SkippedFrame, Counts]]:
+    """Measure the views, and count what becomes of the pixels of each."""
     _require_enough(scan, params)
     frames = [reduced(frame, params.max_side) for frame in scan.frames]
     smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
@@ -115,22 +129,25 @@ def views_depth(
     chosen = [partners(views, at, _CHECKED_ON * params.partners) for at in range(len(views))]
     tolerance = params.agreement or _tolerance(views, chosen)
     box = scene_box(scan)
+    outline = outline_of(scan, views, params.backdrop)
     farthest = max(view.far for view in views)
     threads = params.threads or os.cpu_count() or 1
     total = 2 * len(views)
     lost: dict[int, SkippedFrame] = {}
     searches: dict[int, SearchRange] = {}
+    counts: dict[int, Counts] = {}
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         kept = KeptMaps(Path(folder))
-        measure = partial(_measure, scan, views, chosen, params, tolerance)
+        measure = partial(_measure, scan, views, chosen, params, tolerance, outline)
         first_turn = read_ahead(measure, range(len(views)), threads=threads, ahead=threads + 2)
         for at, result in enumerate(first_turn):
             if isinstance(result, SkippedFrame):
                 lost[at] = result
                 _require_share(list(lost.values()), len(views), params.max_skipped, scan)
             else:
-                kept.put(at, _inside(result.depth, views[at], box), result.confidence)
-                searches[at] = result.search
+                depth = in_hull(_inside(result.depth, views[at], box), views[at], outline.silhouettes)
+                kept.put(at, depth, result.confidence)
+                searches[at], counts[at] = result.search, result.counts
             progress(at + 1, total)
 
         def check(at: int) -> DepthMap | SkippedFrame:
@@ -140,6 +157,7 @@ def views_depth(
             others = ((views[other], kept.depth(other)) for other in chosen[at] if other not in lost)
             count = agreeing_views(views[at], depth, others, tolerance)
             depth[count < params.agreeing_views] = 0
+            counts[at] = replace(counts[at], kept=int(np.count_nonzero(depth)))
             found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
             return (
                 found
@@ -153,9 +171,9 @@ def views_depth(
             if isinstance(checked, SkippedFrame):
                 skipped.append(checked)
                 _require_share(skipped, len(views), params.max_skipped, scan)
-                yield scan.frames[at], checked
+                yield scan.frames[at], checked, counts.get(at, Counts())
             else:
-                yield _measured_frame(scan.frames[at], views[at], checked), checked
+                yield _measured_frame(scan.frames[at], views[at], checked), checked, counts[at]
             progress(len(views) + at + 1, total)
 
 
@@ -278,6 +296,7 @@ def _measure(
     chosen: Sequence[Sequence[int]],
     params: DepthParams,
     tolerance: float,
+    outline: Outline,
     at: int,
 ) -> _Measured | SkippedFrame:
     """Match one view with its partners."""
@@ -312,8 +331,16 @@ def _measure(
             name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
         )
     depth, trust = merged(depths, confidences, tolerance)
-    depth[~(measurable(_grey(color), params.backdrop) & read_seen(scan.frames[at]))] = 0
-    return _Measured(depth, trust, searches[0])
+    seen, measured = shown(scan.frames[at], color, outline, params.backdrop)
+    depth[~measured] = 0
+    counts = Counts(
+        all=depth.size,
+        shown=int(np.count_nonzero(seen)),
+        plain=int(np.count_nonzero(seen & ~measured)),
+        matched=int(np.count_nonzero(depth)),
+        outlined=depth.size if outline.is_known else 0,
+    )
+    return _Measured(depth, trust, searches[0], counts)
 
 
 def _color(frame: Frame) -> ColorImage:

@@ -1,0 +1,116 @@
+"""A pale thing before a backdrop, a thing that is masked, and what is said where depth covers little."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pale_thing
+import pytest
+
+from stages import views_depth
+from stages.scans.scan import Frame, Scan
+from stages.stereo.background import before_backdrop, common_backdrop
+from stages.stereo.coverage import Counts, why_little
+from stages.stereo.depth import DepthMap, DepthParams
+from stages.stereo.posed_views import posed_views
+from stages.stereo.shown import in_hull, outline_of
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def pale() -> tuple[Scan, list[np.ndarray]]:
+    return pale_thing.scan(views=9)
+
+
+def measured(scan: Scan, **changes: float) -> list[tuple[Frame, DepthMap]]:
+    results = list(views_depth(scan, **changes))
+    assert all(isinstance(result, DepthMap) for _, result in results)
+    return results
+
+
+def test_a_pale_thing_before_black_keeps_its_depth(pale: tuple[Scan, list[np.ndarray]]) -> None:
+    """Its texture spreads by two grey levels: the want of texture alone would take most of it."""
+    scan, truths = pale
+    results = measured(scan)
+    for (_, result), true in list(zip(results, truths, strict=True))[2:-2]:
+        assert np.mean(result.depth[true > 0] > 0) > 0.8
+        assert np.mean(result.depth[true == 0] > 0) < 0.002
+        both = (result.depth > 0) & (true > 0)
+        assert np.median(np.abs(result.depth - true)[both] / true[both]) < 0.01
+        assert not result.warnings
+
+
+def test_a_backdrop_is_told_from_a_room_and_from_what_stands_before_it(
+    pale: tuple[Scan, list[np.ndarray]],
+) -> None:
+    scan, truths = pale
+    images = [frame.color for frame in scan.frames]
+    found = common_backdrop(images)
+    assert found is not None
+    for image, true in zip(images, truths, strict=True):
+        # Where the thing ends a pixel is of both.
+        assert np.mean(before_backdrop(image, found, 3.0) != (true > 0)) < 0.002
+    draw = np.random.default_rng(3)
+    assert common_backdrop([draw.integers(0, 255, (90, 120, 3), np.uint8) for _ in range(4)]) is None
+    # Walls of another colour in each view.
+    assert common_backdrop([np.full((90, 120, 3), 60 * at, np.uint8) for at in range(4)]) is None
+    assert common_backdrop([]) is None
+
+
+def test_masks_that_cut_a_thing_out_bound_it(pale: tuple[Scan, list[np.ndarray]]) -> None:
+    scan, truths = pale
+    masked = replace(
+        scan,
+        frames=[
+            replace(frame, mask=(true > 0).astype(np.uint8) * 255)
+            for frame, true in zip(scan.frames, truths, strict=True)
+        ],
+    )
+    views = posed_views(masked)
+    outline = outline_of(masked, views, 3.0)
+    assert len(outline.silhouettes) == 9
+    true = truths[4].astype(np.float32)
+    np.testing.assert_array_equal(in_hull(true, views[4], outline.silhouettes), true)
+    # Nearer by half of the thing's depth, most of it projects beside it in the views aside.
+    wrong = true - np.float32(0.15) * (true > 0)
+    assert np.mean(in_hull(wrong, views[4], outline.silhouettes)[true > 0] > 0) < 0.7
+    for (_, result), true in list(zip(measured(masked), truths, strict=True))[2:-2]:
+        assert np.mean(result.depth[true > 0] > 0) > 0.8
+
+
+def test_masks_of_what_moves_and_of_lenses_are_no_silhouettes(pale: tuple[Scan, list[np.ndarray]]) -> None:
+    scan, truths = pale
+    height, width = truths[0].shape
+    moving = [(true == 0).astype(np.uint8) for true in truths]
+    v, u = np.mgrid[:height, :width]
+    lens = (np.hypot(u - width / 2, v - height / 2) < height / 2).astype(np.uint8)
+    for masks in (moving, [lens] * len(truths)):
+        frames = [replace(frame, mask=mask) for frame, mask in zip(scan.frames, masks, strict=True)]
+        found = outline_of(replace(scan, frames=frames), posed_views(scan), 3.0)
+        assert not found.silhouettes
+        assert found.backdrop is not None
+        assert not outline_of(replace(scan, frames=frames), posed_views(scan), 0.0).is_known
+
+
+def test_little_depth_is_told_with_what_took_it() -> None:
+    params = DepthParams()
+    assert why_little(Counts(all=100, shown=50, matched=40, kept=30, outlined=100), params) is None
+    said = why_little(Counts(all=100, shown=50, matched=40, kept=10, outlined=100), params)
+    assert said is not None
+    assert "only 20% of what the masks or the backdrop leave" in said
+    assert "60% is not seen alike by 2 other views" in said
+    assert said.index("60%") < said.index("20% matched no other view")
+    said = why_little(Counts(all=100, shown=100, plain=80, matched=15, kept=10), params)
+    assert said is not None
+    assert "10% of the views' pixels: 80% has too little texture (depth.backdrop=0 keeps it)" in said
+    assert why_little(Counts(all=100, shown=100, plain=20, matched=70, kept=16), params) is None
+
+
+def test_the_last_map_says_that_depth_is_little(pale: tuple[Scan, list[np.ndarray]]) -> None:
+    scan, _ = pale
+    few = replace(scan, frames=scan.frames[:4])
+    said = [result.warnings for _, result in measured(few, agreement=1e-4)]
+    assert not any(said[:-1])
+    assert "is not seen alike by 2 other views (depth.agreeing_views asks for fewer)" in said[-1][-1]
