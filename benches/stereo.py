@@ -13,6 +13,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,7 @@ import numpy as np
 from stages.scans.read import read_scan
 from stages.scans.scan import Camera, StereoRig
 from stages.stereo.depth import depth, depth_scan
+from stages.stereo.disparity import stereo_disparity
 
 Image = np.ndarray
 
@@ -36,6 +38,7 @@ def main() -> None:
     for name, pair in (("Motorcycle", motorcycle(stereo)), ("Cones", cones(stereo))):
         for setting, run in settings(*pair[:3]).items():
             print(f"| {name} | {setting} | {row(run, pair[3])} |")
+    reliability(stereo)
     sequence(stereo / "kitti_sequence_1")
 
 
@@ -53,6 +56,8 @@ def settings(left: Image, right: Image, rig: StereoRig) -> dict[str, Callable[[]
     return {
         "OpenCV SGBM, as it is": lambda: opencv(left, right, count, "sgbm"),
         "OpenCV HH4 + WLS, padded": lambda: opencv(left, right, count, "hh4"),
+        "stereo_disparity": lambda: disparity_of(left, right, count, 0.8),
+        "stereo_disparity, min_confidence=0": lambda: disparity_of(left, right, count, 0),
         "depth": ours(),
         "depth, left_right=match": ours(left_right="match"),
         "depth, matcher=sgbm": ours(matcher="sgbm"),
@@ -61,6 +66,12 @@ def settings(left: Image, right: Image, rig: StereoRig) -> dict[str, Callable[[]
         "depth, min_confidence=1": ours(min_confidence=1),
         "depth, smooth=true": ours(smooth=True),
     }
+
+
+def disparity_of(left: Image, right: Image, count: int, least: float) -> tuple[Image, Image]:
+    """Return our own matcher's disparity, and where it is sure enough."""
+    found = stereo_disparity(left, right, count - 1, min_confidence=least)
+    return found.disparity, np.isfinite(found.disparity)
 
 
 def opencv(left: Image, right: Image, count: int, mode: str) -> tuple[Image, Image]:
@@ -140,6 +151,23 @@ def cones(stereo: Path) -> tuple[Image, Image, StereoRig, Image]:
 def rgb(path: Path) -> Image:
     """Return an image file as RGB."""
     return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+
+
+def reliability(stereo: Path) -> None:
+    """Print how often `stereo_disparity` is right within 2 px where it says how sure it is."""
+    print("\n| called sure, % | pixels % | said % | right % |\n|---|---:|---:|---:|")
+    said, right = [], []
+    for left, other, rig, truth in (motorcycle(stereo), cones(stereo)):
+        found = stereo_disparity(left, other, (rig.disparities or 64) - 1, min_confidence=0)
+        known = np.isfinite(truth)
+        said.append(found.confidence[known])
+        right.append(np.abs(found.disparity[known] - truth[known]) <= 2)
+    sure, is_right = np.concatenate(said), np.concatenate(right)
+    edges = (0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1)
+    for low, high in pairwise(edges):
+        chosen = (sure >= low) & (sure < high)
+        shares = (chosen.mean(), sure[chosen].mean(), is_right[chosen].mean())
+        print(f"| {100 * low:g} to {100 * high:g} | " + " | ".join(f"{100 * s:.1f}" for s in shares) + " |")
 
 
 def sequence(folder: Path) -> None:

@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from stages.simplification.regions import Box, Sphere
     from stages.simplification.simplify import Simplified, SimplifyParams, simplify
     from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
+    from stages.stereo.disparity import Disparity, stereo_disparity
     from stages.stereo.views_depth import views_depth
     from stages.surface.cloud_files import read_cloud
     from stages.surface.convert import MeshLike, as_mesh, to_open3d, to_open3d_legacy, to_trimesh
@@ -101,6 +102,7 @@ _NAMES_OF = {
     "simplification.regions": ("Box", "Sphere"),
     "simplification.simplify": ("Simplified", "SimplifyParams", "simplify"),
     "stereo.depth": ("DepthMap", "DepthParams", "depth", "depth_scan"),
+    "stereo.disparity": ("Disparity", "stereo_disparity"),
     "stereo.views_depth": ("views_depth",),
     "surface.cloud_files": ("read_cloud",),
     "surface.convert": ("MeshLike", "as_mesh", "to_open3d", "to_open3d_legacy", "to_trimesh"),
@@ -138,6 +140,7 @@ __all__ = [
     "DepthParams",
     "DeviationParams",
     "Deviations",
+    "Disparity",
     "ExportParams",
     "Exported",
     "Frame",
@@ -209,6 +212,7 @@ __all__ = [
     "repair",
     "show",
     "simplify",
+    "stereo_disparity",
     "texture",
     "to_open3d",
     "to_open3d_legacy",

@@ -44,6 +44,7 @@ __all__ = [
     "fit",
     "intersecting_triangles",
     "lay_out",
+    "match_pair",
     "planar_patches",
     "remesh",
     "side_lengths",
@@ -55,6 +56,7 @@ __all__ = [
     "spatial_order",
     "strip_order",
     "texels",
+    "weighted_medians",
     "weld_sheets",
     "zbuffer",
 ]
@@ -460,6 +462,41 @@ def color_weight(
     wanted_threads: int,
 ) -> float:
     """Return the length that should count as much as a level in a result of `target` triangles."""
+
+def match_pair(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    *,
+    lowest: int,
+    count: int,
+    wanted_threads: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
+    """Match a rectified pair (h, w, 3) semi-globally at the disparities `lowest` to `lowest + count - 1`.
+
+    Returns
+    -------
+    Disparity of the left image, px; of the right image, whole px, NaN where the left shows nothing of it;
+    the sum of costs of the best, by how much the second best is more, and the cost of the best alone.
+    """
+
+def weighted_medians(
+    image: NDArray[np.uint8],
+    disparity: NDArray[np.float32],
+    wanted: NDArray[np.bool_],
+    *,
+    lowest: int,
+    count: int,
+    radius: int,
+    falloff: float,
+    wanted_threads: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Return medians of disparities (NaN where not known), weighted by likeness of colour.
+
+    Returns
+    -------
+    The median at the pixels that are wanted, NaN elsewhere and where nothing around is known; the share of
+    the known weight that is within a pixel of it; the share of all weight that is known.
+    """
 
 def certify(
     result: _Soup,

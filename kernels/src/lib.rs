@@ -17,6 +17,7 @@
 //! | [`planar`] | simplification by near-planar patches | `mesh` |
 //! | [`atlas`] | the surface cut into charts that lie flat, packed into images | `base` |
 //! | [`texture`] | the colours of a mesh from photos of it | `base` |
+//! | [`stereo`] | disparity of a rectified pair by semi-global matching | `base` |
 //! | [`snm`] | the file that keeps normal meshes | `subdivision` |
 //! | [`normal`] | normal meshes: base, levels, and the search that places their vertices | `collapse`, `quadrics`, `subdivision`, `snm` |
 
@@ -35,6 +36,7 @@ pub mod quadric;
 pub mod quadrics;
 pub mod seams;
 pub mod snm;
+pub mod stereo;
 pub mod subdivision;
 pub mod texture;
 

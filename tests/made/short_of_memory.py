@@ -41,10 +41,10 @@ def call_of(kernel: str, side: int) -> Call:
         same = np.tile(np.array([[0, 1, 2]], np.int32), (side * side, 1))
         packed = _made_elsewhere(lambda: kernels.encode_triangles(same, 3))
         return partial(kernels.decode_indices, packed, same.size, 4, "TRIANGLES")
-    return _calls(sheet(side))[kernel]
+    return _calls(sheet(side), side)[kernel]
 
 
-def _calls(mesh: Mesh) -> dict[str, Call]:
+def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
     count, triangles = len(mesh.vertices), len(mesh.triangles)
     locked, labels = np.zeros(0, bool), np.zeros(0, np.int32)
     importance = np.zeros(0)
@@ -55,6 +55,7 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
     corners = np.zeros((3 * triangles, 5))
     corners[:, :2] = mesh.vertices[mesh.triangles].reshape(-1, 3)[:, :2]
     sets = np.arange(count, dtype=np.int32)
+    image = np.arange(3 * side * side, dtype=np.uint8).reshape(side, side, 3)
     patches = {
         "cosines": (0.9, 0.9, 0.0),
         "bounds": (0.01, 50.0),
@@ -187,6 +188,18 @@ def _calls(mesh: Mesh) -> dict[str, Call]:
             fit=True,
             running=running,
             **told,
+        ),
+        "match_pair": partial(kernels.match_pair, image, image, lowest=0, count=64, wanted_threads=2),
+        "weighted_medians": partial(
+            kernels.weighted_medians,
+            image,
+            image[..., 0].astype(np.float32),
+            image[..., 0] < 9,
+            lowest=0,
+            count=256,
+            radius=5,
+            falloff=8.0,
+            wanted_threads=2,
         ),
         "remesh": partial(_remeshed, mesh),
         "remesh_alone": partial(_remeshed, mesh, levels=0),

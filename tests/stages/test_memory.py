@@ -44,6 +44,8 @@ SIDES = {
     "simplify_seams": 100,
     "remesh": 30,
     "decode_normal_mesh": 20,
+    "match_pair": 300,
+    "weighted_medians": 150,
 }
 # A kernel that goes another way for some of what it takes: a base mesh without levels is rounded.
 OTHER_WAYS = {"remesh_alone": 60}

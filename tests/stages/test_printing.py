@@ -124,6 +124,7 @@ def everything():
         stages.adjust(scan),
         stages.texture(fused.mesh, scan),
         stages.depth(*pair, StereoRig(wide, wide, shifted, rectified=True), disparities=16),
+        stages.stereo_disparity(*pair, 15),
         inspected,
         inspected.path,
         inspected.depth,

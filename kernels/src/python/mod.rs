@@ -20,6 +20,7 @@ mod planar;
 mod quadric;
 mod seams;
 mod simplified;
+mod stereo;
 mod texture;
 
 use pyo3::create_exception;
@@ -75,6 +76,8 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(seams::simplify_seams, module)?)?;
     module.add_function(wrap_pyfunction!(seams::weld_sheets, module)?)?;
     module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::match_pair, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::weighted_medians, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;
     module.add_class::<atlas::LaidOut>()?;

@@ -1,0 +1,131 @@
+//! How unlike a pixel of the left and one of the right image are.
+//!
+//! The census transform (Zabih and Woodfill, "Non-parametric local transforms for computing visual correspondence", 1994)
+//! stands any change of brightness and says little where an image is nearly flat; differences of gradients say
+//! something there.
+
+use super::by_processor::by_processor;
+use super::volume::{LANES, Pixels, Search, Size, Volume, rows, zeros};
+use crate::base::parallel::{collect, each};
+
+/// Pixels to either side that the census looks at, along x and y; it has a bit for each of them.
+const CENSUS: [i32; 2] = [3, 2];
+const BITS: i32 = (2 * CENSUS[0] + 1) * (2 * CENSUS[1] + 1) - 1;
+/// What a census of which nothing is equal costs, and a gradient that differs by this or more.
+const CENSUS_WEIGHT: i32 = 120;
+const GRADIENT_WEIGHT: i32 = 20;
+const LARGEST_GRADIENT: i32 = 40;
+/// Of 256, for a bit and for a level.
+const BIT: i32 = CENSUS_WEIGHT * 256 / BITS;
+const LEVEL: i32 = GRADIENT_WEIGHT * 256 / LARGEST_GRADIENT;
+/// What it costs to lie beyond the right image: half of the most.
+const OUTSIDE: i16 = ((CENSUS_WEIGHT + GRADIENT_WEIGHT) / 2) as i16;
+
+/// The brightness of pixels (ITU-R BT.601).
+pub fn grey(image: &Pixels) -> Vec<u8> {
+    image
+        .iter()
+        .map(|&[r, g, b]| ((77 * r as u32 + 150 * g as u32 + 29 * b as u32 + 128) >> 8) as u8)
+        .collect()
+}
+
+/// What costs are made of, of one image.
+struct Described {
+    census: Vec<u64>,
+    /// Differences over two pixels along x and y.
+    gradient: Vec<[i16; 2]>,
+}
+
+fn described(grey: &[u8], size: Size, threads: usize) -> Described {
+    let (w, h) = (size.width as i32, size.height as i32);
+    let level = |x: i32, y: i32| grey[(y.clamp(0, h - 1) * w + x.clamp(0, w - 1)) as usize];
+    let place = |i: usize| ((i % size.width) as i32, (i / size.width) as i32);
+    let census = |i: usize| {
+        let ((x, y), own) = (place(i), grey[i]);
+        let mut bits = 0u64;
+        for dy in -CENSUS[1]..=CENSUS[1] {
+            for dx in -CENSUS[0]..=CENSUS[0] {
+                if (dx, dy) != (0, 0) {
+                    bits = bits << 1 | u64::from(level(x + dx, y + dy) < own);
+                }
+            }
+        }
+        bits
+    };
+    let gradient = |i: usize| {
+        let (x, y) = place(i);
+        let across = |ahead: u8, behind: u8| i16::from(ahead) - i16::from(behind);
+        [across(level(x + 1, y), level(x - 1, y)), across(level(x, y + 1), level(x, y - 1))]
+    };
+    Described {
+        census: collect(size.pixels(), threads, census),
+        gradient: collect(size.pixels(), threads, gradient),
+    }
+}
+
+/// Costs of all pixels and disparities.
+pub fn costs(left: &[u8], right: &[u8], size: Size, search: Search, threads: usize) -> Volume {
+    let (left, right) = (described(left, size, threads), described(right, size, threads));
+    let mut volume = zeros(size, search);
+    each(rows(&mut volume, size, search), threads, |(y, row)| {
+        let own = y * size.width..(y + 1) * size.width;
+        // Reversed, so that it is walked along as disparities rise.
+        let facing: Vec<(u64, [i32; 2])> =
+            own.clone().rev().map(|i| (right.census[i], right.gradient[i].map(i32::from))).collect();
+        let census: Vec<u64> = facing.iter().map(|one| one.0).collect();
+        let across: Vec<i32> = facing.iter().map(|one| one.1[0]).collect();
+        let down: Vec<i32> = facing.iter().map(|one| one.1[1]).collect();
+        let (own_census, own_gradient) = (&left.census[own.clone()], &left.gradient[own]);
+        costs_of_row(own_census, own_gradient, &census, &across, &down, search, row);
+    });
+    volume
+}
+
+by_processor! {
+    #[allow(clippy::too_many_arguments)]
+    fn costs_of_row(
+        own_census: &[u64],
+        own_gradient: &[[i16; 2]],
+        census: &[u64],
+        across: &[i32],
+        down: &[i32],
+        search: Search,
+        row: &mut [i16],
+    ) = of_row
+}
+
+#[inline(always)]
+fn of_row(
+    own_census: &[u64],
+    own_gradient: &[[i16; 2]],
+    census: &[u64],
+    across: &[i32],
+    down: &[i32],
+    search: Search,
+    row: &mut [i16],
+) {
+    let (width, count) = (own_census.len() as i32, search.count);
+    debug_assert_eq!(count % LANES, 0);
+    for (x, costs) in row.chunks_exact_mut(count).enumerate() {
+        // Disparities from `first` to before `end` lie within the right image.
+        let before = x as i32 - search.lowest;
+        let first = (before - (width - 1)).clamp(0, count as i32) as usize;
+        let end = (before + 1).clamp(0, count as i32) as usize;
+        if first >= end {
+            costs.fill(OUTSIDE);
+            continue;
+        }
+        let start = (width - 1 - before + first as i32) as usize;
+        let facing = start..start + (end - first);
+        let ([own_across, own_down], own) = (own_gradient[x].map(i32::from), own_census[x]);
+        let (census, across, down) = (&census[facing.clone()], &across[facing.clone()], &down[facing]);
+        for (d, cost) in costs[first..end].iter_mut().enumerate() {
+            let bits = (own ^ census[d]).count_ones() as i32;
+            let levels = ((across[d] - own_across).abs() + (down[d] - own_down).abs()).min(LARGEST_GRADIENT);
+            *cost = ((bits * BIT + levels * LEVEL) >> 8) as i16;
+        }
+        let (nearest, farthest) = (costs[first].max(OUTSIDE), costs[end - 1].max(OUTSIDE));
+        costs[..first].fill(nearest);
+        costs[end..].fill(farthest);
+    }
+}

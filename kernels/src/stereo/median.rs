@@ -1,0 +1,82 @@
+//! Medians of the disparities around a pixel, weighted by how alike the colours are (Ma et al., "Constant time weighted median
+//! filtering for stereo matching and beyond", 2013; here with all weights, over few pixels).
+
+use super::volume::{Pixels, Size};
+use crate::base::parallel::each;
+
+/// A median, and what it stands on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Median {
+    pub disparity: f32,
+    /// Of the weight that has a disparity, what is within a pixel of the median.
+    pub agreeing: f32,
+    /// Of all weight around, what has a disparity.
+    pub known: f32,
+}
+
+/// The median at each pixel that `wanted` names; NaN and nothing elsewhere, and where nothing around is known.
+///
+/// `disparity` is NaN where it is not known, and `lowest` to `lowest + count` elsewhere. A colour that differs by
+/// `falloff` levels in all channels weighs 1/e.
+#[allow(clippy::too_many_arguments)]
+pub fn weighted_medians(
+    image: &Pixels,
+    disparity: &[f32],
+    wanted: &[bool],
+    size: Size,
+    lowest: i32,
+    count: usize,
+    radius: usize,
+    falloff: f32,
+    threads: usize,
+) -> Vec<Median> {
+    let none = Median { disparity: f32::NAN, agreeing: 0.0, known: 0.0 };
+    let weights: Vec<f32> = (0..=3 * 255).map(|levels| (-(levels as f32) / (3.0 * falloff)).exp()).collect();
+    let mut medians = vec![none; size.pixels()];
+    each(
+        medians.chunks_mut(size.width).enumerate().collect(),
+        threads,
+        |(y, row): (usize, &mut [Median])| {
+            // Of each whole disparity: its weight, and the weighted sum.
+            let mut bins = vec![[0f32; 2]; count + 1];
+            for (x, median) in row.iter_mut().enumerate() {
+                let i = y * size.width + x;
+                if !wanted[i] {
+                    continue;
+                }
+                bins.fill([0.0; 2]);
+                let (mut all, mut known) = (0f32, 0f32);
+                for v in y.saturating_sub(radius)..(y + radius + 1).min(size.height) {
+                    for u in x.saturating_sub(radius)..(x + radius + 1).min(size.width) {
+                        let j = v * size.width + u;
+                        let unlike: usize = (0..3).map(|c| image[i][c].abs_diff(image[j][c]) as usize).sum();
+                        let (weight, value) = (weights[unlike], disparity[j]);
+                        all += weight;
+                        if !value.is_nan() {
+                            let bin = (value - lowest as f32 + 0.5).clamp(0.0, count as f32) as usize;
+                            bins[bin][0] += weight;
+                            bins[bin][1] += weight * value;
+                            known += weight;
+                        }
+                    }
+                }
+                if known > 0.0 {
+                    *median = middle(&bins, all, known);
+                }
+            }
+        },
+    );
+    medians
+}
+
+fn middle(bins: &[[f32; 2]], all: f32, known: f32) -> Median {
+    let mut below = 0.0;
+    let mut at = 0;
+    while at + 1 < bins.len() && below + bins[at][0] < known / 2.0 {
+        below += bins[at][0];
+        at += 1;
+    }
+    let near = &bins[at.saturating_sub(1)..(at + 2).min(bins.len())];
+    let [weight, sum] = near.iter().fold([0.0; 2], |total, bin| [total[0] + bin[0], total[1] + bin[1]]);
+    Median { disparity: sum / weight, agreeing: weight / known, known: known / all }
+}

@@ -1,0 +1,50 @@
+//! Disparity of a rectified pair, by semi-global matching.
+//!
+//! | file | what |
+//! | --- | --- |
+//! | [`volume`] | a number for each pixel and disparity |
+//! | [`cost`] | how unlike two pixels are: census and gradient |
+//! | [`support`] | costs averaged over what has the pixel's colour |
+//! | [`paths`] | costs summed along eight paths |
+//! | [`pick`] | the best disparity of each pixel, and what tells how sure it is |
+//! | [`median`] | weighted medians of disparities, along the edges of the image |
+//!
+//! Costs are whole numbers, so that results are the same for any number of threads and any set of instructions.
+
+mod by_processor;
+pub mod cost;
+pub mod median;
+pub mod paths;
+pub mod pick;
+pub mod support;
+pub mod volume;
+
+use crate::base::errors::KernelError;
+use crate::base::progress::Progress;
+use pick::Matched;
+use volume::{Pixels, Search, Size};
+
+/// The disparity of each pixel of the left image, and how sure it is.
+///
+/// # Errors
+/// As [`Progress::check`].
+pub fn match_pair(
+    left: &Pixels,
+    right: &Pixels,
+    size: Size,
+    search: Search,
+    threads: usize,
+    progress: &mut Progress<'_>,
+) -> Result<Matched, KernelError> {
+    progress.tell(0, 4)?;
+    let (grey, grey_right) = (cost::grey(left), cost::grey(right));
+    let mut costs = cost::costs(&grey, &grey_right, size, search, threads);
+    progress.tell(1, 4)?;
+    let mut sums = support::averaged(left, &mut costs, size, search, threads);
+    progress.tell(2, 4)?;
+    paths::summed(&grey, &costs, size, search, threads, &mut sums);
+    progress.tell(3, 4)?;
+    let matched = pick::picked(&sums, &costs, size, search, threads);
+    progress.tell(4, 4)?;
+    Ok(matched)
+}

@@ -1,0 +1,91 @@
+//! The best disparity of each pixel, and what tells how sure it is.
+
+use super::volume::{Search, Size};
+use crate::base::parallel::each;
+
+/// What was found for each pixel of the left image, and for the right one.
+#[derive(Clone, Debug, Default)]
+pub struct Matched {
+    /// Pixels, with a fraction.
+    pub disparity: Vec<f32>,
+    /// Disparity of each pixel of the right image, whole pixels; NaN where the left image shows nothing of it.
+    pub of_right: Vec<f32>,
+    /// The sum of the best disparity, by how much the best of those that are not beside it is more, and the cost of the best.
+    pub sum: Vec<i16>,
+    pub margin: Vec<i16>,
+    pub cost: Vec<i16>,
+}
+
+/// A row of each.
+struct Row<'a> {
+    disparity: &'a mut [f32],
+    of_right: &'a mut [f32],
+    sum: &'a mut [i16],
+    margin: &'a mut [i16],
+    cost: &'a mut [i16],
+}
+
+/// Take the disparity of the least sum at each pixel, and of the right image that along its diagonal of the same sums.
+pub fn picked(sums: &[i16], costs: &[i16], size: Size, search: Search, threads: usize) -> Matched {
+    let pixels = size.pixels();
+    let mut found = Matched {
+        disparity: vec![0.0; pixels],
+        of_right: vec![f32::NAN; pixels],
+        sum: vec![0; pixels],
+        margin: vec![0; pixels],
+        cost: vec![0; pixels],
+    };
+    let width = size.width;
+    let parts = found
+        .disparity
+        .chunks_mut(width)
+        .zip(found.of_right.chunks_mut(width))
+        .zip(found.sum.chunks_mut(width))
+        .zip(found.margin.chunks_mut(width))
+        .zip(found.cost.chunks_mut(width))
+        .map(|((((disparity, of_right), sum), margin), cost)| Row { disparity, of_right, sum, margin, cost });
+    each(parts.enumerate().collect(), threads, |(y, row): (usize, Row<'_>)| {
+        let start = y * width * search.count;
+        let end = start + width * search.count;
+        row.pick(&sums[start..end], &costs[start..end], search);
+    });
+    found
+}
+
+impl Row<'_> {
+    fn pick(self, sums: &[i16], costs: &[i16], search: Search) {
+        let (width, count) = (self.disparity.len(), search.count);
+        let mut least_of_right = vec![i16::MAX; width];
+        for (x, sums) in sums.chunks_exact(count).enumerate() {
+            // Of the right image, from the farthest disparity that lies within it.
+            let before = x as i32 - search.lowest;
+            let first = (before - (width as i32 - 1)).clamp(0, count as i32) as usize;
+            let end = (before + 1).clamp(0, count as i32) as usize;
+            for (d, &sum) in sums.iter().enumerate().take(end).skip(first) {
+                let there = (before - d as i32) as usize;
+                if sum < least_of_right[there] {
+                    least_of_right[there] = sum;
+                    self.of_right[there] = (d as i32 + search.lowest) as f32;
+                }
+            }
+            let least = sums.iter().copied().min().unwrap_or(0);
+            let best = sums.iter().position(|&sum| sum == least).unwrap_or(0);
+            let other = |part: &[i16]| part.iter().copied().min().unwrap_or(i16::MAX);
+            let second = other(&sums[..best.saturating_sub(1)]).min(other(&sums[(best + 2).min(count)..]));
+            self.disparity[x] = (best as i32 + search.lowest) as f32 + fraction(sums, best);
+            self.sum[x] = least;
+            self.margin[x] = second.saturating_sub(least);
+            self.cost[x] = costs[x * count + best];
+        }
+    }
+}
+
+/// Where the parabola through the best sum and those beside it is lowest, −0.5 to 0.5.
+fn fraction(sums: &[i16], best: usize) -> f32 {
+    if best == 0 || best + 1 == sums.len() {
+        return 0.0;
+    }
+    let [before, own, after] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
+    let bend = before + after - 2.0 * own;
+    if bend > 0.0 { ((before - after) / (2.0 * bend)).clamp(-0.5, 0.5) } else { 0.0 }
+}
