@@ -62,6 +62,7 @@ def settings(left: Image, right: Image, rig: StereoRig) -> dict[str, Callable[[]
         "depth, left_right=match": ours(left_right="match"),
         "depth, matcher=sgbm": ours(matcher="sgbm"),
         "depth, matcher=hh4": ours(matcher="hh4"),
+        "depth, matcher=census": ours(matcher="census"),
         "depth, block_size=5": ours(block_size=5),
         "depth, min_confidence=1": ours(min_confidence=1),
         "depth, smooth=true": ours(smooth=True),

@@ -21,6 +21,7 @@ from stages.scans import images
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
 from stages.stereo.confidence import confidence
+from stages.stereo.disparity import stereo_disparity
 from stages.stereo.matching import (
     LARGEST_DISPARITY,
     SUBPIXELS,
@@ -33,7 +34,7 @@ from stages.stereo.matching import (
     textured,
 )
 from stages.stereo.pairs import pair_warnings, require_pair
-from stages.stereo.params import DepthKeywords, DepthParams
+from stages.stereo.params import CENSUS, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
 from stages.stereo.smoothing import smoothed
 from stages.stereo.subpixel import refined
@@ -45,6 +46,8 @@ __all__ = ["RESULT_VERSION", "DepthMap", "DepthParams", "PairStage", "depth", "d
 
 RESULT_VERSION = 3
 
+_Image = NDArray[np.uint8]
+
 # Disparities that are looked for when nothing says how near the scene is, as a share of the width.
 _WIDEST = 0.25
 # From this many pairs on, fusion sees most surfaces several times and drops what a single pair says.
@@ -53,6 +56,8 @@ _SEVERAL = 3
 # there, grass and foliage that match less surely are worth having.
 _ALONE = (128, 20)
 _AMONG_OTHERS = (16, 5)
+# The same of our own matcher, whose confidence is a probability.
+_SURE_ALONE, _SURE_AMONG_OTHERS = 204, 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,11 +248,21 @@ class PairStage:
         derived = _AMONG_OTHERS if pairs >= _SEVERAL else _ALONE
         given = params.min_confidence, params.uniqueness
         least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
+        self.is_own = params.matcher == CENSUS
+        if self.is_own and params.min_confidence is None:
+            least = _SURE_AMONG_OTHERS if pairs >= _SEVERAL else _SURE_ALONE
+        # Of several pairs, as many are matched at a time as there are cores.
+        self.threads = 1 if pairs > 1 else params.threads
         # Confidence 0 says that nothing was measured.
         self.least_confidence = max(least, 1)
         self.rig = rig
+        # Ours has its range narrowed by one that is fast.
         self.matcher = Matcher(
-            params.matcher, params.block_size, *params.penalties, params.prefilter_cap, uniqueness
+            "3way" if self.is_own else params.matcher,
+            params.block_size,
+            *params.penalties,
+            params.prefilter_cap,
+            uniqueness,
         )
         self.search = _search_range(rig, params, stated)
         self.narrow = params.min_depth is None and params.disparities is None and stated is None
@@ -273,6 +288,41 @@ class PairStage:
         """Match a pair whose rows correspond."""
         pair = _grey(left), _grey(right)
         search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
+        if self.is_own:
+            disparity, trust = self._own(left, right, pair, search)
+        else:
+            disparity, trust = self._matched(left, pair, search)
+        near = self.params.min_depth or 0.0
+        if self.params.refine and not self.params.smooth:
+            disparity = refined(*pair, disparity, trust >= self.least_confidence)
+        return DepthMap(
+            self._depth(disparity, trust),
+            trust,
+            disparity,
+            _rgb(left),
+            self.rig.left,
+            self.rig.rectified_from_left,
+            search,
+            max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), near),
+            self.max_depth,
+            warnings,
+        )
+
+    def _own(
+        self, left: _Image, right: _Image, pair: tuple[_Image, _Image], search: SearchRange
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return disparity, NaN where there is none, and confidence, by our own matcher."""
+        found = stereo_disparity(
+            left, right, search.end - 1, min_disparity=search.lowest, min_confidence=0, threads=self.threads
+        )
+        trust = np.rint(255 * found.confidence).astype(np.uint8)
+        trust[~textured(pair[0], self.params.min_texture)] = 0
+        return found.disparity, trust
+
+    def _matched(
+        self, left: _Image, pair: tuple[_Image, _Image], search: SearchRange
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return the same by one of OpenCV's."""
         first = self.matcher.left(*pair, search)
         if self.params.left_right == "match":
             residual = consistency(first, self.matcher.right(*pair, search), search)
@@ -297,23 +347,8 @@ class PairStage:
                 strength=self.params.smooth_lambda,
                 edge_sigma=self.params.smooth_sigma,
             )
-        near = self.params.min_depth or 0.0
         none = first < SUBPIXELS * search.lowest
-        disparity = np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS))
-        if self.params.refine and not self.params.smooth:
-            disparity = refined(*pair, disparity, trust >= self.least_confidence)
-        return DepthMap(
-            self._depth(disparity, trust),
-            trust,
-            disparity,
-            _rgb(left),
-            self.rig.left,
-            self.rig.rectified_from_left,
-            search,
-            max(self.rig.focal_baseline / (search.end - 1 + self.rig.principal_offset), near),
-            self.max_depth,
-            warnings,
-        )
+        return np.where(none, np.float32(np.nan), first * np.float32(1 / SUBPIXELS)), trust
 
     def _depth(self, disparity: NDArray[np.float32], trust: NDArray[np.uint8]) -> DepthImage:
         """Return z = f·b / (d + cx_right − cx_left), where it is to be trusted and within range."""

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TypedDict
 
 from stages.errors import UsageError
 from stages.params import check, param
 from stages.stereo.matching import LARGEST_DISPARITY
+
+# Our own matcher, and what only the others know.
+CENSUS = "census"
+_OF_OTHERS = (
+    "block_size",
+    "p1",
+    "p2",
+    "prefilter_cap",
+    "uniqueness",
+    "left_right",
+    "left_right_tolerance",
+    "speckle_size",
+    "speckle_range",
+    "smooth",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,15 +57,17 @@ class DepthParams:
     min_confidence: int | None = param(
         None,
         "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px. Default: 128 for one or "
-        "two pairs; 16 for more, since fusion drops what only one of them says",
+        "two pairs; 16 for more, since fusion drops what only one of them says. Of matcher census it is 255 "
+        "times the probability of being right: 204, or 128",
         low=0,
         high=255,
     )
     matcher: str = param(
         "3way",
         "Semi-global matcher: 3way gathers costs along three paths, in little memory; hh4 along four, "
-        "erring a little less for twice the time; sgbm along five and hh along eight, for no gain",
-        choices=("3way", "sgbm", "hh4", "hh"),
+        "erring a little less for twice the time; sgbm along five and hh along eight, for no gain. census is "
+        "our own, which covers more, with confidences that are probabilities, for six times the time",
+        choices=("3way", "sgbm", "hh4", "hh", CENSUS),
     )
     disparities: int | None = param(
         None,
@@ -195,6 +212,11 @@ class DepthParams:
             raise UsageError(
                 f"min_depth is {self.min_depth:g} m; it must be below max_depth, {self.max_depth:g} m."
             )
+        if self.matcher == CENSUS:
+            defaults = {one.name: one.default for one in fields(self)}
+            idle = [name for name in _OF_OTHERS if getattr(self, name) != defaults[name]]
+            if idle:
+                raise UsageError(f"{', '.join(idle)} has no effect with matcher {CENSUS}; leave it out.")
         if self.penalties[0] >= self.penalties[1]:
             raise UsageError(f"p1 is {self.penalties[0]}; it must be below p2, {self.penalties[1]}.")
 

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stages import InputError, UsageError, stereo_disparity
+import stages
+from stages import Camera, InputError, StereoRig, UsageError, depth, stereo_disparity
 from stages import _kernels as kernels
 from tests.stages.stereo.test_depth_real import visible
 
@@ -285,3 +286,28 @@ def test_streets(shared_data: Path) -> None:
         wrong.append((np.abs(found.disparity - truth)[given] > 3).mean())
     assert np.mean(covered) >= 0.85
     assert np.mean(wrong) <= 0.03
+
+
+def rig_of(width: int, height: int) -> StereoRig:
+    camera = Camera(width, height, 100.0, 100.0, width / 2, height / 2)
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = -0.1
+    return StereoRig(camera, camera, right_from_left, rectified=True)
+
+
+def test_the_stage_takes_it() -> None:
+    truth = np.tile(np.linspace(4, 12, 160), (80, 1))
+    left, right = shifted_pair(truth, 4)
+    found = depth(left, right, rig_of(160, 80), matcher="census", disparities=32, max_relative_depth_error=1)
+    measured = found.depth > 0
+    assert measured[:, 20:].mean() > 0.95
+    off = np.abs(found.depth * truth / (100 * 0.1) - 1)[measured]
+    assert np.median(off) < 0.02
+    np.testing.assert_array_equal(measured, found.confidence >= 204)
+    fewer = depth(left, right, rig_of(160, 80), matcher="census", disparities=32, min_confidence=252)
+    assert (fewer.depth > 0).sum() < measured.sum()
+
+
+def test_what_it_does_not_know_is_refused() -> None:
+    with pytest.raises(UsageError, match="p1, smooth has no effect with matcher census; leave"):
+        stages.DepthParams(matcher="census", smooth=True, p1=5)
