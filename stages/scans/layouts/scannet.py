@@ -23,7 +23,7 @@ from stages.scans.reading.files import (
 )
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.reading.stated import found_camera, stated_camera
 from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 
 _UNITS_PER_METRE = 1000.0
@@ -111,8 +111,7 @@ def _cameras(
     if camera is None and path is not None:
         camera = calibration.read_camera(path, *size)
     if camera is None:
-        camera, guessed = guessed_camera(*size)
-        warnings.append(guessed)
+        camera, _, warnings = found_camera(folder, *size)
     color_path = _intrinsics(folder, "color")
     turned = [
         name

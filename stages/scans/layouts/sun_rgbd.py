@@ -23,7 +23,7 @@ from stages.scans.reading.files import common_size, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.reading.stated import found_camera, stated_camera
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 _UNITS_PER_METRE = 1000.0
@@ -80,8 +80,8 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
     """Return the camera and what is to be said about it."""
     stated, path = stated_camera(options, folder, width, height), folder / "intrinsics.txt"
     if stated is None and not path.exists():
-        guess, guessed = guessed_camera(width, height)
-        return guess, [guessed]
+        found, _, said = found_camera(folder, width, height)
+        return found, said
     return stated or calibration.read_camera(path, width, height), []
 
 
