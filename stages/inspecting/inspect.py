@@ -383,12 +383,29 @@ def _odd_sizes(scan: Scan) -> list[str]:
             image = getattr(frame, stream)
             if isinstance(image, Path):
                 sizes.setdefault(_size_or_none(image), []).append(image)
+        unread = sizes.pop(None, [])
+        if unread:
+            warnings.append(f"{len(unread)} {stream} images cannot be read, the first is {unread[0].name}")
         usual = max(sizes, key=lambda size: len(sizes[size]), default=None)
-        for size, paths in sizes.items():
-            if size != usual:
-                words = "cannot be read" if size is None else f"have another size ({size[0]}×{size[1]})"
-                warnings.append(f"{len(paths)} {stream} images {words}, the first is {paths[0].name}")
+        odd = {size: paths for size, paths in sizes.items() if size != usual}
+        if len(odd) == 1:
+            ((size, paths),) = odd.items()
+            warnings.append(
+                f"{len(paths)} {stream} images have another size ({_size_words(size)}), the first is "
+                f"{paths[0].name}"
+            )
+        elif odd:
+            count = sum(map(len, odd.values()))
+            shown = ", ".join(map(_size_words, list(odd)[:3])) + (" …" if len(odd) > 3 else "")
+            warnings.append(
+                f"{count} {stream} images have {len(odd)} other sizes ({shown}) than most "
+                f"({_size_words(usual)})"
+            )
     return warnings
+
+
+def _size_words(size: tuple[int, int] | None) -> str:
+    return "" if size is None else f"{size[0]}×{size[1]}"
 
 
 def _size_or_none(path: Path) -> tuple[int, int] | None:
