@@ -27,7 +27,8 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import found_camera
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.reading.timed_poses import poses_at
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 # The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
@@ -72,23 +73,27 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
-    trajectory = None if path is None else trajectories.read_timed(path)
     color_stream, depth_stream, warnings = _streams(folder)
     colors, depths = color_stream.files, depth_stream.files
     camera, scale, about_camera = _camera(folder, options, *common_size(depths))
     warnings += about_camera
 
     frames: list[Frame] = []
-    skipped: list[SkippedFrame] = []
-    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE)
-    for color, time, partner in zip(colors, color_stream.times.tolist(), partners.tolist(), strict=True):
-        if partner < 0:
-            skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))
-            continue
+    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
+    skipped = [
+        SkippedFrame(color.stem, "no depth frame within 0.02 s")
+        for color, partner in zip(colors, partners, strict=True)
+        if partner < 0
+    ]
+    paired = [number for number, partner in enumerate(partners) if partner >= 0]
+    poses: list[Pose | None] = [None] * len(paired)
+    if path is not None:
         # The surface is where the depth camera saw it from, so its moment decides.
-        moment = int(depth_stream.times[partner])
-        pose = None if trajectory is None else trajectories.interpolate(trajectory, moment, _TOLERANCE)
-        if pose is None and trajectory is not None:
+        moments = [int(depth_stream.times[partners[number]]) for number in paired]
+        poses = poses_at(path, moments, [colors[number].stem for number in paired], _TOLERANCE, options)
+    for number, pose in zip(paired, poses, strict=True):
+        color, partner, time = colors[number], partners[number], int(color_stream.times[number])
+        if pose is None and path is not None:
             skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
             continue
         frames.append(
@@ -103,7 +108,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if trajectory is None else ()
+    missing = (lacking,) if path is None else ()
     up = None if path is None else _up(folder, path)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -221,3 +223,26 @@ def test_poses_without_times_cannot_be_paired(scan_folder):
 def test_desk_excerpt_lacks_poses(shared_data):
     with pytest.raises(InputError, match=r"realsense_desk_tum_layout.*no poses: groundtruth\.txt"):
         read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout")
+
+
+def test_poses_of_another_clock_are_offered_to_be_paired_by_order(scan_folder, tiny):
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "mine.txt").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
+    named = ScanParams(poses="mine.txt", intrinsics=tiny.option)
+    said = r"they are of 500\.000 to 500\.500 s, the frames of 10\.010 to 10\.510 s\. As many are frames"
+    with pytest.raises(InputError, match=said):
+        read_scan(scan_folder, named)
+    scan = read_scan(scan_folder, replace(named, poses_by_order=True))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    with (scan_folder / "mine.txt").open("a") as file:
+        file.write("501.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match=r"10\.510 s\.$"):
+        read_scan(scan_folder, named)
+
+
+def test_real_key_frames_whose_poses_have_other_times(shared_data):
+    folder = shared_data / "real" / "freiburg3_cabinet_keyframes"
+    named = ScanParams(poses="truth_cam_poses.txt")
+    with pytest.raises(InputError, match=r"none of its 58 poses .* As many are frames: scan\.poses"):
+        read_scan(folder, named)
+    assert len(read_scan(folder, replace(named, poses_by_order=True)).frames) == 58
