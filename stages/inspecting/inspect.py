@@ -22,6 +22,7 @@ from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.scene import Scene, in_words
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
+from stages.inspecting.unused import Unused, unused
 from stages.printing import by_fields, by_figures, table
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
@@ -31,6 +32,8 @@ from stages.scans.up import known_up
 from stages.scans.world import Scale, WorldUp
 
 _SAMPLED = 8
+# Of files that nobody used, so many are named to a person.
+_SHOWN = 12
 # A person walking with a camera does not move faster between two frames.
 _LARGEST_STEP_M = 0.5
 _LARGEST_TURN_DEG = 30.0
@@ -93,6 +96,7 @@ class Inspection:
     outlook : what fusing takes, of the same.
     up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
     warnings : all that is odd, the reader's own first.
+    unused : files of the folder that nobody used.
     """
 
     scan: Scan
@@ -107,6 +111,7 @@ class Inspection:
     outlook: Outlook | None
     up: WorldUp | None
     warnings: tuple[str, ...]
+    unused: tuple[Unused, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -149,6 +154,7 @@ class Inspection:
             "outlook": self.outlook and dataclasses.asdict(self.outlook),
             "missing": list(scan.missing),
             "warnings": list(self.warnings),
+            "unused": [dataclasses.asdict(one) for one in self.unused],
         }
 
     def lines(self) -> list[str]:
@@ -221,6 +227,9 @@ class Inspection:
         if len(scan.skipped) > 5:
             lines.append(f"left out  and {len(scan.skipped) - 5} more")
         lines += [f"warning   {text}" for text in self.warnings]
+        lines += [f"not used  {one}" for one in self.unused[:_SHOWN]]
+        if len(self.unused) > _SHOWN:
+            lines.append(f"not used  and {len(self.unused) - _SHOWN} more")
         return lines
 
 
@@ -273,6 +282,7 @@ def inspect(scan: Scan) -> Inspection:
         outlook=None if plan is None else outlook(scan.frames, plan),
         up=up,
         warnings=(*scan.warnings, *warnings, *about_sharpness),
+        unused=unused(scan),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from stages.errors import InputError
+from stages.files.noting import only_looking
 from stages.scans.formats import calibration
 from stages.scans.scan import Camera, StereoRig
 
@@ -29,7 +30,8 @@ def small_documents(folder: Path) -> list[Path]:
 
 def cameras_beside(folder: Path, width: int, height: int) -> list[tuple[Camera, Path]]:
     """Return the cameras for images of this size that files of a folder state, by the files' names."""
-    return list(_cameras(folder, width, height))
+    with only_looking():
+        return list(_cameras(folder, width, height))
 
 
 def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Path]]:
@@ -47,13 +49,14 @@ def rigs_beside(
 ) -> list[tuple[StereoRig, list[str], Path]]:
     """Return the rigs for images of this size that files of a folder state, and what is odd about them."""
     found = []
-    for path in small_documents(folder):
-        try:
-            rig, warnings = calibration.read_rig(path, width, height, baseline=baseline)
-        except InputError:
-            continue
-        if _is_a_lens(rig.left) and _is_a_lens(rig.right):
-            found.append((rig, warnings, path))
+    with only_looking():
+        for path in small_documents(folder):
+            try:
+                rig, warnings = calibration.read_rig(path, width, height, baseline=baseline)
+            except InputError:
+                continue
+            if _is_a_lens(rig.left) and _is_a_lens(rig.right):
+                found.append((rig, warnings, path))
     return found
 
 

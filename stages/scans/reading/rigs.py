@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stages.files import documents
+from stages.files.noting import note
 from stages.scans.formats import calibration
 from stages.scans.reading.beside import rigs_beside
 from stages.scans.reading.files import first_existing, has
@@ -69,6 +70,7 @@ def rig_of(
             names = ", ".join(one.name for *_, one in found[:5])
             lacking = f"calibration: {names} all state one; name the right one with scan.calibration=FILE"
             return uncalibrated(size), [], (lacking,)
+        note(path)
         warnings = [f"the calibration is read from {path.name}, which lies beside the images", *warnings]
     else:
         half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""

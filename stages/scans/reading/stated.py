@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stages.files.noting import note
 from stages.scans.formats import calibration
 from stages.scans.reading.beside import cameras_beside
 from stages.scans.reading.params import ReadingParams
@@ -34,6 +35,7 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
     found = cameras_beside(folder, width, height)
     if len({camera for camera, _ in found}) == 1:
         camera, path = found[0]
+        note(path)
         return camera, path, [f"the camera is read from {path.name}, which lies beside the images"]
     if found:
         names = ", ".join(path.name for _, path in found[:5])
