@@ -43,7 +43,16 @@ _BLURRED = 0.25
 # Where points of two frames lie so far apart, details of the colours are lost.
 _MISFIT_PX = 1.5
 # Units a metre of the layouts in use, for a hint when the depth cannot be right.
-_SCALES = {1000.0: "millimetres", 5000.0: "TUM RGB-D", 6553.5: "Replica", 256.0: "KITTI depth", 1.0: "metres"}
+_SCALES = {
+    1000.0: "millimetres",
+    10000.0: "tenths of millimetres",
+    4000.0: "quarters of millimetres",
+    5000.0: "TUM RGB-D",
+    6553.5: "Replica",
+    256.0: "KITTI depth",
+    80000.0: "tenths of millimetres, bits rotated",
+    1.0: "metres",
+}
 
 
 @dataclass(frozen=True)
@@ -262,8 +271,11 @@ def inspect(scan: Scan) -> Inspection:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
     elif scan.rig is None and not scan.is_views:
-        depth, said = _depth_range([one.depth for one in samples], scan)
+        about_scale = [] if path is None or not scan.is_metric else sanity.check_scale(scan.frames, _SCALES)
+        depth, said = _depth_range([one.depth for one in samples], scan, with_hints=not about_scale)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
+        # Poses that only seem to be meant another way, because depth is of another unit.
+        about_poses = about_scale or about_poses
         misfit, about_misfit = _misfit(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs) + about_misfit
@@ -425,7 +437,9 @@ def _size_or_none(path: Path) -> tuple[int, int] | None:
         return None
 
 
-def _depth_range(maps: Sequence[DepthImage | None], scan: Scan) -> tuple[DepthRange | None, list[str]]:
+def _depth_range(
+    maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bool
+) -> tuple[DepthRange | None, list[str]]:
     present = [depth for depth in maps if depth is not None]
     if not present:
         return None, ["no sampled frame has a depth map"]
@@ -444,7 +458,9 @@ def _depth_range(maps: Sequence[DepthImage | None], scan: Scan) -> tuple[DepthRa
         for other, name in _SCALES.items()
         if other != scale and 0.3 <= median * scale / other <= 8
     ]
-    advice = f"; scan.depth_scale={' or '.join(hints)} would make it plausible" if hints else ""
+    advice = (
+        f"; scan.depth_scale={' or '.join(hints)} would make it plausible" if hints and with_hints else ""
+    )
     return measured, [f"the median depth is {median:.3g} m with {scale:g} units a metre{advice}"]
 
 
