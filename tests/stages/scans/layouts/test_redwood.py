@@ -188,3 +188,10 @@ def test_a_real_camera_file_of_another_name(shared_data):
     camera = scan.frames[0].camera
     expected = (617.25, 617.549, 317.392, 245.980)
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected, atol=1e-3)
+
+
+def test_a_pose_file_of_seven_columns_goes_with_the_frames_in_order(scan_folder, tiny):
+    (scan_folder / "trajectory.log").unlink()
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "gt.txt").write_text(f"# tx ty tz qx qy qz qw\n0 0 0 0 0 0 1\n1 2 3 {turned}\n")
+    np.testing.assert_allclose(points(scan_folder, tiny, poses="gt.txt"), tiny.points, atol=1e-6)
