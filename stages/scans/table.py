@@ -7,6 +7,7 @@ from stages.scans.layouts import (
     augmented_icl,
     colmap,
     euroc,
+    frame_list,
     icl_nuim,
     karlsruhe,
     kitti,
@@ -37,6 +38,7 @@ from stages.scans.ros import recording_layout as ros_bag
 # Known by files that only they have.
 DISTINCT: tuple[Layout, ...] = (
     scan_json.LAYOUT,
+    frame_list.LAYOUT,
     # Its folders often hold TUM's lists too.
     icl_nuim.LAYOUT,
     tum.LAYOUT,
