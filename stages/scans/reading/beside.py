@@ -25,6 +25,9 @@ def small_documents(folder: Path) -> list[Path]:
         for path in folder.iterdir()
         if path.suffix.lower() in _SUFFIXES and path.is_file() and path.stat().st_size <= _MAX_BYTES
     )
+    if len(found) > _MOST_FILES:
+        # Many texts are poses, one a frame.
+        found = [path for path in found if path.suffix.lower() != ".txt"]
     return found if len(found) <= _MOST_FILES else []
 
 

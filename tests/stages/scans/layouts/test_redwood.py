@@ -195,3 +195,10 @@ def test_a_pose_file_of_seven_columns_goes_with_the_frames_in_order(scan_folder,
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "gt.txt").write_text(f"# tx ty tz qx qy qz qw\n0 0 0 0 0 0 1\n1 2 3 {turned}\n")
     np.testing.assert_allclose(points(scan_folder, tiny, poses="gt.txt"), tiny.points, atol=1e-6)
+
+
+def test_poses_beside_the_images_do_not_hide_the_camera(scan_folder, tiny, matrix_text):
+    (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
+    for number in range(70):
+        (scan_folder / f"pose{number}.txt").write_text(matrix_text(tiny.second))
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
