@@ -322,6 +322,8 @@ def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
     if "left_from_right" in values:
         given = _array(values, "left_from_right", path)
+        if given.shape != (4, 4):
+            raise InputError("the relation of the cameras must be 4x4.", path)
         return trajectories.inverted(_finite_pose(given, "the relation of the cameras", path))
     matrix = np.eye(4)
     rotation = next((key for key in ("R", "rotation") if key in values), None)

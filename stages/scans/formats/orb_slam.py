@@ -44,8 +44,8 @@ def as_table(values: dict[str, Any]) -> dict[str, Any]:
         return table | {side.lower(): _side(values, side) for side in ("LEFT", "RIGHT")}
     if "Stereo.b" in values:
         table["baseline"] = values["Stereo.b"]
-    elif isinstance(values.get("Camera.bf"), (int, float)) and _is_positive(table["fx"]):
-        table["baseline"] = values["Camera.bf"] / table["fx"]
+    elif "Camera.bf" in values and (baseline := _ratio(values["Camera.bf"], table["fx"])) is not None:
+        table["baseline"] = baseline
     relation = values.get("Stereo.T_c1_c2", values.get("Tlr"))
     if relation is not None and "Camera2.fx" in values:
         table |= {"left": _camera(values, first), "right": _camera(values, "Camera2")}
@@ -65,5 +65,10 @@ def _side(values: dict[str, Any], side: str) -> dict[str, Any]:
     return {name: values[f"{side}.{key}"] for key, name in _SIDE.items() if f"{side}.{key}" in values}
 
 
-def _is_positive(value: object) -> bool:
-    return isinstance(value, (int, float)) and value > 0
+def _ratio(first: object, second: object) -> float | None:
+    if not isinstance(first, (int, float)) or not isinstance(second, (int, float)):
+        return None
+    try:
+        return first / second
+    except (OverflowError, ZeroDivisionError):
+        return None

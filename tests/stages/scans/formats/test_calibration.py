@@ -345,3 +345,18 @@ def test_real_settings_and_camchains(shared_data):
     assert rig.left.fx == pytest.approx(1927.268, abs=1e-3)
     # By RIGHT.P; its Camera.bf says half of that.
     assert rig.baseline == pytest.approx(1181.878 / 1966.836, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("Camera.bf: 1" + "0" * 390, "how the cameras stand to each other is missing"),
+        ("Camera.bf: nothing", "how the cameras stand to each other is missing"),
+        ("Camera2.fx: 1\nTlr: [1, 2, 3]", "the relation of the cameras must be 4x4|no camera in it"),
+    ],
+)
+def test_damaged_settings_are_told(tmp_path, line, message):
+    file = tmp_path / "settings.yaml"
+    file.write_text(f"{ORB_SLAM}{line}\n")
+    with pytest.raises(InputError, match=message):
+        read_rig(file, 32, 24)
