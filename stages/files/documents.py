@@ -251,7 +251,12 @@ def _parse_yaml(text: str) -> object:
         Loader.add_constructor(f"tag:yaml.org,2002:{kind}", number)
     try:
         # OpenCV's first line, `%YAML:1.0`, is no YAML directive (that would be `%YAML 1.0`).
-        text = re.sub(r"\A%YAML:?\s*[\d.]+", "", text)
+        header = re.match(r"%YAML:?\s*[\d.]+", text)
+        if header is not None:
+            # OpenCV reads `PointSize:2` too, which would be a word.
+            text = re.sub(
+                r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", r"\1: ", text[header.end() :], flags=re.MULTILINE
+            )
         # What ROS echoes of a message ends with the start of a next one.
         document: object = yaml.load(re.sub(r"\n---\s*\Z", "\n", text), Loader)
     except yaml.MarkedYAMLError as error:

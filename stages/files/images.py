@@ -79,17 +79,23 @@ def read_raw_depth(path: Path) -> NDArray[Any]:
         If the file is missing, does not decode, or is an 8-bit or colour image.
     """
     if path.suffix == ".npy":
-        try:
-            # Mapped, not read: a header that promises more than the file holds then fails at once.
-            raw: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
-        except _NPY_FAULTS as error:
-            require_room(path.stat().st_size if path.is_file() else 0)
-            raise InputError(f"the depth map cannot be read ({error}).", path) from error
+        raw = read_array(path, "the depth map")
     elif path.suffix.lower() == ".exr":
         raw = read_exr(path)
     else:
         raw = read_stored(path)
     return require_raw_depth(raw, path)
+
+
+def read_array(path: Path, what: str) -> NDArray[Any]:
+    """Return the array of a .npy file, which stays on disk; raises InputError, which calls it `what`."""
+    try:
+        # Mapped, not read: a header that promises more than the file holds then fails at once.
+        array: NDArray[Any] = np.load(require_regular(path), mmap_mode="r", allow_pickle=False)
+    except _NPY_FAULTS as error:
+        require_room(path.stat().st_size if path.is_file() else 0)
+        raise InputError(f"{what} cannot be read ({error}).", path) from error
+    return array
 
 
 def require_raw_depth(raw: NDArray[Any], source: Path | str) -> NDArray[Any]:

@@ -13,6 +13,8 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from stages.files.noting import note
+
 # Bytes as they are, where a system would make others of them; and without waiting, where it can wait.
 _READING = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 _KINDS = (
@@ -58,6 +60,7 @@ def text_in(path: Path, encoding: str) -> str:
 def require_regular(path: Path) -> Path:
     """Return the path of a regular file for a library that opens it by itself; see `opened`."""
     _require_regular(path.stat().st_mode, path)
+    note(path)
     return path
 
 

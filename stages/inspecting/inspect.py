@@ -22,6 +22,7 @@ from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.scene import Scene, in_words
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
+from stages.inspecting.unused import Unused, unused
 from stages.printing import by_fields, by_figures, table
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
@@ -31,6 +32,8 @@ from stages.scans.up import known_up
 from stages.scans.world import Scale, WorldUp
 
 _SAMPLED = 8
+# Of files that nobody used, so many are named to a person.
+_SHOWN = 12
 # A person walking with a camera does not move faster between two frames.
 _LARGEST_STEP_M = 0.5
 _LARGEST_TURN_DEG = 30.0
@@ -40,7 +43,16 @@ _BLURRED = 0.25
 # Where points of two frames lie so far apart, details of the colours are lost.
 _MISFIT_PX = 1.5
 # Units a metre of the layouts in use, for a hint when the depth cannot be right.
-_SCALES = {1000.0: "millimetres", 5000.0: "TUM RGB-D", 6553.5: "Replica", 256.0: "KITTI depth", 1.0: "metres"}
+_SCALES = {
+    1000.0: "millimetres",
+    10000.0: "tenths of millimetres",
+    4000.0: "quarters of millimetres",
+    5000.0: "TUM RGB-D",
+    6553.5: "Replica",
+    256.0: "KITTI depth",
+    80000.0: "tenths of millimetres, bits rotated",
+    1.0: "metres",
+}
 
 
 @dataclass(frozen=True)
@@ -93,6 +105,7 @@ class Inspection:
     outlook : what fusing takes, of the same.
     up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
     warnings : all that is odd, the reader's own first.
+    unused : files of the folder that nobody used.
     """
 
     scan: Scan
@@ -107,6 +120,7 @@ class Inspection:
     outlook: Outlook | None
     up: WorldUp | None
     warnings: tuple[str, ...]
+    unused: tuple[Unused, ...] = ()
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -149,6 +163,7 @@ class Inspection:
             "outlook": self.outlook and dataclasses.asdict(self.outlook),
             "missing": list(scan.missing),
             "warnings": list(self.warnings),
+            "unused": [dataclasses.asdict(one) for one in self.unused],
         }
 
     def lines(self) -> list[str]:
@@ -221,6 +236,9 @@ class Inspection:
         if len(scan.skipped) > 5:
             lines.append(f"left out  and {len(scan.skipped) - 5} more")
         lines += [f"warning   {text}" for text in self.warnings]
+        lines += [f"not used  {one}" for one in self.unused[:_SHOWN]]
+        if len(self.unused) > _SHOWN:
+            lines.append(f"not used  and {len(self.unused) - _SHOWN} more")
         return lines
 
 
@@ -253,8 +271,11 @@ def inspect(scan: Scan) -> Inspection:
         stereo_depth = _stereo_depth(scan.rig)
         warnings += sanity.check_pairs([(one.color, one.right) for one in samples], scan.rig)
     elif scan.rig is None and not scan.is_views:
-        depth, said = _depth_range([one.depth for one in samples], scan)
+        about_scale = [] if path is None or not scan.is_metric else sanity.check_scale(scan.frames, _SCALES)
+        depth, said = _depth_range([one.depth for one in samples], scan, with_hints=not about_scale)
         errors, about_poses = ({}, []) if path is None else sanity.check_poses(scan.frames)
+        # Poses that only seem to be meant another way, because depth is of another unit.
+        about_poses = about_scale or about_poses
         misfit, about_misfit = _misfit(scan.frames)
         pairs = [(_matching(one), one.depth) for one in samples]
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs) + about_misfit
@@ -273,6 +294,7 @@ def inspect(scan: Scan) -> Inspection:
         outlook=None if plan is None else outlook(scan.frames, plan),
         up=up,
         warnings=(*scan.warnings, *warnings, *about_sharpness),
+        unused=unused(scan),
     )
 
 
@@ -383,12 +405,29 @@ def _odd_sizes(scan: Scan) -> list[str]:
             image = getattr(frame, stream)
             if isinstance(image, Path):
                 sizes.setdefault(_size_or_none(image), []).append(image)
+        unread = sizes.pop(None, [])
+        if unread:
+            warnings.append(f"{len(unread)} {stream} images cannot be read, the first is {unread[0].name}")
         usual = max(sizes, key=lambda size: len(sizes[size]), default=None)
-        for size, paths in sizes.items():
-            if size != usual:
-                words = "cannot be read" if size is None else f"have another size ({size[0]}×{size[1]})"
-                warnings.append(f"{len(paths)} {stream} images {words}, the first is {paths[0].name}")
+        odd = {size: paths for size, paths in sizes.items() if size != usual}
+        if len(odd) == 1:
+            ((size, paths),) = odd.items()
+            warnings.append(
+                f"{len(paths)} {stream} images have another size ({_size_words(size)}), the first is "
+                f"{paths[0].name}"
+            )
+        elif odd:
+            count = sum(map(len, odd.values()))
+            shown = ", ".join(map(_size_words, list(odd)[:3])) + (" …" if len(odd) > 3 else "")
+            warnings.append(
+                f"{count} {stream} images have {len(odd)} other sizes ({shown}) than most "
+                f"({_size_words(usual)})"
+            )
     return warnings
+
+
+def _size_words(size: tuple[int, int] | None) -> str:
+    return "" if size is None else f"{size[0]}×{size[1]}"
 
 
 def _size_or_none(path: Path) -> tuple[int, int] | None:
@@ -398,7 +437,9 @@ def _size_or_none(path: Path) -> tuple[int, int] | None:
         return None
 
 
-def _depth_range(maps: Sequence[DepthImage | None], scan: Scan) -> tuple[DepthRange | None, list[str]]:
+def _depth_range(
+    maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bool
+) -> tuple[DepthRange | None, list[str]]:
     present = [depth for depth in maps if depth is not None]
     if not present:
         return None, ["no sampled frame has a depth map"]
@@ -417,7 +458,9 @@ def _depth_range(maps: Sequence[DepthImage | None], scan: Scan) -> tuple[DepthRa
         for other, name in _SCALES.items()
         if other != scale and 0.3 <= median * scale / other <= 8
     ]
-    advice = f"; scan.depth_scale={' or '.join(hints)} would make it plausible" if hints else ""
+    advice = (
+        f"; scan.depth_scale={' or '.join(hints)} would make it plausible" if hints and with_hints else ""
+    )
     return measured, [f"the median depth is {median:.3g} m with {scale:g} units a metre{advice}"]
 
 

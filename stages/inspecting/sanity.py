@@ -6,7 +6,8 @@ error: poses taken the wrong way round, a wrong axis, colour beside depth, left 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,12 @@ _LEAST_CORRELATION = 0.08
 _SOUND_SHARE = 0.005
 _FITTING_SHARE = 0.03
 _FLIP = np.diag((1.0, -1.0, -1.0, 1.0))
+# The same for the unit of depth: below the first the declared one is right, below the second another is.
+_SOUND_SCALE_SHARE = 0.015
+_FITTING_SCALE_SHARE = 0.012
+_CLEARLY = 1.25
+
+_Couple: TypeAlias = tuple[tuple[Frame, DepthImage], tuple[Frame, DepthImage]]
 
 
 def require_poses(scan: Scan) -> list[str]:
@@ -92,6 +99,56 @@ def check_poses(frames: Sequence[Frame]) -> tuple[dict[str, float], list[str]]:
     ]
 
 
+def check_scale(frames: Sequence[Frame], scales: Iterable[float]) -> list[str]:
+    """Reproject depth from frame to frame in each of several units; warn when another than the declared fits.
+
+    Parameters
+    ----------
+    frames : with depth and metric poses between which the camera moves.
+    scales : units a metre that depth files use.
+    """
+    couples = _couples(frames)
+    if not couples:
+        return []
+    declared = frames[0].depth_scale
+    given = _misfit_share(couples, 1.0)
+    if given is not None and given < _SOUND_SCALE_SHARE:
+        return []
+    found = {
+        other: share
+        for other in scales
+        if other != declared and (share := _misfit_share(couples, other / declared)) is not None
+    }
+    best = min(found, key=lambda other: found[other], default=declared)
+    if best == declared or found[best] > min(_FITTING_SCALE_SHARE, (given or 1) / 2):
+        return []
+    if sum(share < _CLEARLY * found[best] for share in found.values()) > 1:
+        return []  # The camera moves too little to tell them apart.
+    was = "no overlap" if given is None else f"{given:.1%}"
+    said = (
+        f"depth and poses fit together with scan.depth_scale={best:g}: so taken, depth of one frame meets "
+        f"another's to {found[best]:.1%} of the distance, with {declared:g} units a metre to {was}"
+    )
+    return [said]
+
+
+def _misfit_share(couples: Sequence[_Couple], units: float) -> float | None:
+    """Return the median depth error as a share of the depth if a metre were so many times the units it is.
+
+    None where the frames do not overlap.
+    """
+    shares = []
+    for first, second in couples:
+        points = _points(first[1], first[0].camera)
+        given = inverted(_pose(second[0])) @ _pose(first[0])
+        # As if the camera had moved farther, instead of depth being less.
+        given[:3, 3] *= units
+        errors = _depth_errors(points, given, second[1], second[0].camera)
+        if errors.size > _LEAST_OVERLAP * len(points):
+            shares.append(float(np.median(errors)) / float(np.median(points[:, 2])))
+    return float(np.median(shares)) if len(shares) > len(couples) / 2 else None
+
+
 def check_registration(pairs: Sequence[tuple[ColorImage | None, DepthImage | None]]) -> list[str]:
     """Shift depth edges over colour edges by up to 8 px; warn when they clearly meet best off their place.
 
@@ -142,7 +199,7 @@ def check_pairs(pairs: Sequence[tuple[ColorImage | None, ColorImage | None]], ri
     return warnings
 
 
-def _couples(frames: Sequence[Frame]) -> list[tuple[tuple[Frame, DepthImage], tuple[Frame, DepthImage]]]:
+def _couples(frames: Sequence[Frame]) -> list[_Couple]:
     """Read a few couples of frames some way apart, so that the camera has moved between them."""
     step = max(1, len(frames) // 25)
     last = len(frames) - 1 - step

@@ -11,14 +11,16 @@ import numpy as np
 from stages._blas import require_buffers
 from stages._opencv import require_opencv
 from stages.errors import InputError, UsageError
+from stages.files.noting import noting
 from stages.scans.layouts.refused import Refused, refused
 from stages.scans.params import ScanParams
 from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
+from stages.scans.reading.rotated_bits import with_bits_turned_back
 from stages.scans.scale import with_scale
-from stages.scans.scan import Frame, Scan, SkippedFrame
+from stages.scans.scan import Frame, Packed, Scan, SkippedFrame
 from stages.scans.table import DISTINCT, GENERIC, LAYOUTS
 from stages.scans.up import with_up
 
@@ -46,7 +48,12 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         layout = recognise(folder)[0]
     else:
         _require_place(folder, layout.suffixes)
-    scan = with_up(_without_still_poses(layout.read(folder, options)), layout, options)
+    with noting() as noted:
+        read = layout.read(folder, options)
+    scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
+    if layout.name != "sun-rgbd":  # It looks for itself.
+        is_stated = options.depth_scale is not None or layout.name == "plain-rgbd"
+        scan = with_bits_turned_back(scan, is_scale_stated=is_stated)
     # Before what `adjust` found, which it found in metres; of all frames, so that a selection has the same.
     scan = with_scale(scan, options, folder)
     adjusted = options.file("adjusted", folder)
@@ -63,6 +70,17 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         require_complete(scan, folder)
     _require_equal_sides(scan.frames, folder)
     return scan
+
+
+def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:
+    """Return the files that a scan was read from and will be."""
+    images = [
+        image
+        for frame in scan.frames
+        for image in (frame.color, frame.right, frame.depth, frame.confidence, frame.mask)
+    ]
+    held = [image.file if isinstance(image, Packed) else image for image in images]
+    return frozenset({*noted, *(path for path in held if isinstance(path, Path))})
 
 
 def require_complete(scan: Scan, folder: Path, *, posed: bool = True) -> None:

@@ -238,6 +238,7 @@ class Scan:
     up : which way is up in the world of the poses, where the layout or the folder says it.
     is_metric : lengths are metres; else one unit that nobody knows, in which depth is too.
     scale : what made lengths metres that were none.
+    read_from : the files that it was read from, and those of its images, of frames that were not chosen too.
     """
 
     layout: str
@@ -252,6 +253,7 @@ class Scan:
     up: WorldUp | None = None
     is_metric: bool = True
     scale: Scale | None = None
+    read_from: frozenset[Path] = frozenset()
 
     def __repr__(self) -> str:
         return line(

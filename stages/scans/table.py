@@ -7,9 +7,12 @@ from stages.scans.layouts import (
     augmented_icl,
     colmap,
     euroc,
+    frame_list,
     icl_nuim,
+    karlsruhe,
     kitti,
     kitti_stereo,
+    llff,
     middlebury,
     middlebury_mview,
     nerfstudio,
@@ -35,6 +38,7 @@ from stages.scans.ros import recording_layout as ros_bag
 # Known by files that only they have.
 DISTINCT: tuple[Layout, ...] = (
     scan_json.LAYOUT,
+    frame_list.LAYOUT,
     # Its folders often hold TUM's lists too.
     icl_nuim.LAYOUT,
     tum.LAYOUT,
@@ -47,6 +51,7 @@ DISTINCT: tuple[Layout, ...] = (
     kitti.LAYOUT,
     middlebury.LAYOUT,
     nerfstudio.LAYOUT,
+    karlsruhe.LAYOUT,
     polycam.LAYOUT,
     record3d.LAYOUT,
     stray_scanner.LAYOUT,
@@ -54,6 +59,8 @@ DISTINCT: tuple[Layout, ...] = (
     replica.LAYOUT,
     tartan_air.LAYOUT,
     colmap.LAYOUT,
+    # Its folders often hold the model of COLMAP too, which tells more.
+    llff.LAYOUT,
     augmented_icl.LAYOUT,
     middlebury_mview.LAYOUT,
     nyu.LAYOUT,

@@ -1,4 +1,4 @@
-"""Read calibration files: JSON, TOML, OpenCV and Kalibr YAML, matrices as text.
+"""Read calibration files: JSON, TOML, OpenCV, Kalibr and ORB-SLAM YAML, matrices as text.
 
 One camera or a rig, whatever the names its writer used; every number is checked before it becomes a camera.
 """
@@ -6,6 +6,7 @@ One camera or a rig, whatever the names its writer used; every number is checked
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats import trajectories
+from stages.scans.formats import orb_slam, trajectories
 from stages.scans.scan import Camera, Pose, StereoRig
 
 # Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
@@ -27,6 +28,9 @@ _FISHEYE = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "kb4"
 _PINHOLE = ("radtan", "radial-tangential", "plumb_bob", "rational_polynomial", "none")
 # Matrices that begin with the camera's.
 _CAMERA_SHAPES = ((3, 3), (4, 4), (3, 4))
+# Suffixes of files that hold bare numbers.
+_TEXTS = (".txt", ".csv")
+_MATRIX_AND_BASELINE = 10
 # No rig carried by hand or car is wider; a larger number is in millimetres.
 _WIDEST_METRES = 10.0
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
@@ -37,17 +41,21 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
     """Read one camera, for images of this size in pixels.
 
     A 3x3 (or 4x4) matrix as text; or JSON, TOML or YAML with `fx fy cx cy`, or `camera_matrix`, `K` or
-    `intrinsic_matrix` (which Open3D stores column-major), and `distortion`. A stated size that differs
-    from the images' is refused.
+    `intrinsic_matrix` (which Open3D stores column-major), and `distortion`; Kalibr's camchain of one camera;
+    ORB-SLAM's settings. A stated size that differs from the images' is refused.
     """
-    if path.suffix in (".txt", ".csv"):
+    if path.suffix in _TEXTS:
         return matrix_camera(_text_matrix(path), (), width, height, path)
-    return camera_from_table(documents.read_document(path), width, height, path)
+    return camera_from_table(orb_slam.as_table(documents.read_document(path)), width, height, path)
 
 
-def read_depth_scale(path: Path) -> float:
-    """Return how many units of a depth file are one metre, as a camera file says; 1000 when it does not."""
-    value = 1000.0 if path.suffix == ".txt" else documents.read_document(path).get("depth_scale", 1000.0)
+def read_depth_scale(path: Path) -> float | None:
+    """Return how many units of a depth file are one metre, as a camera file says; None when it does not."""
+    if path.suffix in _TEXTS:
+        return None
+    value = orb_slam.as_table(documents.read_document(path)).get("depth_scale")
+    if value is None:
+        return None
     scale = _number(value, "depth_scale", path)
     if scale <= 0:
         raise InputError(f"depth_scale is {scale:g}; it must be positive.", path)
@@ -66,8 +74,9 @@ def read_rig(
 
     Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
     `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T` (or `M1 …`), or `P1 P2` for rectified images;
-    Kalibr's `cam0` and `cam1`; ROS's camera_info under `left` and `right`. Lengths are metres unless `unit`
-    says `mm`, `cm` or `m`.
+    Kalibr's `cam0` and `cam1`; ROS's camera_info under `left` and `right`; ORB-SLAM's settings; a text of the
+    nine numbers of a matrix and a baseline, of a rectified pair. Lengths are metres unless `unit` says `mm`,
+    `cm` or `m`.
 
     Parameters
     ----------
@@ -80,7 +89,9 @@ def read_rig(
     InputError
         If the file does not parse, something is missing, or a number cannot be right.
     """
-    values = documents.read_document(path) if document is None else document
+    if document is None:
+        document = _text_pair(path) if path.suffix in _TEXTS else documents.read_document(path)
+    values = orb_slam.as_table(document)
     infos = _camera_infos(values)
     if "cam0" in values and "cam1" in values:
         left, right, right_from_left = _kalibr(values, width, height, path)
@@ -163,6 +174,15 @@ def checked(camera: Camera, path: Path) -> Camera:
 
 def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
     """Return the camera of a table, under any of the usual names."""
+    chain = [key for key in values if re.fullmatch(r"cam\d+", str(key))]
+    if len(chain) == 1:
+        return _kalibr_camera(values, chain[0], width, height, path)
+    if chain:
+        raise InputError(
+            f"it holds the cameras {', '.join(chain[:8])}, and the one of these images is needed: leave only "
+            "that in a copy of the file.",
+            path,
+        )
     size = (
         values.get("width", values.get("image_width", width)),
         values.get("height", values.get("image_height", height)),
@@ -203,23 +223,24 @@ def _without_model(
     return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
 
+def _kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, path: Path) -> Camera:
+    """Read a camera of Kalibr's camchain: `intrinsics: [fu, fv, cu, cv]`, and its lens."""
+    table = _table(values, side, path)
+    if table.get("camera_model", "pinhole") != "pinhole":
+        raise InputError(f"{side} is of camera_model {table['camera_model']}; pinhole is supported.", path)
+    fisheye = is_fisheye(table.get("distortion_model"), path)
+    if table.get("resolution", [width, height]) != [width, height]:
+        raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
+    row = number_row(table.get("intrinsics"), "intrinsics", path)
+    if len(row) != 4:
+        raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
+    bent = _coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
+    return checked(Camera(width, height, *row, distortion=bent, fisheye=fisheye), path)
+
+
 def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
-    """Read Kalibr's camchain: `intrinsics: [fu, fv, cu, cv]`, and `T_cn_cnm1`, camera 0 to camera 1."""
-    cameras = []
-    for side in ("cam0", "cam1"):
-        table = _table(values, side, path)
-        if table.get("camera_model", "pinhole") != "pinhole":
-            raise InputError(
-                f"{side} is of camera_model {table['camera_model']}; pinhole is supported.", path
-            )
-        fisheye = is_fisheye(table.get("distortion_model"), path)
-        if table.get("resolution", [width, height]) != [width, height]:
-            raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
-        row = number_row(table.get("intrinsics"), "intrinsics", path)
-        if len(row) != 4:
-            raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
-        bent = _coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
-        cameras.append(checked(Camera(width, height, *row, distortion=bent, fisheye=fisheye), path))
+    """Read Kalibr's camchain of two cameras: `T_cn_cnm1` takes points of camera 0 to camera 1."""
+    cameras = [_kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
     if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
         left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
         return cameras[0], cameras[1], right @ trajectories.inverted(left)
@@ -285,6 +306,12 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
     left, right = (_array(values, key, path) for key in ("P1", "P2"))
     if left.shape != (3, 4) or right.shape != (3, 4):
         raise InputError("P1 and P2 must be 3x4.", path)
+    if left[0, 0] == 1:
+        raise InputError(
+            "P1 is not filled in, as where calibration ended before rectification. The cameras' own matrices "
+            "are needed beside R and T: name the file of both, or put intrinsics.yml beside extrinsics.yml.",
+            path,
+        )
     cameras = [matrix_camera(p[:, :3], (), width, height, path) for p in (left, right)]
     right_from_left = np.eye(4)
     right_from_left[0, 3] = right[0, 3] / cameras[1].fx
@@ -293,6 +320,11 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
 
 def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
     """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
+    if "left_from_right" in values:
+        given = _array(values, "left_from_right", path)
+        if given.shape != (4, 4):
+            raise InputError("the relation of the cameras must be 4x4.", path)
+        return trajectories.inverted(_finite_pose(given, "the relation of the cameras", path))
     matrix = np.eye(4)
     rotation = next((key for key in ("R", "rotation") if key in values), None)
     translation = next((key for key in ("T", "translation", "t") if key in values), None)
@@ -373,12 +405,26 @@ def matrix_camera(
     return checked(Camera(width, height, fx, fy, cx, cy, distortion), path)
 
 
-def _text_matrix(path: Path) -> NDArray[np.float64]:
-    """Return a matrix written as rows of numbers, or the four numbers fx fy cx cy as one."""
+def _text_numbers(path: Path) -> list[float]:
     try:
-        values = [float(word) for word in documents.read_text(path).replace(",", " ").split()]
+        return [float(word) for word in documents.read_text(path).replace(",", " ").split()]
     except ValueError as error:
         raise InputError("a camera matrix of 3 rows of 3 numbers is expected.", path) from error
+
+
+def _text_pair(path: Path) -> dict[str, Any]:
+    """Return the table of a rectified pair written as the nine numbers of its matrix and the baseline."""
+    numbers = _text_numbers(path)
+    if len(numbers) == _MATRIX_AND_BASELINE:
+        return {"K": numbers[:-1], "baseline": numbers[-1]}
+    return {"K": _text_matrix(path).tolist()}
+
+
+def _text_matrix(path: Path) -> NDArray[np.float64]:
+    """Return a matrix written as rows of numbers, or the four numbers fx fy cx cy as one."""
+    values = _text_numbers(path)
+    if len(values) == _MATRIX_AND_BASELINE:
+        values.pop()
     if len(values) == 4:
         fx, fy, cx, cy = values
         values = [fx, 0, cx, 0, fy, cy, 0, 0, 1]

@@ -51,7 +51,8 @@ class Trajectory:
 def read_trajectory(path: Path) -> Trajectory:
     """Read a trajectory file of any known form, told apart by its suffix and its first line of numbers.
 
-    KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), Redwood
+    KITTI and plain 4x4 lines (12 or 16 numbers, row-major), TUM lines (`t tx ty tz qx qy qz qw`), the same
+    without times (SLAMBench), Redwood
     and Open3D `.log`, Open3D `.json` (world-to-camera, column-major), EuRoC `.csv`, ARKitScenes `.traj`, and
     nested rows in JSON.
 
@@ -74,13 +75,15 @@ def read_trajectory(path: Path) -> Trajectory:
         return read_log(path)
     if count == 8:
         return read_tum(path)
+    if count == 7:
+        return read_translation_first(path)
     if count in (12, 16):
         return read_matrices(path)
     if count == 4:
         return Trajectory([read_pose(path)])
     raise InputError(
         f"line {first[0]} holds {count} numbers. Expected are 12 or 16 (a matrix), "
-        "8 (t tx ty tz qx qy qz qw) or 3 (a .log header).",
+        "8 (t tx ty tz qx qy qz qw), 7 (the same without t) or 3 (a .log header).",
         path,
     )
 
@@ -250,7 +253,7 @@ def read_traj(path: Path) -> Trajectory:
 
 
 def read_translation_first(path: Path) -> Trajectory:
-    """Read TartanAir lines: translation, quaternion with the scalar last; no times, axes as in the file."""
+    """Read lines of translation and quaternion, scalar last (TartanAir, SLAMBench); axes as in the file."""
     poses = []
     for number, row in _number_lines(path):
         if len(row) != 7:

@@ -21,7 +21,7 @@ from stages.scans.reading.files import IMAGES, common_size, has
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import least_confidence
-from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.reading.stated import found_camera, stated_camera
 from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
 from stages.scans.world import Z_UP
 
@@ -58,10 +58,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     trajectory = trajectories.read_timed(path) if path.exists() or options.poses else None
     size = common_size(list(depths.values()))
     stated = stated_camera(options, folder, *size)
-    warnings = []
+    warnings: list[str] = []
     if stated is None and not cameras:
-        stated, guessed = guessed_camera(*size)
-        warnings.append(guessed)
+        stated, _, warnings = found_camera(folder, *size)
     least, said = least_confidence(options, _LEVELS, folder)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.files.images import image_size
 from stages.scans.formats import colmap, trajectories
 from stages.scans.formats.colmap import View
 from stages.scans.reading.files import numbers
@@ -33,6 +34,8 @@ _WORKSPACES = (".", "dense", "dense/0")
 _KINDS = ("geometric", "photometric")
 # Sizes are rounded to whole pixels when COLMAP makes images smaller.
 _LARGEST_STRETCH = 0.02
+# Views that tell whether the images beside a model are those it was made of.
+_LOOKED_AT = 8
 
 
 def _matches(folder: Path) -> str | None:
@@ -75,13 +78,14 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         raise InputError(
             "a model (cameras and images, .bin or .txt) is needed, here or in sparse/ or sparse/0/.", folder
         )
-    workspace = next((one for one in places if (one / "stereo" / "depth_maps").is_dir()), places[0])
+    workspace, said = _workspace(folder, places)
     model, warnings = _largest(_models(workspace))
+    warnings = said + warnings
     views = sorted(colmap.read_model(model), key=lambda view: (numbers(view.name), view.name))
     depths = {view.name: _depth_map(workspace, view) for view in views}
     alone = not any(depths.values())
     points = colmap.read_points(model) if alone else {}
-    images = workspace / "images" if (workspace / "images").is_dir() else workspace
+    images = _images(workspace)
     poses = _poses(folder, views, options)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
@@ -108,6 +112,41 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     # A trajectory that is given is in metres; depth maps stay in the unit of the model.
     is_metric = options.depth_scale is not None or (alone and options.poses is not None)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), is_metric=is_metric)
+
+
+def _workspace(folder: Path, places: Sequence[Path]) -> tuple[Path, list[str]]:
+    """Return the place to read of those that have a model, and what is to be said of it.
+
+    One with depth maps is preferred, and one whose images are there and of the shape of its cameras.
+    """
+    fitting = [one for one in places if _fits(one)] or places
+    workspace = next((one for one in fitting if (one / "stereo" / "depth_maps").is_dir()), fitting[0])
+    if places[0] in fitting:
+        return workspace, []
+    said = (
+        f"the images of {_models(places[0])[0].relative_to(folder).as_posix()}/ are not there, or of another "
+        f"shape: {workspace.relative_to(folder).as_posix()}/ is read, which has its own"
+    )
+    return workspace, [said]
+
+
+def _fits(workspace: Path) -> bool:
+    """Say whether the images of some of a model's views are there, and can be of their cameras."""
+    try:
+        views = colmap.read_model(_largest(_models(workspace))[0])
+        for view in views[:: max(1, len(views) // _LOOKED_AT)]:
+            image = _images(workspace) / view.name
+            if image.is_file():
+                width, height = image_size(image)
+                camera = view.camera
+                return math.isclose(width / camera.width, height / camera.height, rel_tol=_LARGEST_STRETCH)
+    except InputError:
+        pass  # It is told when it is read.
+    return False
+
+
+def _images(workspace: Path) -> Path:
+    return workspace / "images" if (workspace / "images").is_dir() else workspace
 
 
 def _stated(camera: Camera, options: ReadingParams) -> Camera:

@@ -20,8 +20,9 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
 from stages.scans.formats import calibration, trajectories
-from stages.scans.reading.files import IMAGES, common_size, inside, numbers
+from stages.scans.reading.files import IMAGES, common_size, numbers
 from stages.scans.reading.layout import Layout
+from stages.scans.reading.moved import found_file, found_images
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import seen_in
 from stages.scans.reading.stated import stated_camera
@@ -69,9 +70,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     entries = _in_order(entries, path)
     _require_unmixed(document, entries, path)
     used = [entry for entry in entries if _depth_path(entry) is not None] or entries
-    colors = [_color_file(folder, entry, path) for entry in used]
+    labels = [f"frame {_name(entry)}: file_path" for entry in used]
+    colors, warnings = found_images(folder, [entry["file_path"] for entry in used], labels, path)
     depths = [
-        inside(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path)
+        found_file(folder, _depth_path(entry), f"frame {_name(entry)}: its depth", path)
         for entry in used
         if _depth_path(entry) is not None
     ]
@@ -83,7 +85,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         names = [_name(entry) for entry in used]
         poses = trajectories.match(trajectories.read_trajectory(given), names, given)
-    warnings = _warnings(folder, path)
+    warnings += _warnings(folder, path)
     if not depths:
         if given is None:
             # There are no depth maps whose unit it could be.
@@ -194,18 +196,10 @@ def _depth_path(entry: dict[str, Any]) -> object:
     return next((entry[key] for key in _DEPTH_KEYS if entry.get(key) is not None), None)
 
 
-def _color_file(folder: Path, entry: dict[str, Any], path: Path) -> Path:
-    """Return the image of a frame; Blender leaves the extension out."""
-    file = inside(folder, entry["file_path"], f"frame {_name(entry)}: file_path", path)
-    if file.is_file():
-        return file
-    return next((one for s in IMAGES if (one := file.with_name(file.name + s)).is_file()), file)
-
-
 def _mask(folder: Path, entry: dict[str, Any], color: Path, path: Path) -> Path | Packed | None:
     """Return what says where the image shows nothing: a mask of its own, or its transparency (Blender)."""
     if entry.get("mask_path") is not None:
-        return inside(folder, entry["mask_path"], f"frame {_name(entry)}: mask_path", path)
+        return found_file(folder, entry["mask_path"], f"frame {_name(entry)}: mask_path", path)
     return Packed(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
 
 

@@ -18,6 +18,7 @@ from stages.scans.reading.files import about_order, common_size, first_existing,
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import rig_of
+from stages.scans.reading.timed_poses import poses_at
 from stages.scans.scan import Frame, Pose, Scan
 
 _SIDES = (
@@ -82,7 +83,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
     poses: list[Pose | None]
     if path is not None:
-        poses = _poses(path, names, times)
+        poses = _poses(path, names, times, options)
     else:
         poses = [None] * len(pairs)
         lacking = (
@@ -98,13 +99,14 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     )
 
 
-def _poses(path: Path, names: list[str], times: list[int | None]) -> list[Pose | None]:
+def _poses(
+    path: Path, names: list[str], times: list[int | None], options: ReadingParams
+) -> list[Pose | None]:
     trajectory = trajectories.read_trajectory(path)
     moments = [time for time in times if time is not None]
     if trajectory.timestamps is None or len(moments) < len(names):
         return trajectories.match(trajectory, names, path)
-    ordered = trajectories.in_order(trajectory)
-    return [trajectories.interpolate(ordered, time, _TOLERANCE) for time in moments]
+    return poses_at(path, moments, names, _TOLERANCE, options)
 
 
 LAYOUT = Layout(

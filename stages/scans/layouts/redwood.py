@@ -23,10 +23,11 @@ from stages.scans.reading.files import (
 )
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import guessed_camera
+from stages.scans.reading.stated import found_camera
 from stages.scans.scan import Camera, Frame, Pose, Scan
 
 _INTRINSICS = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_primesense.json")
+_UNITS_PER_METRE = 1000.0
 _COLOR = re.compile("rgb|colou?r", re.IGNORECASE)
 _TRAJECTORIES = ("trajectory.log", "trajectory.json", "trajectory.txt", "poses.txt")
 
@@ -110,17 +111,17 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
     path = options.file("calibration", folder) or first_existing(
         folder, *_INTRINSICS, *(f"../{name}" for name in _INTRINSICS)
     )
-    stated = options.camera(width, height)
-    scale = options.depth_scale or (1000.0 if path is None else calibration.read_depth_scale(path))
-    if stated is not None:
-        return stated, scale, []
-    if path is None:
-        camera, guessed = guessed_camera(width, height)
-        return camera, scale, [guessed]
-    said = (
-        [] if path.parent.samefile(folder) else [f"the intrinsics come from {path.name} in the folder above"]
-    )
-    return calibration.read_camera(path, width, height), scale, said
+    camera = options.camera(width, height)
+    warnings: list[str] = []
+    if camera is None:
+        if path is None:
+            camera, path, warnings = found_camera(folder, width, height)
+        else:
+            camera = calibration.read_camera(path, width, height)
+            if not path.parent.samefile(folder):
+                warnings = [f"the intrinsics come from {path.name} in the folder above"]
+    scale = options.depth_scale or (path and calibration.read_depth_scale(path)) or _UNITS_PER_METRE
+    return camera, scale, warnings
 
 
 LAYOUT = Layout(

@@ -1,4 +1,7 @@
-"""ScanNet, extracted: color/, depth/, pose/ and intrinsic/, a file a frame; colour is larger than depth."""
+"""ScanNet, extracted: color/, depth/, pose/ and intrinsic/, a file a frame; colour is larger than depth.
+
+Sets for novel views keep the colour and leave depth/ out: these are single views.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,8 @@ from stages.scans.reading.files import (
 )
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.reading.stated import found_camera, stated_camera
+from stages.scans.reading.views import single_view
 from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 
 _UNITS_PER_METRE = 1000.0
@@ -35,6 +39,9 @@ _OF_OTHERS = ("intrinsic.json", "camera_intrinsic.json", "trajectory.log", "traj
 
 
 def _matches(folder: Path) -> str | None:
+    views = _views_folder(folder)
+    if views is not None:
+        return f"{views.name}/, pose/ and intrinsics"
     color = _color_folder(folder)
     if color is None:
         return None
@@ -55,7 +62,18 @@ def _color_folder(folder: Path) -> Path | None:
     )
 
 
+def _views_folder(folder: Path) -> Path | None:
+    """Return the folder of colour images where there are poses and intrinsics beside it, but no depth."""
+    color = first_existing(folder, *COLOR_FOLDERS)
+    known = _intrinsics(folder, "color") or _intrinsics(folder, "depth")
+    is_posed = color is not None and color.is_dir() and (folder / "pose").is_dir() and known is not None
+    return color if is_posed and not (folder / "depth").exists() else None
+
+
 def _read(folder: Path, options: ReadingParams) -> Scan:
+    views = _views_folder(folder)
+    if views is not None:
+        return _read_views(folder, views, options)
     color_folder = _color_folder(folder)
     if color_folder is None:
         raise InputError("the folders color/, depth/ and pose/ are needed.", folder)
@@ -87,6 +105,40 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
 
 
+def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
+    """Read images with poses, without depth."""
+    colors = images(place)
+    if not colors:
+        raise InputError(f"no images in {place.name}/; at least one is needed.", folder)
+    names = [color.stem for color in colors]
+    poses, missing = _poses(folder, options, names)
+    camera, warnings = _camera_of_views(folder, options, common_size(colors))
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for name, color in zip(names, colors, strict=True):
+        if name not in poses and not missing:
+            skipped.append(SkippedFrame(name, f"pose/{name}.txt is missing"))
+            continue
+        try:
+            frames.append(single_view(name, camera, color, poses.get(name)))
+        except InputError as error:
+            skipped.append(SkippedFrame(name, str(error)))
+    up = up_of_scannet(folder, LAYOUT.name)
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
+
+
+def _camera_of_views(folder: Path, options: ReadingParams, size: tuple[int, int]) -> tuple[Camera, list[str]]:
+    """Return the camera of the colour images: colour's, or the one of depth that has their size."""
+    stated = stated_camera(options, folder, *size)
+    if stated is not None:
+        return stated, []
+    path = _intrinsics(folder, "color") or _intrinsics(folder, "depth")
+    if path is None:
+        camera, _, warnings = found_camera(folder, *size)
+        return camera, warnings
+    return _color_camera(path, size)
+
+
 def _poses(
     folder: Path, options: ReadingParams, names: Sequence[str]
 ) -> tuple[dict[str, Pose | None], tuple[str, ...]]:
@@ -111,8 +163,7 @@ def _cameras(
     if camera is None and path is not None:
         camera = calibration.read_camera(path, *size)
     if camera is None:
-        camera, guessed = guessed_camera(*size)
-        warnings.append(guessed)
+        camera, _, warnings = found_camera(folder, *size)
     color_path = _intrinsics(folder, "color")
     turned = [
         name
@@ -123,15 +174,20 @@ def _cameras(
     if color_path is None:
         said = "there is no intrinsic_color.txt: colour is taken to show what depth shows, in its own size"
         return camera, None, [*warnings, said]
-    color_size = common_size([color for _, color in pairs])
-    original = calibration.read_camera(color_path, *_COLOR_SIZE)
-    if abs(original.cx - color_size[0] / 2) <= _LARGEST_OFFSET * color_size[0]:
-        return camera, replace(original, width=color_size[0], height=color_size[1]), warnings
+    color_camera, said_of_it = _color_camera(color_path, common_size([color for _, color in pairs]))
+    return camera, color_camera, warnings + said_of_it
+
+
+def _color_camera(path: Path, size: tuple[int, int]) -> tuple[Camera, list[str]]:
+    """Return the camera of colour images of this size, scaled where the file is for the data set's own."""
+    original = calibration.read_camera(path, *_COLOR_SIZE)
+    if abs(original.cx - size[0] / 2) <= _LARGEST_OFFSET * size[0]:
+        return replace(original, width=size[0], height=size[1]), []
     said = (
-        f"{color_path.name} is not for colour images of {color_size[0]}×{color_size[1]}; "
+        f"{path.name} is not for colour images of {size[0]}×{size[1]}; "
         f"it is taken for the data set's {_COLOR_SIZE[0]}×{_COLOR_SIZE[1]} and scaled"
     )
-    return camera, scaled(original, *color_size), [*warnings, said]
+    return scaled(original, *size), [said]
 
 
 def _intrinsics(folder: Path, stream: str) -> Path | None:
@@ -149,7 +205,7 @@ def _is_identity(path: Path) -> bool:
 
 LAYOUT = Layout(
     name="scannet",
-    text="color/, depth/, pose/, intrinsic/ (ScanNet, extracted)",
+    text="color/, depth/, pose/, intrinsic/ (ScanNet, extracted), or views without depth/",
     matches=_matches,
     read=_read,
 )

@@ -1,4 +1,4 @@
-"""One rectified pair without calibration (Middlebury 2001 to 2006): the person's, or the one published."""
+"""One pair: of Middlebury 2001 to 2006, whose calibration was published, or left.png, right.png and K.txt."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import rig_of
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 
-_PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"))
-_SUFFIXES = (".png", ".ppm", ".pgm")
+_PAIRS = (("im0", "im1"), ("im2", "im6"), ("view1", "view5"), ("left", "right"))
+_SUFFIXES = (".png", ".ppm", ".pgm", ".jpg", ".jpeg")
+# The text is that of stereo networks: the nine numbers of the matrix, and the baseline in metres.
+_CALIBRATIONS = ("calibration.json", "calibration.toml", "K.txt")
 
 
 # Of the sets of 2005 and 2006, for views 1 and 5 at full size: pixels and metres.
@@ -75,7 +77,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if found is None:
         raise InputError("a pair im2.png and im6.png (or view1, view5) is needed.", folder)
     size = image_size(found[0])
-    rig, warnings, missing = rig_of(folder, options, size, ("calibration.json", "calibration.toml"))
+    rig, warnings, missing = rig_of(folder, options, size, _CALIBRATIONS)
     published = None
     if missing and options.intrinsics is None and found[0].stem == "view1":
         published = _published(folder, size)
@@ -97,7 +99,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 LAYOUT = Layout(
     name="pair",
-    text="im2 and im6, or view1 and view5 with dmin.txt, .png or .ppm (Middlebury 2001 to 2006)",
+    text="im2 and im6, or view1 and view5 with dmin.txt, .png or .ppm (Middlebury 2001 to 2006); "
+    "or left.png and right.png, perhaps with K.txt",
     matches=_matches,
     read=_read,
 )

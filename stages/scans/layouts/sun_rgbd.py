@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.images import read_raw_depth
@@ -23,7 +22,8 @@ from stages.scans.reading.files import common_size, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import guessed_camera, stated_camera
+from stages.scans.reading.rotated_bits import read_turned_back
+from stages.scans.reading.stated import found_camera, stated_camera
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 
 _UNITS_PER_METRE = 1000.0
@@ -67,7 +67,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             name=depth.stem,
             camera=camera,
             color=color,
-            depth=Packed(depth, "depth", partial(_turned_back, depth)) if rotated else depth,
+            depth=Packed(depth, "depth", partial(read_turned_back, depth)) if rotated else depth,
             depth_scale=options.depth_scale or _UNITS_PER_METRE,
             world_from_camera=pose,
         )
@@ -80,8 +80,8 @@ def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tu
     """Return the camera and what is to be said about it."""
     stated, path = stated_camera(options, folder, width, height), folder / "intrinsics.txt"
     if stated is None and not path.exists():
-        guess, guessed = guessed_camera(width, height)
-        return guess, [guessed]
+        found, _, said = found_camera(folder, width, height)
+        return found, said
     return stated or calibration.read_camera(path, width, height), []
 
 
@@ -135,13 +135,6 @@ def _is_rotated(depths: Sequence[Path]) -> bool:
         if known.size:
             return bool(np.count_nonzero(known & _PLAIN_BITS) <= _LARGEST_PLAIN_SHARE * known.size)
     return True
-
-
-def _turned_back(path: Path) -> NDArray[np.uint16]:
-    raw = read_raw_depth(path)
-    if raw.dtype != np.uint16:
-        raise InputError("depth of 16 bits is expected.", path)
-    return np.asarray((raw >> 3) | (raw << 13), np.uint16)
 
 
 LAYOUT = Layout(

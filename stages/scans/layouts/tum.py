@@ -26,22 +26,26 @@ from stages.scans.reading.files import (
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.stated import guessed_camera
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.reading.stated import found_camera
+from stages.scans.reading.timed_poses import poses_at
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 # The data set's own tools pair within 0.02 s, less than one frame at 30 Hz.
 _TOLERANCE = 20_000_000
 _UNITS_PER_METRE = 5000.0
-# The folder holds no intrinsics; its name tells the camera: fx fy cx cy, then k1 k2 p1 p2 k3.
+# The folder holds no intrinsics; which recording it is of tells the camera: fx fy cx cy, then k1 k2 p1 p2 k3.
 _CAMERAS = {
     "freiburg1": ((517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
     "freiburg2": ((520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
     "freiburg3": ((535.4, 539.2, 320.1, 247.6), ()),
 }
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
-# Which bag a file is of stands in its first lines.
-_OWN, _HEAD = "rgbd_dataset_freiburg", 1000
+# Which recording a file is of stands in its first lines: `# file: 'rgbd_dataset_freiburg1_rpy.bag'`.
+_RECORDING = re.compile(r"^#\s*file:\s*['\"]?([^'\"\n]+)", re.MULTILINE)
+_OWN = re.compile(r"rgbd_dataset_freiburg([123])(?!\d)")
+_LIKE_OWN = re.compile(r"(?<![a-z])(?:freiburg|fr)_?[123](?!\d)", re.IGNORECASE)
+_HEAD = 1000
 # How images are named when their lists are lost.
 _STAMPED = re.compile(r"\d+\.\d+")
 
@@ -69,23 +73,27 @@ def _matches(folder: Path) -> str | None:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     path = options.file("poses", folder) or first_existing(folder, "groundtruth.txt")
-    trajectory = None if path is None else trajectories.read_timed(path)
     color_stream, depth_stream, warnings = _streams(folder)
     colors, depths = color_stream.files, depth_stream.files
-    camera, about_camera = _camera(folder, options, *common_size(depths))
+    camera, scale, about_camera = _camera(folder, options, *common_size(depths))
     warnings += about_camera
 
     frames: list[Frame] = []
-    skipped: list[SkippedFrame] = []
-    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE)
-    for color, time, partner in zip(colors, color_stream.times.tolist(), partners.tolist(), strict=True):
-        if partner < 0:
-            skipped.append(SkippedFrame(color.stem, "no depth frame within 0.02 s"))
-            continue
+    partners = nearest_in_time(color_stream.times, depth_stream.times, _TOLERANCE).tolist()
+    skipped = [
+        SkippedFrame(color.stem, "no depth frame within 0.02 s")
+        for color, partner in zip(colors, partners, strict=True)
+        if partner < 0
+    ]
+    paired = [number for number, partner in enumerate(partners) if partner >= 0]
+    poses: list[Pose | None] = [None] * len(paired)
+    if path is not None:
         # The surface is where the depth camera saw it from, so its moment decides.
-        moment = int(depth_stream.times[partner])
-        pose = None if trajectory is None else trajectories.interpolate(trajectory, moment, _TOLERANCE)
-        if pose is None and trajectory is not None:
+        moments = [int(depth_stream.times[partners[number]]) for number in paired]
+        poses = poses_at(path, moments, [colors[number].stem for number in paired], _TOLERANCE, options)
+    for number, pose in zip(paired, poses, strict=True):
+        color, partner, time = colors[number], partners[number], int(color_stream.times[number])
+        if pose is None and path is not None:
             skipped.append(SkippedFrame(color.stem, "no pose within 0.02 s"))
             continue
         frames.append(
@@ -94,20 +102,20 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 camera=camera,
                 color=color,
                 depth=depths[partner],
-                depth_scale=options.depth_scale or _UNITS_PER_METRE,
+                depth_scale=scale,
                 world_from_camera=pose,
                 timestamp=time,
             )
         )
     lacking = "poses: groundtruth.txt is missing; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if trajectory is None else ()
+    missing = (lacking,) if path is None else ()
     up = None if path is None else _up(folder, path)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing, up=up)
 
 
 def _up(folder: Path, trajectory: Path) -> WorldUp | None:
     """Return what is up in the worlds of the data set's motion capture; None where others use its form."""
-    is_own = _named(folder) is not None or _OWN in documents.read_text(trajectory)[:_HEAD]
+    is_own = _data_set_camera(folder)[0] is not None or _OWN.search(documents.read_text(trajectory)[:_HEAD])
     return up_of_layout(LAYOUT.name, Z_UP) if is_own else None
 
 
@@ -169,32 +177,53 @@ def _where_they_are(files: list[Path], folder: Path) -> tuple[list[Path], list[s
     return [found / path.name for path in files], [said]
 
 
-def _named(folder: Path) -> re.Match[str] | None:
-    """Return where a folder's name names one of the data set's cameras."""
-    return re.search(r"(?<![a-z])(?:freiburg|fr)_?([123])(?!\d)", folder.resolve().name, re.IGNORECASE)
+def _recorded_as(folder: Path) -> str | None:
+    """Return the recording that the lists name in their first lines; None where they name none."""
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        head = documents.read_text(folder / name)[:_HEAD] if (folder / name).is_file() else ""
+        if named := _RECORDING.search(head):
+            return named[1]
+    return None
 
 
-def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, list[str]]:
-    """Return the camera, and what is to be said about it and about the scale of its depth."""
-    named = _named(folder)
-    warnings = []
-    if named is None and options.depth_scale is None:
+def _data_set_camera(folder: Path) -> tuple[str | None, str]:
+    """Return which of the data set's cameras took the images, and what says so.
+
+    What the lists say counts. The folder's name does only where they say nothing, and only as the data set
+    gives it: anyone's recording may lie in a folder that is called freiburg1.
+    """
+    recorded = _recorded_as(folder)
+    named = _OWN.match(folder.resolve().name if recorded is None else recorded)
+    source = "the folder's name" if recorded is None else "the name of the recording in its lists"
+    return (None if named is None else f"freiburg{named[1]}"), source
+
+
+def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:
+    """Return the camera, the depth scale, and what is to be said about them."""
+    own, source = _data_set_camera(folder)
+    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
+    camera = options.camera(width, height)
+    warnings: list[str] = []
+    if camera is None and path is not None:
+        camera = calibration.read_camera(path, width, height)
+    elif camera is None:
+        camera, path, warnings = found_camera(folder, width, height)
+        if path is None and own is not None:
+            matrix, distortion = _CAMERAS[own]
+            camera = scaled(Camera(640, 480, *matrix, distortion), width, height)
+            warnings = [f"the camera is {own}'s, by {source}"]
+        elif path is None and _LIKE_OWN.search(folder.resolve().name):
+            warnings.append(
+                "the folder's name is like one of the TUM data set, but nothing in it says that it is: its "
+                "lens is not taken from the name"
+            )
+    stated = path and calibration.read_depth_scale(path)
+    if own is None and stated is None and options.depth_scale is None:
         warnings.append(
             f"depth is taken as TUM's {_UNITS_PER_METRE:g} units a metre; where it is in millimetres set "
             "scan.depth_scale=1000"
         )
-    path = options.file("calibration", folder) or first_existing(folder, "camera.json", "intrinsic.json")
-    stated = options.camera(width, height)
-    if stated is None and path is not None:
-        stated = calibration.read_camera(path, width, height)
-    if stated is not None:
-        return stated, warnings
-    if named is None:
-        camera, guessed = guessed_camera(width, height)
-        return camera, [guessed, *warnings]
-    matrix, distortion = _CAMERAS[f"freiburg{named[1]}"]
-    camera = scaled(Camera(640, 480, *matrix, distortion), width, height)
-    return camera, [f"the camera is freiburg{named[1]}'s, by the folder's name"]
+    return camera, options.depth_scale or stated or _UNITS_PER_METRE, warnings
 
 
 LAYOUT = Layout(

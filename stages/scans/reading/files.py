@@ -65,12 +65,12 @@ def inside(folder: Path, value: object, what: str, file: Path) -> Path:
         If it is no relative path, or leaves the folder.
     """
     name = value.replace("\\", "/") if isinstance(value, str) else "/"
-    if not leads_inside(name) or not all(_is_name(part) for part in PurePosixPath(name).parts):
+    if not leads_inside(name) or not all(is_name(part) for part in PurePosixPath(name).parts):
         raise InputError(f"{what} is not a path inside the folder.", file)
     return folder / PurePosixPath(name)
 
 
-def _is_name(part: str) -> bool:
+def is_name(part: str) -> bool:
     """Say whether a file can be called so: JSON can hold half a character, and any length."""
     try:
         return len(part.encode()) <= 255

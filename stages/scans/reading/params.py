@@ -36,6 +36,10 @@ class ReadingParams:
         "Trajectory file (KITTI, TUM, .log, .json, .traj, EuRoC .csv) in place of the folder's; "
         "camera-to-world, but for a .traj.",
     )
+    poses_by_order: bool = param(
+        False,
+        "Take the poses of a trajectory in the order of the frames, one each, whatever their times are.",
+    )
     adjusted: str | None = param(
         None,
         "A cameras.json of `scanloom adjust`, or of a run's adjusted/: its poses and its colour camera in "

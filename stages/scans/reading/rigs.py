@@ -6,11 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stages.files import documents
+from stages.files.noting import note
 from stages.scans.formats import calibration
+from stages.scans.reading.beside import rigs_beside
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Images
@@ -43,7 +46,8 @@ def rig_of(
     stated = options.camera(*size)
     path = options.file("calibration", folder) or first_existing(folder, *names)
     if path is not None:
-        rig, warnings = calibration.read_rig(path, *size, baseline=options.baseline)
+        document = _with_other_half(path)
+        rig, warnings = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     elif stated is not None and options.baseline is not None:
         beside = calibration.with_baseline(np.eye(4), options.baseline)
         return StereoRig(stated, stated, beside, rectified=True), [], ()
@@ -60,6 +64,14 @@ def rig_of(
         rig, warnings = calibration.read_rig(
             folder / halves_of[1], *size, document=sides, baseline=options.baseline
         )
+    elif found := rigs_beside(folder, *size, options.baseline):
+        rig, warnings, path = found[0]
+        if len(found) > 1:
+            names = ", ".join(one.name for *_, one in found[:5])
+            lacking = f"calibration: {names} all state one; name the right one with scan.calibration=FILE"
+            return uncalibrated(size), [], (lacking,)
+        note(path)
+        warnings = [f"the calibration is read from {path.name}, which lies beside the images", *warnings]
     else:
         half = "; intrinsics.yml lacks extrinsics.yml beside it" if has(folder, "intrinsics.yml") else ""
         lacking = (
@@ -68,6 +80,15 @@ def rig_of(
         )
         return uncalibrated(size), [], (lacking,)
     return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
+
+
+def _with_other_half(path: Path) -> dict[str, Any] | None:
+    """Return what a calibration and the file of its other half say, where OpenCV wrote them as two files."""
+    for half, other in (("extrinsics", "intrinsics"), ("intrinsics", "extrinsics")):
+        beside = path.with_name(path.name.replace(half, other))
+        if half in path.name and path.is_file() and beside.is_file():
+            return documents.read_document(beside) | documents.read_document(path)
+    return None
 
 
 def stated_rig(left: Images, folder: Path, options: ReadingParams) -> tuple[StereoRig, list[str]] | None:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stages.files.noting import note
 from stages.scans.formats import calibration
+from stages.scans.reading.beside import cameras_beside
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera
 
@@ -25,7 +27,25 @@ def stated_camera(options: ReadingParams, folder: Path, width: int, height: int)
     return calibration.read_camera(path, width, height) if stated is None and path is not None else stated
 
 
-def guessed_camera(width: int, height: int) -> tuple[Camera, str]:
+def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | None, list[str]]:
+    """Return the camera for depth maps of this size that a file beside the images states, and that file.
+
+    Without one the camera is a guess. The last of the three is what is to be said.
+    """
+    found = cameras_beside(folder, width, height)
+    if len({camera for camera, _ in found}) == 1:
+        camera, path = found[0]
+        note(path)
+        return camera, path, [f"the camera is read from {path.name}, which lies beside the images"]
+    if found:
+        names = ", ".join(path.name for _, path in found[:5])
+        camera, guessed = _guessed_camera(width, height)
+        return camera, None, [f"{names} state different cameras: none is taken", guessed]
+    camera, guessed = _guessed_camera(width, height)
+    return camera, None, [guessed]
+
+
+def _guessed_camera(width: int, height: int) -> tuple[Camera, str]:
     """Return the camera to take for depth maps of this size when nothing is known, and what is to be said."""
     focal = width * _FOCAL_LENGTH
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)

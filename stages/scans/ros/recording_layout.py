@@ -18,6 +18,7 @@ from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Images, Pair, Streams
+from stages.scans.reading.timed_poses import poses_at
 from stages.scans.ros.bag import read_bag
 from stages.scans.ros.db3 import read_db3
 from stages.scans.ros.files import SUFFIXES, recording_files, recordings
@@ -216,17 +217,11 @@ def _poses(
     given = options.file("poses", place.parent if place.is_file() else place)
     if given is None:
         return [None] * len(moments), ("poses: a recording has none; name a trajectory with scan.poses=FILE",)
-    trajectory = trajectories.in_order(trajectories.read_trajectory(given))
+    names = [_name(number) for number, _ in moments]
+    trajectory = trajectories.read_trajectory(given)
     if trajectory.timestamps is None:
-        return trajectories.match(trajectory, [_name(number) for number, _ in moments], given), ()
-    poses = [trajectories.interpolate(trajectory, time, _FALLBACK_TOLERANCE) for _, time in moments]
-    if all(pose is None for pose in poses):
-        start, end = moments[0][1] / 1e9, moments[-1][1] / 1e9
-        raise InputError(
-            f"none of its poses is within 0.02 s of a frame; the recording is of {start:.3f} to {end:.3f} s.",
-            given,
-        )
-    return poses, ()
+        return trajectories.match(trajectory, names, given), ()
+    return poses_at(given, [time for _, time in moments], names, _FALLBACK_TOLERANCE, options), ()
 
 
 def _name(number: int) -> str:

@@ -337,3 +337,32 @@ def test_without_poses_nothing_is_estimated():
 def test_a_single_frame_is_compared_with_nothing():
     (frame, *_) = room_scan().frames
     assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).least_sharp == ()
+
+
+def test_many_sizes_are_one_warning(depth_files):
+    for size, frame in ((10, depth_files[0]), (12, depth_files[1])):
+        cv2.imwrite(str(frame.depth), np.ones((size, size), np.uint16))
+    warnings = inspect(Scan("x", depth_files)).warnings
+    assert not any("another size" in text for text in warnings)
+    (told,) = (text for text in warnings if "other sizes" in text)
+    assert told.startswith("2 depth images have 2 other sizes (10×10, 12×12) than most")
+
+
+@pytest.mark.parametrize("true_scale", [10000, 5000, 80000])
+def test_a_depth_scale_that_is_off_is_found_by_the_poses(true_scale):
+    frames = [
+        replace(frame, depth=frame.depth * (true_scale / 1000), depth_scale=1000.0)
+        for frame in room_scan().frames
+    ]
+    warnings = inspect(Scan("x", frames)).warnings
+    (told,) = (text for text in warnings if "depth_scale" in text)
+    assert told.startswith(f"depth and poses fit together with scan.depth_scale={true_scale}: so taken")
+
+
+def test_poses_of_a_camera_that_only_turns_say_nothing_of_the_scale():
+    poses = [pose_at(0, 0, 4 * i) for i in range(8)]
+    frames = [
+        Frame(str(i), CAMERA, depth=room_depth(pose) * 10, world_from_camera=pose)
+        for i, pose in enumerate(poses)
+    ]
+    assert not any("fit together with" in text for text in inspect(Scan("x", frames)).warnings)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError
-from stages.scans.formats.calibration import read_camera, read_rig
+from stages.scans.formats.calibration import read_camera, read_depth_scale, read_rig
 
 K = [[100, 0, 16], [0, 110, 12], [0, 0, 1]]
 BENT = [0.1, -0.2, 0.003, 0.004, 0.05]
@@ -281,3 +281,82 @@ def test_damaged_camera_infos_are_told(tmp_path, change, message):
     (tmp_path / "rig.json").write_text(json.dumps(sides))
     with pytest.raises(InputError, match=message):
         read_rig(tmp_path / "rig.json", 32, 24)
+
+
+ORB_SLAM = "%YAML:1.0\nCamera.fx: 100.0\nCamera.fy: 110.0\nCamera.cx: 16.0\nCamera.cy: 12.0\n"
+
+
+def test_settings_of_orb_slam(tmp_path):
+    file = tmp_path / "settings.yaml"
+    file.write_text(ORB_SLAM + "Camera.k1:0.1\nCamera.p2: 0.004\nCamera.bf: 50.0\nDepthMapFactor: 5000\n")
+    camera = read_camera(file, 32, 24)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (100, 110, 16, 12)
+    assert camera.distortion == (0.1, 0, 0, 0.004, 0)
+    assert read_depth_scale(file) == 5000
+    rig, _ = read_rig(file, 32, 24)
+    assert rig.baseline == pytest.approx(0.5)
+    file.write_text(ORB_SLAM + "Camera.width: 64\nCamera.height: 24\n")
+    with pytest.raises(InputError, match="it is for images of 64×24"):
+        read_camera(file, 32, 24)
+    # What ROS sends is in metres, as floating point.
+    file.write_text(ORB_SLAM + "DepthMapFactor: 1.0\n")
+    assert read_depth_scale(file) is None
+
+
+def test_settings_of_orb_slam_3_for_two_fisheyes(tmp_path):
+    file = tmp_path / "settings.yaml"
+    sides = "".join(
+        f"Camera{n}.fx: {100 + n}.0\nCamera{n}.fy: 100.0\nCamera{n}.cx: 16.0\nCamera{n}.cy: 12.0\n"
+        f"Camera{n}.k1: 0.1\nCamera{n}.k2: 0.0\nCamera{n}.k3: 0.0\nCamera{n}.k4: 0.02\n"
+        for n in (1, 2)
+    )
+    left_from_right = np.eye(4)
+    left_from_right[:3, :3], left_from_right[:3, 3] = np.array(R).T, -np.array(R).T @ T
+    file.write_text(
+        f'%YAML:1.0\nCamera.type: "KannalaBrandt8"\n{sides}Stereo.T_c1_c2: {opencv_matrix(left_from_right)}'
+    )
+    rig, _ = read_rig(file, 32, 24)
+    assert (rig.left.fx, rig.right.fx, rig.left.fisheye) == (101, 102, True)
+    assert rig.left.distortion == (0.1, 0, 0, 0.02)
+    np.testing.assert_allclose(rig.right_from_left[:3, 3], T, atol=1e-9)
+    np.testing.assert_allclose(rig.right_from_left[:3, :3], R, atol=1e-9)
+
+
+def test_kalibr_with_one_camera_and_with_several(tmp_path):
+    camera = (
+        "  camera_model: pinhole\n  intrinsics: [100, 110, 16, 12]\n  resolution: [32, 24]\n"
+        "  distortion_model: radtan\n  distortion_coeffs: [0.1, 0, 0, 0]\n"
+    )
+    file = tmp_path / "camchain.yaml"
+    file.write_text(f"cam0:\n{camera}")
+    assert read_camera(file, 32, 24).fy == 110
+    file.write_text(f"cam0:\n{camera}cam1:\n{camera}")
+    with pytest.raises(InputError, match="it holds the cameras cam0, cam1, and the one of these images"):
+        read_camera(file, 32, 24)
+
+
+def test_real_settings_and_camchains(shared_data):
+    files = shared_data / "real" / "calibrations"
+    assert read_camera(files / "orbslam2_TUM3.yaml", 640, 480).fx == 535.4
+    assert read_camera(files / "kalibr_single_camchain.yaml", 1280, 720).fx == pytest.approx(
+        863.728, abs=1e-3
+    )
+    rig, _ = read_rig(files / "far_stereo.yaml", 1280, 524)
+    assert rig.left.fx == pytest.approx(1927.268, abs=1e-3)
+    # By RIGHT.P; its Camera.bf says half of that.
+    assert rig.baseline == pytest.approx(1181.878 / 1966.836, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("Camera.bf: 1" + "0" * 390, "how the cameras stand to each other is missing"),
+        ("Camera.bf: nothing", "how the cameras stand to each other is missing"),
+        ("Camera2.fx: 1\nTlr: [1, 2, 3]", "the relation of the cameras must be 4x4|no camera in it"),
+    ],
+)
+def test_damaged_settings_are_told(tmp_path, line, message):
+    file = tmp_path / "settings.yaml"
+    file.write_text(f"{ORB_SLAM}{line}\n")
+    with pytest.raises(InputError, match=message):
+        read_rig(file, 32, 24)

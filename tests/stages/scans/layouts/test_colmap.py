@@ -1,3 +1,4 @@
+import shutil
 import struct
 
 import cv2
@@ -442,3 +443,23 @@ def test_any_damaged_byte_is_refused_or_read(scan_folder, which, value):
                 read_depth(frame)
         except InputError as error:
             assert str(scan_folder) in str(error)  # noqa: PT017
+
+
+def test_where_only_the_dense_workspace_fits_it_is_read_and_told(scan_folder, tiny, tmp_path_factory):
+    write_text(scan_folder / "sparse")
+    project = tmp_path_factory.mktemp("project")
+    write_text(project / "sparse" / "0", values=(90, 90, 16.5, 12.5))
+    (project / "dense").mkdir()
+    # Without depth maps: they would be preferred anyway.
+    shutil.rmtree(scan_folder / "stereo")
+    scan_folder.rename(project / "dense" / "0")
+    scan = read_scan(project)
+    tiny.assert_views(scan)
+    said = "the images of sparse/0/ are not there, or of another shape: dense/0/ is read, which has its own"
+    assert said in scan.warnings
+    # Images of the root's own are preferred.
+    for name in NAMES:
+        tiny.color(project / "images" / name)
+    scan = read_scan(project)
+    assert scan.frames[0].camera.fx == 90
+    assert said not in scan.warnings

@@ -361,3 +361,54 @@ def test_an_image_without_rows_is_one_sentence(scan_folder, tiny, size, is_state
             path.write_bytes(data)
     with pytest.raises(InputError, match=r"\.png: the image claims to be .* pixels; its header is damaged"):
         points(scan_folder, tiny)
+
+
+@pytest.mark.parametrize(
+    "moved",
+    ["/home/me/scan/images/{}.png", "C:\\\\Users\\\\me\\\\{}.png", "../elsewhere/{}.jpeg", "frames/{}.jpeg"],
+)
+def test_paths_of_another_computer_are_found_by_their_names(scan_folder, tiny, moved):
+    moved = moved.replace("\\\\", "\\")
+    content = document(tiny)
+    for entry, number in zip(content["frames"], (2, 10), strict=True):
+        entry["file_path"] = moved.format(number)
+        entry["depth_file_path"] = f"/home/me/scan/depth/{number}.png"
+    write(scan_folder, content)
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+    (said,) = [text for text in read_scan(scan_folder).warnings if "found by their names" in text]
+    assert said.startswith("the paths of 2 images in transforms.json lead elsewhere")
+    assert said.endswith("(images/2.png)")
+
+
+def test_an_absolute_path_is_never_read_outside_the_folder(scan_folder, tiny, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    content = document(tiny)
+    for entry in content["frames"]:
+        tiny.color(outside / f"x{entry['file_path'].rpartition('/')[2]}")
+        entry["file_path"] = str(outside / f"x{entry['file_path'].rpartition('/')[2]}")
+    write(scan_folder, content)
+    with pytest.raises(InputError, match="frame x2: file_path is not a path inside the folder"):
+        read_scan(scan_folder)
+
+
+def test_a_frame_of_another_computer_that_is_not_there_is_left_out(scan_folder, tiny):
+    content = document(tiny)
+    for entry in content["frames"]:
+        entry["file_path"] = "/home/me/" + entry["file_path"]
+    write(scan_folder, content)
+    (scan_folder / "images" / "10.png").unlink()
+    scan = read_scan(scan_folder)
+    assert [(one.name, one.reason) for one in scan.skipped] == [("10", "10.png is missing")]
+
+
+def test_a_real_toy_whose_paths_are_those_of_its_author(shared_data, tmp_path):
+    source = shared_data / "real" / "nerf_alpha_toy"
+    content = json.loads((source / "transforms.json").read_text())
+    for entry in content["frames"]:
+        stem = entry["file_path"].rpartition("/")[2].partition(".")[0]
+        entry["file_path"] = f"/home/someone/{stem}.jpeg"
+    write(tmp_path, content)
+    (tmp_path / "images").symlink_to(source / "images", target_is_directory=True)
+    scan = read_scan(tmp_path)
+    assert len(scan.frames) == 24
+    assert any("such as '/home/someone/" in text for text in scan.warnings)

@@ -187,3 +187,30 @@ def test_sides_that_share_no_numbers_are_told(scan_folder):
     scan = read_scan(scan_folder)
     assert [frame.right.name for frame in scan.frames] == ["dawn.png", "noon.png"]
     assert any("left/ and right/ share no numbers" in text for text in scan.warnings)
+
+
+def test_a_rig_of_any_name_beside_the_images(scan_folder, tiny):
+    (scan_folder / "calibration.json").rename(scan_folder / "our_cameras.json")
+    scan = read_scan(scan_folder)
+    assert_known_pixels(scan, tiny)
+    said = "the calibration is read from our_cameras.json, which lies beside the images"
+    assert said in scan.warnings
+    other = {**CAMERA, "baseline": 0.7}
+    (scan_folder / "other.json").write_text(json.dumps(other))
+    with pytest.raises(InputError, match=r"other\.json, our_cameras\.json all state one; name the right one"):
+        read_scan(scan_folder)
+
+
+def test_real_halves_of_a_calibration_whose_p1_is_not_filled_in(shared_data, tmp_path, tiny):
+    halves = shared_data / "real" / "calibrations"
+    for name in ("left01.jpg", "right01.jpg"):
+        tiny.color(tmp_path / name, (3072, 2048))
+    named = ScanParams(calibration=str(halves / "opencv_hik_extrinsics.yml"))
+    rig = read_scan(tmp_path, named).rig
+    assert (rig.left.fx, rig.right.fx) == pytest.approx((12975.717, 13031.695), abs=1e-3)
+    assert rig.baseline == pytest.approx(0.1619, abs=1e-4)
+    assert not rig.rectified
+    copy = tmp_path / "alone.yml"
+    copy.write_bytes((halves / "opencv_hik_extrinsics.yml").read_bytes())
+    with pytest.raises(InputError, match="P1 is not filled in"):
+        read_scan(tmp_path, ScanParams(calibration=str(copy)))

@@ -162,3 +162,43 @@ def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, 
 
 def test_images_of_one_number_are_not_told_of(scan_folder):
     assert not any("share no numbers" in text for text in read_scan(scan_folder).warnings)
+
+
+def test_a_camera_file_of_any_name_beside_the_images(scan_folder, tiny):
+    (scan_folder / "intrinsic.json").rename(scan_folder / "cam_params_mine.json")
+    # A pose is a matrix too.
+    (scan_folder / "world.txt").write_text("0 0 1 1\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+    said = "the camera is read from cam_params_mine.json, which lies beside the images"
+    assert said in read_scan(scan_folder).warnings
+
+
+def test_of_two_different_camera_files_none_is_taken(scan_folder):
+    document = json.loads((scan_folder / "intrinsic.json").read_text())
+    (scan_folder / "intrinsic.json").rename(scan_folder / "a.json")
+    document["intrinsic_matrix"][0] = 200
+    (scan_folder / "b.json").write_text(json.dumps(document))
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].camera.fx == 26.25
+    assert any(text.startswith("a.json, b.json state different cameras") for text in scan.warnings)
+
+
+def test_a_real_camera_file_of_another_name(shared_data):
+    scan = read_scan(shared_data / "real" / "realsense_box_open3d_json", complete=False)
+    camera = scan.frames[0].camera
+    expected = (617.25, 617.549, 317.392, 245.980)
+    np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected, atol=1e-3)
+
+
+def test_a_pose_file_of_seven_columns_goes_with_the_frames_in_order(scan_folder, tiny):
+    (scan_folder / "trajectory.log").unlink()
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "gt.txt").write_text(f"# tx ty tz qx qy qz qw\n0 0 0 0 0 0 1\n1 2 3 {turned}\n")
+    np.testing.assert_allclose(points(scan_folder, tiny, poses="gt.txt"), tiny.points, atol=1e-6)
+
+
+def test_poses_beside_the_images_do_not_hide_the_camera(scan_folder, tiny, matrix_text):
+    (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
+    for number in range(70):
+        (scan_folder / f"pose{number}.txt").write_text(matrix_text(tiny.second))
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)

@@ -1,3 +1,5 @@
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -160,3 +162,20 @@ def test_a_wrong_pose_names_its_file(scan_folder, text):
     (scan_folder / "pose" / "10.txt").write_text(text)
     with pytest.raises(InputError, match=r"10\.txt"):
         read_scan(scan_folder)
+
+
+def test_without_depth_the_images_are_single_views(scan_folder, tiny):
+    shutil.rmtree(scan_folder / "depth")
+    for path in (scan_folder / "intrinsic").glob("*color*"):
+        path.unlink()
+    for image in (scan_folder / "color").iterdir():
+        tiny.color(image)
+    scan = read_scan(scan_folder)
+    assert (scan.layout, scan.is_metric) == ("scannet", True)
+    tiny.assert_views(scan)
+
+
+def test_real_views_without_depth(shared_data):
+    scan = read_scan(shared_data / "real" / "scannet_views_no_depth")
+    assert (scan.layout, scan.is_views, len(scan.frames)) == ("scannet", True, 4)
+    assert scan.frames[0].camera.fx == pytest.approx(577.5907, abs=1e-4)

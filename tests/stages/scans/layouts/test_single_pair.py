@@ -69,3 +69,20 @@ def test_cones_lack_a_calibration(shared_data):
     with pytest.raises(InputError, match="no calibration"):
         read_scan(folder)
     assert read_scan(folder, ScanParams(intrinsics="900,900,225,187", baseline=0.16)).rig.baseline == 0.16
+
+
+def test_k_txt_is_the_matrix_and_the_baseline(tmp_path, tiny):
+    for name in ("left", "right"):
+        tiny.color(tmp_path / f"{name}.png")
+    (tmp_path / "K.txt").write_text("100 0 16 0 100 12 0 0 1\n0.5\n")
+    scan = read_scan(tmp_path)
+    assert (scan.layout, scan.rig.rectified, scan.rig.baseline, scan.rig.left.cx) == ("pair", True, 0.5, 16)
+    point = (0.2, 0.1, 2.0)
+    at = [tiny.pixel(point, pose, scan.rig.left) for pose in (np.eye(4), scan.rig.right_from_left)]
+    np.testing.assert_allclose(at, [(26, 17), (1, 17)])
+
+
+def test_a_real_pair_with_k_txt(shared_data):
+    scan = read_scan(shared_data / "real" / "stereo_pair_k_txt")
+    assert (scan.rig.rectified, scan.rig.baseline) == (True, 0.063)
+    assert scan.rig.left.fx == pytest.approx(754.668, abs=1e-3)

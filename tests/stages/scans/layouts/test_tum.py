@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,10 +105,54 @@ def test_the_camera_follows_the_folder_name(scan_folder):
     assert any("freiburg3" in text for text in scan.warnings)
 
 
-@pytest.mark.parametrize("name", ["freiburg1_xyz", "fr1_desk", "rgbd_dataset_freiburg1_room"])
-def test_freiburg1_keeps_its_distortion(scan_folder, name):
-    moved = scan_folder.rename(scan_folder.with_name(name))
-    assert read_scan(moved).frames[0].camera.distortion == (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+FREIBURG_1 = (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+
+
+def test_freiburg1_keeps_its_distortion(scan_folder):
+    moved = scan_folder.rename(scan_folder.with_name("rgbd_dataset_freiburg1_room"))
+    assert read_scan(moved).frames[0].camera.distortion == FREIBURG_1
+
+
+def test_what_the_lists_say_counts_and_not_the_folders_name(scan_folder):
+    rgb = scan_folder / "rgb.txt"
+    listed = rgb.read_text()
+    rgb.write_text("# color images\n# file: 'rgbd_dataset_freiburg1_xyz.bag'\n" + listed)
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].camera.distortion == FREIBURG_1
+    assert "the camera is freiburg1's, by the name of the recording in its lists" in scan.warnings
+    rgb.write_text("# color images\n# file: 'lab.bag'\n" + listed)
+    assert read_scan(scan_folder).frames[0].camera.fx == 26.25
+
+
+@pytest.mark.parametrize("name", ["freiburg1", "fr1_desk"])
+def test_a_stranger_in_a_folder_of_the_data_sets_name(scan_folder, name):
+    scan = read_scan(scan_folder.rename(scan_folder.with_name(name)))
+    assert scan.frames[0].camera.fx == 26.25
+    assert scan.up is None
+    assert any("its lens is not taken from the name" in text for text in scan.warnings)
+
+
+def test_settings_of_orb_slam_beside_the_images(scan_folder, tiny):
+    moved = scan_folder.rename(scan_folder.with_name("desk"))
+    for stamp in ("10.010000", "10.510000"):
+        if (image := moved / "depth" / f"{stamp}.png").exists():
+            tiny.depth(image, 4000)
+    (moved / "mine.yaml").write_text(
+        "%YAML:1.0\nCamera.fx: 100.0\nCamera.fy: 100.0\nCamera.cx: 16.0\nCamera.cy: 12.0\n"
+        "Camera.k1: 0.0\nDepthMapFactor: 4000.0\n"
+    )
+    scan = read_scan(moved)
+    assert (scan.frames[0].camera.fx, scan.frames[0].depth_scale) == (100, 4000)
+    assert scan.warnings == ("the camera is read from mine.yaml, which lies beside the images",)
+
+
+def test_real_recordings_are_known_by_their_lists(shared_data, tmp_path):
+    source = shared_data / "real" / "rgbd_dataset_freiburg1_rpy"
+    (tmp_path / "mine").symlink_to(source, target_is_directory=True)
+    assert read_scan(source).frames[0].camera.distortion == FREIBURG_1
+    keyframes = read_scan(shared_data / "real" / "freiburg3_cabinet_keyframes", complete=False)
+    assert keyframes.frames[0].camera.fx == 535.4
+    assert "the camera is read from TUM3.yaml, which lies beside the images" in keyframes.warnings
 
 
 def test_an_unknown_camera_is_said(scan_folder):
@@ -177,3 +223,26 @@ def test_poses_without_times_cannot_be_paired(scan_folder):
 def test_desk_excerpt_lacks_poses(shared_data):
     with pytest.raises(InputError, match=r"realsense_desk_tum_layout.*no poses: groundtruth\.txt"):
         read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout")
+
+
+def test_poses_of_another_clock_are_offered_to_be_paired_by_order(scan_folder, tiny):
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "mine.txt").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
+    named = ScanParams(poses="mine.txt", intrinsics=tiny.option)
+    said = r"they are of 500\.000 to 500\.500 s, the frames of 10\.010 to 10\.510 s\. As many are frames"
+    with pytest.raises(InputError, match=said):
+        read_scan(scan_folder, named)
+    scan = read_scan(scan_folder, replace(named, poses_by_order=True))
+    assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
+    with (scan_folder / "mine.txt").open("a") as file:
+        file.write("501.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match=r"10\.510 s\.$"):
+        read_scan(scan_folder, named)
+
+
+def test_real_key_frames_whose_poses_have_other_times(shared_data):
+    folder = shared_data / "real" / "freiburg3_cabinet_keyframes"
+    named = ScanParams(poses="truth_cam_poses.txt")
+    with pytest.raises(InputError, match=r"none of its 58 poses .* As many are frames: scan\.poses"):
+        read_scan(folder, named)
+    assert len(read_scan(folder, replace(named, poses_by_order=True)).frames) == 58

@@ -1,0 +1,135 @@
+"""Files of a scan folder that nobody used, and what they might be: nothing is ignored in silence."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files.noting import only_looking
+from stages.printing import by_fields
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import DEPTHS, IMAGES
+from stages.scans.scan import Scan
+
+# Of a folder with more, the rest is not looked through.
+_MOST_FILES = 20_000
+# More files of one kind in a folder are told as one.
+_ALONE = 3
+# Larger texts are logs and meshes; a pose takes some hundred bytes.
+_MAX_BYTES = 1 << 22
+_TEXTS = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".csv", ".log", ".tum", ".traj", ".freiburg")
+_SUFFIXES = {
+    ".ply": "points or a mesh",
+    ".obj": "a mesh",
+    ".glb": "a mesh",
+    ".bag": "a recording: a scan of its own",
+    ".db3": "a recording: a scan of its own",
+    ".mcap": "a recording: a scan of its own",
+    ".sens": "a recording: a scan of its own",
+    ".r3d": "a recording: a scan of its own",
+    ".mp4": "a video",
+    ".mov": "a video",
+}
+# For people, or left by systems.
+_NOTES = ("readme", "license", "licence", "thumbs.db", "desktop.ini")
+
+
+@dataclass(frozen=True)
+class Unused:
+    """A file that nobody used, or several of a folder.
+
+    Attributes
+    ----------
+    name : below the scan folder; a pattern for several.
+    count : of files.
+    looks_like : what it might be and the option that takes it; empty where nothing is known of it.
+    """
+
+    name: str
+    count: int
+    looks_like: str
+
+    __repr__ = by_fields
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        several = f" ({self.count} files)" if self.count > 1 else ""
+        return f"{self.name}{several}" + (f" looks like {self.looks_like}" if self.looks_like else "")
+
+
+def unused(scan: Scan) -> tuple[Unused, ...]:
+    """Return the files of a scan's folder, and of the folders in it, that were not read."""
+    if scan.folder is None or not scan.folder.is_dir() or not scan.read_from:
+        return ()
+    used = {path.resolve() for path in scan.read_from}
+    files = [path for path in islice(_files(scan.folder), _MOST_FILES) if path.resolve() not in used]
+    kinds = Counter((path.parent, path.suffix.lower()) for path in files)
+    with only_looking():
+        found = [
+            Unused(path.relative_to(scan.folder).as_posix(), 1, _looks_like(path, scan))
+            for path in files
+            if kinds[path.parent, path.suffix.lower()] <= _ALONE
+        ]
+    several = [
+        Unused((place / f"*{suffix}").relative_to(scan.folder).as_posix(), count, _kind_of(place, suffix))
+        for (place, suffix), count in kinds.items()
+        if count > _ALONE
+    ]
+    return tuple(sorted([*found, *several], key=lambda one: (not one.looks_like, one.name)))
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.name.lower().startswith(_NOTES):
+            continue
+        if path.is_file():
+            yield path
+        elif path.is_dir():
+            yield from (one for one in sorted(path.iterdir()) if one.is_file() and one.name[0] != ".")
+
+
+def _kind_of(place: Path, suffix: str) -> str:
+    if suffix in IMAGES and "mask" in place.name.lower():
+        return "masks"
+    if suffix in IMAGES and "conf" in place.name.lower():
+        return "maps of confidence"
+    return "images" if suffix in IMAGES else _SUFFIXES.get(suffix, "")
+
+
+def _looks_like(path: Path, scan: Scan) -> str:
+    """Say what a file might be, and which option takes it."""
+    suffix = path.suffix.lower()
+    if path.stem.lower().startswith("disp") and suffix in DEPTHS:
+        return "disparities that are known"
+    if suffix in IMAGES:
+        return "an image"
+    if suffix not in _TEXTS or path.stat().st_size > _MAX_BYTES:
+        return _SUFFIXES.get(suffix, "")
+    if (count := _poses_in(path)) > 1:
+        return f"{count} poses: scan.poses={path.name}"
+    camera = scan.frames[0].camera
+    size = camera.width, camera.height
+    if scan.is_stereo and _reads(lambda: calibration.read_rig(path, *size)):
+        return f"the calibration of a pair: scan.calibration={path.name}"
+    if not _reads(lambda: calibration.read_camera(path, *size)):
+        return ""
+    return "a camera alone" if scan.is_stereo else f"a camera: scan.calibration={path.name}"
+
+
+def _reads(read: Callable[[], object]) -> bool:
+    try:
+        read()
+    except InputError:
+        return False
+    return True
+
+
+def _poses_in(path: Path) -> int:
+    try:
+        return len(trajectories.read_trajectory(path))
+    except InputError:
+        return 0

@@ -1,0 +1,74 @@
+"""Settings of ORB-SLAM and its many relatives: `Camera.fx: 535.4` and so on, in OpenCV's YAML.
+
+Camera.fx fy cx cy k1 k2 p1 p2 k3      or Camera1.fx …, Camera2.fx … (version 3)
+Camera.width, Camera.height            of the images; older files have none
+Camera.bf                              baseline times fx; a made one where there is depth; or Stereo.b, metres
+Stereo.T_c1_c2 or Tlr                  takes points of the right camera to the left
+LEFT.K D R P, RIGHT.K D R P            the pair as it left the cameras
+DepthMapFactor                         units of a depth map that are one metre; or RGBD.DepthMapFactor
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+_BENT = ("k1", "k2", "p1", "p2", "k3")
+_BENT_FISHEYE = ("k1", "k2", "k3", "k4")
+_FISHEYE = "KannalaBrandt8"
+# The names of a side in ROS's camera_info, which it takes its values from.
+_SIDE = {
+    "K": "camera_matrix",
+    "D": "distortion_coefficients",
+    "R": "rectification_matrix",
+    "P": "projection_matrix",
+    "width": "width",
+    "height": "height",
+}
+# Depth of floating point comes with a factor of 1, which says nothing of files.
+_LEAST_FACTOR = 1.0
+
+
+def as_table(values: dict[str, Any]) -> dict[str, Any]:
+    """Return settings under the names of our own calibrations; what is no settings as it is.
+
+    Numbers are handed on as they stand: who makes cameras of them checks them.
+    """
+    first = next((name for name in ("Camera1", "Camera") if f"{name}.fx" in values), None)
+    if first is None:
+        return values
+    table = _camera(values, first)
+    factor = values.get("DepthMapFactor", values.get("RGBD.DepthMapFactor"))
+    if isinstance(factor, (int, float)) and factor > _LEAST_FACTOR:
+        table["depth_scale"] = factor
+    if all(f"{side}.{key}" in values for side in ("LEFT", "RIGHT") for key in ("K", "P")):
+        return table | {side.lower(): _side(values, side) for side in ("LEFT", "RIGHT")}
+    if "Stereo.b" in values:
+        table["baseline"] = values["Stereo.b"]
+    elif "Camera.bf" in values and (baseline := _ratio(values["Camera.bf"], table["fx"])) is not None:
+        table["baseline"] = baseline
+    relation = values.get("Stereo.T_c1_c2", values.get("Tlr"))
+    if relation is not None and "Camera2.fx" in values:
+        table |= {"left": _camera(values, first), "right": _camera(values, "Camera2")}
+        table["left_from_right"] = relation
+    return table
+
+
+def _camera(values: dict[str, Any], name: str) -> dict[str, Any]:
+    table = {key: values[f"{name}.{key}"] for key in ("fx", "fy", "cx", "cy") if f"{name}.{key}" in values}
+    table |= {key: values[f"Camera.{key}"] for key in ("width", "height") if f"Camera.{key}" in values}
+    is_fisheye = values.get("Camera.type") == _FISHEYE
+    bent = [values.get(f"{name}.{key}", 0.0) for key in (_BENT_FISHEYE if is_fisheye else _BENT)]
+    return table | {"distortion": bent} | ({"distortion_model": "equidistant"} if is_fisheye else {})
+
+
+def _side(values: dict[str, Any], side: str) -> dict[str, Any]:
+    return {name: values[f"{side}.{key}"] for key, name in _SIDE.items() if f"{side}.{key}" in values}
+
+
+def _ratio(first: object, second: object) -> float | None:
+    if not isinstance(first, (int, float)) or not isinstance(second, (int, float)):
+        return None
+    try:
+        return first / second
+    except (OverflowError, ZeroDivisionError):
+        return None

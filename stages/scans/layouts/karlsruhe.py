@@ -1,0 +1,88 @@
+"""Karlsruhe's street sequences, as libviso2 reads them: rectified pairs in one folder, and calib.txt.
+
+    I1_000000.png  I2_000000.png  …
+    calib.txt                        P1_roi and P2_roi, 3x4 projections of the region that was cut out
+
+insdata.txt, the car's own position, stands for another place than the cameras and is left aside.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import trajectories
+from stages.scans.reading.files import common_size, first_existing, images, pair
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.projections import projected_rig
+from stages.scans.reading.rigs import rig_of
+from stages.scans.scan import Frame, Pose, Scan
+
+_NAME = re.compile(r"I([12])_\d+")
+_PROJECTION = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)
+_CALIBRATIONS = ("calib.txt", "../calib.txt")
+_POSES = ("poses.txt", "poses.tum")
+
+
+def _sides(folder: Path) -> tuple[list[Path], list[Path]]:
+    named = [(match[1], path) for path in images(folder) if (match := _NAME.fullmatch(path.stem))]
+    left, right = ([path for side, path in named if side == number] for number in "12")
+    return left, right
+
+
+def _matches(folder: Path) -> str | None:
+    left, right = _sides(folder)
+    return f"files named like {left[0].name} and {right[0].name}" if left and right else None
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    pairs, skipped = pair(*_sides(folder), "the images named I1", "the images named I2", folder)
+    size = common_size([one for one, _ in pairs])
+    calib = first_existing(folder, *_CALIBRATIONS) if options.calibration is None else None
+    projections = {} if calib is None else _projections(calib)
+    warnings: list[str] = []
+    missing: tuple[str, ...] = ()
+    if calib is not None and {"1", "2"} <= projections.keys():
+        rig, _ = projected_rig(projections["1"], projections["2"], size, options, calib)
+    else:
+        rig, warnings, missing = rig_of(folder, options, size, ("calib.txt with P1_roi and P2_roi",))
+    names = [one.stem for one, _ in pairs]
+    path = options.file("poses", folder) or first_existing(folder, *_POSES)
+    poses: list[Pose | None] = [None] * len(pairs)
+    if path is not None:
+        poses = trajectories.match(trajectories.read_trajectory(path), names, path)
+    else:
+        missing = (*missing, "poses: poses.txt is missing; name a trajectory with scan.poses=FILE")
+    frames = [
+        Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
+        for name, (one, other), pose in zip(names, pairs, poses, strict=True)
+    ]
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _projections(calib: Path) -> dict[str, NDArray[np.float64]]:
+    """Return the projection of each side's region, by the side's number."""
+    found = {}
+    for side, text in _PROJECTION.findall(documents.read_text(calib)):
+        try:
+            row = np.array([float(word) for word in text.split()])
+        except ValueError:
+            row = np.empty(0)
+        if row.size != 12 or not np.isfinite(row).all():
+            raise InputError(f"P{side}_roi is not 12 numbers.", calib)
+        found[side] = row.reshape(3, 4)
+    return found
+
+
+LAYOUT = Layout(
+    name="karlsruhe",
+    text="I1_000000.png and I2_000000.png side by side, calib.txt with P1_roi (Karlsruhe, libviso2)",
+    matches=_matches,
+    read=_read,
+)

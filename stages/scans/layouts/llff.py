@@ -1,0 +1,130 @@
+"""LLFF: photos in images/, and poses_bounds.npy with a row of 17 numbers for each, in order of their names.
+
+A row is a 3x5 matrix, row by row, then the nearest and the farthest depth. Its first three columns are the
+camera's axes in the world, down, right and back; the fourth its place; the fifth h, w and f in pixels. Photos
+that were made smaller keep their rows (images_4/, images_8/). Lengths are of a world without a scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.images import read_array, read_stored
+from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.files import images, numbers
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.stated import stated_camera
+from stages.scans.reading.views import in_metres, single_view
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+
+_FILE = "poses_bounds.npy"
+_COLUMNS = 17
+_MOST_VIEWS = 1 << 20
+# The bounds are percentiles of points: the scene goes on beyond them.
+_BEYOND = 0.1
+_MASKS = ("masks", "mask")
+# Masks that went through JPEG are grey where they were black.
+_SHOWN = 128
+
+
+def _matches(folder: Path) -> str | None:
+    return _FILE if (folder / _FILE).is_file() and _image_folder(folder) is not None else None
+
+
+def _image_folder(folder: Path) -> Path | None:
+    """Return the folder of photos, of several the one with the largest."""
+    smaller = sorted(folder.glob("images_*"), key=lambda place: (numbers(place.name), place.name))
+    places = [place for place in (folder / "images", *smaller) if place.is_dir()]
+    return next((place for place in places if images(place)), None)
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    place = _image_folder(folder)
+    if place is None:
+        raise InputError("a folder images/ with the photos is needed.", folder)
+    path = folder / _FILE
+    rows = _rows(path)
+    # In the order of their names as text, which is that of the rows.
+    colors = sorted(images(place), key=lambda color: color.name)
+    names = [color.stem for color in colors]
+    rows = list(trajectories.by_number(rows, names, path, "rows"))
+    given = options.file("poses", folder)
+    if given is None:
+        poses = [
+            in_metres(_pose(row, path, f"row {number}"), options.depth_scale)
+            for number, row in enumerate(rows)
+        ]
+    else:
+        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+    frames: list[Frame] = []
+    skipped: list[SkippedFrame] = []
+    for color, row, pose in zip(colors, rows, poses, strict=True):
+        try:
+            camera = _camera(folder, options, row, path)
+            frame = single_view(color.stem, camera, color, pose, mask=_mask(folder, color))
+        except InputError as error:
+            skipped.append(SkippedFrame(color.stem, str(error)))
+            continue
+        frames.append(frame if given else replace(frame, depth_range=_range(row, options)))
+    is_metric = given is not None or options.depth_scale is not None
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), is_metric=is_metric)
+
+
+def _rows(path: Path) -> list[NDArray[np.float64]]:
+    table = read_array(path, "the table of poses")
+    if table.ndim != 2 or table.shape[1] != _COLUMNS or len(table) > _MOST_VIEWS or table.dtype.kind != "f":
+        raise InputError(
+            f"rows of {_COLUMNS} numbers are expected; this is {table.shape} of type {table.dtype}.", path
+        )
+    return list(np.array(table, np.float64))
+
+
+def _pose(row: NDArray[np.float64], path: Path, where: str) -> Pose | None:
+    down, right, back, at = row[:15].reshape(3, 5).T[:4]
+    return trajectories.rigid(np.column_stack([right, down, -back, at]), path, where)
+
+
+def _camera(folder: Path, options: ReadingParams, row: NDArray[np.float64], path: Path) -> Camera:
+    height, width, focal = row[4:15:5].tolist()
+    if not all(1 <= side < 1 << 16 and side == int(side) for side in (width, height)):
+        raise InputError(f"it is for images of {width:g}×{height:g} pixels, which cannot be right.", path)
+    size = int(width), int(height)
+    camera = Camera(*size, focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2)
+    return stated_camera(options, folder, *size) or calibration.checked(camera, path)
+
+
+def _range(row: NDArray[np.float64], options: ReadingParams) -> tuple[float, float] | None:
+    near, far = (row[15:] / (options.depth_scale or 1.0)).tolist()
+    return (near / (1 + _BEYOND), far * (1 + _BEYOND)) if 0 < near < far < np.inf else None
+
+
+def _mask(folder: Path, color: Path) -> Packed | None:
+    """Return the photo's mask, of its name or of one that begins with it: IMG_1_mask.JPG."""
+    places = [folder / name for name in _MASKS if (folder / name).is_dir()]
+    for stem in (color.stem, f"{color.stem}_mask", f"{color.stem}.mask", color.name):
+        for found in (path for place in places for path in place.glob("*") if path.stem == stem):
+            return Packed(found, "mask", partial(_shown, found))
+    return None
+
+
+def _shown(path: Path) -> NDArray[np.uint8]:
+    mask = read_stored(path)
+    if mask.dtype != np.uint8:
+        raise InputError("a mask of 8 bits a channel is expected.", path)
+    grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
+    return np.asarray(np.where(grey >= _SHOWN, 255, 0), np.uint8)
+
+
+LAYOUT = Layout(
+    name="llff",
+    text="poses_bounds.npy, images/, perhaps masks/ (LLFF)",
+    matches=_matches,
+    read=_read,
+)

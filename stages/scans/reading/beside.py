@@ -1,0 +1,68 @@
+"""Camera files that lie beside the images under a name of their own, known by what they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files.noting import only_looking
+from stages.scans.formats import calibration
+from stages.scans.scan import Camera, StereoRig
+
+_SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt")
+# A calibration is a page or two; a folder with more texts than this holds something else in them.
+_MAX_BYTES = 1 << 16
+_MOST_FILES = 64
+# Focal lengths of lenses, as shares of an image's longer side: other matrices are none of a camera.
+_FOCAL_LENGTHS = (0.1, 30.0)
+
+
+def small_documents(folder: Path) -> list[Path]:
+    """Return the files of a folder that may be a page of settings, by name; none if they are too many."""
+    found = sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in _SUFFIXES and path.is_file() and path.stat().st_size <= _MAX_BYTES
+    )
+    if len(found) > _MOST_FILES:
+        # Many texts are poses, one a frame.
+        found = [path for path in found if path.suffix.lower() != ".txt"]
+    return found if len(found) <= _MOST_FILES else []
+
+
+def cameras_beside(folder: Path, width: int, height: int) -> list[tuple[Camera, Path]]:
+    """Return the cameras for images of this size that files of a folder state, by the files' names."""
+    with only_looking():
+        return list(_cameras(folder, width, height))
+
+
+def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Path]]:
+    for path in small_documents(folder):
+        try:
+            camera = calibration.read_camera(path, width, height)
+        except InputError:
+            continue
+        if _is_a_lens(camera):
+            yield camera, path
+
+
+def rigs_beside(
+    folder: Path, width: int, height: int, baseline: float | None
+) -> list[tuple[StereoRig, list[str], Path]]:
+    """Return the rigs for images of this size that files of a folder state, and what is odd about them."""
+    found = []
+    with only_looking():
+        for path in small_documents(folder):
+            try:
+                rig, warnings = calibration.read_rig(path, width, height, baseline=baseline)
+            except InputError:
+                continue
+            if _is_a_lens(rig.left) and _is_a_lens(rig.right):
+                found.append((rig, warnings, path))
+    return found
+
+
+def _is_a_lens(camera: Camera) -> bool:
+    longer = max(camera.width, camera.height)
+    return all(_FOCAL_LENGTHS[0] * longer <= f <= _FOCAL_LENGTHS[1] * longer for f in (camera.fx, camera.fy))

@@ -1,0 +1,52 @@
+"""The pose of each frame from a trajectory with times: by the times, or in order where the person says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.scans.formats import trajectories
+from stages.scans.reading.params import ReadingParams
+from stages.scans.scan import Pose
+
+
+def poses_at(
+    path: Path, moments: Sequence[int], names: Sequence[str], tolerance: int, options: ReadingParams
+) -> list[Pose | None]:
+    """Return the pose of each frame; None where none is near enough in time.
+
+    Parameters
+    ----------
+    path : of the trajectory.
+    moments, names : of the frames, nanoseconds, and how messages call them.
+    tolerance : nanoseconds.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, its poses have no times, or none of them is near a frame.
+    """
+    trajectory = trajectories.read_trajectory(path)
+    if options.poses_by_order:
+        return trajectories.match(trajectory, names, path)
+    if trajectory.timestamps is None:
+        raise InputError(
+            "its poses have no timestamps, which are needed to find a frame's pose; "
+            "scan.poses_by_order=true takes them in the order of the frames.",
+            path,
+        )
+    ordered = trajectories.in_order(trajectory)
+    poses = [trajectories.interpolate(ordered, moment, tolerance) for moment in moments]
+    if moments and all(pose is None for pose in poses):
+        times = trajectory.timestamps.tolist()
+        start, end = (end / 1e9 for end in (min(times), max(times)))
+        first, last = (end / 1e9 for end in (min(moments), max(moments)))
+        offered = " As many are frames: scan.poses_by_order=true pairs them in order."
+        raise InputError(
+            f"none of its {len(times)} poses is within {tolerance / 1e9:g} s of a frame: they are of "
+            f"{start:.3f} to {end:.3f} s, the frames of {first:.3f} to {last:.3f} s."
+            f"{offered if len(times) == len(moments) else ''}",
+            path,
+        )
+    return poses

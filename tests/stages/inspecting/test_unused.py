@@ -1,0 +1,78 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from stages.inspecting.inspect import inspect
+from stages.inspecting.unused import unused
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+CAMERA = {"width": 32, "height": 24, "fx": 30, "fy": 30, "cx": 15.5, "cy": 11.5}
+
+
+@pytest.fixture
+def scan_folder(tmp_path):
+    for number in range(2):
+        for place, image in (
+            ("color", np.zeros((24, 32, 3), np.uint8)),
+            ("depth", np.full((24, 32), 900, np.uint16)),
+        ):
+            (tmp_path / place).mkdir(exist_ok=True)
+            assert cv2.imwrite(str(tmp_path / place / f"{number}.png"), image)
+    (tmp_path / "intrinsic.json").write_text(json.dumps(CAMERA))
+    return tmp_path
+
+
+def told(folder, **options):
+    return [str(one) for one in unused(read_scan(folder, ScanParams(**options), complete=False))]
+
+
+def test_where_all_is_used_nothing_is_told(scan_folder):
+    (scan_folder / "README.md").write_text("for people")
+    (scan_folder / ".hidden").write_text("for nobody")
+    assert told(scan_folder) == []
+    # Frames that are not chosen are no files that nobody knew of.
+    assert told(scan_folder, last=0) == []
+
+
+def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
+    (scan_folder / "other.json").write_text(json.dumps(CAMERA))
+    (scan_folder / "camera_path.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2)
+    (scan_folder / "notes.txt").write_text("we walked around the table")
+    (scan_folder / "cloud.ply").write_text("ply")
+    assert told(scan_folder) == [
+        "camera_path.txt looks like 2 poses: scan.poses=camera_path.txt",
+        "cloud.ply looks like points or a mesh",
+        "other.json looks like a camera: scan.calibration=other.json",
+        "notes.txt",
+    ]
+    assert "camera_path.txt" not in " ".join(told(scan_folder, poses="camera_path.txt"))
+
+
+def test_many_files_of_a_kind_are_one_line(scan_folder):
+    (scan_folder / "masks").mkdir()
+    for number in range(5):
+        (scan_folder / "masks" / f"{number}.png").write_bytes(b"")
+    assert told(scan_folder) == ["masks/*.png (5 files) looks like masks"]
+
+
+def test_a_camera_that_was_found_beside_the_images_is_used(scan_folder):
+    (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
+    assert told(scan_folder) == []
+
+
+def test_inspect_tells_it(scan_folder):
+    for number in range(20):
+        (scan_folder / f"log.{number}").write_text("")
+    found = inspect(read_scan(scan_folder, complete=False))
+    lines = [line for line in found.lines() if line.startswith("not used")]
+    assert len(lines) == 13
+    assert lines[-1] == "not used  and 8 more"
+    assert found.figures()["unused"][0] == {"name": "log.0", "count": 1, "looks_like": ""}
+
+
+def test_a_real_trajectory_under_a_name_of_its_own(shared_data):
+    folder = shared_data / "real" / "freiburg3_cabinet_keyframes"
+    assert told(folder) == ["truth_cam_poses.txt looks like 58 poses: scan.poses=truth_cam_poses.txt"]

@@ -1,0 +1,57 @@
+import cv2
+import numpy as np
+import pytest
+
+from stages.scans.images import read_depth
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+from stages.scans.reading.rotated_bits import is_rotated, turned_back
+
+
+def rotated(depth):
+    return np.asarray((depth << 3) | (depth >> 13), np.uint16)
+
+
+def room(nearest, farthest, seed=1):
+    """A slope with a step and some noise, and pixels without depth."""
+    slope = np.tile(np.linspace(nearest, farthest, 160), (120, 1))
+    slope[30:60, 40:90] -= (farthest - nearest) / 4
+    depth = np.clip(slope + np.random.default_rng(seed).normal(0, 2, slope.shape), 1, 65535).astype(np.uint16)
+    depth[:5] = 0
+    return depth
+
+
+@pytest.mark.parametrize(("nearest", "farthest"), [(500, 4000), (3000, 9000), (6000, 30000)])
+@pytest.mark.parametrize("stated", [False, True])
+def test_rotated_and_plain_values_are_told_apart(nearest, farthest, stated):
+    depth = room(nearest, farthest)
+    np.testing.assert_array_equal(turned_back(rotated(depth)), depth)
+    assert not is_rotated(depth, is_scale_stated=stated)
+    # Without values that start again, multiples of eight may be what the person means by a scale.
+    assert is_rotated(rotated(depth), is_scale_stated=stated) == (farthest > 8192 or not stated)
+
+
+def test_values_that_are_rounded_are_not_rotated():
+    assert not is_rotated(np.asarray(room(500, 4000) // 16 * 16, np.uint16), is_scale_stated=False)
+    assert not is_rotated(np.full((120, 160), 2000, np.uint16), is_scale_stated=False)
+
+
+def test_a_scan_is_turned_back_and_told(tmp_path):
+    for place in ("color", "depth"):
+        (tmp_path / place).mkdir()
+    for number in range(3):
+        depth = room(900, 12000, number)
+        assert cv2.imwrite(str(tmp_path / "depth" / f"{number}.png"), rotated(depth))
+        assert cv2.imwrite(str(tmp_path / "color" / f"{number}.png"), np.zeros((120, 160, 3), np.uint8))
+    scan = read_scan(tmp_path, complete=False)
+    np.testing.assert_allclose(read_depth(scan.frames[2]), depth / 1000, atol=1e-6)
+    assert any("set scan.depth_scale=10000" in text for text in scan.warnings)
+    tenths = read_scan(tmp_path, ScanParams(depth_scale=10000), complete=False)
+    np.testing.assert_allclose(read_depth(tenths.frames[2]), depth / 10000, atol=1e-6)
+
+
+def test_real_depth_maps(shared_data):
+    formats = shared_data / "rgbd" / "open3d_testdata" / "RGBD" / "other_formats"
+    sun, tum = (cv2.imread(str(formats / f"{name}_depth.png"), -1) for name in ("SUN", "TUM"))
+    assert is_rotated(sun, is_scale_stated=False)
+    assert not is_rotated(tum, is_scale_stated=False)
