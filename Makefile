@@ -26,10 +26,9 @@ demo: $(READY)
 check: lint
 	$(BIN)/pytest -n auto --dist worksteal --quiet -m "not slow"
 
-# What needs no Python goes on while the kernels are compiled for it, which is one core's work.
+# What needs no Python, and what is only fetched, goes on while the kernels are compiled, which is one core's work.
 test:
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target python-lint clippy rust-tests
-	@$(MAKE) --no-print-directory browser packages
+	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target python-lint clippy rust-tests browser packages
 	$(BIN)/pytest -n auto --dist worksteal
 
 # Tests of pages need Chromium. Where it cannot be had, they say so: CI fails then, a developer's run skips them.
