@@ -32,7 +32,8 @@ test:
 	$(BIN)/pytest -n auto --dist worksteal
 
 # Tests of pages need Chromium. Where it cannot be had, they say so: CI fails then, a developer's run skips them.
-browser:
+# After the environment, which may need the system's packages, too: these are installed one at a time.
+browser: | $(READY)
 	@command -v chromium >/dev/null || { \
 	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
 	  $$root apt-get update -qq && \
