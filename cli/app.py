@@ -9,6 +9,7 @@ if __name__ == "__main__":
     interrupts.leave_at_once()
 
 import io
+import mmap
 import os
 import sys
 import traceback
@@ -122,6 +123,9 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+# Bytes that are asked for before words are read.
+_ROOM = 16 << 20
+
 _HELP = f"""Turn a scan folder (stereo pairs or RGB-D frames with poses) into a light, coloured mesh.
 
 Start with: scanloom inspect FOLDER, then: scanloom run FOLDER -o OUT
@@ -191,8 +195,17 @@ def _warnings_in_a_line(debug: bool) -> Iterator[None]:
         yield
 
 
+def _require_room() -> None:
+    """Ask for what even the smallest command takes: libraries that read words abort where memory ends."""
+    try:
+        mmap.mmap(-1, _ROOM).close()
+    except OSError as error:
+        raise MemoryError(_ROOM) from error
+
+
 def _run(arguments: Sequence[str]) -> int:
     try:
+        _require_room()
         code = typer.main.get_command(app).main(
             args=list(arguments), prog_name="scanloom", standalone_mode=False
         )
