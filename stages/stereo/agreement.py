@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.scans.scan import DepthImage
 from stages.stereo.posed_views import PosedView
 
@@ -50,7 +51,9 @@ def agreeing_views(
     depth: DepthImage,
     others: Iterable[tuple[PosedView, DepthImage]],
     tolerance: float,
-) -> NDArray[np.uint8]:
+    looser: float | None = None,
+    threads: int = 1,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Count for each pixel the other views that measured the same place.
 
     Parameters
@@ -58,23 +61,18 @@ def agreeing_views(
     depth : (h, w) float32 metres of `view`, 0 where there is none.
     others : views and their own depth maps.
     tolerance : share of depth by which a map may differ from the depth at which the place should be seen.
+    looser : the same, for the second count; `tolerance` if None.
 
     Returns
     -------
-    (h, w) uint8, 0 where there is no depth.
+    Two of (h, w) uint8, 0 where there is no depth.
     """
-    rows, columns = np.nonzero(depth)
-    rays = view.rays(columns.astype(np.float64), rows.astype(np.float64))
-    points = view.to_world(rays * depth[rows, columns, None])
-    found = np.zeros(len(points), np.uint8)
-    for other, measured in others:
-        u, v, z = other.project(points)
-        inside = np.flatnonzero(other.holds(u, v))
-        there = measured[np.rint(v[inside]).astype(int), np.rint(u[inside]).astype(int)]
-        found[inside] += (there > 0) & (np.abs(there - z[inside]) <= tolerance * z[inside])
-    count = np.zeros(depth.shape, np.uint8)
-    count[rows, columns] = found
-    return count
+    return _kernels.agreeing(
+        depth,
+        [(view.pixels_to(other), measured) for other, measured in others],
+        tolerances=(tolerance, tolerance if looser is None else looser),
+        wanted_threads=threads,
+    )
 
 
 def _alike(depths: DepthImage, reference: DepthImage, tolerance: float) -> NDArray[np.bool_]:

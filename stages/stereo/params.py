@@ -9,6 +9,8 @@ from stages.errors import UsageError
 from stages.params import check, param
 from stages.stereo.matching import LARGEST_DISPARITY
 
+# How views are measured.
+SWEEP, PAIRS = "sweep", "pairs"
 # Our own matcher, and what only the others know.
 CENSUS = "census"
 _OF_OTHERS = (
@@ -146,8 +148,14 @@ class DepthParams:
     smooth_sigma: float = param(
         1.5, "How strong an edge of the image stops the smoothing", unit="grey levels", low=0, low_open=True
     )
+    views: str = param(
+        SWEEP,
+        "How single views with poses are measured: sweep matches a view with all of its partners at once, "
+        "plane by plane; pairs with each of them alone, as `matcher` says",
+        choices=(SWEEP, PAIRS),
+    )
     partners: int = param(
-        4,
+        6,
         "Single views with poses: each is matched with at most so many others",
         unit="views",
         low=1,
@@ -251,6 +259,7 @@ class DepthKeywords(TypedDict, total=False):
     smooth: bool
     smooth_lambda: float
     smooth_sigma: float
+    views: str
     partners: int
     agreeing_views: int
     agreement: float | None

@@ -69,6 +69,13 @@ class PosedView:
         camera = self.camera
         return seen[..., 0] / z * camera.fx + camera.cx, seen[..., 1] / z * camera.fy + camera.cy, z
 
+    def pixels_to(self, other: PosedView) -> NDArray[np.float64]:
+        """Return the (3, 4) matrix from (u z, v z, z, 1) to the other view's pixel times its depth, and depth."""
+        turn = other.world_from_camera[:3, :3].T
+        into = other.camera.matrix @ turn
+        rotation = into @ self.world_from_camera[:3, :3] @ np.linalg.inv(self.camera.matrix)
+        return np.column_stack([rotation, into @ (self.centre - other.centre)])
+
     def holds(self, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which positions lie between the centres of the image's outermost pixels; NaN does not."""
         inside = (columns >= 0) & (columns <= self.camera.width - 1)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages import _kernels
 from stages.errors import InputError
 from stages.scans.images import read_pinhole, read_seen
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan
@@ -97,8 +98,6 @@ def silhouettes(scan: Scan, views: Sequence[PosedView]) -> list[Silhouette]:
     ----------
     views : of the scan's frames.
     """
-    import cv2
-
     if any(frame.mask is None for frame in scan.frames):
         return []
     found = []
@@ -110,26 +109,26 @@ def silhouettes(scan: Scan, views: Sequence[PosedView]) -> list[Silhouette]:
         border = np.concatenate([seen[0], seen[-1], seen[:, 0], seen[:, -1]])
         if border.mean() > _ON_BORDER:
             return []
-        size = 2 * _MARGIN_PX + 1
-        grown = cv2.dilate(seen.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
-        found.append(Silhouette(views[at], grown))
+        found.append(Silhouette(views[at], grown(seen)))
     return [] if _alike(found) else found
+
+
+def grown(shown: Mask) -> Mask:
+    """Return a mask (h, w) with all that is as near to it as masks and poses are off."""
+    import cv2
+
+    size = 2 * _MARGIN_PX + 1
+    return np.asarray(cv2.dilate(shown.astype(np.uint8), np.ones((size, size), np.uint8)) > 0)
 
 
 def in_hull(depth: DepthImage, view: PosedView, outlines: Sequence[Silhouette]) -> DepthImage:
     """Return the depth (h, w) of a view whose places lie in all silhouettes of views that look at them."""
-    rows, columns = np.nonzero(depth)
-    points = view.to_world(
-        view.rays(columns.astype(np.float64), rows.astype(np.float64)) * depth[rows, columns, None]
+    if not outlines:
+        return depth
+    inside = _kernels.inside_all(
+        depth, [(view.pixels_to(one.view), one.shown) for one in outlines], wanted_threads=1
     )
-    kept = np.ones(len(points), bool)
-    for one in outlines:
-        u, v, _ = one.view.project(points)
-        looked = np.flatnonzero(one.view.holds(u, v))
-        kept[looked] &= one.shown[np.rint(v[looked]).astype(int), np.rint(u[looked]).astype(int)]
-    result = np.array(depth)
-    result[rows[~kept], columns[~kept]] = 0
-    return result
+    return np.where(inside, depth, np.float32(0))
 
 
 def _alike(found: Sequence[Silhouette]) -> bool:

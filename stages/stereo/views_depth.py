@@ -19,7 +19,7 @@ from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
-from stages.scans.images import read_color, read_mask, read_pinhole
+from stages.scans.images import read_color, read_mask, read_pinhole, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
@@ -27,14 +27,16 @@ from stages.stereo.coverage import Counts, with_warning
 from stages.stereo.depth import DepthMap, PairStage
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
-from stages.stereo.params import DepthKeywords, DepthParams
+from stages.stereo.params import SWEEP, DepthKeywords, DepthParams
 from stages.stereo.partners import partners
+from stages.stereo.plane_sweep import Seen, plane_sweep
 from stages.stereo.posed_views import PosedView, posed_views
 from stages.stereo.recognised import Recognised, neighbours, recognised
 from stages.stereo.reduced import reduced
 from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
-from stages.stereo.shown import Outline, in_hull, outline_of, shown
+from stages.stereo.shown import Outline, grown, in_hull, outline_of, shown
 from stages.stereo.turned import Corners, corners, turned
+from stages.stereo.views_confidence import views_confidence
 from stages.stereo.view_pair import depth_in_view, rectified_views
 
 if TYPE_CHECKING:
@@ -44,8 +46,12 @@ RESULT_VERSION = 2
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
+# And nearly agree when they differ by so many times as much.
+_NEARLY = 2.5
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
+# Depth of a sweep is kept that is right in four of five cases.
+_LEAST = 204
 # Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
 _KEYPOINTS = 1000
 # Rows of a pair that differ by more cost the matcher its best match.
@@ -133,6 +139,7 @@ def _results(
     farthest = max(view.far for view in views)
     threads = params.threads or os.cpu_count() or 1
     total = 2 * len(views)
+    least = _LEAST if params.min_confidence is None else params.min_confidence
     lost: dict[int, SkippedFrame] = {}
     searches: dict[int, SearchRange] = {}
     counts: dict[int, Counts] = {}
@@ -155,10 +162,19 @@ def _results(
                 return lost[at]
             depth = kept.depth(at)
             others = ((views[other], kept.depth(other)) for other in chosen[at] if other not in lost)
-            count = agreeing_views(views[at], depth, others, tolerance)
-            depth[count < params.agreeing_views] = 0
+            try:
+                color = _color(scan.frames[at])
+            except InputError as error:
+                return SkippedFrame(scan.frames[at].name, str(error))
+            count, nearly = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
+            trust = kept.confidence(at)
+            dropped = count < params.agreeing_views
+            if params.views == SWEEP:
+                trust = views_confidence(depth, trust, _grey(color), count, nearly)
+                dropped |= trust < least
+            depth[dropped] = 0
             counts[at] = replace(counts[at], kept=int(np.count_nonzero(depth)))
-            found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
+            found = _depth_map(scan.frames[at], views[at], color, depth, trust, searches[at], farthest)
             return (
                 found
                 if isinstance(found, SkippedFrame)
@@ -308,6 +324,8 @@ def _measure(
     depths: list[DepthImage] = []
     confidences: list[NDArray[np.uint8]] = []
     searches: list[SearchRange] = []
+    if params.views == SWEEP:
+        return _swept(scan, views, chosen[at], params, outline, at, color)
     for other in chosen[at]:
         if len(depths) == params.partners:
             break
@@ -326,10 +344,7 @@ def _measure(
         confidences.append(trust)
         searches.append(found.search)
     if not depths:
-        where = "before or behind it" if chosen[at] else "too near, too far aside, or look elsewhere"
-        return SkippedFrame(
-            name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
-        )
+        return _without_partners(name, bool(chosen[at]))
     depth, trust = merged(depths, confidences, tolerance)
     seen, measured = shown(scan.frames[at], color, outline, params.backdrop)
     depth[~measured] = 0
@@ -341,6 +356,53 @@ def _measure(
         outlined=depth.size if outline.is_known else 0,
     )
     return _Measured(depth, trust, searches[0], counts)
+
+
+def _swept(
+    scan: Scan,
+    views: Sequence[PosedView],
+    partners_of: Sequence[int],
+    params: DepthParams,
+    outline: Outline,
+    at: int,
+    color: ColorImage,
+) -> _Measured | SkippedFrame:
+    """Match one view with all of its partners at once."""
+
+    def seen(place: int, image: ColorImage) -> Seen:
+        thing = None
+        if outline.silhouettes:
+            thing = grown(read_seen(scan.frames[place]))
+        return Seen(views[place], _grey(image), thing)
+
+    others = []
+    for other in partners_of:
+        if len(others) == params.partners:
+            break
+        try:
+            others.append(seen(other, _color(scan.frames[other])))
+        except InputError:
+            continue  # Reported when its own turn comes.
+    if not others:
+        return _without_partners(scan.frames[at].name, bool(partners_of))
+    found = plane_sweep(seen(at, color), others)
+    measured, _ = shown(scan.frames[at], color, outline, params.backdrop)
+    depth = np.where(measured, found.depth, np.float32(0))
+    counts = Counts(
+        all=depth.size,
+        shown=int(np.count_nonzero(measured)),
+        matched=int(np.count_nonzero(depth)),
+        outlined=depth.size if outline.is_known else 0,
+    )
+    distinct = np.rint(255 * found.distinct).astype(np.uint8)
+    return _Measured(depth, distinct, SearchRange.covering(0, found.planes - 1), counts)
+
+
+def _without_partners(name: str, are_before: bool) -> SkippedFrame:
+    where = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
+    return SkippedFrame(
+        name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
+    )
 
 
 def _color(frame: Frame) -> ColorImage:
@@ -382,6 +444,7 @@ def _inside(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | None)
 def _depth_map(
     frame: Frame,
     view: PosedView,
+    color: ColorImage,
     depth: DepthImage,
     confidence: NDArray[np.uint8],
     search: SearchRange,
@@ -389,10 +452,6 @@ def _depth_map(
 ) -> DepthMap | SkippedFrame:
     if not depth.any():
         return SkippedFrame(frame.name, "no depth of it agrees with that of other views")
-    try:
-        color = _color(frame)
-    except InputError as error:
-        return SkippedFrame(frame.name, str(error))
     nothing = np.full(depth.shape, np.nan, np.float32)
     return DepthMap(depth, confidence, nothing, color, view.camera, np.eye(3), search, view.near, farthest)
 

@@ -77,6 +77,9 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(seams::weld_sheets, module)?)?;
     module.add_function(wrap_pyfunction!(color_weight::color_weight, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::match_pair, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::sweep_planes, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::agreeing, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::inside_all, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::weighted_medians, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::spatial_order, module)?)?;

@@ -10,6 +10,9 @@ use super::detached::detached;
 use super::guarded::guarded;
 use crate::base::parallel::threads;
 use crate::stereo::median::weighted_medians as medians_of;
+use crate::stereo::planes::{Partner, Shown, words};
+use crate::stereo::ranges::Ranges;
+use crate::stereo::seen_by::{Matrix, Other};
 use crate::stereo::volume::{LANES, Search, Size};
 
 type Image<'py> = PyReadonlyArray3<'py, u8>;
@@ -74,6 +77,135 @@ pub fn match_pair(
             map(py, size, found.margin)?,
             map(py, size, found.cost)?,
         ))
+    })
+}
+
+type Grey<'py> = PyReadonlyArray2<'py, u8>;
+/// A partner's warped image, what of it is shown, and the map of each plane.
+type WarpedPartner<'py> = (Grey<'py>, Grey<'py>, PyReadonlyArray2<'py, f32>);
+
+fn size_of(shape: &[usize]) -> PyResult<Size> {
+    match *shape {
+        [height, width] if width > 0 && height > 0 && width.max(height) < 1 << 20 => Ok(Size { width, height }),
+        _ => Err(PyValueError::new_err(format!("an image is {shape:?}"))),
+    }
+}
+
+fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult<Partner> {
+    let (grey, shown, maps) = given;
+    let size = size_of(grey.as_array().shape())?;
+    if shown.as_array().shape() != grey.as_array().shape() || *maps.as_array().shape() != [planes, 3] {
+        return Err(PyValueError::new_err("what is shown, or the maps, do not fit a partner's image"));
+    }
+    let grey: Vec<u8> = grey.as_array().iter().copied().collect();
+    let shown: Vec<u8> = shown.as_array().iter().copied().collect();
+    let said = |i: usize| match shown[i] {
+        0 => Shown::Nothing,
+        1 => Shown::Scene,
+        _ => Shown::Empty,
+    };
+    Ok(Partner {
+        words: words(&grey, size, said, threads),
+        size,
+        maps: maps.as_array().rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect(),
+    })
+}
+
+/// The planes on which a view's pixels lie, as its partners show: number with a fraction, margin and cost.
+#[pyfunction]
+#[pyo3(signature = (grey, partners, first, count, *, planes, wanted_threads))]
+#[allow(clippy::too_many_arguments)]
+pub fn sweep_planes(
+    py: Python<'_>,
+    grey: Grey<'_>,
+    partners: Vec<WarpedPartner<'_>>,
+    first: PyReadonlyArray2<'_, i32>,
+    count: PyReadonlyArray2<'_, u16>,
+    planes: usize,
+    wanted_threads: usize,
+) -> PyResult<(Map<f32>, Map<i16>, Map<i16>)> {
+    let size = size_of(grey.as_array().shape())?;
+    if first.as_array().shape() != grey.as_array().shape()
+        || count.as_array().shape() != grey.as_array().shape()
+    {
+        return Err(PyValueError::new_err("ranges are of another size than the view"));
+    }
+    let (first, count) = (first.as_array(), count.as_array());
+    for (&first, &count) in first.iter().zip(count) {
+        let end = i64::from(first) + i64::from(count);
+        if first < 0 || count == 0 || usize::from(count) % LANES != 0 || end > planes as i64 {
+            return Err(PyValueError::new_err(format!("planes {first} to {end} of {planes}")));
+        }
+    }
+    let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
+    let images: usize = partners.iter().map(|one| one.0.as_array().len()).sum();
+    // Two volumes of two bytes, and what describes the images, as rows of 192 bytes.
+    guarded(numbers / 48 + (images + size.pixels()) / 8, || {
+        let threads = threads(wanted_threads);
+        let partners =
+            partners.iter().map(|one| partner(one, planes, threads)).collect::<PyResult<Vec<_>>>()?;
+        let ranges = Ranges::new(first.iter().copied().collect(), count.iter().copied().collect());
+        let grey: Vec<u8> = grey.as_array().iter().copied().collect();
+        let found = detached(py, None, false, |progress| {
+            crate::stereo::sweep(&grey, &partners, size, &ranges, threads, progress)
+        })?;
+        Ok((map(py, size, found.plane)?, map(py, size, found.margin)?, map(py, size, found.cost)?))
+    })
+}
+
+/// Another view: the matrix from pixels to it, 3 × 4, and its map.
+type OtherView<'py, T> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, T>);
+
+fn other<T: Element + Copy>(given: &OtherView<'_, T>) -> PyResult<Other<T>> {
+    let (matrix, map) = (given.0.as_array(), given.1.as_array());
+    let size = size_of(map.shape())?;
+    if *matrix.shape() != [3, 4] {
+        return Err(PyValueError::new_err(format!("a matrix is {:?}; 3 × 4 is expected", matrix.shape())));
+    }
+    let from_pixels: Matrix = std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
+    Ok(Other { from_pixels, size, map: map.iter().copied().collect() })
+}
+
+/// How many other views have the same depth, within the first and within the second tolerance.
+#[pyfunction]
+#[pyo3(signature = (depth, others, *, tolerances, wanted_threads))]
+pub fn agreeing(
+    py: Python<'_>,
+    depth: PyReadonlyArray2<'_, f32>,
+    others: Vec<OtherView<'_, f32>>,
+    tolerances: [f64; 2],
+    wanted_threads: usize,
+) -> PyResult<(Map<u8>, Map<u8>)> {
+    let size = size_of(depth.as_array().shape())?;
+    let images: usize = others.iter().map(|one| one.1.as_array().len()).sum();
+    guarded((images + size.pixels()) / 24, || {
+        let others = others.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+        let depth: Vec<f32> = depth.as_array().iter().copied().collect();
+        let threads = threads(wanted_threads);
+        let counts =
+            py.detach(|| crate::stereo::seen_by::agreeing(&depth, size, &others, tolerances, threads));
+        let of = |which: usize| counts.iter().map(|count| count[which]).collect();
+        Ok((map(py, size, of(0))?, map(py, size, of(1))?))
+    })
+}
+
+/// Whether all other views that see a place have it in their masks.
+#[pyfunction]
+#[pyo3(signature = (depth, masks, *, wanted_threads))]
+pub fn inside_all(
+    py: Python<'_>,
+    depth: PyReadonlyArray2<'_, f32>,
+    masks: Vec<OtherView<'_, bool>>,
+    wanted_threads: usize,
+) -> PyResult<Map<bool>> {
+    let size = size_of(depth.as_array().shape())?;
+    let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
+    guarded((images + 4 * size.pixels()) / 96, || {
+        let masks = masks.iter().map(other).collect::<PyResult<Vec<_>>>()?;
+        let depth: Vec<f32> = depth.as_array().iter().copied().collect();
+        let threads = threads(wanted_threads);
+        let inside = py.detach(|| crate::stereo::seen_by::inside_all(&depth, size, &masks, threads));
+        map(py, size, inside)
     })
 }
 

@@ -6,7 +6,7 @@
 
 use super::by_processor::by_processor;
 use super::volume::{LANES, Pixels, Search, Size, Volume, rows, zeros};
-use crate::base::parallel::{collect, each};
+use crate::base::parallel::each;
 
 /// Pixels to either side that the census looks at, along x and y; it has a bit for each of them.
 const CENSUS: [i32; 2] = [3, 2];
@@ -30,37 +30,61 @@ pub fn grey(image: &Pixels) -> Vec<u8> {
 }
 
 /// What costs are made of, of one image.
-struct Described {
-    census: Vec<u64>,
+pub struct Described {
+    pub census: Vec<u64>,
     /// Differences over two pixels along x and y.
-    gradient: Vec<[i16; 2]>,
+    pub gradient: Vec<[i16; 2]>,
 }
 
-fn described(grey: &[u8], size: Size, threads: usize) -> Described {
-    let (w, h) = (size.width as i32, size.height as i32);
-    let level = |x: i32, y: i32| grey[(y.clamp(0, h - 1) * w + x.clamp(0, w - 1)) as usize];
-    let place = |i: usize| ((i % size.width) as i32, (i / size.width) as i32);
-    let census = |i: usize| {
-        let ((x, y), own) = (place(i), grey[i]);
-        let mut bits = 0u64;
-        for dy in -CENSUS[1]..=CENSUS[1] {
-            for dx in -CENSUS[0]..=CENSUS[0] {
-                if (dx, dy) != (0, 0) {
-                    bits = bits << 1 | u64::from(level(x + dx, y + dy) < own);
+/// Describe an image of brightness; beyond its edges it goes on as it is there.
+pub fn described(grey: &[u8], size: Size, threads: usize) -> Described {
+    let mut census = vec![0u64; size.pixels()];
+    let mut gradient = vec![[0i16; 2]; size.pixels()];
+    let rows = census.chunks_mut(size.width).zip(gradient.chunks_mut(size.width)).enumerate().collect();
+    each(rows, threads, |(y, (census, gradient)): (usize, (&mut [u64], &mut [[i16; 2]]))| {
+        let around: [Vec<u8>; ROWS] = std::array::from_fn(|row| {
+            let v = (y + row).saturating_sub(CENSUS[1] as usize).min(size.height - 1);
+            let line = &grey[v * size.width..][..size.width];
+            let (before, after) = ([line[0]; CENSUS[0] as usize], [line[size.width - 1]; CENSUS[0] as usize]);
+            [&before, line, &after].concat()
+        });
+        describe_row(&around, census, gradient);
+    });
+    Described { census, gradient }
+}
+
+/// Rows that the census of a pixel looks at.
+const ROWS: usize = 2 * CENSUS[1] as usize + 1;
+
+by_processor! {
+    fn describe_row(around: &[Vec<u8>; ROWS], census: &mut [u64], gradient: &mut [[i16; 2]]) = describe
+}
+
+#[inline(always)]
+fn describe(around: &[Vec<u8>; ROWS], census: &mut [u64], gradient: &mut [[i16; 2]]) {
+    let (width, aside, middle) = (census.len(), CENSUS[0] as usize, ROWS / 2);
+    let own = &around[middle][aside..][..width];
+    for (row, line) in around.iter().enumerate() {
+        for column in 0..=2 * aside {
+            if (row, column) != (middle, aside) {
+                for ((bits, &level), &own) in census.iter_mut().zip(&line[column..]).zip(own) {
+                    *bits = *bits << 1 | u64::from(level < own);
                 }
             }
         }
-        bits
-    };
-    let gradient = |i: usize| {
-        let (x, y) = place(i);
-        let across = |ahead: u8, behind: u8| i16::from(ahead) - i16::from(behind);
-        [across(level(x + 1, y), level(x - 1, y)), across(level(x, y + 1), level(x, y - 1))]
-    };
-    Described {
-        census: collect(size.pixels(), threads, census),
-        gradient: collect(size.pixels(), threads, gradient),
     }
+    let across = |ahead: u8, behind: u8| i16::from(ahead) - i16::from(behind);
+    for (x, gradient) in gradient.iter_mut().enumerate() {
+        let beside = &around[middle][x + aside - 1..][..3];
+        let (above, below) = (around[middle - 1][x + aside], around[middle + 1][x + aside]);
+        *gradient = [across(beside[2], beside[0]), across(below, above)];
+    }
+}
+
+/// What so many bits of the census and levels of the gradient that differ cost.
+#[inline(always)]
+pub fn weighed(bits: i32, levels: i32) -> i16 {
+    ((bits * BIT + levels.min(LARGEST_GRADIENT) * LEVEL) >> 8) as i16
 }
 
 /// Costs of all pixels and disparities.
@@ -121,8 +145,7 @@ fn of_row(
         let (census, across, down) = (&census[facing.clone()], &across[facing.clone()], &down[facing]);
         for (d, cost) in costs[first..end].iter_mut().enumerate() {
             let bits = (own ^ census[d]).count_ones() as i32;
-            let levels = ((across[d] - own_across).abs() + (down[d] - own_down).abs()).min(LARGEST_GRADIENT);
-            *cost = ((bits * BIT + levels * LEVEL) >> 8) as i16;
+            *cost = weighed(bits, (across[d] - own_across).abs() + (down[d] - own_down).abs());
         }
         let (nearest, farthest) = (costs[first].max(OUTSIDE), costs[end - 1].max(OUTSIDE));
         costs[..first].fill(nearest);

@@ -1,4 +1,4 @@
-//! Disparity of a rectified pair, by semi-global matching.
+//! Disparity of a rectified pair, and depth of a view among others, by semi-global matching.
 //!
 //! | file | what |
 //! | --- | --- |
@@ -7,6 +7,8 @@
 //! | [`support`] | costs averaged over what has the pixel's colour |
 //! | [`paths`] | costs summed along eight paths |
 //! | [`pick`] | the best disparity of each pixel, and what tells how sure it is |
+//! | [`ranges`], [`planes`], [`ranged_paths`] | the same for a view with poses among others: planes in place of disparities |
+//! | [`seen_by`] | what other views say of the places that a depth map names |
 //! | [`median`] | weighted medians of disparities, along the edges of the image |
 //!
 //! Costs are whole numbers, so that results are the same for any number of threads and any set of instructions.
@@ -16,6 +18,10 @@ pub mod cost;
 pub mod median;
 pub mod paths;
 pub mod pick;
+pub mod planes;
+pub mod ranged_paths;
+pub mod ranges;
+pub mod seen_by;
 pub mod support;
 pub mod volume;
 
@@ -47,4 +53,26 @@ pub fn match_pair(
     let matched = pick::picked(&sums, &costs, size, search, threads);
     progress.tell(4, 4)?;
     Ok(matched)
+}
+
+/// The planes on which the pixels of a view lie, of those that `ranges` names, as its partners show.
+///
+/// # Errors
+/// As [`Progress::check`].
+pub fn sweep(
+    grey: &[u8],
+    partners: &[planes::Partner],
+    size: Size,
+    ranges: &ranges::Ranges,
+    threads: usize,
+    progress: &mut Progress<'_>,
+) -> Result<planes::Swept, KernelError> {
+    progress.tell(0, 2)?;
+    let words = planes::words(grey, size, |_| planes::Shown::Scene, threads);
+    let costs = planes::costs(&words, partners, size, ranges, threads);
+    progress.tell(1, 2)?;
+    let sums = ranged_paths::summed(grey, &costs, size, ranges);
+    let swept = planes::picked(&sums, &costs, size, ranges);
+    progress.tell(2, 2)?;
+    Ok(swept)
 }

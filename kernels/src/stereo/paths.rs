@@ -7,15 +7,19 @@ use crate::base::parallel::both;
 
 /// What a change of disparity by one costs, and a larger one where the image is flat. Across an edge of so many levels it
 /// costs half of that.
-const SMALL: i16 = 24;
+pub const SMALL: i16 = 24;
 const LARGE: f32 = 300.0;
 const EDGE: f32 = 30.0;
+
+/// What a larger change costs where neighbours differ by so many levels.
+pub fn penalties() -> [i16; 256] {
+    std::array::from_fn(|levels| ((LARGE / (1.0 + levels as f32 / EDGE)) as i16).max(SMALL + 1))
+}
 
 /// Add the costs along all paths to `sums`, a volume of zeros. With two threads, those that go down and those that go up
 /// have a volume each meanwhile.
 pub fn summed(grey: &[u8], costs: &[i16], size: Size, search: Search, threads: usize, sums: &mut Volume) {
-    let penalties: [i16; 256] =
-        std::array::from_fn(|levels| ((LARGE / (1.0 + levels as f32 / EDGE)) as i16).max(SMALL + 1));
+    let penalties = penalties();
     if threads <= 1 {
         sweep(grey, costs, size, search, &penalties, true, sums);
         sweep(grey, costs, size, search, &penalties, false, sums);

@@ -68,20 +68,26 @@ impl Row<'_> {
                     self.of_right[there] = (d as i32 + search.lowest) as f32;
                 }
             }
-            let least = sums.iter().copied().min().unwrap_or(0);
-            let best = sums.iter().position(|&sum| sum == least).unwrap_or(0);
-            let other = |part: &[i16]| part.iter().copied().min().unwrap_or(i16::MAX);
-            let second = other(&sums[..best.saturating_sub(1)]).min(other(&sums[(best + 2).min(count)..]));
+            let (best, margin) = best_and_margin(sums);
             self.disparity[x] = (best as i32 + search.lowest) as f32 + fraction(sums, best);
-            self.sum[x] = least;
-            self.margin[x] = second.saturating_sub(least);
+            self.sum[x] = sums[best];
+            self.margin[x] = margin;
             self.cost[x] = costs[x * count + best];
         }
     }
 }
 
+/// The first of the least sums, and by how much the least of those that are not beside it is more.
+pub fn best_and_margin(sums: &[i16]) -> (usize, i16) {
+    let least = sums.iter().copied().min().unwrap_or(0);
+    let best = sums.iter().position(|&sum| sum == least).unwrap_or(0);
+    let other = |part: &[i16]| part.iter().copied().min().unwrap_or(i16::MAX);
+    let second = other(&sums[..best.saturating_sub(1)]).min(other(&sums[(best + 2).min(sums.len())..]));
+    (best, second.saturating_sub(least))
+}
+
 /// Where the parabola through the best sum and those beside it is lowest, −0.5 to 0.5.
-fn fraction(sums: &[i16], best: usize) -> f32 {
+pub fn fraction(sums: &[i16], best: usize) -> f32 {
     if best == 0 || best + 1 == sums.len() {
         return 0.0;
     }

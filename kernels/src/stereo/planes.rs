@@ -1,0 +1,179 @@
+//! How unlike a view and its partners are, if a pixel lies on one of many planes before the view (Collins, "A space-sweep
+//! approach to true multi-image matching", 1996).
+//!
+//! The planes are parallel to the view's own image. A partner's image comes warped as one of them maps it into the view;
+//! then any other plane maps it by a scale and a shift alone.
+
+use super::by_processor::by_processor;
+use super::cost::{described, weighed};
+use super::pick::{best_and_margin, fraction};
+use super::ranges::Ranges;
+use super::volume::Size;
+use crate::base::parallel::{collect, each};
+
+/// What a partner says of a pixel of its warped image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Shown {
+    /// Its image does not reach there.
+    Nothing = 0,
+    /// What stands before all else there is in the image.
+    Scene = 1,
+    /// Nothing of the thing is there.
+    Empty = 2,
+}
+
+/// What costs are made of, of one pixel in one word: the census, half of the gradient along x and y, and [`Shown`].
+type Word = u64;
+const CENSUS: Word = (1 << 34) - 1;
+const ACROSS: u32 = 34;
+const DOWN: u32 = 42;
+const SHOWN: u32 = 50;
+
+/// Describe the pixels of an image.
+pub fn words(grey: &[u8], size: Size, shown: impl Fn(usize) -> Shown + Sync, threads: usize) -> Vec<Word> {
+    let image = described(grey, size, threads);
+    collect(size.pixels(), threads, |i| {
+        let [across, down] = image.gradient[i].map(|levels| Word::from((levels / 2) as i8 as u8));
+        image.census[i] | across << ACROSS | down << DOWN | (shown(i) as Word) << SHOWN
+    })
+}
+
+#[inline(always)]
+fn unlike(one: Word, other: Word) -> i16 {
+    let bits = ((one ^ other) & CENSUS).count_ones() as i32;
+    let levels =
+        |word: Word, at: u32| i32::from((word >> at) as u8 as i8);
+    let half = |at: u32| (levels(one, at) - levels(other, at)).abs();
+    weighed(bits, 2 * (half(ACROSS) + half(DOWN)))
+}
+
+/// A partner's image, warped.
+pub struct Partner {
+    pub words: Vec<u64>,
+    pub size: Size,
+    /// Of each plane: the pixel (x, y) of the view is seen at (s·x + a, s·y + b), as s, a, b.
+    pub maps: Vec<[f32; 3]>,
+}
+
+/// What it costs where no partner shows the place: half of the most. And where a partner shows that nothing is there.
+const UNSEEN: i16 = 70;
+const EMPTY: i16 = 140;
+/// More than any cost.
+const NONE: i16 = i16::MAX;
+/// Of all partners that show a place, half may not see it, since something else is before it; nor are more than these
+/// needed.
+const BEST: usize = 3;
+
+/// Costs of all pixels and planes: the mean of the better half of the partners', at most of [`BEST`].
+pub fn costs(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, threads: usize) -> Vec<i16> {
+    let mut volume = vec![0; ranges.len()];
+    each(ranges.rows(&mut volume, size), threads, |(y, row)| {
+        costs_of_row(view, partners, size, ranges, y, row);
+    });
+    volume
+}
+
+by_processor! {
+    fn costs_of_row(
+        view: &[Word],
+        partners: &[Partner],
+        size: Size,
+        ranges: &Ranges,
+        y: usize,
+        row: &mut [i16],
+    ) = of_row
+}
+
+#[inline(always)]
+fn of_row(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, y: usize, row: &mut [i16]) {
+    let lanes = || vec![0i16; ranges.widest];
+    let (mut one, mut places) = (lanes(), vec![0i32; ranges.widest]);
+    let (mut least, mut seen, mut empty) = ([lanes(), lanes(), lanes()], lanes(), lanes());
+    let mut rest = row;
+    for x in 0..size.width {
+        let i = y * size.width + x;
+        let (first, count) = (ranges.first[i] as usize, usize::from(ranges.count[i]));
+        let (costs, others) = std::mem::take(&mut rest).split_at_mut(count);
+        rest = others;
+        for best in &mut least {
+            best[..count].fill(NONE);
+        }
+        seen[..count].fill(0);
+        empty[..count].fill(0);
+        let (one, places) = (&mut one[..count], &mut places[..count]);
+        for partner in partners {
+            place(&partner.maps[first..first + count], partner.size, x, y, places);
+            for ((cost, &place), empty) in one.iter_mut().zip(&*places).zip(&mut empty[..count]) {
+                // A place beyond the image is negative.
+                let word = if place < 0 { 0 } else { partner.words[place as usize] };
+                *cost = if word >> SHOWN == Shown::Scene as Word { unlike(view[i], word) } else { NONE };
+                *empty |= i16::from(word >> SHOWN == Shown::Empty as Word);
+            }
+            let [a, b, c] = &mut least;
+            let (a, b, c) = (&mut a[..count], &mut b[..count], &mut c[..count]);
+            for (d, seen) in seen[..count].iter_mut().enumerate() {
+                let cost = one[d];
+                *seen += i16::from(cost != NONE);
+                let (next, over) = (cost.min(a[d]), cost.max(a[d]));
+                a[d] = next;
+                let (next, over) = (over.min(b[d]), over.max(b[d]));
+                b[d] = next;
+                c[d] = over.min(c[d]);
+            }
+        }
+        for (d, cost) in costs.iter_mut().enumerate() {
+            let best = [least[0][d], least[1][d], least[2][d]];
+            *cost = match (empty[d], (seen[d] + 1) / 2) {
+                (1, _) => EMPTY,
+                (_, 0) => UNSEEN,
+                (_, 1) => best[0],
+                (_, 2) => (best[0] + best[1]) / 2,
+                _ => (best[0] + best[1] + best[2]) / BEST as i16,
+            };
+        }
+    }
+}
+
+/// Where planes map a pixel in a partner's image, −1 if beyond it.
+#[inline(always)]
+fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) {
+    let (x, y) = (x as f32, y as f32);
+    let (width, height) = (size.width as f32, size.height as f32);
+    for (place, &[scale, right, down]) in places.iter_mut().zip(maps) {
+        let (u, v) = ((scale * x + right + 0.5).floor(), (scale * y + down + 0.5).floor());
+        let inside = u >= 0.0 && v >= 0.0 && u < width && v < height;
+        // SAFETY: both are whole numbers within an image; what is not was put to 0.
+        let (u, v): (i32, i32) = unsafe {
+            (
+                if inside { u } else { 0.0 }.to_int_unchecked(),
+                if inside { v } else { 0.0 }.to_int_unchecked(),
+            )
+        };
+        *place = if inside { v * size.width as i32 + u } else { -1 };
+    }
+}
+
+/// What was found for each pixel of the view.
+#[derive(Clone, Debug)]
+pub struct Swept {
+    /// The plane's number, with a fraction.
+    pub plane: Vec<f32>,
+    /// By how much the best sum of planes that are not beside it is more, and the cost of the best.
+    pub margin: Vec<i16>,
+    pub cost: Vec<i16>,
+}
+
+/// Take the plane of the least sum at each pixel.
+pub fn picked(sums: &[i16], costs: &[i16], size: Size, ranges: &Ranges) -> Swept {
+    let pixels = size.pixels();
+    let mut found = Swept { plane: vec![0.0; pixels], margin: vec![0; pixels], cost: vec![0; pixels] };
+    for i in 0..pixels {
+        let (sums, costs) = (&sums[ranges.of(i)], &costs[ranges.of(i)]);
+        let (best, margin) = best_and_margin(sums);
+        found.plane[i] = (best as i32 + ranges.first[i]) as f32 + fraction(sums, best);
+        found.margin[i] = margin;
+        found.cost[i] = costs[best];
+    }
+    found
+}

@@ -1,0 +1,285 @@
+"""Depth of a view from its partners all at once: planes before the view are swept, coarse images first.
+
+Collins, "A space-sweep approach to true multi-image matching", 1996, with semi-global sums of the costs
+(Hirschmüller, 2008). On coarse images all planes are tried at each pixel, on finer ones those about what was
+found around it (Rothermel et al., "SURE: Photogrammetric surface reconstruction from imagery", 2012), so that
+the width of the search costs next to nothing.
+
+The planes are parallel to the view's image, and a step between two of them moves the image of the partner
+that sees the most parallax by a pixel. Nothing is rectified: views above each other, or turned, need no care.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages import _kernels
+from stages.scans.scan import Camera, DepthImage, scaled
+from stages.stereo.posed_views import PosedView
+
+Grey = NDArray[np.uint8]
+Map = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# The coarsest image is at most so long, and has at most so many planes.
+_COARSEST_PX = 256
+_COARSEST_PLANES = 192
+# Planes come in steps of so many, as the kernel takes them; of each pixel at least so many, and at most.
+_LANES = 16
+_MOST = 96
+# Planes tried beyond those that were found around a pixel, either way.
+_BEYOND = 3
+# What is taken for found is more distinct than this (see `Swept`).
+_DISTINCT = 0.3
+# Found around a pixel, px each way: surely found, and else farther off.
+_NEAR, _WIDE = 1, 5
+# A warped partner may be so many times as large as the view: parallax moves what it shows to beyond its edges.
+_LARGEST_AREA = 3.0
+# Rays at which parallax is looked at: so many a row and a column.
+_GRID = 5
+# Margin of the best sum, in costs of eight paths, at which it is called one half.
+HALF_MARGIN = 120.0
+# What a partner's warped image says of a pixel, as the kernel has it.
+_NOTHING, _SCENE, _EMPTY = 0, 1, 2
+# Room around what is looked at: that of coarse images' pixels, px.
+_ROOM = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A view and its undistorted image.
+
+    Attributes
+    ----------
+    grey : (h, w) uint8.
+    thing : (h, w), where the thing is that masks cut out of all views; what lies elsewhere is no part of it.
+    """
+
+    view: PosedView
+    grey: Grey
+    thing: Mask | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """What a sweep found.
+
+    Attributes
+    ----------
+    depth : (h, w) float32 metres along the optical axis; 0 only where the view's masks leave nothing.
+    distinct : (h, w) float32 from 0 to 1, how much worse the best other plane is; one half at a margin of 120.
+    planes : how many were tried.
+    """
+
+    depth: DepthImage
+    distinct: Map
+    planes: int
+
+
+def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept:
+    """Find the depth of each pixel of a view.
+
+    Parameters
+    ----------
+    main : the view; planes lie between its `near` and `far`. Its pixels about the thing are looked at.
+    partners : one or more others that see the same from aside.
+    threads : results are the same for any number of them.
+
+    Raises
+    ------
+    MemoryError
+        If there is not enough.
+    """
+    rows, columns = _window(main)
+    whole = main.grey.shape
+    main = _cut(main, rows, columns)
+    view = main.view
+    step = _step(view, [one.view for one in partners])
+    span = 1 / view.near - 1 / view.far
+    halvings = _halvings(view.camera, span / step)
+    plane = np.zeros((0, 0), np.float32)
+    distinct = plane
+    for level in range(halvings, -1, -1):
+        count = math.ceil(span / (step * 2**level)) + 1
+        planes = -(-count // _LANES) * _LANES
+        inverse = 1 / view.far + np.arange(planes) * (step * 2**level)
+        fine = _halved(main, level)
+        warped = [_warped(fine.view, _halved(one, level), inverse, count) for one in partners]
+        shape = fine.grey.shape
+        if plane.size:
+            first, wide = _ranges(plane, distinct, shape, planes)
+        else:
+            first, wide = np.zeros(shape, np.int32), np.full(shape, planes, np.uint16)
+        plane, margin, _ = _kernels.sweep_planes(
+            fine.grey, warped, first, wide, planes=planes, wanted_threads=threads
+        )
+        distinct = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)
+    found = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
+    found[0][rows, columns] = 1 / (1 / view.far + plane * step)
+    found[1][rows, columns] = distinct
+    return Swept(*found, planes)
+
+
+def _window(one: Seen) -> tuple[slice, slice]:
+    """Return the rows and columns that hold the thing, with some room."""
+    if one.thing is None or not one.thing.any():
+        return slice(0, one.grey.shape[0]), slice(0, one.grey.shape[1])
+    ends = []
+    for axis in (1, 0):
+        places = np.flatnonzero(one.thing.any(axis=axis))
+        ends.append(
+            slice(max(int(places[0]) - _ROOM, 0), min(int(places[-1]) + _ROOM + 1, one.grey.shape[1 - axis]))
+        )
+    return ends[0], ends[1]
+
+
+def _cut(one: Seen, rows: slice, columns: slice) -> Seen:
+    camera = one.view.camera
+    grey = np.ascontiguousarray(one.grey[rows, columns])
+    part = replace(
+        camera,
+        width=grey.shape[1],
+        height=grey.shape[0],
+        cx=camera.cx - columns.start,
+        cy=camera.cy - rows.start,
+    )
+    thing = None if one.thing is None else one.thing[rows, columns]
+    return Seen(replace(one.view, camera=part), grey, thing)
+
+
+def _step(view: PosedView, partners: Sequence[PosedView]) -> float:
+    """Return the difference in inverse depth, 1/m, that moves the fastest partner's image by a pixel."""
+    middle = 2 / (1 / view.near + 1 / view.far)
+    rays = view.spread_rays(_GRID)
+    points = view.to_world(rays * middle)
+    small = 1e-3 / middle
+    moved = view.to_world(rays / (1 / middle + small))
+    fastest = 0.0
+    for other in partners:
+        u, v, _ = other.project(points)
+        moved_u, moved_v, _ = other.project(moved)
+        seen = other.holds(u, v) & np.isfinite(moved_u)
+        if seen.any():
+            length = np.hypot(moved_u - u, moved_v - v)[seen]
+            fastest = max(fastest, float(np.median(length)) / small)
+    least = 1e-4 * (1 / view.near - 1 / view.far)
+    return max(1 / fastest, least) if fastest else 64 * least
+
+
+def _halvings(camera: Camera, planes: float) -> int:
+    """Return how often images are halved for the first search."""
+    long = math.log2(max(camera.width, camera.height) / _COARSEST_PX)
+    many = math.log2(max(planes, 1) / _COARSEST_PLANES)
+    return max(math.ceil(max(long, many)), 0)
+
+
+def _halved(one: Seen, times: int) -> Seen:
+    import cv2
+
+    if times == 0:
+        return one
+    camera = one.view.camera
+    size = max(camera.width >> times, 1), max(camera.height >> times, 1)
+    grey = np.asarray(cv2.resize(one.grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    thing = None
+    if one.thing is not None:
+        thing = cv2.resize(one.thing.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
+    return Seen(replace(one.view, camera=scaled(camera, *size)), grey, thing)
+
+
+def _warped(
+    view: PosedView, partner: Seen, inverse: NDArray[np.float64], count: int
+) -> tuple[Grey, Grey, Map]:
+    """Return a partner's image as the plane in the middle maps it into the view, what of it is shown, and the
+    map of each plane.
+
+    A pixel of ray r, of z = 1, on the plane of inverse depth ρ is where the partner, which stands at c in
+    the view's axes, sees the direction r - ρ c. On the plane ρ₀ the ray r' is seen there for which
+    r' - ρ₀ c is the same direction: r' = s r + (ρ₀ - s ρ) c with s = (1 - ρ₀ c_z) / (1 - ρ c_z).
+    """
+    import cv2
+
+    camera, other = view.camera, partner.view
+    turn = view.world_from_camera[:3, :3]
+    c = (other.centre - view.centre) @ turn
+    middle = float(inverse[count // 2])
+    ahead = 1 - inverse * c[2]
+    # Planes behind the partner are seen by nobody; the map leads far away.
+    behind = ahead <= 1e-3
+    scale = np.where(behind, 0, (1 - middle * c[2]) / np.where(behind, 1, ahead))
+    shift = middle - scale * inverse
+    maps = np.stack(
+        [
+            scale,
+            camera.cx - scale * camera.cx + camera.fx * shift * c[0],
+            camera.cy - scale * camera.cy + camera.fy * shift * c[1],
+        ],
+        axis=1,
+    )
+    maps[behind] = (0, -1e6, -1e6)
+    corners = np.array([(x, y) for x in (0, camera.width - 1) for y in (0, camera.height - 1)], float)
+    some = maps[:count][~behind[:count]]
+    if not len(some):
+        some = np.array([(1.0, 0.0, 0.0)])
+    places = some[:, None, :1] * corners + some[:, None, 1:]
+    low, high = places.min(axis=(0, 1)), places.max(axis=(0, 1))
+    # No larger than it must be, and not larger than it may: then what moves farther is not seen.
+    room = (math.sqrt(_LARGEST_AREA) - 1) / 2 * np.array((camera.width, camera.height))
+    low = np.floor(np.maximum(low, -room)).astype(int)
+    high = np.ceil(np.minimum(high, (camera.width - 1, camera.height - 1) + room)).astype(int)
+    size = tuple(int(n) for n in np.maximum(high - low + 1, 1))
+    # From pixels of the warped image to the partner's.
+    back = other.world_from_camera[:3, :3].T @ turn
+    into = back @ (np.eye(3) - middle * np.outer(c, (0.0, 0.0, 1.0)))
+    offset = np.array([[1.0, 0, low[0]], [0, 1.0, low[1]], [0, 0, 1]])
+    homography = other.camera.matrix @ into @ np.linalg.inv(camera.matrix) @ offset
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    grey = cv2.warpPerspective(partner.grey, homography, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    inside = cv2.warpPerspective(np.full(partner.grey.shape, 255, np.uint8), homography, size, flags=flags)
+    shown = np.where(np.asarray(inside) == 255, np.uint8(_SCENE), np.uint8(_NOTHING))
+    if partner.thing is not None:
+        thing = cv2.warpPerspective(255 * partner.thing.astype(np.uint8), homography, size, flags=flags)
+        shown[(shown == _SCENE) & (np.asarray(thing) == 0)] = _EMPTY
+    maps[:, 1:] -= low
+    return np.asarray(grey, np.uint8), shown, maps.astype(np.float32)
+
+
+def _ranges(
+    plane: Map, distinct: Map, shape: tuple[int, ...], planes: int
+) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
+    """Return the first plane and the number of planes of each pixel of an image of twice the size."""
+    import cv2
+
+    known = distinct >= _DISTINCT
+    none = np.float32(planes)
+    low = high = np.full(plane.shape, np.nan, np.float32)
+    for reach in (_NEAR, _WIDE):
+        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        least = cv2.erode(np.where(known, plane, none), kernel)
+        most = cv2.dilate(np.where(known, plane, -none), kernel)
+        open_ = np.isnan(low) & (most >= least)
+        low, high = np.where(open_, least, low), np.where(open_, most, high)
+    alone = np.isnan(low)
+    low, high = np.where(alone, plane, low), np.where(alone, plane, high)
+    # What was found there itself lies within.
+    low, high = np.minimum(low, plane), np.maximum(high, plane)
+    size = (shape[1], shape[0])
+    low, high, own = (
+        2 * cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+        for one in (low, high, plane)
+    )
+    first, end = np.floor(low) - _BEYOND, np.ceil(high) + _BEYOND + 1
+    wide = np.ceil((end - first) / _LANES) * _LANES
+    # Too wide a range is cut about the pixel's own.
+    cut = wide > _MOST
+    first = np.where(cut, np.clip(np.rint(own) - _MOST / 2, first, end - _MOST), first)
+    wide = np.minimum(np.minimum(wide, _MOST), planes)
+    # The range is in the middle of what is tried.
+    first = np.where(cut, first, np.rint((first + end - wide) / 2))
+    first = np.clip(first, 0, planes - wide)
+    return first.astype(np.int32), wide.astype(np.uint16)
