@@ -62,10 +62,8 @@ class Probed:
 
     def figures(self) -> dict[str, Any]:
         """Return what was guessed, ready for JSON."""
-        told = {
-            name: value for name, value in vars(self.sidecar).items() if name != "file" and value is not None
-        }
-        return {**told, "error_px": self.error_px, "alike": list(self.alike)}
+        told = {name: value for name, value in vars(self.sidecar).items() if name != "file"}
+        return {"sidecar": told, "error_px": self.error_px, "alike": list(self.alike)}
 
 
 def probe_network(file: Path | str, *, memory: int = 8 << 30, seconds: float = 600) -> Probed:

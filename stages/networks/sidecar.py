@@ -115,7 +115,7 @@ def read_sidecar(network: Path) -> Sidecar:
     path = sidecar_of(network)
     if not path.is_file():
         raise InputError(
-            f"there is no {path.name} beside it, which says what it takes and gives; scanloom probe_model "
+            f"there is no {path.name} beside it, which says what it takes and gives; scanloom probe "
             f"{network.name} --write guesses one.",
             network,
         )
@@ -141,9 +141,15 @@ def written(sidecar: Sidecar) -> str:
     for one in fields(Sidecar):
         value = getattr(sidecar, one.name)
         if one.name not in ("inputs", "file") and value is not None:
-            lines.append(f"{one.name} = {json.dumps(value, ensure_ascii=False)}")
+            lines.append(f"{one.name} = {_toml(value)}")
     inputs = (f"{json.dumps(name)} = {json.dumps(taken)}" for name, taken in sidecar.inputs.items())
     return "\n".join([*lines, "", "[inputs]", *inputs, ""])
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(f'{number:g}' for number in value)}]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _checked(name: str, value: Any) -> Any:

@@ -15,16 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.networks.network import Network
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
-from stages.scans.images import read_color, read_mask, read_pinhole
+from stages.scans.images import read_color, read_mask, read_pinhole, read_seen
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
 from stages.stereo.agreement import agreeing_views, merged
+from stages.stereo.by_network import completed, network_of
 from stages.stereo.coverage import Counts, with_warning
-from stages.stereo.depth import DepthMap, PairStage
+from stages.stereo.depth import PairStage
+from stages.stereo.depth_map import DepthMap
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
 from stages.stereo.params import DepthKeywords, DepthParams
@@ -115,6 +118,7 @@ def _results(
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame, Counts]]:
     """Measure the views, and count what becomes of the pixels of each."""
     _require_enough(scan, params)
+    network = network_of(params)
     frames = [reduced(frame, params.max_side) for frame in scan.frames]
     smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
     scan = replace(scan, frames=frames)
@@ -138,7 +142,8 @@ def _results(
     counts: dict[int, Counts] = {}
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         kept = KeptMaps(Path(folder))
-        measure = partial(_measure, scan, views, chosen, params, tolerance, outline)
+        of_pairs = network if network is not None and network.is_stereo else None
+        measure = partial(_measure, scan, views, chosen, params, tolerance, outline, of_pairs)
         first_turn = read_ahead(measure, range(len(views)), threads=threads, ahead=threads + 2)
         for at, result in enumerate(first_turn):
             if isinstance(result, SkippedFrame):
@@ -159,6 +164,11 @@ def _results(
             depth[count < params.agreeing_views] = 0
             counts[at] = replace(counts[at], kept=int(np.count_nonzero(depth)))
             found = _depth_map(scan.frames[at], views[at], depth, kept.confidence(at), searches[at], farthest)
+            if isinstance(found, DepthMap) and network is not None and not network.is_stereo:
+                whole = completed(found, network, params)
+                inside = np.where(read_seen(scan.frames[at]), whole.depth, np.float32(0))
+                inside = in_hull(_inside(inside, views[at], box), views[at], outline.silhouettes)
+                found = replace(whole, depth=inside, filled=(inside > 0) & (found.depth == 0))
             return (
                 found
                 if isinstance(found, SkippedFrame)
@@ -297,6 +307,7 @@ def _measure(
     params: DepthParams,
     tolerance: float,
     outline: Outline,
+    network: Network | None,
     at: int,
 ) -> _Measured | SkippedFrame:
     """Match one view with its partners."""
@@ -319,7 +330,8 @@ def _measure(
         except InputError:
             continue  # Reported when its own turn comes.
         rig, near, far = pair
-        stage = PairStage(rig, replace(params, min_depth=near, max_depth=far), pairs=len(views))
+        ranged = replace(params, min_depth=near, max_depth=far)
+        stage = PairStage(rig, ranged, pairs=len(views), network=network)
         found = stage.measure(*rig.apply(color, second), ())
         depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
         depths.append(depth)
