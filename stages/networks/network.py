@@ -172,6 +172,8 @@ class Network:
             self._plane(one, name, (high + below, wide + right))[:high, :wide]
             for name, one in zip(self.sidecar.outputs, found, strict=True)
         ]
+        if not np.isfinite(maps[0]).any():
+            raise InputError(f"its output {self.sidecar.output[:40]} holds no number at all.", self.file)
         # Pixels of disparity are as much larger as the image is.
         scale = self.sidecar.sign * (width / wide if self.sidecar.unit == PX else 1)
         with np.errstate(over="ignore", invalid="ignore"):

@@ -23,6 +23,8 @@ from stages.files.own_process import limit_memory
 _MOST_BYTES = (1 << 31) - 1
 # Values that an output may have for each pixel of an input: some networks give flow, or a few levels.
 _MOST_A_PIXEL = 16
+# What onnxruntime and C++ say where there is no room.
+_NO_MEMORY = ("bad_alloc", "bad allocation", "BFCArena", "Failed to allocate memory")
 TYPES = {"tensor(float)": "<f4", "tensor(float16)": "<f2", "tensor(uint8)": "|u1", "tensor(double)": "<f8"}
 
 
@@ -111,7 +113,7 @@ def _said(error: BaseException) -> str:
     if isinstance(error, InputError):
         return str(error)
     text = " ".join(str(error).split())
-    if isinstance(error, MemoryError) or "bad_alloc" in text or "bad allocation" in text:
+    if isinstance(error, MemoryError) or any(word in text for word in _NO_MEMORY):
         return "it needs more memory than it may take (depth.model_memory)"
     if "External data" in text or "external data" in text:
         return (

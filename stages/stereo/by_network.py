@@ -30,6 +30,8 @@ Map = NDArray[np.float32]
 FILLED = 1
 # Only the matchers know of these.
 _OF_MATCHERS = ("matcher", "block_size", "p1", "p2", "prefilter_cap", "uniqueness", "left_right", "smooth")
+# If left and right agree on less of the image, its sidecar is wrong rather than the network.
+_AGREEING = 0.01
 # Scale and shift come from so many pixels, evenly taken: the repeated median looks at all pairs of them.
 _SAMPLES = 600
 # From fewer measured pixels they are not told.
@@ -90,6 +92,16 @@ def network_disparity(
     trust = confidence(first, residual, matched, search)
     trust = np.rint(trust * found.sure).astype(np.uint8)
     return np.where(matched, found.left, np.float32(np.nan)), trust
+
+
+def warnings_of(network: Network, trust: NDArray[np.uint8]) -> tuple[str, ...]:
+    """Say what is odd about what a network of pairs found, by its confidence."""
+    if np.count_nonzero(trust) >= _AGREEING * trust.size:
+        return ()
+    return (
+        f"by {network.file.name} left and right agree on next to nothing; look at unit, sign, range and "
+        "inputs of its sidecar, or have it guessed: scanloom probe",
+    )
 
 
 def completed(measured: DepthMap, network: Network, params: DepthParams) -> DepthMap:

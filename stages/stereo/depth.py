@@ -20,7 +20,7 @@ from stages.progress import Progress, silent
 from stages.scans import images
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
-from stages.stereo.by_network import completed, network_disparity, network_of
+from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.disparity import stereo_disparity
@@ -268,6 +268,7 @@ class PairStage:
         search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
         if self.network is not None and self.is_by_network:
             disparity, trust = network_disparity(self.network, left, right, self.rig, search, self.params)
+            warnings = (*warnings, *warnings_of(self.network, trust))
         elif self.is_own:
             disparity, trust = self._own(left, right, pair, search)
         else:
