@@ -116,6 +116,9 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
         (folder / "mask").mkdir(exist_ok=True)
         _write_png(folder / "mask" / name, frame.mask)
         frame = replace(frame, mask=folder / "mask" / name)
+    if result.filled is not None:
+        # So that what was filled in can be left out: scan.least_confidence=2.
+        frame = replace(frame, confidence=folder / "confidence" / name)
     kept = replace(
         frame,
         name=f"{number:06d}",

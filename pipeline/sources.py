@@ -1,4 +1,4 @@
-"""What the first stages of a run read: the scan and what is said of its frames, frames kept apart, a network."""
+"""What the first stages of a run read: the scan, what is said of its frames, those kept apart, a network."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pipeline.graph import HELD_OUT, NETWORK, PHOTOS
 from pipeline.plan import source_of
 from stages.errors import StageError
 from stages.inspecting.libraries import installed
-from stages.networks.sidecar import sidecar_of
 from stages.progress import Progress, silent
 from stages.scans.scan import Scan
+from stages.stereo.networks.sidecar import sidecar_of
 
 
 def sources_of(

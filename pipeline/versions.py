@@ -17,13 +17,13 @@ from stages.fusion.fuse import fuse
 from stages.fusion.noise import depth_noise
 from stages.inspecting.sanity import require_poses
 from stages.lod.build import build
-from stages.networks.network import Network
 from stages.normal_meshes.remesh import remesh
 from stages.simplification.auto import chosen
 from stages.simplification.methods import METHODS
 from stages.simplification.simplify import simplify
 from stages.stereo.by_network import network_of
 from stages.stereo.depth import depth_scan
+from stages.stereo.networks.network import Network
 
 Versions = Callable[[Mapping[str, Any], Config], Mapping[str, int]]
 

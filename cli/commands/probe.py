@@ -12,8 +12,8 @@ from cli.output import Output
 from cli.paths import require_file
 from stages.errors import InputError
 from stages.files.replacing import replacing
-from stages.networks.probe import probe_network
-from stages.networks.sidecar import sidecar_of, written
+from stages.stereo.networks.probe import probe_network
+from stages.stereo.networks.sidecar import sidecar_of, written
 
 
 def probe(

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.networks.network import Network
-from stages.networks.sidecar import INVERSE_DEPTH
 from stages.stereo.confidence import confidence
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SUBPIXELS, SearchRange, consistency, matched_pixels, textured
+from stages.stereo.networks.network import Network
+from stages.stereo.networks.sidecar import INVERSE_DEPTH
 from stages.stereo.params import DepthParams
 from stages.stereo.rectify import RectifiedRig
 
@@ -151,9 +151,8 @@ def completed(measured: DepthMap, network: Network, params: DepthParams) -> Dept
 
 
 def _warned(depth_map: DepthMap, network: Network, why: str) -> DepthMap:
-    said = (
-        f"{network.file.name} fills in no depth in some images, as it does not fit what was measured: {why}"
-    )
+    # The same words for all images: they are told once.
+    said = f"{network.file.name} fills in nothing in some images: {why}"
     return replace(depth_map, warnings=(*depth_map.warnings, said))
 
 

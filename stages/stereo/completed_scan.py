@@ -12,7 +12,6 @@ import numpy as np
 
 from stages.errors import InputError, UsageError
 from stages.fusion.posed_depth import read_matching_color
-from stages.networks.network import Network
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans.images import read_color, read_depth, read_seen
@@ -21,6 +20,7 @@ from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
 from stages.stereo.by_network import completed, network_of
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
+from stages.stereo.networks.network import Network
 from stages.stereo.params import DepthKeywords, DepthParams
 
 if TYPE_CHECKING:

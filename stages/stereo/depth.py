@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
-from stages.networks.network import Network
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.scans import images
@@ -35,6 +34,7 @@ from stages.stereo.matching import (
     projected,
     textured,
 )
+from stages.stereo.networks.network import Network
 from stages.stereo.pairs import pair_warnings, require_pair
 from stages.stereo.params import CENSUS, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.networks.network import Network
 from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration.sift import Keypoints, keypoints
@@ -30,6 +29,7 @@ from stages.stereo.depth import PairStage
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
+from stages.stereo.networks.network import Network
 from stages.stereo.params import DepthKeywords, DepthParams
 from stages.stereo.partners import partners
 from stages.stereo.posed_views import PosedView, posed_views

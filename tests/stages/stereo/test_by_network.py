@@ -9,14 +9,14 @@ import pytest
 from onnx import helper
 
 from stages.errors import InputError, UsageError
-from stages.networks.probe import known_pair
-from stages.networks.sidecar import Sidecar, sidecar_of, written
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.stereo.by_network import FILLED, completed, network_of
 from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import depth, depth_scan
 from stages.stereo.depth_map import DepthMap
 from stages.stereo.matching import SearchRange
+from stages.stereo.networks.probe import known_pair
+from stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
 from stages.stereo.params import DepthParams
 
 PAIR = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)

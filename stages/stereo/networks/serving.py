@@ -1,4 +1,4 @@
-"""What runs in a process of its own to run a network; see `stages.networks.process`, which talks to it.
+"""What runs in a process of its own to run a network; `stages.stereo.networks.process` talks to it.
 
 onnxruntime takes files that come from anywhere: what crashes, hangs or fills memory ends there.
 """

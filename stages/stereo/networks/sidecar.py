@@ -70,22 +70,22 @@ class Sidecar:
     file: Path | None = field(default=None, compare=False)
 
     def checked(self) -> Sidecar:
-        """Return it, or raise ValueError where its parts do not go together."""
+        """Return it, or raise InputError where its parts do not go together."""
         taken = [what.removesuffix("/2") for what in self.inputs.values()]
         allowed = _TAKEN[self.kind]
         for name, what in zip(self.inputs, taken, strict=True):
             if what not in allowed:
-                raise ValueError(
-                    f"inputs.{name[:40]} is {what[:40]!r}; it must be one of {', '.join(allowed)}"
+                raise InputError(
+                    f"inputs.{name[:40]} is {what[:40]!r}; it must be one of {', '.join(allowed)}."
                 )
         if self.kind == STEREO and "pair" not in taken and {"left", "right"} - {*taken}:
-            raise ValueError("inputs must take both left and right, or a pair")
+            raise InputError("inputs must take both left and right, or a pair.")
         if self.unit not in _UNITS[self.kind]:
-            raise ValueError(
-                f"unit is {self.unit!r}; of one image it must be {' or '.join(_UNITS[self.kind])}"
+            raise InputError(
+                f"unit is {self.unit!r}; of one image it must be {' or '.join(_UNITS[self.kind])}."
             )
         if self.range[0] == self.range[1] or not all(one > 0 for one in self.std):
-            raise ValueError("range must be of two values, and std above 0")
+            raise InputError("range must be of two values, and std above 0.")
         return self
 
     @property
@@ -131,8 +131,8 @@ def read_sidecar(network: Path) -> Sidecar:
             raise InputError(f"it does not say {name}, which it must.", path)
     try:
         return Sidecar(**{name: _checked(name, value) for name, value in values.items()}, file=path).checked()
-    except ValueError as error:
-        raise InputError(f"{error}.", path) from None
+    except InputError as error:
+        raise InputError(str(error), path) from None
 
 
 def written(sidecar: Sidecar) -> str:
@@ -153,10 +153,10 @@ def _toml(value: Any) -> str:
 
 
 def _checked(name: str, value: Any) -> Any:
-    """Return a value as the field has it, or raise ValueError with what it must be."""
+    """Return a value as the field has it, or raise InputError with what it must be."""
     if name in _WORDS:
         if value not in _WORDS[name]:
-            raise ValueError(f"{name} is {_shown(value)}; it must be one of {', '.join(_WORDS[name])}")
+            raise InputError(f"{name} is {_shown(value)}; it must be one of {', '.join(_WORDS[name])}.")
         return value
     if name in ("output", "confidence", "occlusion"):
         return _name(name, value)
@@ -166,27 +166,27 @@ def _checked(name: str, value: Any) -> Any:
         return _numbers(name, value, 3)
     if name == "sign":
         if value not in (1, -1) or isinstance(value, bool):
-            raise ValueError(f"sign is {_shown(value)}; it must be 1 or -1")
+            raise InputError(f"sign is {_shown(value)}; it must be 1 or -1.")
         return int(value)
     if name == "multiple_of":
         if type(value) is not int or not 1 <= value <= _MOST_MULTIPLE:
-            raise ValueError(f"multiple_of is {_shown(value)}; it must be from 1 to {_MOST_MULTIPLE}")
+            raise InputError(f"multiple_of is {_shown(value)}; it must be from 1 to {_MOST_MULTIPLE}.")
         return value
     if not isinstance(value, dict) or not value:
-        raise ValueError("inputs is no table of the network's inputs and what each takes")
+        raise InputError("inputs is no table of the network's inputs and what each takes.")
     return {_name("inputs", key): _name(f"inputs.{key[:40]}", taken) for key, taken in value.items()}
 
 
 def _name(name: str, value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_NAME:
-        raise ValueError(f"{name} is {_shown(value)}; it must be a name")
+        raise InputError(f"{name} is {_shown(value)}; it must be a name.")
     return value
 
 
 def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(type(one) in (int, float) and abs(one) <= _LARGEST for one in value):
-        raise ValueError(f"{name} is {_shown(value)}; it must be {count} numbers")
+        raise InputError(f"{name} is {_shown(value)}; it must be {count} numbers.")
     return tuple(float(one) for one in value)
 
 

@@ -12,8 +12,8 @@ import pytest
 from onnx import TensorProto, helper
 
 from stages.errors import InputError, UsageError
-from stages.networks import process
-from stages.networks.process import NetworkProcesses
+from stages.stereo.networks import process
+from stages.stereo.networks.process import NetworkProcesses
 
 IMAGE = ("image", [1, 3, "h", "w"])
 FEED = {"image": np.ones((1, 3, 20, 30), np.float32)}

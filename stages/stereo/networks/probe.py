@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError, StageError
-from stages.networks.network import Network
-from stages.networks.process import NetworkProcesses
-from stages.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
 from stages.printing import by_figures, table
+from stages.stereo.networks.network import Network
+from stages.stereo.networks.process import NetworkProcesses
+from stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
 
 # Of ImageNet, RGB, as networks that began with its pictures want them.
 _IMAGENET = {"range": (0.0, 1.0), "mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}

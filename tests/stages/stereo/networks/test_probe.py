@@ -5,8 +5,8 @@ import pytest
 from onnx import helper
 
 from stages.errors import InputError, StageError
-from stages.networks import probe
-from stages.networks.probe import probe_network
+from stages.stereo.networks import probe
+from stages.stereo.networks.probe import probe_network
 
 
 @pytest.fixture(autouse=True)

@@ -9,10 +9,10 @@ import pytest
 from onnx import TensorProto, helper
 
 from stages.errors import InputError
-from stages.networks.network import Network
-from stages.networks.probe import known_pair
-from stages.networks.process import NetworkProcesses
-from stages.networks.sidecar import Sidecar
+from stages.stereo.networks.network import Network
+from stages.stereo.networks.probe import known_pair
+from stages.stereo.networks.process import NetworkProcesses
+from stages.stereo.networks.sidecar import Sidecar
 
 PAIR = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth")

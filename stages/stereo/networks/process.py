@@ -96,7 +96,7 @@ def _end_all(processes: list[_Process]) -> None:
 class _Process:
     def __init__(self, file: Path, memory: int, seconds: float) -> None:
         self._file, self._seconds = file, seconds
-        self._child = started("stages.networks.serving", [str(file.resolve()), str(memory)])
+        self._child = started("stages.stereo.networks.serving", [str(file.resolve()), str(memory)])
         try:
             self.told = self._answer(b"", ())[0]
         except BaseException:

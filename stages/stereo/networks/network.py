@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
-from stages.networks.process import NetworkProcesses
-from stages.networks.serving import TYPES
-from stages.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
+from stages.stereo.networks.process import NetworkProcesses
+from stages.stereo.networks.serving import TYPES
+from stages.stereo.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
 
 RESULT_VERSION = 1
 
@@ -51,8 +51,8 @@ class Network:
 
     Parameters
     ----------
-    file : ONNX; see stages.networks.sidecar for what stands beside it.
-    memory, seconds : bytes and time that each of its processes may take; see stages.networks.process.
+    file : ONNX; see stages.stereo.networks.sidecar for what stands beside it.
+    memory, seconds : bytes and time that each of its processes may take; see stages.stereo.networks.process.
     sidecar : in place of the one beside the file.
 
     Raises
