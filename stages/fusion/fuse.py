@@ -18,6 +18,7 @@ from stages.fusion.plan import make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
+from stages.fusion.upsampling import upsampled_alone, upsampled_frame
 from stages.fusion.voxels import Layer, Volume
 from stages.params import resolve
 from stages.printing import by_figures, table
@@ -29,7 +30,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -168,6 +169,7 @@ def fuse(
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     _require_usable(frames, where)
+    frames = list(upsampled_alone(frames, params))
     threads = workers()
     plan = make_plan(frames, params, where, threads)
     color = params.color and any(frame.color is not None for frame in frames)
@@ -183,6 +185,8 @@ def fuse(
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
+            if params.upsample == "guided" and not plan.is_lone:
+                frame = upsampled_frame(frame, params.upsample_factor)
             view = read_posed_depth(frame, plan.limits)
             here = plan.fused(view)
             image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
