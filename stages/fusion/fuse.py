@@ -186,7 +186,7 @@ def fuse(
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
             if params.upsample == "guided" and not plan.is_lone:
-                frame = upsampled_frame(frame, params.upsample_factor)
+                frame = upsampled_frame(frame, params)
             view = read_posed_depth(frame, plan.limits)
             here = plan.fused(view)
             image = read_matching_color(frame, view.surface.depth) if color and here.any() else None

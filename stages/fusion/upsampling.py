@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
+from stages.fusion.depth_filter import bridged
 from stages.fusion.params import FuseParams
 from stages.fusion.posed_depth import read_matching_color
 from stages.scans.images import read_color, read_depth
@@ -31,7 +32,7 @@ _REACH = 2
 _VOTE, _FIT, _ALIKE = 1.0, 0.7, 12.0
 # The photo tells two sides apart where their mean colours differ by so many times what colours spread within
 # them, squared; and what they spread in any photo, levels.
-_APART, _SPREAD = 8.0, 6.0
+_APART, _SPREAD = 16.0, 6.0
 # Slopes are drawn to zero by so much where few samples tell them, samples squared.
 _STIFF = 0.15
 # Blur of the photo where a sample is, as a share of the samples' distance: what a sample saw of it.
@@ -49,16 +50,18 @@ def upsampled_alone(frames: Sequence[Frame], params: FuseParams) -> Sequence[Fra
         return frames
     least_ratio = params.upsample_factor if params.upsample == "auto" else 0
     try:
-        return [upsampled_frame(frames[0], params.upsample_factor, least_ratio)]
+        return [upsampled_frame(frames[0], params, least_ratio)]
     except InputError:
         return frames  # Told where the frame is read.
 
 
-def upsampled_frame(frame: Frame, factor: int, least_ratio: float = 0.0) -> Frame:
+def upsampled_frame(frame: Frame, params: FuseParams, least_ratio: float = 0.0) -> Frame:
     """Return a frame with its depth map, and its photo as the depth map sees it, larger by a factor.
 
     Parameters
     ----------
+    params : `upsample_factor`; gaps of a pixel are bridged by `max_jump` first, as fusion does it, since they
+        are wider afterwards.
     least_ratio : a frame whose photo is not so many times as wide as its depth map stays as it is, and so
         does one without a photo; if 0, all are made larger.
 
@@ -70,7 +73,8 @@ def upsampled_frame(frame: Frame, factor: int, least_ratio: float = 0.0) -> Fram
     depth, photo = read_depth(frame), read_color(frame)
     if depth is None or (photo.shape[1] if photo is not None else 0) < least_ratio * depth.shape[1]:
         return frame
-    height, width = depth.shape
+    depth, _ = bridged(depth, params.max_jump)
+    factor, (height, width) = params.upsample_factor, depth.shape
     wide = scaled(pinhole(frame.camera), factor * width, factor * height)
     # Depth that is read has neither any more.
     frame = replace(frame, camera=wide, confidence=None, least_confidence=0, mask=None)
