@@ -3,12 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import networks
 import numpy as np
 import pytest
 from onnx import helper
 
 from stages.errors import InputError, UsageError
+from stages.scans.read import read_scan
 from stages.scans.scan import Camera, Frame, Scan, StereoRig
 from stages.stereo.by_network import FILLED, completed, network_of
 from stages.stereo.completed_scan import completed_scan
@@ -193,3 +195,16 @@ def test_without_a_file_or_a_sidecar(tmp_path):
     networks.by_brightness(tmp_path / "net.onnx")
     with pytest.raises(InputError, match=r"there is no net\.toml beside it"):
         network_of(replace(DepthParams(), model=str(tmp_path / "net.onnx")))
+
+
+@pytest.mark.slow
+def test_a_matcher_of_twelve_nodes_on_a_real_pair(tmp_path, shared_data):
+    folder = shared_data / "stereo" / "middlebury2014_motorcycle"
+    rig = read_scan(folder).rig
+    left, right = (cv2.imread(str(folder / f"im{k}.png"))[..., ::-1].copy() for k in (0, 1))
+    truth = cv2.imread(str(folder / "disp0.pfm"), cv2.IMREAD_UNCHANGED)
+    file = networks.matcher(tmp_path / "net.onnx", disparities=80, window=9, sharpness=4.0)
+    found = depth(left, right, rig, model=beside(file, PAIR))
+    there = (found.depth > 0) & np.isfinite(truth)
+    assert there.mean() > 0.35
+    assert np.mean(np.abs(found.disparity[there] - truth[there]) > 2) < 0.04
