@@ -39,8 +39,8 @@ def probe(
     target = sidecar_of(network)
     if write and target.exists():
         raise InputError("is there already; move it away, or leave out --write.", target)
-    with out.progress("probe", "ways"):
-        found = probe_network(require_file(network))
+    with out.progress("probe", "ways") as progress:
+        found = probe_network(require_file(network), progress=progress)
     text = written(found.sidecar)
     if found.error_px is None:
         out.warn(

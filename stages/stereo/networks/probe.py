@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError, StageError
 from stages.printing import by_figures, table
+from stages.progress import Progress, silent
 from stages.stereo.networks.network import Network
 from stages.stereo.networks.process import NetworkProcesses
 from stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
@@ -66,13 +67,16 @@ class Probed:
         return {"sidecar": told, "error_px": self.error_px, "alike": list(self.alike)}
 
 
-def probe_network(file: Path | str, *, memory: int = 8 << 30, seconds: float = 600) -> Probed:
+def probe_network(
+    file: Path | str, *, memory: int = 8 << 30, seconds: float = 600, progress: Progress = silent
+) -> Probed:
     """Guess the sidecar of a network's file.
 
     Parameters
     ----------
     file : ONNX.
     memory, seconds : bytes and time that it may take.
+    progress : called after each way that was tried.
 
     Raises
     ------
@@ -90,7 +94,9 @@ def probe_network(file: Path | str, *, memory: int = 8 << 30, seconds: float = 6
         named = _outputs(outputs)
         base = Sidecar(kind, ways[0][0], named[0], PX, layout=layout, multiple_of=_multiple(inputs, layout))
         base = replace(base, confidence=named[1], occlusion=named[2])
-        return _of_pair(processes, base, ways) if kind == STEREO else _of_image(processes, base, ways[0][1])
+        if kind == STEREO:
+            return _of_pair(processes, [*_candidates(base, ways)], progress)
+        return _of_image(processes, base, ways[0][1])
     finally:
         processes.close()
 
@@ -106,11 +112,9 @@ def _of_image(processes: NetworkProcesses, base: Sidecar, channels: int) -> Prob
     return Probed(sidecar, None)
 
 
-def _of_pair(
-    processes: NetworkProcesses, base: Sidecar, ways: Sequence[tuple[dict[str, str], int]]
-) -> Probed:
+def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progress: Progress) -> Probed:
     tried: list[tuple[float, Sidecar]] = []
-    for sidecar in _candidates(base, ways):
+    for done, sidecar in enumerate(candidates, 1):
         network = Network.of(processes, sidecar)
         # Of its own size, so that no pixel is another than it was.
         left, right, truth = known_pair(*network.fixed_size)
@@ -120,6 +124,7 @@ def _of_pair(
             off = np.abs(given * np.float32(scale) - truth)[np.isfinite(truth)]
             error = float(np.median(np.where(np.isfinite(off), off, np.inf)))
             tried.append((error, replace(sidecar, unit=unit, sign=sign)))
+        progress(done, len(candidates))
     least, nearest = min(tried, key=lambda one: one[0])
     if not least <= _RIGHT:
         raise StageError(
