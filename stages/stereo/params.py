@@ -92,6 +92,7 @@ class DepthParams:
         "A network is given up that takes more; as many run at once as pairs are matched at the same time",
         unit="MB",
         low=100,
+        high=1e7,
         invalidates=False,
     )
     model_seconds: float = param(
@@ -100,6 +101,7 @@ class DepthParams:
         unit="s",
         low=0,
         low_open=True,
+        high=1e6,
         invalidates=False,
     )
     disparities: int | None = param(

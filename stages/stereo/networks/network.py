@@ -84,8 +84,8 @@ class Network:
         odd = next((name for name in sidecar.inputs if name not in self._inputs), missing)
         if odd is not None:
             raise InputError(
-                f"its inputs are {', '.join(self._inputs) or 'none'}, those of the network, and not "
-                f"{', '.join(sidecar.inputs)}.",
+                f"its inputs are {', '.join(self._inputs)[:200] or 'none'}, those of the network, and not "
+                f"{', '.join(sidecar.inputs)[:200]}.",
                 sidecar.file or file,
             )
         self.fixed_size = self._fixed_size()

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import tempfile
 import threading
 import weakref
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -52,14 +54,16 @@ class NetworkProcesses:
         if not file.is_file():
             raise InputError("there is no such file.", file)
         self.file = file
-        self._limits = memory, seconds
+        # Stays empty: where each process stands.
+        folder = tempfile.TemporaryDirectory(prefix="scanloom-")
+        self._start = partial(_Process, file, folder.name, memory, seconds)
         self._idle: list[_Process] = []
         self._lock = threading.Lock()
-        first = _Process(file, *self._limits)
+        self._end = weakref.finalize(self, _end_all, self._idle, folder)
+        first = self._start()
         self.inputs: Sequence[Mapping[str, Any]] = first.told["inputs"]
         self.outputs: Sequence[Mapping[str, Any]] = first.told["outputs"]
         self._idle.append(first)
-        self._end = weakref.finalize(self, _end_all, self._idle)
 
     def run(self, feeds: Mapping[str, NDArray[Any]], outputs: Sequence[str]) -> list[Map]:
         """Run the network on arrays by name, and return some of its outputs as float32.
@@ -73,7 +77,7 @@ class NetworkProcesses:
         """
         with self._lock:
             process = self._idle.pop() if self._idle else None
-        process = process or _Process(self.file, *self._limits)
+        process = process or self._start()
         try:
             found = process.run(feeds, outputs)
         except BaseException:
@@ -88,15 +92,17 @@ class NetworkProcesses:
         self._end()
 
 
-def _end_all(processes: list[_Process]) -> None:
+def _end_all(processes: list[_Process], folder: tempfile.TemporaryDirectory[str]) -> None:
     while processes:
         processes.pop().end()
+    folder.cleanup()
 
 
 class _Process:
-    def __init__(self, file: Path, memory: int, seconds: float) -> None:
+    def __init__(self, file: Path, folder: str, memory: int, seconds: float) -> None:
         self._file, self._seconds = file, seconds
-        self._child = started("stages.stereo.networks.serving", [str(file.resolve()), str(memory)])
+        words = [str(file.resolve()), folder, str(memory), str(seconds)]
+        self._child = started("stages.stereo.networks.serving", words)
         try:
             self.told = self._answer(b"", ())[0]
         except BaseException:

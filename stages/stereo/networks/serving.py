@@ -6,9 +6,12 @@ onnxruntime takes files that come from anywhere: what crashes, hangs or fills me
 from __future__ import annotations
 
 import json
+import math
 import os
+import signal
 import sys
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +22,8 @@ from stages.errors import InputError
 from stages.files.opening import content_of
 from stages.files.own_process import limit_memory
 
+# Seconds after which nobody waits any more.
+_LATER = 5
 # A protobuf holds no more.
 _MOST_BYTES = (1 << 31) - 1
 # Values that an output may have for each pixel of an input: some networks give flow, or a few levels.
@@ -29,24 +34,38 @@ TYPES = {"tensor(float)": "<f4", "tensor(float16)": "<f2", "tensor(uint8)": "|u1
 
 
 def main() -> None:
-    """Load a network, and run it on whatever comes, until nothing more does."""
+    """Load a network, and run it on whatever comes, until nothing more does.
+
+    The words are its file, an empty folder, and the bytes and seconds that it may take.
+    """
     # What a library prints must not come between the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    path, memory = Path(sys.argv[1]), int(sys.argv[2])
-    with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
-        # Weights in other files are looked for in the current folder, and not found.
-        os.chdir(folder)
-        try:
-            limit_memory(memory)
+    path, folder, memory, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+    # Weights in other files are looked for in the current folder, and not found.
+    os.chdir(folder)
+    try:
+        limit_memory(memory)
+        with _within(seconds):
             session = _loaded(path)
-        except BaseException as error:
-            _tell(answers, {"error": _said(error)})
-        else:
-            _tell(answers, _described(session))
-            _serve(session, sys.stdin.buffer, answers)
-        finally:
-            os.chdir("/")
+    except BaseException as error:
+        _tell(answers, {"error": _said(error)})
+        return
+    _tell(answers, _described(session))
+    _serve(session, sys.stdin.buffer, answers, seconds)
+
+
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    """End this process if work takes longer, should whoever asked be gone; who asks waits a little less."""
+    if sys.platform == "win32":
+        yield
+        return
+    signal.alarm(math.ceil(seconds) + _LATER)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
 
 
 def _loaded(path: Path) -> Any:
@@ -73,13 +92,14 @@ def _described(session: Any) -> dict[str, Any]:
     }
 
 
-def _serve(session: Any, questions: BinaryIO, answers: BinaryIO) -> None:
+def _serve(session: Any, questions: BinaryIO, answers: BinaryIO, seconds: float) -> None:
     while line := questions.readline():
         asked = json.loads(line)
         feeds = {one["name"]: _array(questions, one["type"], one["shape"]) for one in asked["feeds"]}
         pixels = max(feed.size for feed in feeds.values())
         try:
-            outputs = [_numbers(one, pixels) for one in session.run(asked["outputs"], feeds)]
+            with _within(seconds):
+                outputs = [_numbers(one, pixels) for one in session.run(asked["outputs"], feeds)]
         except BaseException as error:
             _tell(answers, {"error": _said(error)})
             continue

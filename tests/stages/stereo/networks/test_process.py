@@ -2,6 +2,7 @@
 
 import gc
 import random
+import tempfile
 import time
 from pathlib import Path
 
@@ -60,12 +61,14 @@ def test_several_at_once_say_the_same(tmp_path):
             assert found.tobytes() == alone.tobytes()
 
 
-def test_processes_end_with_their_owner(tmp_path):
+def test_processes_end_with_their_owner(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     one = opened(networks.by_brightness(tmp_path / "net.onnx"))
     child = one._idle[0]._child
     del one
     gc.collect()
     assert child.returncode is not None
+    assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
 
 
 def test_damaged_files(tmp_path):
@@ -109,7 +112,7 @@ def test_one_that_asks_for_all_memory(tmp_path):
     assert "more memory than it may take (depth.model_memory)" in refused(file)
 
 
-def test_one_that_never_ends(tmp_path):
+def test_one_that_never_ends(tmp_path, monkeypatch):
     cond = [helper.make_tensor_value_info(name, TensorProto.BOOL, []) for name in ("c", "go_on")]
     number = helper.make_tensor_value_info("i", TensorProto.INT64, [])
     values = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in ("v", "next")]
@@ -122,8 +125,11 @@ def test_one_that_never_ends(tmp_path):
     forever = helper.make_node("Loop", ["", "yes", "image"], ["depth"], body=body)
     file = graph(tmp_path / "net.onnx", forever, weights={"yes": np.array(True)})
     started = time.monotonic()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert "takes more than 2 s (depth.model_seconds)" in refused(file, seconds=2)
     assert time.monotonic() - started < 10
+    gc.collect()
+    assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
 
 
 def test_outputs_that_are_no_map_of_numbers(tmp_path):
