@@ -53,6 +53,7 @@ class Fused:
     support : the plane that was left out, with what is below it.
     outside : how many frames show nothing of what was fused; they are not among `frames`.
     warnings : of what was left out.
+    upsampled : how many times as wide the depth maps were made first; 1 for not at all.
     """
 
     mesh: Mesh
@@ -71,6 +72,7 @@ class Fused:
     support: Support | None
     outside: int
     warnings: tuple[str, ...]
+    upsampled: int = 1
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -82,6 +84,7 @@ class Fused:
             "truncation_m": self.truncation,
             "max_depth_m": self.max_depth,
             "min_weight_frames": self.min_weight,
+            "depth_upsampled_times": self.upsampled,
             "depth_noise_constant_m": self.noise.constant,
             "depth_noise_quadratic_per_m": self.noise.quadratic,
             "frames_used": self.frames,
@@ -169,7 +172,8 @@ def fuse(
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     _require_usable(frames, where)
-    frames = list(upsampled_alone(frames, params))
+    measured, frames = frames, list(upsampled_alone(frames, params))
+    is_larger = params.upsample == "guided" or frames[0] is not measured[0]
     threads = workers()
     plan = make_plan(frames, params, where, threads)
     color = params.color and any(frame.color is not None for frame in frames)
@@ -246,6 +250,7 @@ def fuse(
         support=plan.support,
         outside=outside,
         warnings=plan.warnings,
+        upsampled=params.upsample_factor if is_larger else 1,
     )
 
 

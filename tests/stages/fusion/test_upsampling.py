@@ -187,3 +187,4 @@ def test_fusing_a_frame_alone_gives_finer_voxels_and_several_the_same():
     both = [fuse(several, upsample=how) for how in ("auto", "guided")]
     assert both[0].voxel_size == both[1].voxel_size
     assert both[0].pixels_used != both[1].pixels_used
+    assert [one.upsampled for one in (small, larger, *both)] == [1, 2, 1, 2]
