@@ -47,7 +47,7 @@ def test_a_network_takes_the_matchers_place(tmp_path: Path, capsys):
     pairs = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", multiple_of=32)
     network = networks.matcher(tmp_path / "net.onnx", disparities=96, sharpness=4.0)
     sidecar_of(network).write_text(written(pairs), encoding="utf-8")
-    words = ["--last", "1", "--model", str(network), "--json"]
+    words = ["--last", "0", "--model", str(network), "--json"]
     assert run_command(["depth", str(samples / "stereo"), str(tmp_path / "out"), *words]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["used_share"] > 0.4

@@ -1,9 +1,11 @@
 """Files of networks that come from anywhere: each is run, or is one sentence; nothing crashes or hangs."""
 
 import gc
+import os
 import random
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import networks
@@ -50,8 +52,6 @@ def test_it_tells_what_it_takes_and_is_run_many_times(tmp_path):
 
 
 def test_several_at_once_say_the_same(tmp_path):
-    from concurrent.futures import ThreadPoolExecutor
-
     one = opened(networks.matcher(tmp_path / "net.onnx"))
     pair = np.random.default_rng(1).random((2, 1, 3, 40, 60), np.float32) * 255
     feeds = {"left": pair[0], "right": pair[1]}
@@ -151,8 +151,6 @@ def test_without_onnxruntime_it_says_what_to_install(tmp_path, monkeypatch):
 
 
 def test_no_file_a_folder_and_a_pipe(tmp_path):
-    import os
-
     with pytest.raises(InputError, match="no such file"):
         opened(tmp_path / "none.onnx")
     with pytest.raises(InputError, match="no such file"):
