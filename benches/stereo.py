@@ -1,6 +1,6 @@
 """Depth against ground truth, and against OpenCV's matcher called the way its users call it.
 
-    python benches/stereo.py DATA
+    python benches/stereo.py DATA [--model FILE.onnx]
 
 DATA holds `stereo/middlebury2014_motorcycle`, `stereo/middlebury2003_cones` and, for the time of a whole
 sequence, `stereo/kitti_sequence_1`. "covered" is of the pixels that both cameras see, "off" of the pixels
@@ -31,18 +31,22 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
-    stereo = parser.parse_args().data / "stereo"
+    parser.add_argument("--model", help="a network of pairs, with its sidecar, as one more row")
+    words = parser.parse_args()
+    stereo = words.data / "stereo"
     print(f"OpenCV {cv2.__version__}, {os.cpu_count()} cores\n")
     print("| pair | setting | covered % | off > 1 px % | > 2 px % | seen > 2 px % | median px | s |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     for name, pair in (("Motorcycle", motorcycle(stereo)), ("Cones", cones(stereo))):
-        for setting, run in settings(*pair[:3]).items():
+        for setting, run in settings(*pair[:3], words.model).items():
             print(f"| {name} | {setting} | {row(run, pair[3])} |")
     reliability(stereo)
     sequence(stereo / "kitti_sequence_1")
 
 
-def settings(left: Image, right: Image, rig: StereoRig) -> dict[str, Callable[[], tuple[Image, Image]]]:
+def settings(
+    left: Image, right: Image, rig: StereoRig, model: str | None = None
+) -> dict[str, Callable[[], tuple[Image, Image]]]:
     """Return what is compared: each gives a disparity and the pixels it vouches for."""
 
     def ours(**changes: object) -> Callable[[], tuple[Image, Image]]:
@@ -66,6 +70,7 @@ def settings(left: Image, right: Image, rig: StereoRig) -> dict[str, Callable[[]
         "depth, block_size=5": ours(block_size=5),
         "depth, min_confidence=1": ours(min_confidence=1),
         "depth, smooth=true": ours(smooth=True),
+        **({} if model is None else {"depth, model": ours(model=model)}),
     }
 
 

@@ -39,6 +39,7 @@ from cli.commands import (
     lod,
     lod_tiles,
     patches,
+    probe,
     register,
     remesh,
     render,
@@ -81,6 +82,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         certify.certify,
         render.render,
         view.view,
+        probe.probe,
         doctor.doctor,
     ),
 }

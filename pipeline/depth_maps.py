@@ -3,7 +3,8 @@
     scan.json                what stages.layouts reads back as RGB-D frames
     color/000000.png         the rectified left image, 8-bit RGB or grey
     depth/000000.png         16-bit; the units of a metre are in scan.json, 0 is missing
-    confidence/000000.png    8-bit, 0 to 255
+    confidence/000000.png    8-bit, 0 to 255; 1 where a network of single images filled depth in
+    mask/000000.png          8-bit, 0 where nothing is; of a scan with depth and masks
     points.ply               coloured points of all frames, thinned out
 
 Frames are numbered, not named after their files: names decide nothing, so a result must not hold them.
@@ -25,6 +26,7 @@ from stages.errors import InputError
 from stages.scans.layouts.scan_json import write_scan_json
 from stages.scans.prefetch import read_ahead
 from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.stereo.completed_scan import completed_scan
 from stages.stereo.depth import DepthMap, depth_scan
 from stages.stereo.views_depth import views_depth
 from stages.surface.formats.ply import write_ply_cloud
@@ -43,8 +45,10 @@ class _Written:
 
 
 def measure_of(scan: Scan) -> Callable[..., Any]:
-    """Return what finds the depth of a scan: of pairs, or of views with poses."""
-    return views_depth if scan.is_views else depth_scan
+    """Return what finds the depth of a scan: of pairs, of views with poses, or beside what was measured."""
+    if scan.is_views:
+        return views_depth
+    return depth_scan if scan.is_stereo else completed_scan
 
 
 def write_depth_maps(
@@ -103,9 +107,18 @@ def _write(folder: Path, number: int, frame: Frame, result: DepthMap, budget: in
     raw = np.rint(result.depth * np.float32(scale))
     raw[raw > _LARGEST] = 0
     name = f"{number:06d}.png"
-    _write_png(folder / "color" / name, _grey_or_bgr(result.color))
+    # A photo of a camera of its own is kept as it is; depth has but the colours it needs.
+    photo = frame.color if isinstance(frame.color, np.ndarray) else result.color
+    _write_png(folder / "color" / name, _grey_or_bgr(photo))
     _write_png(folder / "depth" / name, raw.astype(np.uint16))
     _write_png(folder / "confidence" / name, result.confidence)
+    if isinstance(frame.mask, np.ndarray):
+        (folder / "mask").mkdir(exist_ok=True)
+        _write_png(folder / "mask" / name, frame.mask)
+        frame = replace(frame, mask=folder / "mask" / name)
+    if result.filled is not None:
+        # So that what was filled in can be left out: scan.least_confidence=2.
+        frame = replace(frame, confidence=folder / "confidence" / name)
     kept = replace(
         frame,
         name=f"{number:06d}",

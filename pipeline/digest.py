@@ -103,9 +103,9 @@ class ScanDigest:
 
         A result made from such a file must not be stored: its key would promise another content.
         """
-        for path, (content, signature) in self._files.items():
+        for path, (before, signature) in self._files.items():
             # The time stamp only saves reading all files again; a touched file is read, and is no change.
-            if _signature(path) != signature and _content(path) != content:
+            if _signature(path) != signature and content(path) != before:
                 raise StageError(f"{path} changed while it was being read; run again when it is complete.")
 
 
@@ -119,8 +119,8 @@ def scan_digest(scan: Scan, progress: Progress = silent) -> ScanDigest:
     signatures = [_signature(path) for path in paths]
     contents: dict[Path, str] = {}
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        for path, content in zip(paths, threads.map(_content, paths), strict=True):
-            contents[path] = content
+        for path, one in zip(paths, threads.map(content, paths), strict=True):
+            contents[path] = one
             progress(len(contents), len(paths))
     parts = {"calibration": digest(_plain(scan.rig, contents))}
     if scan.box is not None:
@@ -156,7 +156,8 @@ def _place(value: Any, folder: Path | None) -> str | None:
     return str(file) if folder is None else from_there(file, home(folder))
 
 
-def _content(path: Path) -> str:
+def content(path: Path) -> str:
+    """Return the digest of a file's bytes, or "unreadable"."""
     try:
         return file_digest(path)
     except OSError:

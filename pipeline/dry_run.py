@@ -131,7 +131,7 @@ def foresee(
 
 def _foreseen(wanted: Wanted, cache: Cache, results: Results) -> tuple[Foreseen, ...]:
     scan, size = wanted.scan, megapixels(wanted.scan)
-    sources = sources_of(scan, wanted.photos)
+    sources = sources_of(scan, wanted.config, wanted.photos)
     writers = {stage.writes: stage.name for stage in wanted.plan}
     entries = sorted(cache.ls(), key=lambda entry: -entry.last_used.timestamp())
     earlier = [entry.manifest for entry in entries if entry.problem is None]

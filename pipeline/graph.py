@@ -7,7 +7,8 @@ pairs ──depth──▶ frames ──────────fuse──▶ fu
                                                                           └─tiles─▶ tileset
 (upright makes `standing` of clean, and of the plane that fuse may have left out; all read it that write glTF
 or tiles: texture, bake, tiles, export; export makes of simplified, or textured, what other programs open)
-(an RGB-D scan is frames from the start, and has no depth stage; single views with poses go the way of pairs;
+(an RGB-D scan is frames from the start, and has no depth stage, unless a network fills in its depth; single
+views with poses go the way of pairs; depth reads the `network` of `depth.model`, if it is set;
 register is there where poses are missing; adjust where frames have colour and measured depth, from what
 register found; texture where frames have colour; bake, remesh and lod if they are enabled; bake reads clean,
 too, tiles clean and textured; texture, lod, tiles and report what fuse reads, and report frames that were
@@ -71,6 +72,8 @@ from stages.texturing.texture import texture
 HELD_OUT = "held_out"
 # And under this one the texture reads other photos than the frames'.
 PHOTOS = "photos"
+# And under this one depth reads a network of the user's own, and what stands beside it.
+NETWORK = "network"
 
 # What stages read beside the scan: see `pipeline.digest.label_digests`.
 LABELS = ("names", "times", "world")
@@ -246,7 +249,7 @@ def _scan(job: Job) -> Scan:
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="depth",
-        reads=("pairs", "names", "world"),
+        reads=("pairs", "names", "world", NETWORK),
         writes="frames",
         sections=("depth",),
         make=_depth,

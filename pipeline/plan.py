@@ -7,16 +7,18 @@ from dataclasses import replace
 
 from pipeline.config import Config
 from pipeline.engine import Stage
-from pipeline.graph import HELD_OUT, LABELS, PHOTOS, STAGES
+from pipeline.graph import HELD_OUT, LABELS, NETWORK, PHOTOS, STAGES
 from stages.scans.scan import Scan
 
 
 def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
     """Return the stages a scan goes through: not those of `left_out`, and what they write is not read."""
     stages = [stage for stage in STAGES if stage.name not in left_out(scan, config)]
-    there = {source_of(scan), *(stage.writes for stage in stages)}
+    there = {source_of(scan, config), *(stage.writes for stage in stages)}
     if scan.held_out:
         there.add(HELD_OUT)
+    if config.depth.model is not None:
+        there.add(NETWORK)
     has_photos = config.texture.images is not None
     plan = []
     for stage in stages:
@@ -26,7 +28,7 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
         if stage.name == "tiles" and not config.tiles.images:
             stage = replace(stage, reads=tuple(name for name in stage.reads if name != "textured"))
         # Frames that the depth stage left are numbered, and have no times.
-        labels = LABELS if source_of(scan) in stage.reads else ()
+        labels = LABELS if source_of(scan, config) in stage.reads else ()
         plan.append(
             replace(stage, reads=tuple(name for name in stage.reads if name in there or name in labels))
         )
@@ -36,7 +38,7 @@ def plan_for(scan: Scan, config: Config) -> Sequence[Stage]:
 def left_out(scan: Scan, config: Config) -> Mapping[str, str]:
     """Return the stages a scan does not go through, and why."""
     reasons = {}
-    if source_of(scan) == "frames":
+    if source_of(scan, config) == "frames":
         reasons["depth"] = "is not a stage of this scan: it is RGB-D, its depth is measured already"
     if not is_registered(scan, config):
         why = (
@@ -90,6 +92,8 @@ def is_adjusted(scan: Scan, config: Config) -> bool:
     return any(frame.color is not None for frame in scan.frames)
 
 
-def source_of(scan: Scan) -> str:
+def source_of(scan: Scan, config: Config) -> str:
     """Return the name under which stages read this scan."""
-    return "pairs" if scan.is_stereo or scan.is_views else "frames"
+    is_measured = not (scan.is_stereo or scan.is_views)
+    # A network fills in what was measured, too.
+    return "frames" if is_measured and config.depth.model is None else "pairs"

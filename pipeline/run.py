@@ -229,7 +229,9 @@ def _run(wanted: Wanted, cache: Cache, overwrite: bool, events: Events) -> RunRe
     with explained(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)
     cache.remove_abandoned()
-    sources = sources_of(scan, wanted.photos, lambda done, total: events(StageProgress("scan", done, total)))
+    sources = sources_of(
+        scan, config, wanted.photos, lambda done, total: events(StageProgress("scan", done, total))
+    )
     with Engine(
         wanted.plan,
         config,

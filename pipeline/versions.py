@@ -21,7 +21,9 @@ from stages.normal_meshes.remesh import remesh
 from stages.simplification.auto import chosen
 from stages.simplification.methods import METHODS
 from stages.simplification.simplify import simplify
+from stages.stereo.by_network import network_of
 from stages.stereo.depth import depth_scan
+from stages.stereo.networks.network import Network
 
 Versions = Callable[[Mapping[str, Any], Config], Mapping[str, int]]
 
@@ -37,10 +39,11 @@ def of(*functions: Callable[..., Any]) -> Versions:
     return lambda inputs, config: _stated(*functions)  # noqa: ARG005
 
 
-def of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001
+def of_depth(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:
     """Return the versions of what `depth` runs."""
+    network = {} if config.depth.model is None else _stated(network_of, Network)
     # Views are matched in pairs, each as depth_scan does it.
-    return _stated(depth_scan, measure_of(inputs["pairs"]))
+    return {**_stated(depth_scan, measure_of(inputs["pairs"])), **network}
 
 
 def of_adjust(inputs: Mapping[str, Any], config: Config) -> Mapping[str, int]:  # noqa: ARG001

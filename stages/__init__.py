@@ -51,7 +51,9 @@ if TYPE_CHECKING:
     from stages.simplification.records.steps import ReplayParams
     from stages.simplification.regions import Box, Sphere
     from stages.simplification.simplify import Simplified, SimplifyParams, simplify
-    from stages.stereo.depth import DepthMap, DepthParams, depth, depth_scan
+    from stages.stereo.completed_scan import completed_scan
+    from stages.stereo.depth import DepthParams, depth, depth_scan
+    from stages.stereo.depth_map import DepthMap
     from stages.stereo.disparity import Disparity, stereo_disparity
     from stages.stereo.views_depth import views_depth
     from stages.surface.cloud_files import read_cloud
@@ -101,7 +103,9 @@ _NAMES_OF = {
     "simplification.records.steps": ("ReplayParams",),
     "simplification.regions": ("Box", "Sphere"),
     "simplification.simplify": ("Simplified", "SimplifyParams", "simplify"),
-    "stereo.depth": ("DepthMap", "DepthParams", "depth", "depth_scan"),
+    "stereo.completed_scan": ("completed_scan",),
+    "stereo.depth": ("DepthParams", "depth", "depth_scan"),
+    "stereo.depth_map": ("DepthMap",),
     "stereo.disparity": ("Disparity", "stereo_disparity"),
     "stereo.views_depth": ("views_depth",),
     "surface.cloud_files": ("read_cloud",),
@@ -193,6 +197,7 @@ __all__ = [
     "clean",
     "compare",
     "compare_views",
+    "completed_scan",
     "decode",
     "depth",
     "depth_scan",

@@ -32,6 +32,7 @@ __all__ = [
     "TexturedSurface",
     "View",
     "WeldedSheets",
+    "agreeing",
     "assemble_front",
     "build_levels",
     "certify",
@@ -42,6 +43,7 @@ __all__ = [
     "encode_rows",
     "encode_triangles",
     "fit",
+    "inside_all",
     "intersecting_triangles",
     "lay_out",
     "match_pair",
@@ -55,6 +57,7 @@ __all__ = [
     "simplify_seams",
     "spatial_order",
     "strip_order",
+    "sweep_planes",
     "texels",
     "weighted_medians",
     "weld_sheets",
@@ -478,6 +481,50 @@ def match_pair(
     Disparity of the left image, px; of the right image, whole px, NaN where the left shows nothing of it;
     the sum of costs of the best, by how much the second best is more, and the cost of the best alone.
     """
+
+def sweep_planes(
+    grey: NDArray[np.uint8],
+    partners: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]],
+    first: NDArray[np.int32],
+    count: NDArray[np.uint16],
+    *,
+    planes: int,
+    wanted_threads: int,
+) -> tuple[NDArray[np.float32], NDArray[np.int16], NDArray[np.int16]]:
+    """Find the plane, of `count` from `first` on, on which each pixel of a view lies.
+
+    Parameters
+    ----------
+    partners : warped images (h', w'), what of them is shown (0 nothing, 1 the scene, 2 nothing of the thing),
+        and (planes, 3) maps: on a plane (x, y) of the view is seen at (s·x + a, s·y + b), as s, a, b.
+    first, count : (h, w); `count` is a multiple of 16.
+
+    Returns
+    -------
+    The plane's number with a fraction, by how much the next best sum of costs is more, and the cost alone.
+    """
+
+def agreeing(
+    depth: NDArray[np.float32],
+    others: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
+    *,
+    tolerances: tuple[float, float],
+    wanted_threads: int,
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Count the other views whose depth maps say the same, within two shares of depth.
+
+    Parameters
+    ----------
+    others : (3, 4) matrices from (u z, v z, z, 1) to (u' z', v' z', z'), and depth maps.
+    """
+
+def inside_all(
+    depth: NDArray[np.float32],
+    masks: Sequence[tuple[NDArray[np.float64], NDArray[np.bool_]]],
+    *,
+    wanted_threads: int,
+) -> NDArray[np.bool_]:
+    """Return which places lie in the masks of all views that look at them; matrices as of `agreeing`."""
 
 def weighted_medians(
     image: NDArray[np.uint8],

@@ -37,6 +37,7 @@ OF_EXTRAS = {
     "stages/exporting/usd.py": {"pxr": "usd-core"},
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},
+    "stages/stereo/networks/serving.py": {"onnxruntime": "onnxruntime"},
     "stages/picturing/plots.py": {"matplotlib": "matplotlib"},
 }
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")

@@ -26,14 +26,17 @@ def depth(
 ) -> None:
     """Match the pairs or single views of a scan: depth maps, confidence and a coloured point cloud.
 
+    With --model a network of your own does it, or fills in what was not measured.
+
     OUTDIR is then a scan folder itself, which `scanloom fuse` reads.
 
     Example: scanloom depth my_pairs my_depth --max-depth 30
     """
-    from pipeline.depth_maps import write_depth_maps
+    from pipeline.depth_maps import measure_of, write_depth_maps
 
     source = read_scan(folder, scan, out)
-    measure = stages.views_depth if source.is_views else stages.depth_scan
+    # Depth that was measured needs no matching; a network may fill it in.
+    measure = stages.depth_scan if params.model is None and not source.is_views else measure_of(source)
     with new_folder(target) as draft, out.progress("depth", "pairs") as progress:
         figures = write_depth_maps(draft, measure(source, params, progress), source)
     tell_skipped(out, "depth", figures["frames_skipped"])

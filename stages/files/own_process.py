@@ -47,11 +47,9 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
     DiedError
         If it ended without an answer.
     """
-    code = _START.format(path=sys.path, module=module)
-    command = [sys.executable, "-c", code, str(seconds), *words]
     try:
         ran = subprocess.run(
-            command,
+            _command(module, [str(seconds), *words]),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -69,6 +67,20 @@ def asked(module: str, words: Sequence[str], seconds: float) -> dict[str, Any]:
         raise InputError(said["error"])
     answer: dict[str, Any] = said["answer"]
     return answer
+
+
+def started(module: str, words: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Start another Python that runs `main` of one of our modules, to be asked many times through its pipes.
+
+    It calls `limit_memory` itself; whoever asks ends it, also where an answer takes too long.
+    """
+    return subprocess.Popen(
+        _command(module, words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+
+
+def _command(module: str, words: Sequence[str]) -> list[str]:
+    return [sys.executable, "-c", _START.format(path=sys.path, module=module), *words]
 
 
 def answer(work: Callable[[list[str]], Mapping[str, Any]]) -> None:
@@ -94,12 +106,20 @@ def _limit(seconds: float) -> None:
         import resource
 
         _lower(resource.RLIMIT_CPU, int(seconds) + 1)
+        limit_memory(_MEMORY)
+
+
+def limit_memory(most: int) -> None:
+    """Take no more than so many bytes from here on, where the system has such limits."""
+    if sys.platform != "win32":
+        import resource
+
         _lower(resource.RLIMIT_CORE, 0)
         try:
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         except (OSError, ValueError, IndexError):  # nothing tells how much it has
             return
-        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + _MEMORY)
+        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + most)
 
 
 if sys.platform != "win32":

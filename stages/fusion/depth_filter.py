@@ -63,10 +63,7 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
     max_angle : degrees between the line of sight and the surface's normal.
     """
-    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
-    depth = depth.copy()
-    for axis in (1, 0):
-        _bridge(depth, inverse, axis, max_jump)
+    depth, inverse = bridged(depth, max_jump)
     torn = np.zeros(depth.shape, bool)
     across, down = _differences(inverse, 1, max_jump, torn), _differences(inverse, 0, max_jump, torn)
     rays = _rays(camera)
@@ -92,6 +89,15 @@ def surface(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: fl
     too_oblique = obliqueness * rays.length * np.float32(np.cos(np.radians(max_angle))) > 1
     depth[torn | too_oblique] = 0
     return Surface(depth, normal, obliqueness)
+
+
+def bridged(depth: DepthImage, max_jump: float) -> tuple[DepthImage, Image]:
+    """Return depth without gaps of one pixel between depths that agree, and its inverse; see `surface`."""
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    depth = depth.copy()
+    for axis in (1, 0):
+        _bridge(depth, inverse, axis, max_jump)
+    return depth, inverse
 
 
 def _bridge(depth: DepthImage, inverse: Image, axis: int, max_jump: float) -> None:

@@ -18,6 +18,7 @@ from stages.fusion.plan import make_plan
 from stages.fusion.posed_depth import PosedDepth, read_matching_color, read_posed_depth
 from stages.fusion.support import Support
 from stages.fusion.survey import Noise
+from stages.fusion.upsampling import upsampled_alone, upsampled_frame
 from stages.fusion.voxels import Layer, Volume
 from stages.params import resolve
 from stages.printing import by_figures, table
@@ -29,7 +30,7 @@ from stages.surface.mesh import Mesh
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,6 +53,7 @@ class Fused:
     support : the plane that was left out, with what is below it.
     outside : how many frames show nothing of what was fused; they are not among `frames`.
     warnings : of what was left out.
+    upsampled : how many times as wide the depth maps were made first; 1 for not at all.
     """
 
     mesh: Mesh
@@ -70,6 +72,7 @@ class Fused:
     support: Support | None
     outside: int
     warnings: tuple[str, ...]
+    upsampled: int = 1
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -81,6 +84,7 @@ class Fused:
             "truncation_m": self.truncation,
             "max_depth_m": self.max_depth,
             "min_weight_frames": self.min_weight,
+            "depth_upsampled_times": self.upsampled,
             "depth_noise_constant_m": self.noise.constant,
             "depth_noise_quadratic_per_m": self.noise.quadratic,
             "frames_used": self.frames,
@@ -168,6 +172,8 @@ def fuse(
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     where = scan.folder if isinstance(scan, Scan) else None
     _require_usable(frames, where)
+    measured, frames = frames, list(upsampled_alone(frames, params))
+    is_larger = params.upsample == "guided" or frames[0] is not measured[0]
     threads = workers()
     plan = make_plan(frames, params, where, threads)
     color = params.color and any(frame.color is not None for frame in frames)
@@ -183,6 +189,8 @@ def fuse(
 
     def prepare(frame: Frame) -> _Prepared | SkippedFrame:
         try:
+            if params.upsample == "guided" and not plan.is_lone:
+                frame = upsampled_frame(frame, params)
             view = read_posed_depth(frame, plan.limits)
             here = plan.fused(view)
             image = read_matching_color(frame, view.surface.depth) if color and here.any() else None
@@ -242,6 +250,7 @@ def fuse(
         support=plan.support,
         outside=outside,
         warnings=plan.warnings,
+        upsampled=params.upsample_factor if is_larger else 1,
     )
 
 

@@ -101,6 +101,14 @@ class FuseParams:
         low=0,
         group=_CROP,
     )
+    upsample: str = param(
+        "auto",
+        "Small depth maps are made larger before they are fused, by the photo where it tells near from far: "
+        "guided does it to all, off to none; auto to that of a frame alone whose photo is so much larger. "
+        "Voxels of several frames stay as large as they were, and have to be made smaller for a gain.",
+        choices=("auto", "off", "guided"),
+    )
+    upsample_factor: int = param(2, "How many times as wide and as high they become.", low=2, high=8)
     color: bool = param(True, "Give the mesh vertex colours, when the frames have colour.")
     max_bad_share: float = param(
         0.2, "Share of frames that may be unusable (damaged, without pose or depth).", low=0, high=1
@@ -139,6 +147,8 @@ class FuseKeywords(TypedDict, total=False):
     center: Point | None
     remove_plane: bool
     plane_margin: float | None
+    upsample: str
+    upsample_factor: int
     color: bool
     max_bad_share: float
     memory: float

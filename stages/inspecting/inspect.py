@@ -20,6 +20,7 @@ from stages.fusion.params import FuseParams
 from stages.fusion.plan import Plan, make_plan
 from stages.fusion.posed_depth import read_matching_color
 from stages.fusion.scene import Scene, in_words
+from stages.fusion.upsampling import upsampled_alone
 from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
 from stages.inspecting.unused import Unused, unused
@@ -360,7 +361,8 @@ def _least_sharp(scan: Scan) -> tuple[tuple[tuple[str, float], ...], list[str]]:
 
 def _plan(scan: Scan) -> Plan | None:
     try:
-        return make_plan(scan.frames, FuseParams(), scan.folder, workers())
+        params = FuseParams()
+        return make_plan(upsampled_alone(scan.frames, params), params, scan.folder, workers())
     except InputError:
         return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError, UsageError
 from stages.params import resolve
-from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.scans import images
 from stages.scans.prefetch import read_ahead
-from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame, StereoRig
+from stages.stereo.by_network import completed, network_disparity, network_of, warnings_of
 from stages.stereo.confidence import confidence
+from stages.stereo.depth_map import DepthMap
 from stages.stereo.disparity import stereo_disparity
 from stages.stereo.matching import (
     LARGEST_DISPARITY,
@@ -33,6 +34,7 @@ from stages.stereo.matching import (
     projected,
     textured,
 )
+from stages.stereo.networks.network import Network
 from stages.stereo.pairs import pair_warnings, require_pair
 from stages.stereo.params import CENSUS, DepthKeywords, DepthParams
 from stages.stereo.rectify import RectifiedRig, rectified_rig
@@ -58,54 +60,6 @@ _ALONE = (128, 20)
 _AMONG_OTHERS = (16, 5)
 # The same of our own matcher, whose confidence is a probability.
 _SURE_ALONE, _SURE_AMONG_OTHERS = 204, 128
-
-
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """Depth of a rectified left image.
-
-    Attributes
-    ----------
-    depth : (h, w) float32 metres along the optical axis; 0 where there is none to be trusted.
-    confidence : (h, w) uint8, 0 (no measurement) to 255.
-    disparity : (h, w) float32 pixels, x of the left less x of the right image; NaN where there is none.
-    color : (h, w, 3) uint8 RGB, the rectified left image.
-    camera : of the rectified left image.
-    rectified_from_left : (3, 3) float64, the turn from the calibrated camera's axes to the rectified ones'.
-    search : the disparities that were tried.
-    min_depth, max_depth : metres, the range that could be measured: of the disparities that were tried, or
-        up to where the expected error or the parameter ends it.
-    warnings : what is odd about the pair, in plain sentences.
-    """
-
-    depth: DepthImage
-    confidence: NDArray[np.uint8]
-    disparity: NDArray[np.float32]
-    color: ColorImage
-    camera: Camera
-    rectified_from_left: NDArray[np.float64]
-    search: SearchRange
-    min_depth: float
-    max_depth: float
-    warnings: tuple[str, ...] = ()
-
-    __repr__ = by_figures
-    _repr_html_ = table
-
-    def figures(self) -> dict[str, Any]:
-        """Return what was derived and what came out, for reports."""
-        used = self.depth > 0
-        return {
-            "width_px": self.camera.width,
-            "height_px": self.camera.height,
-            "lowest_disparity_px": self.search.lowest,
-            "disparities_px": self.search.count,
-            "min_depth_m": self.min_depth,
-            "max_depth_m": self.max_depth,
-            "matched_share": float(np.count_nonzero(self.confidence) / self.confidence.size),
-            "used_share": float(np.count_nonzero(used) / used.size),
-            "median_depth_m": float(np.median(self.depth[used])) if used.any() else None,
-        }
 
 
 def depth(
@@ -141,7 +95,8 @@ def depth(
     Hirschmüller 2008 (semi-global matching); Min et al. 2014 (the optional smoothing).
     """
     params = resolve(DepthParams, params, changes)
-    stage = PairStage(rectified_rig(rig), params, pairs=1, stated=rig.disparities)
+    network = network_of(params)
+    stage = PairStage(rectified_rig(rig), params, pairs=1, stated=rig.disparities, network=network)
     pair = stage.rectified(left, right)
     return stage.measure(*pair, stage.warnings(*pair))
 
@@ -166,7 +121,13 @@ def depth_scan(
     params = resolve(DepthParams, params, changes)
     if scan.rig is None:
         raise InputError("the scan has no stereo pairs; its depth maps need no matching.", scan.folder)
-    stage = PairStage(rectified_rig(scan.rig), params, pairs=len(scan.frames), stated=scan.rig.disparities)
+    stage = PairStage(
+        rectified_rig(scan.rig),
+        params,
+        pairs=len(scan.frames),
+        stated=scan.rig.disparities,
+        network=network_of(params),
+    )
     warnings = _first_warnings(stage, scan)
     threads = params.threads or os.cpu_count() or 1
     total = len(scan.frames)
@@ -241,14 +202,25 @@ class PairStage:
     ----------
     pairs : how many measurements look at a surface: from three on, each may be less sure.
     stated : the number of disparities that the calibration itself states, or None.
+    network : the user's own, that of `model`. One of pairs stands in for the matcher; one of single images
+        fills in what is not measured.
     """
 
-    def __init__(self, rig: RectifiedRig, params: DepthParams, pairs: int, stated: int | None = None) -> None:
+    def __init__(
+        self,
+        rig: RectifiedRig,
+        params: DepthParams,
+        pairs: int,
+        stated: int | None = None,
+        network: Network | None = None,
+    ) -> None:
         self.params = params
+        self.network = network
+        self.is_by_network = network is not None and network.is_stereo
         derived = _AMONG_OTHERS if pairs >= _SEVERAL else _ALONE
         given = params.min_confidence, params.uniqueness
         least, uniqueness = (d if g is None else g for d, g in zip(derived, given, strict=True))
-        self.is_own = params.matcher == CENSUS
+        self.is_own = params.matcher == CENSUS and not self.is_by_network
         if self.is_own and params.min_confidence is None:
             least = _SURE_AMONG_OTHERS if pairs >= _SEVERAL else _SURE_ALONE
         # Of several pairs, as many are matched at a time as there are cores.
@@ -264,8 +236,14 @@ class PairStage:
             params.prefilter_cap,
             uniqueness,
         )
-        self.search = _search_range(rig, params, stated)
-        self.narrow = params.min_depth is None and params.disparities is None and stated is None
+        # A network searches in its own way: what it finds is only refused where it cannot be.
+        self.search = _search_range(rig, params, stated, 1.0 if self.is_by_network else _WIDEST)
+        self.narrow = (
+            not self.is_by_network
+            and params.min_depth is None
+            and params.disparities is None
+            and stated is None
+        )
         self.max_depth = _depth_bound(rig, params)
 
     def rectified(
@@ -288,14 +266,17 @@ class PairStage:
         """Match a pair whose rows correspond."""
         pair = _grey(left), _grey(right)
         search = narrowed(*pair, self.search, self.matcher) if self.narrow else self.search
-        if self.is_own:
+        if self.network is not None and self.is_by_network:
+            disparity, trust = network_disparity(self.network, left, right, self.rig, search, self.params)
+            warnings = (*warnings, *warnings_of(self.network, trust))
+        elif self.is_own:
             disparity, trust = self._own(left, right, pair, search)
         else:
             disparity, trust = self._matched(left, pair, search)
         near = self.params.min_depth or 0.0
         if self.params.refine and not self.params.smooth:
             disparity = refined(*pair, disparity, trust >= self.least_confidence)
-        return DepthMap(
+        measured = DepthMap(
             self._depth(disparity, trust),
             trust,
             disparity,
@@ -307,6 +288,9 @@ class PairStage:
             self.max_depth,
             warnings,
         )
+        if self.network is None or self.is_by_network:
+            return measured
+        return completed(measured, self.network, self.params)
 
     def _own(
         self, left: _Image, right: _Image, pair: tuple[_Image, _Image], search: SearchRange
@@ -365,8 +349,14 @@ def _depth_bound(rig: RectifiedRig, params: DepthParams) -> float:
     return min(bound, params.max_depth) if params.max_depth is not None else bound
 
 
-def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None) -> SearchRange:
-    """Return the disparities of the depth range; `stated` is the calibration's own number of them, from 0."""
+def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None, widest: float) -> SearchRange:
+    """Return the disparities of the depth range.
+
+    Parameters
+    ----------
+    stated : the calibration's own number of them, from 0.
+    widest : where nothing tells the nearest depth, the largest of them as a share of the width.
+    """
     width, offset = rig.left.width, rig.principal_offset
     # Rays are parallel at disparity −offset: nothing lies beyond.
     parallel = 0.0 if params.max_depth is None else rig.focal_baseline / params.max_depth
@@ -379,7 +369,7 @@ def _search_range(rig: RectifiedRig, params: DepthParams, stated: int | None) ->
         lowest = max(lowest, 0)
         highest = stated - 1.0
     else:
-        highest = max(lowest, 0) + width * _WIDEST
+        highest = max(lowest, 0) + width * widest
     # At the image's width nothing of the scene is in both images.
     limit = min(width - 1, LARGEST_DISPARITY)
     if lowest > limit or highest < lowest:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TypedDict
 
@@ -60,7 +61,7 @@ class DepthParams:
         None,
         "Pixels of lower confidence get no depth; 128 is a spread of about 1.5 px. Default: 128 for one or "
         "two pairs; 16 for more, since fusion drops what only one of them says. Of matcher census it is 255 "
-        "times the probability of being right: 204, or 128",
+        "times the probability of being right: 204, or 128; that of views that are swept is so, too: 204",
         low=0,
         high=255,
     )
@@ -70,6 +71,40 @@ class DepthParams:
         "erring a little less for twice the time; sgbm along five and hh along eight, for no gain. census is "
         "our own, which covers more, with confidences that are probabilities, for six times the time",
         choices=("3way", "sgbm", "hh4", "hh", CENSUS),
+    )
+    model: str | None = param(
+        None,
+        "File of a network of your own, FILE.onnx, with FILE.toml beside it (`scanloom probe` guesses "
+        "it), run by onnxruntime (`scanloom[network]`). One of pairs takes the matcher's place; what left "
+        "and right do not agree on is no depth. One of single images fills in depth where none was "
+        "measured, with scale and shift as measured depth has them, of confidence 1",
+        # What is in the file and beside it decides, not its name.
+        invalidates=False,
+    )
+    model_error: float = param(
+        0.1,
+        "A network of single images fills in depth where what it says of the mirrored image differs by less "
+        "than this share, and in images where it differs from measured depth by less in the median",
+        low=0,
+        low_open=True,
+        high=1,
+    )
+    model_memory: float = param(
+        8000,
+        "A network is given up that takes more; as many run at once as pairs are matched at the same time",
+        unit="MB",
+        low=100,
+        high=1e7,
+        invalidates=False,
+    )
+    model_seconds: float = param(
+        600,
+        "A network is given up that takes longer for an image or a pair, or to be loaded",
+        unit="s",
+        low=0,
+        low_open=True,
+        high=1e6,
+        invalidates=False,
     )
     disparities: int | None = param(
         None,
@@ -221,18 +256,34 @@ class DepthParams:
                 f"min_depth is {self.min_depth:g} m; it must be below max_depth, {self.max_depth:g} m."
             )
         if self.matcher == CENSUS:
-            defaults = {one.name: one.default for one in fields(self)}
-            idle = [name for name in _OF_OTHERS if getattr(self, name) != defaults[name]]
-            if idle:
-                raise UsageError(f"{', '.join(idle)} has no effect with matcher {CENSUS}; leave it out.")
+            self.require_default(_OF_OTHERS, f"matcher {CENSUS}")
         if self.penalties[0] >= self.penalties[1]:
             raise UsageError(f"p1 is {self.penalties[0]}; it must be below p2, {self.penalties[1]}.")
+
+    def require_default(self, names: Sequence[str], where: str) -> None:
+        """Raise UsageError for a parameter that was set and would do nothing."""
+        defaults = {one.name: one.default for one in fields(self)}
+        idle = [name for name in names if getattr(self, name) != defaults[name]]
+        if idle:
+            raise UsageError(f"{', '.join(idle)} has no effect with {where}; leave it out.")
 
     @property
     def penalties(self) -> tuple[int, int]:
         """Return p1 and p2 as used."""
         area = self.block_size**2
         return 16 * area if self.p1 is None else self.p1, 32 * area if self.p2 is None else self.p2
+
+
+# What views that are swept have no use for.
+OF_PAIRS = (
+    "max_relative_depth_error",
+    "disparity_sigma",
+    "matcher",
+    "disparities",
+    *_OF_OTHERS,
+    "min_texture",
+    "refine",
+)
 
 
 class DepthKeywords(TypedDict, total=False):
@@ -244,6 +295,10 @@ class DepthKeywords(TypedDict, total=False):
     disparity_sigma: float
     min_confidence: int | None
     matcher: str
+    model: str | None
+    model_error: float
+    model_memory: float
+    model_seconds: float
     disparities: int | None
     block_size: int
     p1: int | None

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.scans.scan import Camera, DepthImage, scaled
+from stages.stereo.plane_fit import Seen, refined
 from stages.stereo.posed_views import PosedView
 
 Grey = NDArray[np.uint8]
@@ -38,7 +39,7 @@ _BEYOND = 3
 _DISTINCT = 0.3
 # Found around a pixel, px each way: surely found, and else farther off.
 _NEAR, _WIDE = 1, 5
-# A warped partner may be so many times as large as the view: parallax moves what it shows to beyond its edges.
+# A warped partner may be so many times as large as the view: parallax moves what it shows beyond its edges.
 _LARGEST_AREA = 3.0
 # Rays at which parallax is looked at: so many a row and a column.
 _GRID = 5
@@ -51,28 +52,13 @@ _ROOM = 32
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A view and its undistorted image.
-
-    Attributes
-    ----------
-    grey : (h, w) uint8.
-    thing : (h, w), where the thing is that masks cut out of all views; what lies elsewhere is no part of it.
-    """
-
-    view: PosedView
-    grey: Grey
-    thing: Mask | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class Swept:
     """What a sweep found.
 
     Attributes
     ----------
     depth : (h, w) float32 metres along the optical axis; 0 only where the view's masks leave nothing.
-    distinct : (h, w) float32 from 0 to 1, how much worse the best other plane is; one half at a margin of 120.
+    distinct : (h, w) float32 from 0 to 1, how much worse the next plane is; one half at a margin of 120.
     planes : how many were tried.
     """
 
@@ -120,7 +106,8 @@ def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept
         )
         distinct = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)
     found = np.zeros(whole, np.float32), np.zeros(whole, np.float32)
-    found[0][rows, columns] = 1 / (1 / view.far + plane * step)
+    inverse_depth = (1 / view.far + plane * step).astype(np.float32)
+    found[0][rows, columns] = 1 / refined(main, partners, inverse_depth, step)
     found[1][rows, columns] = distinct
     return Swept(*found, planes)
 
@@ -195,12 +182,12 @@ def _halved(one: Seen, times: int) -> Seen:
 def _warped(
     view: PosedView, partner: Seen, inverse: NDArray[np.float64], count: int
 ) -> tuple[Grey, Grey, Map]:
-    """Return a partner's image as the plane in the middle maps it into the view, what of it is shown, and the
-    map of each plane.
+    """Return a partner's image in the view, what of it is shown, and the map of each plane.
 
-    A pixel of ray r, of z = 1, on the plane of inverse depth ρ is where the partner, which stands at c in
-    the view's axes, sees the direction r - ρ c. On the plane ρ₀ the ray r' is seen there for which
-    r' - ρ₀ c is the same direction: r' = s r + (ρ₀ - s ρ) c with s = (1 - ρ₀ c_z) / (1 - ρ c_z).
+    The plane in the middle maps the image. A pixel of ray r, of z = 1, on the plane of inverse depth ρ is
+    where the partner, which stands at c in the view's axes, sees the direction r - ρ c. On the plane ρ₀ the
+    ray r' is seen there for which r' - ρ₀ c is the same direction: r' = s r + (ρ₀ - s ρ) c with
+    s = (1 - ρ₀ c_z) / (1 - ρ c_z).
     """
     import cv2
 
@@ -231,7 +218,7 @@ def _warped(
     # No larger than it must be, and not larger than it may: then what moves farther is not seen.
     room = (math.sqrt(_LARGEST_AREA) - 1) / 2 * np.array((camera.width, camera.height))
     low = np.floor(np.maximum(low, -room)).astype(int)
-    high = np.ceil(np.minimum(high, (camera.width - 1, camera.height - 1) + room)).astype(int)
+    high = np.ceil(np.minimum(high, corners[-1] + room)).astype(int)
     size = tuple(int(n) for n in np.maximum(high - low + 1, 1))
     # From pixels of the warped image to the partner's.
     back = other.world_from_camera[:3, :3].T @ turn
@@ -257,7 +244,8 @@ def _ranges(
 
     known = distinct >= _DISTINCT
     none = np.float32(planes)
-    low = high = np.full(plane.shape, np.nan, np.float32)
+    low: Map = np.full(plane.shape, np.nan, np.float32)
+    high: Map = low
     for reach in (_NEAR, _WIDE):
         kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         least = cv2.erode(np.where(known, plane, none), kernel)
@@ -269,11 +257,11 @@ def _ranges(
     # What was found there itself lies within.
     low, high = np.minimum(low, plane), np.maximum(high, plane)
     size = (shape[1], shape[0])
-    low, high, own = (
+    least, most, own = (
         2 * cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
         for one in (low, high, plane)
     )
-    first, end = np.floor(low) - _BEYOND, np.ceil(high) + _BEYOND + 1
+    first, end = np.floor(least) - _BEYOND, np.ceil(most) + _BEYOND + 1
     wide = np.ceil((end - first) / _LANES) * _LANES
     # Too wide a range is cut about the pixel's own.
     cut = wide > _MOST

@@ -70,7 +70,7 @@ class PosedView:
         return seen[..., 0] / z * camera.fx + camera.cx, seen[..., 1] / z * camera.fy + camera.cy, z
 
     def pixels_to(self, other: PosedView) -> NDArray[np.float64]:
-        """Return the (3, 4) matrix from (u z, v z, z, 1) to the other view's pixel times its depth, and depth."""
+        """Return the (3, 4) matrix from (u z, v z, z, 1) to (u' z', v' z', z') of another view."""
         turn = other.world_from_camera[:3, :3].T
         into = other.camera.matrix @ turn
         rotation = into @ self.world_from_camera[:3, :3] @ np.linalg.inv(self.camera.matrix)

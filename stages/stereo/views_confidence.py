@@ -1,4 +1,4 @@
-"""How sure the depth of a view among others is: a probability, from what the sweep and the other views say."""
+"""How sure the depth of a view among others is: a probability, of what the sweep and other views say."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ _SPREAD = -0.33
 _MARGINS, _TEXTURES, _AROUND = 9, 15, 5
 # The longer side of the images of the regression, px.
 _USUAL_PX = 640
+# A thing's texture counts as this at least.
+_OF_A_THING = 2.0
 # Texture of more, and a wider spread of inverse depth, say no more.
 _MOST_TEXTURE = 3.0
 _MOST_SPREAD = 0.5
@@ -33,6 +35,7 @@ def views_confidence(
     grey: NDArray[np.uint8],
     agreeing: NDArray[np.uint8],
     nearly: NDArray[np.uint8],
+    is_outlined: bool = False,
 ) -> NDArray[np.uint8]:
     """Return 255 times the probability that depth is right within 5 %; 0 where there is none.
 
@@ -42,13 +45,15 @@ def views_confidence(
     distinct : (h, w) uint8, 255 times that of the sweep.
     grey : (h, w) uint8, the image.
     agreeing, nearly : (h, w) uint8, how many other views have the same depth, and nearly the same.
+    is_outlined : the view's depth is that of a thing that is told from what is behind it. A plain place of a
+        thing lies on it, where a plain background may lie anywhere.
     """
     import cv2
 
     share = distinct.astype(np.float32) / 255
     margin = np.minimum(HALF_MARGIN * share / np.maximum(1 - share, 1e-3), _LARGEST_MARGIN)
     margins = cv2.boxFilter(np.log1p(margin / _PATHS).astype(np.float32), -1, (_MARGINS, _MARGINS))
-    texture = np.minimum(np.log1p(_texture(grey)), _MOST_TEXTURE)
+    texture = np.clip(np.log1p(_texture(grey)), _OF_A_THING if is_outlined else 0, _MOST_TEXTURE)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     kernel = np.ones((_AROUND, _AROUND), np.uint8)
     # What has no depth is neither the nearest nor the farthest around.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,30 +19,31 @@ from stages.params import resolve
 from stages.progress import Progress, silent
 from stages.registration.sift import Keypoints, keypoints
 from stages.scans.depth_range import Range, range_of_points
-from stages.scans.images import read_color, read_mask, read_pinhole, read_seen
+from stages.scans.images import read_seen
 from stages.scans.prefetch import read_ahead
-from stages.scans.scan import ColorImage, DepthImage, Frame, Packed, Scan, SkippedFrame
-from stages.stereo.agreement import agreeing_views, merged
+from stages.scans.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
+from stages.stereo.agreement import agreeing_views
+from stages.stereo.by_network import completed, network_of
 from stages.stereo.coverage import Counts, with_warning
-from stages.stereo.depth import DepthMap, PairStage
+from stages.stereo.depth_map import DepthMap
 from stages.stereo.kept_maps import KeptMaps
 from stages.stereo.matching import SearchRange
-from stages.stereo.params import SWEEP, DepthKeywords, DepthParams
+from stages.stereo.params import OF_PAIRS, SWEEP, DepthKeywords, DepthParams
 from stages.stereo.partners import partners
-from stages.stereo.plane_sweep import Seen, plane_sweep
 from stages.stereo.posed_views import PosedView, posed_views
 from stages.stereo.recognised import Recognised, neighbours, recognised
 from stages.stereo.reduced import reduced
 from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
-from stages.stereo.shown import Outline, grown, in_hull, outline_of, shown
-from stages.stereo.turned import Corners, corners, turned
+from stages.stereo.shown import in_hull, outline_of
+from stages.stereo.turned_back import turned_back
+from stages.stereo.view_images import color_of, grey_of
+from stages.stereo.view_matching import measured_view
 from stages.stereo.views_confidence import views_confidence
-from stages.stereo.view_pair import depth_in_view, rectified_views
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
@@ -50,22 +51,13 @@ _TOLERANCE_PX = 1.0
 _NEARLY = 2.5
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
-# Depth of a sweep is kept that is right in four of five cases.
-_LEAST = 204
+# Depth of a sweep is kept that is right in four of five cases; of a thing whose outline is known, where nothing
+# is behind it that could be meant, in one of two.
+_LEAST, _LEAST_OF_A_THING = 204, 128
 # Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
 _KEYPOINTS = 1000
 # Rows of a pair that differ by more cost the matcher its best match.
 _LARGEST_OFF_PX = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """What the partners of a view say together, before other views are asked."""
-
-    depth: DepthImage
-    confidence: NDArray[np.uint8]
-    search: SearchRange
-    counts: Counts
 
 
 def views_depth(
@@ -76,12 +68,14 @@ def views_depth(
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
     """Measure the depth of every view of a scan without a rig, in the order of its frames.
 
-    Each view makes a stereo pair with each of a few others: rows are made to correspond, the pair is matched
-    as any other, and depth is brought back into the view. What its partners say is merged, and stays
-    where the maps of enough other views say the same.
+    Each view is matched with a few others at once: planes of depth before it are swept (see
+    stages.stereo.plane_sweep). With `views="pairs"`, or a network of pairs, it makes a stereo pair with each
+    of them instead: rows are made to correspond, the pair is matched as any other, depth is brought back into
+    the view, and what its partners say is merged. What is found stays where the maps of enough other views
+    say the same, and where it is sure enough with what they say.
 
-    Background that is plain matches anything, and gets no depth. Masks tell it, else a backdrop that all
-    views have around the thing, and only then the want of texture (see stages.stereo.background). Where masks
+    Background matches anything, and gets no depth. Masks tell it, else a backdrop that all views have around
+    the thing (see stages.stereo.background); in pairs also the want of texture. Where masks
     cut a thing out of all views, nothing is kept outside the hull of its silhouettes. If depth covers little
     of what the views show, the last map has a warning that says why.
 
@@ -104,7 +98,8 @@ def views_depth(
     -------
     Frames with depth, the camera without distortion, and the pose unchanged. A map's `disparity` is NaN
     everywhere, since each partner has another; `max_depth` is that of the farthest view, `search` is the
-    range tried with the best partner, and `confidence` that before the views were checked on each other.
+    range tried with the best partner, or planes; `confidence` of pairs is that before the views were checked
+    on each other.
 
     Raises
     ------
@@ -121,12 +116,13 @@ def _results(
 ) -> Iterator[tuple[Frame, DepthMap | SkippedFrame, Counts]]:
     """Measure the views, and count what becomes of the pixels of each."""
     _require_enough(scan, params)
+    network = network_of(params)
     frames = [reduced(frame, params.max_side) for frame in scan.frames]
     smaller = sum(one is not other for one, other in zip(frames, scan.frames, strict=True))
     scan = replace(scan, frames=frames)
     views = posed_views(scan)
     pairs = neighbours(views)
-    scan, warnings = _turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
+    scan, warnings = turned_back(scan, views, pairs, params) if params.turn_back else (scan, {})
     seen, doubts = _recognised(scan, views, pairs, params)
     if smaller:
         doubts = (*doubts, f"{smaller} images were made smaller, to {params.max_side} px (depth.max_side)")
@@ -139,13 +135,19 @@ def _results(
     farthest = max(view.far for view in views)
     threads = params.threads or os.cpu_count() or 1
     total = 2 * len(views)
-    least = _LEAST if params.min_confidence is None else params.min_confidence
+    of_pairs = network if network is not None and network.is_stereo else None
+    sweeps = params.views == SWEEP and of_pairs is None
+    if sweeps:
+        params.require_default(OF_PAIRS, f"depth.views={SWEEP}")
+    least = params.min_confidence
+    if least is None:
+        least = _LEAST_OF_A_THING if outline.is_known else _LEAST
     lost: dict[int, SkippedFrame] = {}
     searches: dict[int, SearchRange] = {}
     counts: dict[int, Counts] = {}
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         kept = KeptMaps(Path(folder))
-        measure = partial(_measure, scan, views, chosen, params, tolerance, outline)
+        measure = partial(measured_view, scan, views, chosen, params, tolerance, outline, of_pairs)
         first_turn = read_ahead(measure, range(len(views)), threads=threads, ahead=threads + 2)
         for at, result in enumerate(first_turn):
             if isinstance(result, SkippedFrame):
@@ -163,18 +165,23 @@ def _results(
             depth = kept.depth(at)
             others = ((views[other], kept.depth(other)) for other in chosen[at] if other not in lost)
             try:
-                color = _color(scan.frames[at])
+                color = color_of(scan.frames[at])
             except InputError as error:
                 return SkippedFrame(scan.frames[at].name, str(error))
             count, nearly = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
             trust = kept.confidence(at)
             dropped = count < params.agreeing_views
-            if params.views == SWEEP:
-                trust = views_confidence(depth, trust, _grey(color), count, nearly)
+            if sweeps:
+                trust = views_confidence(depth, trust, grey_of(color), count, nearly, outline.is_known)
                 dropped |= trust < least
             depth[dropped] = 0
             counts[at] = replace(counts[at], kept=int(np.count_nonzero(depth)))
             found = _depth_map(scan.frames[at], views[at], color, depth, trust, searches[at], farthest)
+            if isinstance(found, DepthMap) and network is not None and not network.is_stereo:
+                whole = completed(found, network, params)
+                inside = np.where(read_seen(scan.frames[at]), whole.depth, np.float32(0))
+                inside = in_hull(_inside(inside, views[at], box), views[at], outline.silhouettes)
+                found = replace(whole, depth=inside, filled=(inside > 0) & (found.depth == 0))
             return (
                 found
                 if isinstance(found, SkippedFrame)
@@ -212,7 +219,7 @@ def _recognised(
 
     def read(frame: Frame) -> Keypoints | None:
         try:
-            return keypoints(_grey(_color(frame)), _KEYPOINTS)
+            return keypoints(grey_of(color_of(frame)), _KEYPOINTS)
         except InputError:
             return None  # Reported when its turn comes.
 
@@ -254,168 +261,6 @@ def _doubts(off: Sequence[float], scan: Scan, params: DepthParams) -> tuple[str,
         f"{said} well, and depth will have holes and errors; scan.poses=FILE and scan.intrinsics=fx,fy,cx,cy "
         "state others",
     )
-
-
-def _turned_back(
-    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
-) -> tuple[Scan, dict[int, tuple[str, ...]]]:
-    """Return the scan with upside-down images turned back, and what to say of them, by their places."""
-
-    def read(frame: Frame) -> Corners | None:
-        try:
-            return corners(_grey(_color(frame)))
-        except InputError:
-            return None  # Reported when its turn comes.
-
-    threads = params.threads or os.cpu_count() or 1
-    found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
-    places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
-    if not places:
-        return scan, {}
-    frames = list(scan.frames)
-    for at in places:
-        frames[at] = replace(
-            frames[at],
-            color=_upside_down(frames[at], frames[at].color, read_color),
-            mask=_upside_down(frames[at], frames[at].mask, read_mask),
-        )
-    said = (
-        f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
-        "they were turned back",
-    )
-    return replace(scan, frames=frames), dict.fromkeys(places, said)
-
-
-def _upside_down(
-    frame: Frame,
-    source: Path | Packed | NDArray[np.uint8] | None,
-    read: Callable[[Frame], NDArray[np.uint8] | None],
-) -> Packed | NDArray[np.uint8] | None:
-    """Return an image of the frame turned by 180 degrees, read again each time if it is a file."""
-    if source is None:
-        return None
-
-    def load() -> NDArray[np.uint8]:
-        image = read(frame)
-        if image is None:
-            raise InputError(f"frame {frame.name} has no image.")
-        return np.ascontiguousarray(image[::-1, ::-1])
-
-    if isinstance(source, np.ndarray):
-        return load()
-    return Packed(source if isinstance(source, Path) else source.file, f"{frame.name}, turned", load)
-
-
-def _measure(
-    scan: Scan,
-    views: Sequence[PosedView],
-    chosen: Sequence[Sequence[int]],
-    params: DepthParams,
-    tolerance: float,
-    outline: Outline,
-    at: int,
-) -> _Measured | SkippedFrame:
-    """Match one view with its partners."""
-    name = scan.frames[at].name
-    try:
-        color = _color(scan.frames[at])
-    except InputError as error:
-        return SkippedFrame(name, str(error))
-    depths: list[DepthImage] = []
-    confidences: list[NDArray[np.uint8]] = []
-    searches: list[SearchRange] = []
-    if params.views == SWEEP:
-        return _swept(scan, views, chosen[at], params, outline, at, color)
-    for other in chosen[at]:
-        if len(depths) == params.partners:
-            break
-        pair = rectified_views(views[at], views[other])
-        if pair is None:
-            continue
-        try:
-            second = _color(scan.frames[other])
-        except InputError:
-            continue  # Reported when its own turn comes.
-        rig, near, far = pair
-        stage = PairStage(rig, replace(params, min_depth=near, max_depth=far), pairs=len(views))
-        found = stage.measure(*rig.apply(color, second), ())
-        depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
-        depths.append(depth)
-        confidences.append(trust)
-        searches.append(found.search)
-    if not depths:
-        return _without_partners(name, bool(chosen[at]))
-    depth, trust = merged(depths, confidences, tolerance)
-    seen, measured = shown(scan.frames[at], color, outline, params.backdrop)
-    depth[~measured] = 0
-    counts = Counts(
-        all=depth.size,
-        shown=int(np.count_nonzero(seen)),
-        plain=int(np.count_nonzero(seen & ~measured)),
-        matched=int(np.count_nonzero(depth)),
-        outlined=depth.size if outline.is_known else 0,
-    )
-    return _Measured(depth, trust, searches[0], counts)
-
-
-def _swept(
-    scan: Scan,
-    views: Sequence[PosedView],
-    partners_of: Sequence[int],
-    params: DepthParams,
-    outline: Outline,
-    at: int,
-    color: ColorImage,
-) -> _Measured | SkippedFrame:
-    """Match one view with all of its partners at once."""
-
-    def seen(place: int, image: ColorImage) -> Seen:
-        thing = None
-        if outline.silhouettes:
-            thing = grown(read_seen(scan.frames[place]))
-        return Seen(views[place], _grey(image), thing)
-
-    others = []
-    for other in partners_of:
-        if len(others) == params.partners:
-            break
-        try:
-            others.append(seen(other, _color(scan.frames[other])))
-        except InputError:
-            continue  # Reported when its own turn comes.
-    if not others:
-        return _without_partners(scan.frames[at].name, bool(partners_of))
-    found = plane_sweep(seen(at, color), others)
-    measured, _ = shown(scan.frames[at], color, outline, params.backdrop)
-    depth = np.where(measured, found.depth, np.float32(0))
-    counts = Counts(
-        all=depth.size,
-        shown=int(np.count_nonzero(measured)),
-        matched=int(np.count_nonzero(depth)),
-        outlined=depth.size if outline.is_known else 0,
-    )
-    distinct = np.rint(255 * found.distinct).astype(np.uint8)
-    return _Measured(depth, distinct, SearchRange.covering(0, found.planes - 1), counts)
-
-
-def _without_partners(name: str, are_before: bool) -> SkippedFrame:
-    where = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
-    return SkippedFrame(
-        name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
-    )
-
-
-def _color(frame: Frame) -> ColorImage:
-    color = read_pinhole(frame)
-    if color is None:
-        raise InputError(f"frame {frame.name} has no image.")
-    return color
-
-
-def _grey(color: ColorImage) -> NDArray[np.uint8]:
-    import cv2
-
-    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def _tolerance(views: Sequence[PosedView], chosen: Sequence[Sequence[int]]) -> float:

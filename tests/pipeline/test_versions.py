@@ -24,6 +24,8 @@ STATING = [module for module in MODULES if hasattr(module, "RESULT_VERSION")]
 CAMERA = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
 VIEWS = Scan("toy", [Frame("0", CAMERA)])
 PAIRS = Scan("toy", [Frame("0", CAMERA)], rig=StereoRig(CAMERA, CAMERA, None, rectified=True))
+# Depth of its own, which a network may fill in.
+MEASURED = Scan("toy", [Frame("0", CAMERA, depth=Path("0.png"))])
 METHODS = (
     "simplify.ratio=0.5",
     "simplify.method=certified simplify.max_shape=0.01",
@@ -31,6 +33,7 @@ METHODS = (
     "simplify.method=jia01",
     "simplify.method=seams simplify.ratio=0.5",
     "clean.repair=true simplify.ratio=0.5",
+    "depth.model=net.onnx",
 )
 
 
@@ -46,9 +49,9 @@ def versions(stage: Stage, scan: Scan, words: str = "") -> Mapping[str, int]:
 def all_versions() -> dict[tuple[Any, ...], Mapping[str, int]]:
     """Return what every stage has in its keys, for all kinds of scans and methods."""
     return {
-        (stage.name, scan.is_views, words): versions(stage, scan, words)
+        (stage.name, (scan.is_views, scan.is_stereo), words): versions(stage, scan, words)
         for stage in STAGES
-        for scan in (VIEWS, PAIRS)
+        for scan in (VIEWS, PAIRS, MEASURED)
         for words in METHODS
     }
 
@@ -95,6 +98,11 @@ def test_parameters_that_suit_no_method_are_left_for_the_stage_to_refuse():
 def test_depth_has_the_version_of_views_only_for_views():
     assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth"}
     assert set(versions(stage_named("depth"), PAIRS)) == {"depth"}
+
+
+def test_depth_has_the_version_of_networks_only_with_one():
+    found = set(versions(stage_named("depth"), PAIRS, "depth.model=net.onnx"))
+    assert found == {"depth", "by_network", "network"}
 
 
 def name_in_keys(module: ModuleType) -> str:

@@ -86,7 +86,9 @@ type WarpedPartner<'py> = (Grey<'py>, Grey<'py>, PyReadonlyArray2<'py, f32>);
 
 fn size_of(shape: &[usize]) -> PyResult<Size> {
     match *shape {
-        [height, width] if width > 0 && height > 0 && width.max(height) < 1 << 20 => Ok(Size { width, height }),
+        [height, width] if width > 0 && height > 0 && width.max(height) < 1 << 20 => {
+            Ok(Size { width, height })
+        }
         _ => Err(PyValueError::new_err(format!("an image is {shape:?}"))),
     }
 }

@@ -42,8 +42,7 @@ pub fn words(grey: &[u8], size: Size, shown: impl Fn(usize) -> Shown + Sync, thr
 #[inline(always)]
 fn unlike(one: Word, other: Word) -> i16 {
     let bits = ((one ^ other) & CENSUS).count_ones() as i32;
-    let levels =
-        |word: Word, at: u32| i32::from((word >> at) as u8 as i8);
+    let levels = |word: Word, at: u32| i32::from((word >> at) as u8 as i8);
     let half = |at: u32| (levels(one, at) - levels(other, at)).abs();
     weighed(bits, 2 * (half(ACROSS) + half(DOWN)))
 }
@@ -145,10 +144,7 @@ fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) 
         let inside = u >= 0.0 && v >= 0.0 && u < width && v < height;
         // SAFETY: both are whole numbers within an image; what is not was put to 0.
         let (u, v): (i32, i32) = unsafe {
-            (
-                if inside { u } else { 0.0 }.to_int_unchecked(),
-                if inside { v } else { 0.0 }.to_int_unchecked(),
-            )
+            (if inside { u } else { 0.0 }.to_int_unchecked(), if inside { v } else { 0.0 }.to_int_unchecked())
         };
         *place = if inside { v * size.width as i32 + u } else { -1 };
     }

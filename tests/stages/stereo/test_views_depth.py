@@ -164,7 +164,7 @@ def test_a_planted_wrong_depth_is_agreed_with_by_none() -> None:
     depth[80:100, 110:130] *= 0.95
     others = [(views[at], truth[at].astype(np.float32)) for at in (1, 2, 4, 5)]
 
-    count = agreeing_views(views[3], depth, others, 0.01)
+    count, _ = agreeing_views(views[3], depth, others, 0.01)
 
     assert not count[80:100, 110:130].any()
     sound = truth[3] > 0
@@ -240,8 +240,9 @@ def test_nothing_is_kept_where_a_mask_says_so() -> None:
     found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
     for at in (2, 3):
         assert not found[at][:, 130:].any()
-        # A few pixels miss the agreement of what was masked in the other.
-        assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.002
+        # A few pixels miss the agreement of what was masked in the other, and are less sure without it.
+        assert np.mean(found[at][:, :130] & ~sound[at][:, :130]) < 0.002
+        assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.01
 
 
 def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
@@ -286,14 +287,21 @@ def test_poses_that_do_not_fit_the_images_are_told() -> None:
     assert any("depth covers only" in text for text in said)
 
 
-def test_a_camera_that_moves_ahead_measures_nothing_and_says_why() -> None:
-    frames = []
+def test_a_camera_that_moves_ahead_measures_what_lies_aside() -> None:
+    frames, truths = [], []
     for number in range(4):
         where = posed_scene.pose(0, 0, distance=1.6 - 0.15 * number)
-        image, _ = posed_scene.seen(where)
+        image, true = posed_scene.seen(where)
         frames.append(Frame(f"{number:04d}", posed_scene.CAMERA, color=image, world_from_camera=where))
+        truths.append(true)
+    for (_, result), true in zip(views_depth(Scan("made", frames)), truths, strict=True):
+        assert isinstance(result, DepthMap)
+        used = (result.depth > 0) & (true > 0)
+        assert np.mean(used) > 0.15
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.008
+    # Pairs cannot be rectified.
     with pytest.raises(InputError, match=r"from a little aside .* others stand before or behind it"):
-        list(views_depth(Scan("made", frames)))
+        list(views_depth(Scan("made", frames), views="pairs"))
 
 
 def test_views_that_face_one_way_need_no_range() -> None:
@@ -309,7 +317,7 @@ def test_views_that_face_one_way_need_no_range() -> None:
         assert isinstance(result, DepthMap)
         used = (result.depth > 0) & (true > 0)
         assert np.mean(used) > 0.3
-        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.002
 
 
 def test_large_images_are_made_smaller(tmp_path) -> None:
@@ -328,7 +336,7 @@ def test_large_images_are_made_smaller(tmp_path) -> None:
         assert any("4 images were made smaller, to 240 px" in text for text in result.warnings)
         used = (result.depth > 0) & (true > 0)
         assert np.mean(used) > 0.3
-        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.004
+        assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.002
 
 
 def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:

@@ -1,0 +1,201 @@
+"""Small depth made larger by a photo (`fuse.upsample`), beside plain ways and OpenCV's filters.
+
+    python benches/upsampling.py DATA
+
+"made": the scene of the samples as a phone sees it, 256 × 192 of noisy depth beside photos, against true
+depth. The others: every third pixel of a sensor's depth in DATA, made three times as large, against all of
+them; their sensors' edges are not quite those of the photo. "smooth": mean error where no jump is near;
+"wrong": off by more than 3 % beside jumps; "between": where no surface near is. Then meshes of the made scan,
+against the true surface, at their vertices: all frames, and one alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from markdown_tables import print_head, print_row
+
+from stages.fusion.fuse import fuse
+from stages.fusion.upsampling import upsampled
+from stages.scans.images import read_color, read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Camera, Frame, Scan, scaled
+from stages.surface.mesh import Mesh
+from stages.surface.raycasting import Surface
+
+SAMPLES = Path(__file__).resolve().parents[1] / "samples"
+PHONE = Camera(256, 192, 187.0, 187.0, 127.5, 95.5)
+TIMES, FRAMES, JUDGED = 3, 20, 4
+HELD_OUT = {
+    "7-Scenes' kitchen": "rgbd/7scenes_redkitchen",
+    "TUM fr3/cabinet": "real/freiburg3_cabinet_keyframes",
+    "TUM fr1/rpy": "real/rgbd_dataset_freiburg1_rpy",
+}
+
+Image = np.ndarray
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    data = parser.parse_args().data
+    frames, truths, surface = made_scan()
+    print_head(["depth of", "way", "smooth mm", "beside jumps mm", "wrong %", "between %", "s"], words=2)
+    made = [(read(frame), frame.color, truth) for frame, truth in zip(frames, truths, strict=False)]
+    print_rows("made", made)
+    for name, folder in HELD_OUT.items():
+        print_rows(name, list(held_out(data / folder)))
+    print()
+    print_head(["mesh of", "asked", "voxel mm", "triangles", "RMS mm", "> 5 mm %"], words=2)
+    for asked in (
+        {},
+        {"upsample": "guided"},
+        {"voxel_size": 0.004},
+        {"voxel_size": 0.004, "upsample": "guided"},
+    ):
+        print_mesh("all frames", frames, surface, asked)
+    for asked in ({"upsample": "off"}, {"upsample": "off", "voxel_size": 0.005}, {}):
+        print_mesh("one alone", [frames[8]], surface, asked)
+
+
+def ways() -> dict[str, Callable[[Image, Image], Image]]:
+    """Return what is compared: each makes of small depth and a large photo large depth."""
+    return {
+        "nearest": nearest,
+        "bilinear": bilinear,
+        "OpenCV's jointBilateralFilter": filtered(
+            lambda guide, image: cv2.ximgproc.jointBilateralFilter(guide.astype(np.float32), image, 9, 12, 4)
+        ),
+        "OpenCV's guidedFilter": filtered(
+            lambda guide, image: cv2.ximgproc.guidedFilter(guide, image, 4, 20)
+        ),
+        "ours, without the photo": lambda depth, _: upsampled(depth, None, TIMES),
+        "ours": lambda depth, color: upsampled(depth, color, TIMES),
+    }
+
+
+def filtered(smooth: Callable[[Image, Image], Image]) -> Callable[[Image, Image], Image]:
+    """Return a way that smooths inverse depth by the photo, of what there is."""
+
+    def way(depth: Image, color: Image) -> Image:
+        first = bilinear(depth, color)
+        there = (first > 0).astype(np.float32)
+        inverse = np.divide(1, first, out=np.zeros_like(first), where=first > 0)
+        return there * smooth(color, there) / np.maximum(smooth(color, inverse), 1e-9)
+
+    return way
+
+
+def nearest(depth: Image, color: Image) -> Image:
+    """Return each pixel's nearest sample."""
+    return cv2.resize(depth, color.shape[1::-1], interpolation=cv2.INTER_NEAREST_EXACT)
+
+
+def bilinear(depth: Image, color: Image) -> Image:
+    """Interpolate inverse depth between the samples there are."""
+    there = depth > 0
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=there)
+    total, share = (
+        cv2.resize(image, color.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        for image in (inverse, there.astype(np.float32))
+    )
+    return np.where(nearest(depth, color) > 0, share / np.maximum(total, 1e-9), 0).astype(np.float32)
+
+
+def print_rows(name: str, sets: Sequence[tuple[Image, Image, Image]]) -> None:
+    """Print how far each way is off, in the mean of some images."""
+    for way, make in ways().items():
+        start = time.process_time()
+        found = [make(depth, color) for depth, color, _ in sets]
+        seconds = (time.process_time() - start) / len(sets)
+        figures = np.mean([off(one, truth) for one, (*_, truth) in zip(found, sets, strict=True)], axis=0)
+        print_row([name, way, *(f"{figure:.2f}" for figure in figures), f"{seconds:.2f}"])
+
+
+def off(found: Image, truth: Image) -> list[float]:
+    """Return the mean error away from and beside jumps (mm), and which shares are wrong and between (%)."""
+    window = np.ones((2 * TIMES + 1,) * 2, np.uint8)
+    farthest, nearest_there = cv2.dilate(truth, window), cv2.erode(np.where(truth > 0, truth, 99), window)
+    judged, jump = (found > 0) & (truth > 0), farthest > 1.05 * nearest_there
+    error, beside = np.abs(found - truth), judged & jump
+    on_some = np.zeros(truth.shape, bool)
+    for row, column in np.ndindex(*window.shape):
+        moved = np.roll(truth, (row - TIMES, column - TIMES), (0, 1))
+        on_some |= np.abs(moved - found) <= 0.02 * found
+    between = (found > 1.02 * nearest_there) & (found < 0.98 * farthest) & ~on_some
+    return [
+        1000 * float(np.mean(error[judged & ~jump])),
+        1000 * float(np.mean(error[beside])),
+        100 * float(np.mean(error[beside] > 0.03 * truth[beside])),
+        100 * float(np.mean(between[beside])),
+    ]
+
+
+def held_out(folder: Path) -> Iterator[tuple[Image, Image, Image]]:
+    """Yield every third pixel of some frames' depth, their photos, and all of the depth."""
+    frames = read_scan(folder, complete=False).frames
+    for frame in frames[:: max(1, len(frames) // 6)][:6]:
+        depth = read(frame)
+        height, width = (side // TIMES * TIMES for side in depth.shape)
+        color = read_color(frame)[:height, :width]
+        whole = np.ascontiguousarray(depth[:height, :width])
+        yield np.ascontiguousarray(whole[1::TIMES, 1::TIMES]), np.ascontiguousarray(color), whole
+
+
+def read(frame: Frame) -> Image:
+    """Return the depth of a frame."""
+    depth = read_depth(frame)
+    assert depth is not None
+    return depth
+
+
+def made_scan() -> tuple[list[Frame], list[Image], Mesh]:
+    """Return frames of the samples' scene as a phone takes them, true depth of some, and the true surface."""
+    sys.path[:0] = [str(SAMPLES)]
+    import sensors
+    from make_samples import arc
+    from scene import Scene
+
+    # Photos have texture enough, and pixels too many, for four rays each.
+    sensors._FINE = 1
+    scene, photo = Scene(), scaled(PHONE, TIMES * PHONE.width, TIMES * PHONE.height)
+    frames, truths = [], []
+    for number, pose in enumerate(arc(FRAMES, 104, 1.1)):
+        random = np.random.default_rng((9, number))
+        color = sensors.photograph(scene, photo, pose, random)
+        raw = sensors.measure_depth(scene, PHONE, pose, random)
+        depth = raw.astype(np.float32) / 1000
+        frames.append(Frame(str(number), PHONE, color=color, depth=depth, world_from_camera=pose))
+        if number < JUDGED:
+            rays = sensors._rays(photo, *np.meshgrid(np.arange(photo.width), np.arange(photo.height)))
+            distance, _, _ = scene.cast(pose[:3, 3], rays @ pose[:3, :3].T)
+            z = np.where(np.isfinite(distance), distance * rays[:, 2], 0)
+            truths.append(z.reshape(photo.height, photo.width).astype(np.float32))
+    return frames, truths, scene.mesh
+
+
+def print_mesh(name: str, frames: Sequence[Frame], truth: Mesh, asked: dict[str, object]) -> None:
+    """Print how far the mesh of some frames is off the true surface, from the mesh to it."""
+    found = fuse(Scan("made", frames), **asked)
+    error = Surface(truth).closest(found.mesh.vertices).distances
+    print_row(
+        [
+            name,
+            ", ".join(f"{key}={value}" for key, value in asked.items()) or "nothing",
+            f"{1000 * found.voxel_size:.1f}",
+            f"{len(found.mesh.triangles):,}",
+            f"{1000 * float(np.sqrt(np.mean(error**2))):.2f}",
+            f"{100 * float(np.mean(error > 0.005)):.2f}",
+        ]
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""The command `probe`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cli.options import OUTPUT_PANEL
+from cli.output import Output
+from cli.paths import require_file
+from stages.errors import InputError
+from stages.files.replacing import replacing
+from stages.stereo.networks.probe import probe_network
+from stages.stereo.networks.sidecar import sidecar_of, written
+
+
+def probe(
+    network: Annotated[
+        Path, typer.Argument(metavar="FILE.onnx", help="Network for depth.model.", show_default=False)
+    ],
+    out: Output,
+    write: Annotated[
+        bool,
+        typer.Option(
+            "--write",
+            help="Write the guess to FILE.toml, which must not be there.",
+            rich_help_panel=OUTPUT_PANEL,
+        ),
+    ] = False,
+) -> None:
+    """Guess what a network of your own takes and gives, on a pair of known shift.
+
+    It prints the page of TOML that depth.model reads beside the network; look it over.
+
+    Example: scanloom probe my_network.onnx --write
+    """
+    target = sidecar_of(network)
+    if write and target.exists():
+        raise InputError("is there already; move it away, or leave out --write.", target)
+    with out.progress("probe", "ways") as progress:
+        found = probe_network(require_file(network), progress=progress)
+    text = written(found.sidecar)
+    if found.error_px is None:
+        out.warn(
+            "of one image no shift is known: range, mean, std, unit and sign are the usual ones; compare "
+            "them with what the network's makers say"
+        )
+    if found.alike:
+        out.remark(f"the pair does not tell it apart from {'; '.join(found.alike)}")
+    if write:
+        with replacing(target) as draft:
+            draft.write_text(text, encoding="utf-8", newline="\n")
+    output = {"output": str(target)} if write else {}
+    out.result({**output, **found.figures()}, None if out.as_json or write else text)

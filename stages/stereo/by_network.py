@@ -1,0 +1,169 @@
+"""Depth by a network of the user's own, held to what our own has to pass.
+
+Of a pair, the network is run on the mirrored pair too, which gives the right image's disparity; what both do
+not agree on, small pieces and what is flat go, and the rest has the confidence of `stages.stereo.confidence`.
+Of one image, what it says is fitted to measured depth, and used only where there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.stereo.confidence import confidence
+from stages.stereo.depth_map import DepthMap
+from stages.stereo.matching import SUBPIXELS, SearchRange, consistency, matched_pixels, textured
+from stages.stereo.networks.network import Network
+from stages.stereo.networks.sidecar import INVERSE_DEPTH
+from stages.stereo.params import DepthParams
+from stages.stereo.rectify import RectifiedRig
+
+RESULT_VERSION = 1
+
+Image = NDArray[np.uint8]
+Map = NDArray[np.float32]
+
+# Confidence of what was filled in: less than any that is measured needs.
+FILLED = 1
+# Only the matchers know of these.
+_OF_MATCHERS = ("matcher", "block_size", "p1", "p2", "prefilter_cap", "uniqueness", "left_right", "smooth")
+# If left and right agree on less of the image, its sidecar is wrong rather than the network.
+_AGREEING = 0.01
+# Scale and shift come from so many pixels, evenly taken: the repeated median looks at all pairs of them.
+_SAMPLES = 600
+# From fewer measured pixels they are not told.
+_FEWEST = 200
+# What is nearer or farther than all but this share of what was measured is not filled in: nothing tells how
+# the network goes on there.
+_STRAY = 0.01
+
+
+def network_of(params: DepthParams) -> Network | None:
+    """Return the network that the parameters name, if any; it is loaded once for a whole scan.
+
+    Raises
+    ------
+    InputError, UsageError
+        As `Network`, and for parameters that do nothing with a network of pairs.
+    """
+    if params.model is None:
+        return None
+    network = Network(Path(params.model), round(params.model_memory * 1e6), params.model_seconds)
+    if network.is_stereo:
+        params.require_default(_OF_MATCHERS, "a network of pairs (model)")
+    return network
+
+
+def network_disparity(
+    network: Network,
+    left: Image,
+    right: Image,
+    rig: RectifiedRig,
+    search: SearchRange,
+    params: DepthParams,
+) -> tuple[Map, NDArray[np.uint8]]:
+    """Return disparity, (h, w) float32 px, NaN where there is none, and confidence, by a network of pairs.
+
+    Parameters
+    ----------
+    left, right : (h, w, 3) RGB or (h, w) grey uint8, whose rows correspond.
+    search : disparities that can be; others are none.
+
+    Raises
+    ------
+    InputError
+        If the network cannot be run.
+    """
+    found = network.of_pair(left, right, rig.focal_baseline, rig.principal_offset)
+    first = _fixed_point(found.left, search, SUBPIXELS * (search.lowest - 1))
+    residual = consistency(first, -_fixed_point(found.right, search, SUBPIXELS * search.end), search)
+    matched = matched_pixels(
+        first,
+        residual,
+        search,
+        tolerance=params.left_right_tolerance,
+        speckle_size=params.speckle_size,
+        speckle_range=params.speckle_range,
+    )
+    matched &= textured(left if left.ndim == 2 else _grey(left), params.min_texture)
+    trust = confidence(first, residual, matched, search)
+    trust = np.rint(trust * found.sure).astype(np.uint8)
+    return np.where(matched, found.left, np.float32(np.nan)), trust
+
+
+def warnings_of(network: Network, trust: NDArray[np.uint8]) -> tuple[str, ...]:
+    """Say what is odd about what a network of pairs found, by its confidence."""
+    if np.count_nonzero(trust) >= _AGREEING * trust.size:
+        return ()
+    return (
+        f"by {network.file.name} left and right agree on next to nothing; look at unit, sign, range and "
+        "inputs of its sidecar, or have it guessed: scanloom probe",
+    )
+
+
+def completed(measured: DepthMap, network: Network, params: DepthParams) -> DepthMap:
+    """Fill in depth where there is none by a network of single images.
+
+    What the network says is right but for a scale and a shift, which are the repeated median's (Siegel 1982)
+    over measured pixels; up to half of them may be wrong. The map has a warning where it does not fit.
+
+    Raises
+    ------
+    InputError
+        If the network cannot be run.
+    """
+    from scipy.stats import siegelslopes
+
+    told, mirrored = network.of_image(measured.color)
+    is_inverse = network.sidecar.unit == INVERSE_DEPTH
+    known = np.flatnonzero((measured.depth > 0) & np.isfinite(told))
+    nothing = replace(measured, filled=np.zeros(measured.depth.shape, bool))
+    if len(known) < _FEWEST:
+        return _warned(nothing, network, "there is too little measured depth to fit it to")
+    depth, values = measured.depth.ravel()[known].astype(np.float64), told.ravel()[known].astype(np.float64)
+    wanted = 1 / depth if is_inverse else depth
+    chosen = np.linspace(0, len(known) - 1, min(_SAMPLES, len(known))).astype(int)
+    scale, shift = siegelslopes(wanted[chosen], values[chosen])
+    off = float(np.median(np.abs(scale * values + shift - wanted) / wanted))
+    if not scale > 0 or not off <= params.model_error:
+        why = (
+            "it differs by more than depth.model_error allows"
+            if scale > 0
+            else "what it calls near is far; look at unit and sign of its sidecar"
+        )
+        return _warned(nothing, network, why)
+    with np.errstate(all="ignore"):
+        fitted, other = (np.float32(scale) * one + np.float32(shift) for one in (told, mirrored))
+        agrees = np.abs(fitted - other) <= np.float32(params.model_error) * fitted
+        low, high = np.quantile(values, (_STRAY, 1 - _STRAY))
+        filled = (measured.depth == 0) & agrees & (told >= low) & (told <= high)
+        whole = np.where(filled, 1 / fitted if is_inverse else fitted, measured.depth)
+    filled &= (whole >= measured.min_depth) & (whole <= measured.max_depth)
+    return replace(
+        measured,
+        depth=np.where(filled, whole, measured.depth).astype(np.float32),
+        confidence=np.where(filled, np.uint8(FILLED), measured.confidence),
+        filled=filled,
+    )
+
+
+def _warned(depth_map: DepthMap, network: Network, why: str) -> DepthMap:
+    # The same words for all images: they are told once.
+    said = f"{network.file.name} fills in nothing in some images: {why}"
+    return replace(depth_map, warnings=(*depth_map.warnings, said))
+
+
+def _fixed_point(disparity: Map, search: SearchRange, none: int) -> NDArray[np.int16]:
+    """Return a disparity as the matchers have it, sixteenths of a pixel; what is out of range is `none`."""
+    with np.errstate(invalid="ignore"):
+        there = (disparity >= search.lowest) & (disparity < search.end)
+    return np.where(there, np.rint(SUBPIXELS * np.where(there, disparity, 0)), none).astype(np.int16)
+
+
+def _grey(image: Image) -> Image:
+    import cv2
+
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)

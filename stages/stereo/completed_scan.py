@@ -1,0 +1,132 @@
+"""Depth maps that a scan has already, filled in by a network of single images."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stages.errors import InputError, UsageError
+from stages.fusion.posed_depth import read_matching_color
+from stages.params import resolve
+from stages.progress import Progress, silent
+from stages.scans.images import read_color, read_depth, read_seen
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import Frame, Scan, SkippedFrame, pinhole
+from stages.stereo.by_network import completed, network_of
+from stages.stereo.depth_map import DepthMap
+from stages.stereo.matching import SearchRange
+from stages.stereo.networks.network import Network
+from stages.stereo.params import DepthKeywords, DepthParams
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+RESULT_VERSION = 1
+
+# Depth is kept in whole steps of 16 bits: millimetres, or those of the scan's own files if they are finer.
+_STEPS = np.iinfo(np.uint16).max
+_COARSEST = 1000
+
+
+def completed_scan(
+    scan: Scan,
+    params: DepthParams | None = None,
+    progress: Progress = silent,
+    **changes: Unpack[DepthKeywords],
+) -> Iterator[tuple[Frame, DepthMap | SkippedFrame]]:
+    """Fill in the depth maps of a scan by a network of single images, in the order of its frames.
+
+    Measured depth stays as it is, with a confidence of 255; what is filled in has 1. Frames keep their
+    photos, poses and cameras, without lens distortion.
+
+    Parameters
+    ----------
+    scan : with depth and colour.
+    params, changes : of the depth stage; `model` must be given.
+    progress : called after each frame.
+
+    Raises
+    ------
+    InputError
+        If the network cannot be run, or more than `max_skipped` of the frames cannot be used.
+    UsageError
+        If the network is one of pairs, or none is named.
+    """
+    params = resolve(DepthParams, params, changes)
+    network = network_of(params)
+    if network is None or network.is_stereo:
+        what = "" if network is None else f"; {network.file.name} is a network of pairs"
+        raise UsageError(
+            f"the scan has depth, which only a network of single images (depth.model) fills in{what}."
+        )
+    finest = max([_COARSEST, *(frame.depth_scale for frame in scan.frames)])
+    farthest = params.max_depth or _STEPS / finest
+    threads = params.threads or os.cpu_count() or 1
+    results = read_ahead(
+        partial(_completed_frame, network, params, farthest),
+        scan.frames,
+        threads=threads,
+        ahead=threads + 2,
+    )
+    skipped = 0
+    for done, (frame, result) in enumerate(results, 1):
+        if isinstance(result, SkippedFrame):
+            skipped += 1
+            if skipped > params.max_skipped * len(scan.frames):
+                raise InputError(
+                    f"{skipped} of the scan's {len(scan.frames)} frames cannot be used, more than the share "
+                    f"of {params.max_skipped:g} that max_skipped allows; the last of them: {result.reason}",
+                    scan.folder,
+                )
+        progress(done, len(scan.frames))
+        yield frame, result
+
+
+def _completed_frame(
+    network: Network, params: DepthParams, farthest: float, frame: Frame
+) -> tuple[Frame, DepthMap | SkippedFrame]:
+    try:
+        depth, photo = read_depth(frame), read_color(frame)
+        if depth is None or photo is None:
+            return frame, SkippedFrame(frame.name, f"there is no {'depth map' if depth is None else 'photo'}")
+        color = read_matching_color(frame, depth)
+        seen = read_seen(frame) if frame.mask is not None else None
+    except InputError as error:
+        return frame, SkippedFrame(frame.name, str(error))
+    too_far = depth > farthest
+    said = f"depth beyond {farthest:.4g} m is left out (depth.max_depth)"
+    measured = DepthMap(
+        np.where(too_far, np.float32(0), depth),
+        np.where((depth > 0) & ~too_far, np.uint8(255), np.uint8(0)),
+        np.full(depth.shape, np.nan, np.float32),
+        color,
+        pinhole(frame.camera),
+        np.eye(3),
+        SearchRange(0, 0),
+        params.min_depth or 0.0,
+        farthest,
+        (said,) if too_far.any() else (),
+    )
+    whole = completed(measured, network, params)
+    mask = None
+    if seen is not None:
+        # Where the image shows nothing of the scene there is nothing to fill in.
+        inside = np.where(seen, whole.depth, np.float32(0))
+        whole = replace(whole, depth=inside, filled=(inside > 0) & (measured.depth == 0))
+        mask = 255 * seen.astype(np.uint8)
+    kept = replace(
+        frame,
+        camera=whole.camera,
+        color=photo,
+        color_camera=None if frame.color_camera is None else pinhole(frame.color_camera),
+        depth=whole.depth,
+        confidence=None,
+        least_confidence=0,
+        mask=mask,
+    )
+    return kept, whole

@@ -1,0 +1,65 @@
+"""What the depth stage finds for an image: depth, how far it is to be trusted, and its camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.printing import by_figures, table
+from stages.scans.scan import Camera, ColorImage, DepthImage
+from stages.stereo.matching import SearchRange
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth of a rectified left image.
+
+    Attributes
+    ----------
+    depth : (h, w) float32 metres along the optical axis; 0 where there is none to be trusted.
+    confidence : (h, w) uint8, 0 (no measurement) to 255.
+    disparity : (h, w) float32 pixels, x of the left less x of the right image; NaN where there is none.
+    color : (h, w, 3) uint8 RGB, the rectified left image.
+    camera : of the rectified left image.
+    rectified_from_left : (3, 3) float64, the turn from the calibrated camera's axes to the rectified ones'.
+    search : the disparities that were tried.
+    min_depth, max_depth : metres, the range that could be measured: of the disparities that were tried, or
+        up to where the expected error or the parameter ends it.
+    filled : (h, w) bool, where depth was not measured but told by a network of one image, with a confidence
+        of 1; None if it is measured everywhere.
+    warnings : what is odd about the pair, in plain sentences.
+    """
+
+    depth: DepthImage
+    confidence: NDArray[np.uint8]
+    disparity: NDArray[np.float32]
+    color: ColorImage
+    camera: Camera
+    rectified_from_left: NDArray[np.float64]
+    search: SearchRange
+    min_depth: float
+    max_depth: float
+    warnings: tuple[str, ...] = ()
+    filled: NDArray[np.bool_] | None = None
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was derived and what came out, for reports."""
+        used = self.depth > 0
+        return {
+            "width_px": self.camera.width,
+            "height_px": self.camera.height,
+            "lowest_disparity_px": self.search.lowest,
+            "disparities_px": self.search.count,
+            "min_depth_m": self.min_depth,
+            "max_depth_m": self.max_depth,
+            "matched_share": float(np.count_nonzero(self.confidence) / self.confidence.size),
+            "used_share": float(np.count_nonzero(used) / used.size),
+            **({} if self.filled is None else {"filled_share": float(self.filled.mean())}),
+            "median_depth_m": float(np.median(self.depth[used])) if used.any() else None,
+        }

@@ -1,0 +1,296 @@
+"""Run a network of the user's own on images: what its sidecar says is done to them, and undone after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.stereo.networks.process import NetworkProcesses
+from stages.stereo.networks.serving import TYPES
+from stages.stereo.networks.sidecar import DEPTH, NORMALISED, PX, STEREO, Sidecar, read_sidecar
+
+RESULT_VERSION = 1
+
+Image = NDArray[np.uint8]
+Map = NDArray[np.float32]
+
+# A map of fewer pixels than this share of each side of the image tells little of it.
+_COARSEST = 1 / 16
+_HALF = "/2"
+
+
+@dataclass(frozen=True)
+class OfPair:
+    """What a network says of a rectified pair.
+
+    Attributes
+    ----------
+    left, right : (h, w) float32 px, x of the left less x of the right image, of each image's pixels; not
+        finite where the network gave no number. That of the right is the left's of the mirrored pair.
+    sure : (h, w) float32, 0 to 1, what the network itself says of the left; 1 everywhere if nothing.
+    """
+
+    left: Map
+    right: Map
+    sure: Map
+
+
+class Network:
+    """A network's file with its sidecar, ready to be run.
+
+    `fixed_size` is the height and width that it takes alone, each None if it takes any.
+
+    Results are the same for any number of threads on one type of machine with one version of onnxruntime: a
+    process runs on one thread, and several pairs in several processes.
+
+    Parameters
+    ----------
+    file : ONNX; see stages.stereo.networks.sidecar for what stands beside it.
+    memory, seconds : bytes and time that each of its processes may take; see stages.stereo.networks.process.
+    sidecar : in place of the one beside the file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it cannot be run, or it does not fit its sidecar.
+    UsageError
+        If onnxruntime is not installed.
+    """
+
+    def __init__(self, file: Path, memory: int, seconds: float, sidecar: Sidecar | None = None) -> None:
+        sidecar = sidecar or (read_sidecar(file) if file.is_file() else None)
+        processes = NetworkProcesses(file, memory, seconds)
+        assert sidecar is not None  # where there is no file, the processes say so
+        self._use(file, sidecar, processes)
+
+    @classmethod
+    def of(cls, processes: NetworkProcesses, sidecar: Sidecar) -> Network:
+        """Return a network of which there are processes already."""
+        network = cls.__new__(cls)
+        network._use(processes.file, sidecar, processes)
+        return network
+
+    def _use(self, file: Path, sidecar: Sidecar, processes: NetworkProcesses) -> None:
+        self.file, self.sidecar, self._processes = file, sidecar, processes
+        _require_outputs(sidecar, processes)
+        self._inputs = {one["name"]: one for one in processes.inputs}
+        missing = next((name for name in self._inputs if name not in sidecar.inputs), None)
+        odd = next((name for name in sidecar.inputs if name not in self._inputs), missing)
+        if odd is not None:
+            raise InputError(
+                f"its inputs are {', '.join(self._inputs)[:200] or 'none'}, those of the network, and not "
+                f"{', '.join(sidecar.inputs)[:200]}.",
+                sidecar.file or file,
+            )
+        self.fixed_size = self._fixed_size()
+
+    @property
+    def is_stereo(self) -> bool:
+        """Whether it takes pairs; else it takes one image."""
+        return self.sidecar.kind == STEREO
+
+    def of_pair(self, left: Image, right: Image, focal_baseline: float, offset: float) -> OfPair:
+        """Return the disparities of both images of a rectified pair.
+
+        Parameters
+        ----------
+        left, right : (h, w, 3) RGB or (h, w) grey uint8.
+        focal_baseline, offset : px · m and px: depth is focal_baseline / (disparity + offset).
+
+        Raises
+        ------
+        InputError
+            If the network cannot be run on them, or what comes is no map.
+        """
+        of_left, sure = self.of_left(left, right, focal_baseline, offset)
+        mirrored, _ = self.of_left(_mirrored(right), _mirrored(left), focal_baseline, offset)
+        return OfPair(of_left, _mirrored(mirrored), sure)
+
+    def of_left(self, left: Image, right: Image, focal_baseline: float, offset: float) -> tuple[Map, Map]:
+        """Return the left image's disparity alone, and how sure it is; see `of_pair`."""
+        depth, *rest = self._maps({"left": left, "right": right})
+        return self._in_pixels(depth, focal_baseline, offset), self._sure(rest, depth.shape)
+
+    def of_image(self, image: Image) -> tuple[Map, Map]:
+        """Return what the network says of an image, and of its mirror image, turned back: (h, w) float32.
+
+        In the unit of the sidecar, more being farther for depth and nearer for inverse depth.
+
+        Raises
+        ------
+        InputError
+            As `of_pair`.
+        """
+        first, second = (self._maps({"image": one})[0] for one in (image, _mirrored(image)))
+        return first, _mirrored(second)
+
+    def _in_pixels(self, depth: Map, focal_baseline: float, offset: float) -> Map:
+        unit = self.sidecar.unit
+        if unit == PX:
+            return depth
+        if unit == NORMALISED:
+            return np.asarray(depth * np.float32(depth.shape[1]), np.float32)
+        with np.errstate(all="ignore"):
+            inverse = 1 / depth if unit == DEPTH else depth
+            return np.asarray(np.float32(focal_baseline) * inverse - np.float32(offset), np.float32)
+
+    def _sure(self, told: Sequence[Map], shape: tuple[int, ...]) -> Map:
+        """Return 0 to 1 of what the outputs of confidence and occlusion say."""
+        sure = np.ones(shape, np.float32)
+        for name, one in zip(self.sidecar.outputs[1:], told, strict=True):
+            known = np.clip(np.nan_to_num(one, nan=1.0 if name == self.sidecar.occlusion else 0.0), 0, 1)
+            sure *= 1 - known if name == self.sidecar.occlusion else known
+        return sure
+
+    def _maps(self, images: Mapping[str, Image]) -> list[Map]:
+        """Run the network, and return each output that is asked for in the size of the images."""
+        import cv2
+
+        height, width = next(iter(images.values())).shape[:2]
+        wide, high = self.fixed_size[1] or width, self.fixed_size[0] or height
+        multiple = self.sidecar.multiple_of
+        right, below = (
+            0 if fixed else -size % multiple
+            for size, fixed in zip((width, height), self.fixed_size[::-1], strict=True)
+        )
+        padded = {
+            name: np.asarray(
+                cv2.copyMakeBorder(_in_size(one, wide, high), 0, below, 0, right, cv2.BORDER_REPLICATE),
+                np.uint8,
+            )
+            for name, one in images.items()
+        }
+        feeds = {name: self._tensor(padded, name, taken) for name, taken in self.sidecar.inputs.items()}
+        found = self._processes.run(feeds, self.sidecar.outputs)
+        maps = [
+            self._plane(one, name, (high + below, wide + right))[:high, :wide]
+            for name, one in zip(self.sidecar.outputs, found, strict=True)
+        ]
+        if not np.isfinite(maps[0]).any():
+            raise InputError(f"its output {self.sidecar.output[:40]} holds no number at all.", self.file)
+        # Pixels of disparity are as much larger as the image is.
+        scale = self.sidecar.sign * (width / wide if self.sidecar.unit == PX else 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            maps[0] = maps[0] * np.float32(scale)
+        return [_in_size(one, width, height) for one in maps]
+
+    def _tensor(self, images: Mapping[str, Image], name: str, taken: str) -> NDArray[Any]:
+        """Return what an input takes, of the images by what they are."""
+        import cv2
+
+        is_half = taken.endswith(_HALF)
+        what = taken.removesuffix(_HALF)
+        planes = [self._values(images[one]) for one in (("left", "right") if what == "pair" else (what,))]
+        values: NDArray[Any] = np.concatenate(planes, axis=2)
+        if is_half:
+            size = (values.shape[1] // 2, values.shape[0] // 2)
+            smaller = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+            values = np.asarray(smaller, np.float32).reshape(*size[::-1], -1)
+        if self.sidecar.layout == "nchw":
+            values = values.transpose(2, 0, 1)
+        about = self._inputs[name]
+        kind = np.dtype(TYPES[about["type"]])
+        if kind.kind == "u":
+            values = np.clip(np.rint(values), 0, 255)
+        leading = max(len(about["shape"]) - 3, 0) if about["shape"] else 1
+        return values.astype(kind).reshape(*leading * (1,), *values.shape)
+
+    def _values(self, image: Image) -> Map:
+        """Return an image (h, w, channels) as the network wants its numbers."""
+        import cv2
+
+        colors = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+        if self.sidecar.color == "grey":
+            colors = cv2.cvtColor(colors, cv2.COLOR_RGB2GRAY)[..., None]
+        elif self.sidecar.color == "bgr":
+            colors = colors[..., ::-1]
+        low, high = self.sidecar.range
+        mean, std = (
+            np.array(one[: colors.shape[2]], np.float32) for one in (self.sidecar.mean, self.sidecar.std)
+        )
+        values = np.float32(low) + colors.astype(np.float32) * np.float32((high - low) / 255)
+        return np.asarray((values - mean) / std, np.float32)
+
+    def _plane(self, output: Map, name: str, size: tuple[int, int]) -> Map:
+        """Return an output (h, w) in the size of what the network was given."""
+        plane = output
+        while plane.ndim > 2 and plane.shape[0] == 1:
+            plane = plane[0]
+        if plane.ndim == 3:
+            plane = plane[0] if self.sidecar.layout == "nchw" else plane[..., 0]
+        if (
+            plane.ndim != 2
+            or min(np.divide(plane.shape, size)) < _COARSEST
+            or max(np.divide(plane.shape, size)) > 1
+        ):
+            raise InputError(
+                f"its output {name[:40]} is of shape {_shape(output.shape)} for an image of "
+                f"{size[1]} × {size[0]} px, and no map of it.",
+                self.file,
+            )
+        return _in_size(plane, size[1], size[0])
+
+    def _fixed_size(self) -> tuple[int | None, int | None]:
+        """Return the height and width that the network's inputs state, each None if it takes any."""
+        heights, widths = set(), set()
+        for name, taken in self.sidecar.inputs.items():
+            about = self._inputs[name]
+            if about["type"] not in TYPES:
+                raise InputError(
+                    f"its input {name[:40]} is of type {about['type']}; known are {', '.join(TYPES)}.",
+                    self.file,
+                )
+            shape = about["shape"]
+            if not shape:
+                continue
+            *leading, a, b, c = shape if len(shape) >= 3 else (2, None, None, None)
+            channels, height, width = (a, b, c) if self.sidecar.layout == "nchw" else (c, a, b)
+            wanted = self.sidecar.channels * (2 if taken.startswith("pair") else 1)
+            if channels not in (None, wanted) or any(one not in (None, 1) for one in leading):
+                raise InputError(
+                    f"its input {name[:40]} is of shape {_shape(shape)}, and the sidecar's {taken} in "
+                    f"{self.sidecar.color}, {self.sidecar.layout}, has {wanted} channels.",
+                    self.file,
+                )
+            times = 2 if taken.endswith(_HALF) else 1
+            heights.add(height and height * times)
+            widths.add(width and width * times)
+        sizes = [{one for one in found if one is not None} for found in (heights, widths)]
+        if any(len(one) > 1 for one in sizes):
+            raise InputError("its inputs are of different fixed sizes.", self.file)
+        found = [next(iter(one), None) for one in sizes]
+        return found[0], found[1]
+
+
+def _require_outputs(sidecar: Sidecar, processes: NetworkProcesses) -> None:
+    there = [one["name"] for one in processes.outputs]
+    for name in sidecar.outputs:
+        if name not in there:
+            raise InputError(
+                f"there is no output {name[:40]!r}; the network's are {', '.join(there)[:200]}.",
+                sidecar.file or processes.file,
+            )
+
+
+def _mirrored(image: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(image[:, ::-1])
+
+
+def _in_size(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    import cv2
+
+    if image.shape[:2] == (height, width):
+        return image
+    shrinks = width * height < image.shape[0] * image.shape[1]
+    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(np.ascontiguousarray(image), (width, height), interpolation=method))
+
+
+def _shape(shape: Sequence[int | None]) -> str:
+    return " × ".join("?" if one is None else str(one) for one in shape) or "nothing"

@@ -1,0 +1,244 @@
+"""Guess what a network takes and gives: it is run on a made pair whose shift is known, in all usual ways.
+
+Of one image there is no known shift: its sidecar follows the customs of such networks, and is only tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError, StageError
+from stages.printing import by_figures, table
+from stages.progress import Progress, silent
+from stages.stereo.networks.network import Network
+from stages.stereo.networks.process import NetworkProcesses
+from stages.stereo.networks.sidecar import INVERSE_DEPTH, MONOCULAR, NORMALISED, PX, STEREO, Sidecar
+
+# Of ImageNet, RGB, as networks that began with its pictures want them.
+_IMAGENET = {"range": (0.0, 1.0), "mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
+# The usual first: where several do as well, it is taken.
+_NUMBERS = (
+    {"range": (0.0, 255.0)},
+    {"range": (0.0, 1.0)},
+    _IMAGENET,
+    {"range": (-1.0, 1.0)},
+)
+_READINGS = tuple(product((PX, NORMALISED), (1, -1)))
+# Of networks without a size of their own, what nearly all take.
+_MULTIPLE = 32
+_SIZE = (256, 384)
+# The shifts of the background and of what is before it: the width over so much.
+_FAR, _NEAR = 48, 19
+# Such a reading is right, px in the median; and one that is so much better than another is another.
+_RIGHT = 1.5
+_BETTER = 0.05
+_SURE_WORDS, _HIDDEN_WORDS = ("conf", "certain"), ("occ", "hidden")
+_DEPTH_WORDS = ("disp", "depth", "flow", "output")
+
+
+@dataclass(frozen=True, eq=False)
+class Probed:
+    """What was guessed of a network.
+
+    Attributes
+    ----------
+    sidecar : the guess.
+    error_px : of the known shift, px in the median; None for one image, of which none is known.
+    alike : what does as well, in words: the pair cannot tell it apart.
+    """
+
+    sidecar: Sidecar
+    error_px: float | None
+    alike: tuple[str, ...] = ()
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was guessed, ready for JSON."""
+        told = {name: value for name, value in vars(self.sidecar).items() if name != "file"}
+        return {"sidecar": told, "error_px": self.error_px, "alike": list(self.alike)}
+
+
+def probe_network(
+    file: Path | str, *, memory: int = 8 << 30, seconds: float = 600, progress: Progress = silent
+) -> Probed:
+    """Guess the sidecar of a network's file.
+
+    Parameters
+    ----------
+    file : ONNX.
+    memory, seconds : bytes and time that it may take.
+    progress : called after each way that was tried.
+
+    Raises
+    ------
+    InputError
+        If it cannot be run, or its inputs are no image and no pair.
+    StageError
+        If none of the usual ways gives the known shift.
+    UsageError
+        If onnxruntime is not installed.
+    """
+    processes = NetworkProcesses(Path(file), memory, seconds)
+    try:
+        inputs, outputs = processes.inputs, processes.outputs
+        kind, layout, ways = _ways(inputs, Path(file))
+        named = _outputs(outputs)
+        base = Sidecar(kind, ways[0][0], named[0], PX, layout=layout, multiple_of=_multiple(inputs, layout))
+        base = replace(base, confidence=named[1], occlusion=named[2])
+        if kind == STEREO:
+            return _of_pair(processes, [*_candidates(base, ways)], progress)
+        return _of_image(processes, base, ways[0][1])
+    finally:
+        processes.close()
+
+
+def _of_image(processes: NetworkProcesses, base: Sidecar, channels: int) -> Probed:
+    color = "grey" if channels == 1 else "rgb"
+    numbers: dict[str, Any] = {"range": (0.0, 1.0)} if channels == 1 else _IMAGENET
+    sidecar = replace(base, kind=MONOCULAR, unit=INVERSE_DEPTH, color=color, **numbers)
+    left, _, _ = known_pair()
+    found, _ = Network.of(processes, sidecar).of_image(left)
+    if not np.isfinite(found).any():
+        raise StageError(f"{processes.file}: it gives no number for an image, put as {_said(sidecar)}.")
+    return Probed(sidecar, None)
+
+
+def _of_pair(processes: NetworkProcesses, candidates: Sequence[Sidecar], progress: Progress) -> Probed:
+    tried: list[tuple[float, Sidecar]] = []
+    for done, sidecar in enumerate(candidates, 1):
+        network = Network.of(processes, sidecar)
+        # Of its own size, so that no pixel is another than it was.
+        left, right, truth = known_pair(*network.fixed_size)
+        given, _ = network.of_left(left, right, 1.0, 0.0)
+        for unit, sign in _READINGS:
+            scale = sign * (truth.shape[1] if unit == NORMALISED else 1)
+            off = np.abs(given * np.float32(scale) - truth)[np.isfinite(truth)]
+            error = float(np.median(np.where(np.isfinite(off), off, np.inf)))
+            tried.append((error, replace(sidecar, unit=unit, sign=sign)))
+        progress(done, len(candidates))
+    least, nearest = min(tried, key=lambda one: one[0])
+    if not least <= _RIGHT:
+        raise StageError(
+            f"{processes.file}: in none of the usual ways does it give the shift of a known pair within "
+            f"{_RIGHT:g} px; the nearest, {_said(nearest)}, is off by {least:.3g} px. Write its "
+            "sidecar by hand."
+        )
+    good = [one for one in tried if one[0] <= least + _BETTER]
+    error, sidecar = good[0]
+    return Probed(sidecar, error, tuple(dict.fromkeys(_said(one) for _, one in good[1:])))
+
+
+def _candidates(base: Sidecar, ways: Sequence[tuple[dict[str, str], int]]) -> Iterator[Sidecar]:
+    for inputs, channels in ways:
+        for numbers in _NUMBERS:
+            for color in ("grey",) if channels == 1 else ("rgb", "bgr"):
+                # Means and deviations of ImageNet go with its colours.
+                backwards = {
+                    name: value[::-1] if color == "bgr" and len(value) == 3 else value
+                    for name, value in numbers.items()
+                }
+                yield replace(base, inputs=inputs, color=color, **backwards)  # type: ignore[arg-type]
+
+
+def known_pair(
+    height: int | None = None, width: int | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
+    """Make a pair with texture of all sizes: a background, and a rectangle before it.
+
+    Returns
+    -------
+    Left and right image, (h, w, 3) uint8 RGB, and the left's disparity, (h, w) float32 px; NaN at the border
+    and where the right image does not show it.
+    """
+    import cv2
+
+    high, wide = height or _SIZE[0], width or _SIZE[1]
+    far, near = wide // _FAR, wide // _NEAR
+    random = np.random.default_rng(7)
+
+    def texture() -> NDArray[np.float32]:
+        total = np.zeros((high, wide + far, 3), np.float32)
+        for size in (2, 5, 12, 30):
+            coarse = (high // size + 2, (wide + far) // size + 2, 3)
+            noise = random.standard_normal(coarse).astype(np.float32)
+            total += cv2.resize(noise, (wide + far, high), interpolation=cv2.INTER_CUBIC)
+        # Of different means, so that a wrong order of colours or a wrong range shows where it matters.
+        return np.asarray(np.clip(np.array([140, 110, 80], np.float32) + 22 * total, 0, 255), np.float32)
+
+    back, front = texture(), texture()
+    rows, columns = slice(high // 4, 3 * high // 4), slice(wide // 3, 2 * wide // 3)
+    left, right = back[:, :wide].copy(), back[:, far : wide + far].copy()
+    left[rows, columns] = front[rows, columns]
+    right[rows, columns.start - near : columns.stop - near] = front[rows, columns]
+    truth = np.full((high, wide), far, np.float32)
+    truth[rows, columns] = near
+    truth[rows, columns.start - (near - far) : columns.start] = np.nan
+    truth[:, : 2 * near] = truth[:, -near:] = np.nan
+    return left.astype(np.uint8), right.astype(np.uint8), truth
+
+
+def _ways(inputs: Sequence[Any], file: Path) -> tuple[str, str, list[tuple[dict[str, str], int]]]:
+    """Return the kind, the layout, and what the inputs may take, with the channels of an image."""
+    shapes = [[*one["shape"]] for one in inputs]
+    is_last = bool(shapes) and all(
+        len(one) >= 3 and one[-1] in (1, 3, 6) and one[-3] not in (1, 2, 3, 6) for one in shapes
+    )
+    counts = [None if len(one) < 3 else one[-1] if is_last else one[-3] for one in shapes]
+    layout = "nhwc" if is_last else "nchw"
+    names = [one["name"] for one in inputs]
+    if len(names) == 1 and counts[0] in (2, 6):
+        return STEREO, layout, [({names[0]: "pair"}, counts[0] // 2)]
+    if len(names) == 1 and counts[0] in (None, 1, 3):
+        return MONOCULAR, layout, [({names[0]: "image"}, counts[0] or 3)]
+    if len(names) in (2, 4) and all(count in (None, 1, 3) for count in counts):
+        # Of four, the first two are at half the size, by custom called init_….
+        half = ["/2" if len(names) == 4 and at < 2 else "" for at in range(len(names))]
+        orders = (("left", "right"), ("right", "left"))
+        ways = [
+            (
+                {name: side + small for name, side, small in zip(names, 2 * order, half, strict=False)},
+                counts[0] or 3,
+            )
+            for order in orders
+        ]
+        # A name that says which it is is believed.
+        if "left" in names[0].lower() and "right" in names[1].lower():
+            ways = ways[:1]
+        return STEREO, layout, ways
+    told = ", ".join(f"{one['name'][:40]} {one['shape']}" for one in inputs)
+    raise InputError(f"its inputs ({told[:200]}) are no image and no pair; write its sidecar by hand.", file)
+
+
+def _outputs(outputs: Sequence[Any]) -> tuple[str, str | None, str | None]:
+    """Return the outputs of depth, of confidence and of occlusion, by their names."""
+    names = [one["name"] for one in outputs]
+
+    def named(words: Sequence[str], among: Sequence[str]) -> str | None:
+        return next((name for name in among if any(word in name.lower() for word in words)), None)
+
+    sure, hidden = named(_SURE_WORDS, names), named(_HIDDEN_WORDS, names)
+    others = [name for name in names if name not in (sure, hidden)] or names
+    # Networks that refine in steps give the last one last.
+    return named(_DEPTH_WORDS, others) or others[-1], sure, hidden
+
+
+def _multiple(inputs: Sequence[Any], layout: str) -> int:
+    sizes = [one["shape"][-2:] if layout == "nchw" else one["shape"][-3:-1] for one in inputs]
+    return 1 if all(size is not None for pair in sizes for size in pair) else _MULTIPLE
+
+
+def _said(sidecar: Sidecar) -> str:
+    low, high = sidecar.range
+    takes = f"{sidecar.color} {low:g} to {high:g}" + (" less a mean" if any(sidecar.mean) else "")
+    order = "" if "pair" in sidecar.inputs.values() else f", {' and '.join(sidecar.inputs.values())}"
+    sign = "−" if sidecar.sign < 0 else ""
+    return f"{takes}{order}, {sign}{sidecar.unit}"

@@ -1,0 +1,170 @@
+"""Networks in processes of their own: started when wanted, several at once, ended with their owner."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+import threading
+import weakref
+from collections.abc import Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError, UsageError
+from stages.files.own_process import started
+
+Map = NDArray[np.float32]
+
+# A line that tells of inputs, outputs or what is wrong is a page at most.
+_LONGEST_LINE = 1 << 20
+
+
+class NetworkProcesses:
+    """A network's file, run by as many processes as are asked at the same time.
+
+    Attributes
+    ----------
+    file : of the network.
+    inputs, outputs : what it says of them itself: `name`, `shape` with None for what is open, and `type`.
+    """
+
+    def __init__(self, file: Path, memory: int, seconds: float) -> None:
+        """Start the first process, which loads the network.
+
+        Parameters
+        ----------
+        memory : bytes that each process may take beyond what it begins with, where systems have limits.
+        seconds : that loading it, and each run of it, may take.
+
+        Raises
+        ------
+        InputError
+            If it is no network that can be run.
+        UsageError
+            If onnxruntime is not installed.
+        """
+        if find_spec("onnxruntime") is None:
+            raise UsageError(f"{file}: networks are run by onnxruntime; install scanloom[network].")
+        if not file.is_file():
+            raise InputError("there is no such file.", file)
+        self.file = file
+        # Stays empty: where each process stands.
+        folder = tempfile.TemporaryDirectory(prefix="scanloom-")
+        self._start = partial(_Process, file, folder.name, memory, seconds)
+        self._idle: list[_Process] = []
+        self._lock = threading.Lock()
+        self._end = weakref.finalize(self, _end_all, self._idle, folder)
+        first = self._start()
+        self.inputs: Sequence[Mapping[str, Any]] = first.told["inputs"]
+        self.outputs: Sequence[Mapping[str, Any]] = first.told["outputs"]
+        self._idle.append(first)
+
+    def run(self, feeds: Mapping[str, NDArray[Any]], outputs: Sequence[str]) -> list[Map]:
+        """Run the network on arrays by name, and return some of its outputs as float32.
+
+        Any thread may call it; those that call it at once get a process each.
+
+        Raises
+        ------
+        InputError
+            If the network cannot be run on them, or takes more time or memory than it may.
+        """
+        with self._lock:
+            process = self._idle.pop() if self._idle else None
+        process = process or self._start()
+        try:
+            found = process.run(feeds, outputs)
+        except BaseException:
+            process.end()
+            raise
+        with self._lock:
+            self._idle.append(process)
+        return found
+
+    def close(self) -> None:
+        """End the processes."""
+        self._end()
+
+
+def _end_all(processes: list[_Process], folder: tempfile.TemporaryDirectory[str]) -> None:
+    while processes:
+        processes.pop().end()
+    folder.cleanup()
+
+
+class _Process:
+    def __init__(self, file: Path, folder: str, memory: int, seconds: float) -> None:
+        self._file, self._seconds = file, seconds
+        words = [str(file.resolve()), folder, str(memory), str(seconds)]
+        self._child = started("stages.stereo.networks.serving", words)
+        try:
+            self.told = self._answer(b"", ())[0]
+        except BaseException:
+            self.end()
+            raise
+
+    def run(self, feeds: Mapping[str, NDArray[Any]], outputs: Sequence[str]) -> list[Map]:
+        arrays = [np.ascontiguousarray(one) for one in feeds.values()]
+        told = [
+            {"name": name, "type": one.dtype.str, "shape": one.shape}
+            for name, one in zip(feeds, arrays, strict=True)
+        ]
+        line = json.dumps({"feeds": told, "outputs": list(outputs)}).encode() + b"\n"
+        _, found = self._answer(line, arrays)
+        return found
+
+    def end(self) -> None:
+        self._child.kill()
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):  # what was not read any more
+                    pipe.close()
+        self._child.wait()
+
+    def _answer(self, line: bytes, arrays: Sequence[NDArray[Any]]) -> tuple[dict[str, Any], list[Map]]:
+        """Ask, and return what is said and the arrays that follow; the process is ended when time is up."""
+        is_late = threading.Event()
+
+        def stop() -> None:
+            is_late.set()
+            self._child.kill()
+
+        timer = threading.Timer(self._seconds, stop)
+        timer.daemon = True
+        timer.start()
+        asks, answers = self._child.stdin, self._child.stdout
+        assert asks is not None
+        assert answers is not None
+        try:
+            asks.write(line)
+            for array in arrays:
+                asks.write(array.data)
+            asks.flush()
+            said: dict[str, Any] = json.loads(answers.readline(_LONGEST_LINE))
+            found = [_read(answers, shape) for shape in said.get("shapes", ())]
+        except (OSError, ValueError) as error:
+            why = (
+                f"it takes more than {self._seconds:g} s (depth.model_seconds)"
+                if is_late.is_set()
+                else "it crashed, or takes more memory than it may (depth.model_memory)"
+            )
+            raise InputError(f"cannot be run as a network: {why}.", self._file) from error
+        finally:
+            timer.cancel()
+        if "error" in said:
+            raise InputError(f"cannot be run as a network: {said['error']}.", self._file)
+        return said, found
+
+
+def _read(answers: Any, shape: Sequence[int]) -> Map:
+    count = int(np.prod(shape, dtype=np.int64))
+    data = answers.read(4 * count)
+    if len(data) != 4 * count:
+        raise ValueError("cut short")
+    return np.frombuffer(data, "<f4").reshape(shape)

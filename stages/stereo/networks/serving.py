@@ -1,0 +1,145 @@
+"""What runs in a process of its own to run a network; `stages.stereo.networks.process` talks to it.
+
+onnxruntime takes files that come from anywhere: what crashes, hangs or fills memory ends there.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files.opening import content_of
+from stages.files.own_process import limit_memory
+
+# Seconds after which nobody waits any more.
+_LATER = 5
+# A protobuf holds no more.
+_MOST_BYTES = (1 << 31) - 1
+# Values that an output may have for each pixel of an input: some networks give flow, or a few levels.
+_MOST_A_PIXEL = 16
+# What onnxruntime and C++ say where there is no room.
+_NO_MEMORY = ("bad_alloc", "bad allocation", "BFCArena", "Failed to allocate memory")
+TYPES = {"tensor(float)": "<f4", "tensor(float16)": "<f2", "tensor(uint8)": "|u1", "tensor(double)": "<f8"}
+
+
+def main() -> None:
+    """Load a network, and run it on whatever comes, until nothing more does.
+
+    The words are its file, an empty folder, and the bytes and seconds that it may take.
+    """
+    # What a library prints must not come between the answers.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    path, folder, memory, seconds = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+    # Weights in other files are looked for in the current folder, and not found.
+    os.chdir(folder)
+    try:
+        limit_memory(memory)
+        with _within(seconds):
+            session = _loaded(path)
+    except BaseException as error:
+        _tell(answers, {"error": _said(error)})
+        return
+    _tell(answers, _described(session))
+    _serve(session, sys.stdin.buffer, answers, seconds)
+
+
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    """End this process if work takes longer, should whoever asked be gone; who asks waits a little less."""
+    if sys.platform == "win32":
+        yield
+        return
+    signal.alarm(math.ceil(seconds) + _LATER)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+
+
+def _loaded(path: Path) -> Any:
+    import onnxruntime
+
+    if path.stat().st_size > _MOST_BYTES:
+        raise InputError("it is larger than 2 GB, more than one file of a network can hold")
+    options = onnxruntime.SessionOptions()
+    # On one thread the sums are always the same ones. Several pairs are in several processes.
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4
+    return onnxruntime.InferenceSession(content_of(path), options, providers=["CPUExecutionProvider"])
+
+
+def _described(session: Any) -> dict[str, Any]:
+    def told(one: Any) -> dict[str, Any]:
+        shape = [size if isinstance(size, int) and size > 0 else None for size in one.shape or ()]
+        return {"name": one.name, "shape": shape, "type": one.type}
+
+    return {
+        "inputs": [told(one) for one in session.get_inputs()],
+        "outputs": [told(one) for one in session.get_outputs()],
+    }
+
+
+def _serve(session: Any, questions: BinaryIO, answers: BinaryIO, seconds: float) -> None:
+    while line := questions.readline():
+        asked = json.loads(line)
+        feeds = {one["name"]: _array(questions, one["type"], one["shape"]) for one in asked["feeds"]}
+        pixels = max(feed.size for feed in feeds.values())
+        try:
+            with _within(seconds):
+                outputs = [_numbers(one, pixels) for one in session.run(asked["outputs"], feeds)]
+        except BaseException as error:
+            _tell(answers, {"error": _said(error)})
+            continue
+        _tell(answers, {"shapes": [one.shape for one in outputs]}, *outputs)
+
+
+def _numbers(output: Any, pixels: int) -> NDArray[np.float32]:
+    array = np.asarray(output)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"an output is of type {array.dtype}, where numbers are expected")
+    if array.size > _MOST_A_PIXEL * pixels:
+        raise InputError(f"an output has {array.size:,} values for {pixels:,} of an input")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, "<f4")
+
+
+def _array(questions: BinaryIO, kind: str, shape: list[int]) -> NDArray[Any]:
+    size = np.dtype(kind).itemsize * int(np.prod(shape))
+    return np.frombuffer(questions.read(size), kind).reshape(shape)
+
+
+def _tell(answers: BinaryIO, told: dict[str, Any], *arrays: NDArray[np.float32]) -> None:
+    answers.write(json.dumps(told).encode() + b"\n")
+    for array in arrays:
+        answers.write(array.tobytes())
+    answers.flush()
+
+
+def _said(error: BaseException) -> str:
+    """Return what is wrong, in a few words of one line."""
+    if isinstance(error, InputError):
+        return str(error)
+    text = " ".join(str(error).split())
+    if isinstance(error, MemoryError) or any(word in text for word in _NO_MEMORY):
+        return "it needs more memory than it may take (depth.model_memory)"
+    if "External data" in text or "external data" in text:
+        return (
+            "it keeps its weights in other files, which are not read; make one file of them: "
+            "onnx.save(onnx.load(FILE), OTHER)"
+        )
+    # "[ONNXRuntimeError] : 2 : INVALID_ARGUMENT : what is wrong"
+    said = text.split(" : ", 3)[-1] if text.startswith("[ONNX") else text
+    return f"onnxruntime says: {said[:200].rstrip('. ')}"

@@ -1,0 +1,70 @@
+"""Images that are upside down against their poses, turned back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.images import read_color, read_mask
+from stages.scans.prefetch import read_ahead
+from stages.scans.scan import Frame, Packed, Scan
+from stages.stereo.params import DepthParams
+from stages.stereo.posed_views import PosedView
+from stages.stereo.turned import Corners, corners, turned
+from stages.stereo.view_images import color_of, grey_of
+
+
+def turned_back(
+    scan: Scan, views: Sequence[PosedView], pairs: Sequence[tuple[int, int]], params: DepthParams
+) -> tuple[Scan, dict[int, tuple[str, ...]]]:
+    """Return the scan with upside-down images turned back, and what to say of them, by their places."""
+
+    def read(frame: Frame) -> Corners | None:
+        try:
+            return corners(grey_of(color_of(frame)))
+        except InputError:
+            return None  # Reported when its turn comes.
+
+    threads = params.threads or os.cpu_count() or 1
+    found = list(read_ahead(read, scan.frames, threads=threads, ahead=threads + 2))
+    places = [at for at, is_turned in enumerate(turned(views, found, pairs)) if is_turned]
+    if not places:
+        return scan, {}
+    frames = list(scan.frames)
+    for at in places:
+        frames[at] = replace(
+            frames[at],
+            color=_upside_down(frames[at], frames[at].color, read_color),
+            mask=_upside_down(frames[at], frames[at].mask, read_mask),
+        )
+    said = (
+        f"{len(places)} images are upside down against their poses, the first {frames[places[0]].name}; "
+        "they were turned back",
+    )
+    return replace(scan, frames=frames), dict.fromkeys(places, said)
+
+
+def _upside_down(
+    frame: Frame,
+    source: Path | Packed | NDArray[np.uint8] | None,
+    read: Callable[[Frame], NDArray[np.uint8] | None],
+) -> Packed | NDArray[np.uint8] | None:
+    """Return an image of the frame turned by 180 degrees, read again each time if it is a file."""
+    if source is None:
+        return None
+
+    def load() -> NDArray[np.uint8]:
+        image = read(frame)
+        if image is None:
+            raise InputError(f"frame {frame.name} has no image.")
+        return np.ascontiguousarray(image[::-1, ::-1])
+
+    if isinstance(source, np.ndarray):
+        return load()
+    return Packed(source if isinstance(source, Path) else source.file, f"{frame.name}, turned", load)

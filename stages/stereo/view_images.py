@@ -1,0 +1,31 @@
+"""The undistorted images of views."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.images import read_pinhole
+from stages.scans.scan import ColorImage, Frame
+
+
+def color_of(frame: Frame) -> ColorImage:
+    """Return the image of a frame, (h, w, 3) uint8.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it cannot be read.
+    """
+    color = read_pinhole(frame)
+    if color is None:
+        raise InputError(f"frame {frame.name} has no image.")
+    return color
+
+
+def grey_of(color: ColorImage) -> NDArray[np.uint8]:
+    """Return the brightness of an image, (h, w) uint8."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)

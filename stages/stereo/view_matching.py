@@ -1,0 +1,136 @@
+"""Depth of one view from its partners: swept with all of them at once, or from pairs with each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.scans.images import read_seen
+from stages.scans.scan import ColorImage, DepthImage, Scan, SkippedFrame
+from stages.stereo.agreement import merged
+from stages.stereo.coverage import Counts
+from stages.stereo.depth import PairStage
+from stages.stereo.matching import SearchRange
+from stages.stereo.networks.network import Network
+from stages.stereo.params import SWEEP, DepthParams
+from stages.stereo.plane_fit import Seen
+from stages.stereo.plane_sweep import plane_sweep
+from stages.stereo.posed_views import PosedView
+from stages.stereo.shown import Outline, grown, shown
+from stages.stereo.view_images import color_of, grey_of
+from stages.stereo.view_pair import depth_in_view, rectified_views
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the partners of a view say together, before other views are asked."""
+
+    depth: DepthImage
+    confidence: NDArray[np.uint8]
+    search: SearchRange
+    counts: Counts
+
+
+def measured_view(
+    scan: Scan,
+    views: Sequence[PosedView],
+    chosen: Sequence[Sequence[int]],
+    params: DepthParams,
+    tolerance: float,
+    outline: Outline,
+    network: Network | None,
+    at: int,
+) -> Measured | SkippedFrame:
+    """Match one view with its partners."""
+    name = scan.frames[at].name
+    try:
+        color = color_of(scan.frames[at])
+    except InputError as error:
+        return SkippedFrame(name, str(error))
+    if network is None and params.views == SWEEP:
+        return _swept(scan, views, chosen[at], params, outline, at, color)
+    depths: list[DepthImage] = []
+    confidences: list[NDArray[np.uint8]] = []
+    searches: list[SearchRange] = []
+    for other in chosen[at]:
+        if len(depths) == params.partners:
+            break
+        pair = rectified_views(views[at], views[other])
+        if pair is None:
+            continue
+        try:
+            second = color_of(scan.frames[other])
+        except InputError:
+            continue  # Reported when its own turn comes.
+        rig, near, far = pair
+        ranged = replace(params, min_depth=near, max_depth=far)
+        stage = PairStage(rig, ranged, pairs=len(views), network=network)
+        found = stage.measure(*rig.apply(color, second), ())
+        depth, trust = depth_in_view(found.depth, found.confidence, rig, views[at], views[other])
+        depths.append(depth)
+        confidences.append(trust)
+        searches.append(found.search)
+    if not depths:
+        return _without_partners(name, bool(chosen[at]))
+    depth, trust = merged(depths, confidences, tolerance)
+    seen, measured = shown(scan.frames[at], color, outline, params.backdrop)
+    depth[~measured] = 0
+    counts = Counts(
+        all=depth.size,
+        shown=int(np.count_nonzero(seen)),
+        plain=int(np.count_nonzero(seen & ~measured)),
+        matched=int(np.count_nonzero(depth)),
+        outlined=depth.size if outline.is_known else 0,
+    )
+    return Measured(depth, trust, searches[0], counts)
+
+
+def _swept(
+    scan: Scan,
+    views: Sequence[PosedView],
+    partners_of: Sequence[int],
+    params: DepthParams,
+    outline: Outline,
+    at: int,
+    color: ColorImage,
+) -> Measured | SkippedFrame:
+    """Match one view with all of its partners at once."""
+
+    def seen(place: int, image: ColorImage) -> Seen:
+        thing = None
+        if outline.silhouettes:
+            thing = grown(read_seen(scan.frames[place]))
+        return Seen(views[place], grey_of(image), thing)
+
+    others: list[Seen] = []
+    for other in partners_of:
+        if len(others) == params.partners:
+            break
+        try:
+            others.append(seen(other, color_of(scan.frames[other])))
+        except InputError:
+            continue  # Reported when its own turn comes.
+    if not others:
+        return _without_partners(scan.frames[at].name, bool(partners_of))
+    found = plane_sweep(seen(at, color), others)
+    measured, _ = shown(scan.frames[at], color, outline, params.backdrop)
+    depth = np.where(measured, found.depth, np.float32(0))
+    counts = Counts(
+        all=depth.size,
+        shown=int(np.count_nonzero(measured)),
+        matched=int(np.count_nonzero(depth)),
+        outlined=depth.size if outline.is_known else 0,
+    )
+    distinct = np.rint(255 * found.distinct).astype(np.uint8)
+    return Measured(depth, distinct, SearchRange.covering(0, found.planes - 1), counts)
+
+
+def _without_partners(name: str, are_before: bool) -> SkippedFrame:
+    where = "before or behind it" if are_before else "too near, too far aside, or look elsewhere"
+    return SkippedFrame(
+        name, f"no other view sees the same from a little aside (1 to 35 degrees); others stand {where}"
+    )

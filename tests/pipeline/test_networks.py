@@ -1,0 +1,105 @@
+"""A network of one's own in a run: what of it decides a hit, and that measured depth stays."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import networks
+import numpy as np
+import pytest
+from photographed import CAMERA, photos
+
+from pipeline.config import Config
+from pipeline.dry_run import foresee
+from pipeline.run import run
+from stages import InputError, ScanParams, read_scan
+from stages.scans.images import read_depth
+from stages.scans.layouts.scan_json import write_scan_json
+from stages.scans.scan import Frame
+from stages.stereo.networks.sidecar import Sidecar, sidecar_of, written
+
+ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth", range=(0.0, 1.0))
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """Two frames of depth whose brightness is inverse depth; the second lacks a part."""
+    folder, frames = tmp_path / "scan", []
+    for number, frame in enumerate(photos(8)[:2]):
+        random = np.random.default_rng(number)
+        grey = random.integers(20, 230, (CAMERA.height, CAMERA.width)).astype(np.uint8)
+        depth = np.rint(1000 / (0.2 + grey / 255.0)).astype(np.uint16)
+        depth[: 20 * number] = 0
+        paths = {}
+        for what, image in (("color", np.repeat(grey[..., None], 3, axis=2)), ("depth", depth)):
+            paths[what] = folder / what / f"{frame.name}.png"
+            paths[what].parent.mkdir(parents=True, exist_ok=True)
+            paths[what].write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        frames.append(Frame(frame.name, CAMERA, **paths, world_from_camera=frame.world_from_camera))
+    write_scan_json(folder, frames)
+    return folder
+
+
+@pytest.fixture
+def network(tmp_path: Path) -> Path:
+    file = networks.by_brightness(tmp_path / "net.onnx")
+    sidecar_of(file).write_text(written(ONE), encoding="utf-8")
+    return file
+
+
+def config(network: Path, *more: str) -> Config:
+    return Config().set([f"depth.model={network}", *more])
+
+
+def reasons(scan: Path, out: Path, network: Path, *more: str) -> dict[str, str]:
+    foreseen = foresee(scan, out, config(network, *more), until="depth")
+    return {one.stage: one.reason for one in foreseen.stages if not one.cached}
+
+
+def test_a_network_and_its_sidecar_decide_and_their_place_does_not(scan, network, tmp_path):
+    out = tmp_path / "out"
+    figures = run(scan, out, config(network), until="depth").stages[0].figures
+    assert figures["filled_share"] > 0.05
+    assert reasons(scan, out, network) == {}
+    moved = tmp_path / "elsewhere" / "renamed.onnx"
+    moved.parent.mkdir()
+    shutil.move(network, moved)
+    shutil.move(sidecar_of(network), sidecar_of(moved))
+    assert reasons(scan, out, moved) == {}
+    assert reasons(scan, out, moved, "depth.model_seconds=5", "depth.model_memory=4000") == {}
+    assert reasons(scan, out, moved, "depth.model_error=0.2")["depth"].startswith("params changed")
+    text = sidecar_of(moved).read_text(encoding="utf-8")
+    sidecar_of(moved).write_text(text + "\n", encoding="utf-8")
+    assert "sidecar" in reasons(scan, out, moved)["depth"]
+    sidecar_of(moved).write_text(text, encoding="utf-8")
+    networks.by_brightness(moved, scale=3.0)
+    assert "network" in reasons(scan, out, moved)["depth"]
+
+
+def test_without_one_measured_depth_has_no_such_stage(scan, tmp_path):
+    assert "depth" not in {one.stage for one in foresee(scan, tmp_path / "out", Config()).stages}
+
+
+def test_measured_depth_stays_and_what_is_filled_in_can_be_left_out(scan, network, tmp_path):
+    run(scan, tmp_path / "out", config(network), until="depth")
+    (entry,) = (tmp_path / "out" / "cache" / "depth").glob("*/**/scan.json")
+    before, after = read_scan(scan), read_scan(entry.parent)
+    for one, other in zip(before.frames, after.frames, strict=True):
+        measured, whole = read_depth(one), read_depth(other)
+        np.testing.assert_allclose(whole[measured > 0], measured[measured > 0], atol=1e-6)
+    assert (whole > 0).mean() > (measured > 0).mean()
+    document = json.loads(entry.read_text(encoding="utf-8"))
+    names = [frame["confidence"] for frame in document["frames"]]
+    trust = cv2.imread(str(entry.parent / names[1]), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(trust == 1, (whole > 0) & (measured == 0))
+    surest = read_scan(entry.parent, ScanParams(least_confidence=2))
+    np.testing.assert_array_equal(read_depth(surest.frames[1]) > 0, measured > 0)
+
+
+def test_one_that_cannot_be_run_is_bad_input(scan, network, tmp_path):
+    network.write_bytes(b"no network")
+    with pytest.raises(InputError, match="cannot be run as a network"):
+        run(scan, tmp_path / "out", config(network), until="depth")
+    with pytest.raises(InputError, match="no such file"):
+        run(scan, tmp_path / "out", config(tmp_path / "none.onnx"), until="depth")
