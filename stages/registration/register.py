@@ -21,6 +21,7 @@ from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
 from stages.registration.odometry import one_thread_each
 from stages.registration.placing import placed_pieces
+from stages.registration.subject import thing_in, thing_not_placed, with_masks_of_thing
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
@@ -63,6 +64,12 @@ class RegisterParams:
         "Which piece of a scan that falls apart is used: 1 for the one of the most frames, 2 for the next.",
         low=1,
     )
+    subject: str = param(
+        "auto",
+        "What is registered, and fused: the `scene`, or the `object` alone that moves before a camera that "
+        "stands still, as on a turntable; all else is masked out. `auto` takes the object if there is one.",
+        choices=("auto", "scene", "object"),
+    )
     loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
 
     def __post_init__(self) -> None:
@@ -76,6 +83,7 @@ class RegisterKeywords(TypedDict, total=False):
     max_depth: float | None
     refine: bool
     piece: int
+    subject: str
     loops: bool
 
 
@@ -98,6 +106,7 @@ class Registration:
     key_frames : places in the scan.
     warnings : what is odd.
     seconds : of the work.
+    subject : `scene`, or `object`: the frames then have masks of it, and the world is its own.
     """
 
     frames: tuple[Frame, ...]
@@ -110,6 +119,7 @@ class Registration:
     key_frames: tuple[int, ...]
     warnings: tuple[str, ...]
     seconds: float
+    subject: str = "scene"
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -121,6 +131,7 @@ class Registration:
             [pose[:3, 3] for frame in self.frames if (pose := frame.world_from_camera) is not None]
         )
         return {
+            "subject": self.subject,
             "frames": len(self.frames),
             "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
             "pieces": [len(piece) for piece in self.pieces],
@@ -148,6 +159,8 @@ def register(
     Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
     Key frames that may show the same place, because their poses or their looks say so, are placed to each
     other, and a robust pose graph makes all agree. Frames that cannot be joined are pieces of their own.
+    Of a thing that moves before a camera that stands still, the poses are those of the camera to the thing, and
+    the frames get masks that leave out the rest: see `subject`.
     Equal input gives equal bits, on any number of threads.
 
     Parameters
@@ -162,6 +175,8 @@ def register(
     InputError
         If fewer than two frames can be used, no two of them can be placed to each other, there are fewer
         pieces than `piece`, or `refine` finds no poses.
+    StageError
+        If the thing that is registered alone cannot be told from the rest, or is not rigid.
 
     References
     ----------
@@ -175,15 +190,44 @@ def register(
     given = _given(frames) if params.refine else {}
     if params.refine and not given:
         raise InputError("no frame has a pose that could be refined.", where)
+    thing = None if given else thing_in(frames, params.subject, where)
+    if thing is None:
+        return _registered(frames, given, given, params, began, where, progress)
+    try:
+        found = _registered(thing.frames, thing.poses, {}, params, began, where, progress)
+    except InputError as error:
+        raise thing_not_placed(str(error)) from error
+    return replace(
+        found,
+        frames=with_masks_of_thing(frames, found.places, found.frames, where),
+        apart={
+            number: dict(zip(piece, with_masks_of_thing(frames, piece, piece.values(), where), strict=True))
+            for number, piece in found.apart.items()
+        },
+        seconds=time.perf_counter() - began,
+        subject="object",
+    )
+
+
+def _registered(
+    frames: Sequence[Frame],
+    guesses: Mapping[int, Pose],
+    given: Mapping[int, Pose],
+    params: RegisterParams,
+    began: float,
+    where: Path | None,
+    progress: Progress,
+) -> Registration:
+    """Return the poses of frames from guesses of some; what is `given` besides tells the world."""
     max_depth = params.max_depth or _max_depth(frames)
     with one_thread_each():
-        chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, given)
+        chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, guesses)
         if len(chain.seen) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
         edges = list(key_edges(chain, max_depth))
         if params.loops:
-            edges += loops(chain, max_depth, given, progress)
+            edges += loops(chain, max_depth, guesses, progress)
     groups = pieces(len(chain.keys), edges)
     poses, used, wrong = placed_pieces(chain, groups, edges)
     return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
