@@ -1,8 +1,9 @@
 """Which pixels show the thing that moved: each is asked of other frames, as part of it and as standing still.
 
-What would be seen through, or looks different where it should be, is not there. What turned about an axis is all
-that is as near to it as what surely turned, but for what surely stands still, and for the table beside: that goes
-on beyond in another colour than the plate's. Where nothing turned about one axis, what is not sure goes with what is around it.
+What would be seen through, or looks different where it should be, is not there. What turned about an axis is
+all that is as near to it as what surely turned, but for what surely stands still, and for the table beside,
+which is of another colour than the plate and goes on beyond. Where nothing turned about one axis, what is
+not sure goes with what is around it.
 """
 
 from __future__ import annotations
@@ -24,19 +25,19 @@ Floats = NDArray[np.float64]
 
 # Frames that are asked, spread over the scan.
 _ASKED = 8
-# Colours speak against as much as for from this difference on, 8-bit levels: a thing that turns is lit otherwise.
+# From this difference on colours speak against, 8-bit levels: a thing that turns is lit otherwise.
 _OTHER_SHADE = 30.0
 # How many more frames must speak for one than for the other.
 _SURE = 1.5
-# A turn tells an axis from this on; axes of one turntable differ by less, radians, and shifts along it are less,
-# as a share of the thing's distance.
+# A turn tells an axis from this on; axes of one turntable differ by less, radians, and shifts along it are
+# less, as a share of the thing's distance.
 _TURNED, _ONE_AXIS, _ALONG = np.radians(8), np.radians(8), 0.05
 # The thing reaches as far as nearly all pixels that surely show it, and a little.
 _REACH, _MORE = 97.0, 1.03
-# Pixels that must surely show it, for that. A table is beside it where so large a share of what is so much farther
-# out is at one height.
+# Pixels that must surely show it, for that. A table is beside it where so large a share of what is so much
+# farther out is at one height.
 _LEAST_SURE, _BESIDE, _FLAT = 50, 1.5, 0.5
-# Table and plate differ by so many 8-bit levels or cannot be told apart; the plate is seen within this share of it.
+# Table and plate differ by so many 8-bit levels or cannot be told apart; the plate is within this share.
 _TWO_COLORS, _PLATE = 15.0, 0.7
 # Frames ask each other where the thing turned by this much between them, radians.
 _MOVED = np.radians(3)
@@ -135,7 +136,7 @@ class _Said:
 
 @dataclass(frozen=True, eq=False)
 class _Reach:
-    """How far the thing reaches: from its axis, along it, and at which height the table beside it is, metres."""
+    """How far the thing reaches from its axis and along it, and how high the table beside it is, metres."""
 
     axis: Axis
     radius: float
@@ -160,7 +161,7 @@ class _Reach:
         beside, plate = flat & (radius > self.radius), flat & (radius < _PLATE * self.radius)
         if look.color is None or not beside.any() or not plate.any():
             return np.zeros(look.depth.shape, bool)
-        # Two colours, or it cannot be told where the plate ends; that of the table is taken from near the plate.
+        # Two colours, or it cannot be told where the plate ends; that of the table is taken near the plate.
         beside &= radius < _BESIDE * self.radius
         colors = [np.median(look.color[where], axis=0) for where in (beside, plate)]
         if not beside.any() or np.abs(colors[0] - colors[1]).max() < _TWO_COLORS:
@@ -207,10 +208,13 @@ def _said(look: Look, pose: Pose, others: Mapping[int, Look], poses: Mapping[int
         motion = inverted(poses[n]) @ pose
         if n == place or angle(motion) < _MOVED:
             continue
-        for sign, where in ((1, points @ motion[:3, :3].T + motion[:3, 3]), (-1, points)):
-            votes, alike = _votes(look, where, other)
-            says += sign * votes * np.where(votes > 0, alike, 1)
-            through += sign * (votes < 0)
+        as_thing, alike_thing = _votes(look, points @ motion[:3, :3].T + motion[:3, 3], other)
+        as_still, alike_still = _votes(look, points, other)
+        through += (as_thing < 0).astype(float) - (as_still < 0)
+        # That one can be seen says nothing against the other where that is hidden.
+        both = (as_thing != 0) & (as_still != 0)
+        as_thing = np.where(as_thing > 0, both * alike_thing, as_thing)
+        says += as_thing - np.where(as_still > 0, both * alike_still, as_still)
     return _Said(says, through)
 
 
@@ -219,8 +223,8 @@ def _votes(look: Look, points: Floats, other: Look) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    (h, w) 1 where it sees them, -1 where it sees through them, 0 where something hides them; and how alike they
-    look, 1 for the same and down to -1.
+    (h, w) 1 where it sees them, -1 where it sees through them, 0 where something hides them; and how alike
+    they look, 1 for the same and down to -1.
     """
     rows, columns, inside = _pixels(points, other.camera)
     there = other.depth[rows, columns]
@@ -235,7 +239,7 @@ def _votes(look: Look, points: Floats, other: Look) -> tuple[Floats, Floats]:
 
 
 def _with_around(look: Look, is_thing: Mask, is_still: Mask) -> Mask:
-    """Return the thing with what goes with it: what is not sure is flooded from what is, over flat colour first."""
+    """Return the thing with what goes with it: what is not sure is flooded over flat colour first."""
     import cv2
 
     markers = np.zeros(look.depth.shape, np.int32)

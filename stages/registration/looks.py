@@ -61,17 +61,17 @@ def read_look(frame: Frame) -> Look | None:
         depth = read_depth(frame)
         if depth is None:
             return None
-        color = None if frame.color is None else read_matching_color(frame, depth)
+        shown = None if frame.color is None else read_matching_color(frame, depth)
     except InputError:
         return None
     step = max(-(-frame.camera.width // _WIDEST), 1)
     small = smaller(depth, step)
     height, width = small.shape
-    if color is not None:
-        shrunk = cv2.resize(
-            color[: height * step, : width * step], (width, height), interpolation=cv2.INTER_AREA
-        )
-        color = np.asarray(cv2.GaussianBlur(shrunk.astype(np.float32), (0, 0), 0.8))
+    color = None
+    if shown is not None:
+        whole = shown[: height * step, : width * step]
+        shrunk = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+        color = np.asarray(cv2.GaussianBlur(shrunk.astype(np.float32), (0, 0), 0.8), np.float32)
     camera = scaled(pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
     return Look(small, color, camera)
 

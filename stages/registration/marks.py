@@ -1,12 +1,12 @@
-"""The motion of a plate that turns, by marks on it: their places as seen from above, and the turn that most share.
+"""The motion of a plate that turns: where marks on it are as seen from above, and the turn that most share.
 
-Marks look alike, and a step may be too large for anything to be recognised: that dots, corners or letters keep
-their distances is enough. A turn about the plate's normal and a shift on it are all it can do.
+Marks look alike, and a step may be too large for anything to be recognised: that dots, corners or letters
+keep their distances is enough. A turn about the plate's normal and a shift on it are all it can do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +18,15 @@ from stages.scans.scan import Camera, Frame, Pose, pinhole
 
 Floats = NDArray[np.float64]
 
-# Tries for the plane, and how far from it, as a share of its depth, a point is on it.
-_TRIES, _ON_PLANE = 400, 0.012
+# Tries for a plane; how far from it, as a share of its depth, a point is on it; how many are, at least.
+_TRIES, _ON_PLANE, _LEAST_SHARE, _LEAST_POINTS = 400, 0.008, 0.1, 100
+# Planes that are looked at: plate, table, wall.
+_MOST_PLATES = 3
 # Points of each try: more say no more.
 _TRIED_POINTS = 6000
 # Side of the picture from above, pixels, and the contrast and slimness of a mark as SIFT counts them.
 _SIDE, _CONTRAST, _SLIM = 560, 0.03, 5.0
-_MOST_MARKS = 80
+_MOST_MARKS = 60
 # A mark that is in the same place in more of the other frames is of the table, not of the plate.
 _STAYS = 0.4
 # What is measured of the distances, as a share of the plate's distance: marks are the same within it.
@@ -33,7 +35,7 @@ _SAME = 0.006
 _APART = 0.08
 # Marks that agree for a motion to be believed, and by how many more than for any other turn (radians away).
 _LEAST_MARKS, _CLEARLY, _ANOTHER = 5, 1.4, np.radians(5)
-_MOST_TURNS = 20_000
+_MOST_TURNS = 6_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +56,12 @@ class Plate:
     @property
     def same_m(self) -> float:
         """Return within which distance marks are the same."""
-        return _SAME * float(np.linalg.norm(self.origin))
+        return _SAME * self.distance
+
+    @property
+    def distance(self) -> float:
+        """Return how far from the camera it is, metres."""
+        return float(np.linalg.norm(self.origin))
 
     def motion(self, angle: float, shift: Floats) -> Pose:
         """Return the motion (4, 4) that turns what lies on it about its origin, and shifts it (2,)."""
@@ -74,32 +81,42 @@ class MarkedMotion:
     marks: int
 
 
-def plate_of(points: Floats) -> Plate | None:
-    """Return the plane that most of the points (n, 3) are on; None if fewer than half are on one."""
+def plates_of(points: Floats) -> Iterator[Plate]:
+    """Yield planes that many of the points (n, 3) are on, that of the most first: a plate lies on a table."""
     draw = np.random.default_rng(0)
     if len(points) > _TRIED_POINTS:
         points = points[draw.choice(len(points), _TRIED_POINTS, replace=False)]
-    if len(points) < 100:
-        return None
+    least = max(_LEAST_SHARE * len(points), _LEAST_POINTS)
+    for _ in range(_MOST_PLATES):
+        plate = _plate_of(points, draw) if len(points) >= least else None
+        if plate is None:
+            return
+        off = np.abs((points - plate.origin) @ plate.axes[:, 2])
+        on = off < _ON_PLANE * plate.distance
+        if np.count_nonzero(on) < least:
+            return
+        yield plate
+        points = points[~on]
+
+
+def _plate_of(points: Floats, draw: np.random.Generator) -> Plate | None:
     near = _ON_PLANE * float(np.median(points[:, 2]))
     corners = points[draw.integers(0, len(points), (_TRIES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     corners, normals = corners[lengths > 0, 0], normals[lengths > 0] / lengths[lengths > 0, None]
+    if len(normals) == 0:
+        return None
     counts = [
         int(np.count_nonzero(np.abs((points - corner) @ normal) < near))
         for corner, normal in zip(corners, normals, strict=True)
     ]
-    if not counts:
-        return None
     origin, normal = corners[int(np.argmax(counts))], normals[int(np.argmax(counts))]
     for _ in range(3):
         on = points[np.abs((points - origin) @ normal) < near]
         origin = on.mean(axis=0)
         normal = np.linalg.svd(on - origin, full_matrices=False)[2][2]
     on = points[np.abs((points - origin) @ normal) < near]
-    if len(on) < len(points) / 2:
-        return None
     normal = -normal if normal @ origin > 0 else normal
     along = np.cross(normal, (0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (0.0, 1.0, 0.0))
     along /= np.linalg.norm(along)
@@ -134,7 +151,7 @@ def marks_on(frame: Frame, plate: Plate) -> Floats:
 
 
 def moving_marks(marks: Mapping[int, Floats], plate: Plate) -> dict[int, Floats]:
-    """Return the marks of each frame but for those that stay where they are in others: they are not on what turns."""
+    """Return the marks of each frame but for those that stay where they are in others: of the table."""
     from scipy.spatial import cKDTree
 
     trees = {n: cKDTree(places) for n, places in marks.items() if len(places)}
@@ -149,7 +166,7 @@ def moving_marks(marks: Mapping[int, Floats], plate: Plate) -> dict[int, Floats]
 
 
 def _seen_from_above(plate: Plate, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the pixel (s, s, 2) of the camera that sees each pixel of the picture from above, and its depth."""
+    """Return the camera's pixel (s, s, 2) for each pixel of the picture from above, and its depth."""
     steps = (np.arange(_SIDE) + 0.5) * (plate.side_m / _SIDE) - plate.side_m / 2
     x, y = np.meshgrid(steps, steps)
     points = plate.origin + x[..., None] * plate.axes[:, 0] + y[..., None] * plate.axes[:, 1]
@@ -200,7 +217,7 @@ def _turns(source: Floats, target: Floats, plate: Plate) -> Floats:
     """Return turns (n, 3) that bring two marks to two others as far apart: an angle and a shift."""
     if min(len(source), len(target)) < _LEAST_MARKS:
         return np.zeros((0, 3))
-    least = _APART * float(np.linalg.norm(plate.origin))
+    least = _APART * plate.distance
     lengths = np.linalg.norm(source[:, None] - source, axis=2)
     others = np.linalg.norm(target[:, None] - target, axis=2)
     a, b = np.nonzero(np.triu(lengths > least))

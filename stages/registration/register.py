@@ -21,7 +21,7 @@ from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
 from stages.registration.odometry import one_thread_each
 from stages.registration.placing import placed_pieces
-from stages.registration.subject import thing_in, thing_not_placed, with_masks_of_thing
+from stages.registration.subject import alone, thing_in, thing_not_placed
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
@@ -159,8 +159,8 @@ def register(
     Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
     Key frames that may show the same place, because their poses or their looks say so, are placed to each
     other, and a robust pose graph makes all agree. Frames that cannot be joined are pieces of their own.
-    Of a thing that moves before a camera that stands still, the poses are those of the camera to the thing, and
-    the frames get masks that leave out the rest: see `subject`.
+    Of a thing that moves before a camera that stands still, the poses are those of the camera to the thing,
+    and the frames get masks that leave out the rest: see `subject`.
     Equal input gives equal bits, on any number of threads.
 
     Parameters
@@ -199,11 +199,10 @@ def register(
         raise thing_not_placed(str(error)) from error
     return replace(
         found,
-        frames=with_masks_of_thing(frames, found.places, found.frames, where),
-        apart={
-            number: dict(zip(piece, with_masks_of_thing(frames, piece, piece.values(), where), strict=True))
-            for number, piece in found.apart.items()
-        },
+        frames=tuple(
+            alone(frames, dict(zip(found.places, found.frames, strict=True)), thing, where).values()
+        ),
+        apart={number: alone(frames, piece, thing, where) for number, piece in found.apart.items()},
         seconds=time.perf_counter() - began,
         subject="object",
     )
@@ -392,8 +391,8 @@ def _warnings(
         turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
         if turned < _STILL_RAD:
             yield (
-                "the camera does not move: all frames show the scene from one place; if a thing was turned "
-                "in front of it, leave the background out with register.max_depth"
+                "the camera does not move: all frames show the scene from one place; a thing that was turned "
+                "in front of it is registered alone with register.subject=object"
             )
     dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
     if dark:

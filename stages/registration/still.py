@@ -1,7 +1,7 @@
 """Whether the camera stands still while something moves before it, and what then stands still with it.
 
-A camera that moves sees no pixel at the same depth and with the same look again, but by chance; one that stands
-still sees its background so in all frames, those far apart in time, too.
+A camera that moves sees no pixel at the same depth and with the same look again, but by chance; one that
+stands still sees its background so in all frames, those far apart in time, too.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ OTHER_LOOK = 25.0
 _SPOT = 0.0005
 # Gaps in what moves, of an image's width, are closed: what is plain does not change where it moves.
 _GAP = 0.04
+# What a thing stands on is looked for so far around it, as a share of the side of a square of its size.
+_AROUND = 0.5
 
 
 def stands_still(views: Sequence[View], looks: Sequence[Look]) -> bool:
@@ -101,12 +103,14 @@ class Backdrop:
     color : (h, w, 3) of the median frame; None without colour.
     is_passed : (h, w) something nearer is seen there at times.
     moving : (h, w) where something changes, and what lies between.
+    around : (h, w) the same and what is beside it: what it stands on is in it.
     """
 
     depth: NDArray[np.float32]
     color: NDArray[np.float32] | None
     is_passed: Mask
     moving: Mask
+    around: Mask
 
     def changed(self, look: Look) -> Mask:
         """Return which pixels (h, w) of a frame have another look than usual."""
@@ -146,7 +150,8 @@ def backdrop_of(looks: Mapping[int, Look]) -> Backdrop:
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
     # What a plain plate shows in its middle never changes: what lies between is taken in.
     closed = cv2.morphologyEx(changes.astype(np.uint8), cv2.MORPH_CLOSE, disc)
-    return Backdrop(behind, color, passed, _filled(closed) > 0)
+    moving = _filled(np.asarray(closed, np.uint8)) > 0
+    return Backdrop(behind, color, passed, moving, _around(moving))
 
 
 def _without_spots(mask: Mask) -> Mask:
@@ -157,6 +162,21 @@ def _without_spots(mask: Mask) -> Mask:
     large = stats[:, cv2.CC_STAT_AREA] >= _SPOT * mask.size
     large[0] = False
     return np.asarray(large[labels])
+
+
+def _around(mask: Mask) -> Mask:
+    """Return the convex hull of a mask's largest part, and a good deal more to all sides."""
+    import cv2
+
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    wider = np.zeros(mask.shape, np.uint8)
+    if outlines:
+        hull = cv2.convexHull(max(outlines, key=cv2.contourArea))
+        cv2.fillConvexPoly(wider, hull, 1)
+        more = round(_AROUND * float(np.sqrt(wider.sum()))) | 1
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (more, more))
+        return np.asarray(cv2.dilate(wider, disc) > 0)
+    return wider > 0
 
 
 def _filled(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:

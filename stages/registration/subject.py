@@ -1,8 +1,12 @@
-"""What of a scan is registered: all that is seen, or the one thing that moves before a camera that stands still."""
+"""What of a scan is registered: all that is seen, or the thing that moves before a camera that stands still.
+
+Surfaces begin where recognised points and marks end: see `turning` for these, `belonging` for the masks.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,10 +15,11 @@ import numpy as np
 from stages.errors import InputError, StageError
 from stages.registration.belonging import masks_of_thing
 from stages.registration.features import Features
-from stages.registration.looks import read_look, read_looks
+from stages.registration.looks import Look, read_look, read_looks
 from stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
 from stages.registration.turning import first_poses
-from stages.registration.view import View, read_view
+from stages.registration.view import read_view
+from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_mask
 from stages.scans.prefetch import read_ahead, workers
 from stages.scans.scan import Frame, Pose
@@ -53,12 +58,8 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
     """
     if subject == "scene" or len(frames) < 2:
         return None
-    chosen = _spread(len(frames), _DECIDE)
-    looks = read_looks(frames, chosen)
-    views = _views(frames, list(looks))
-    looks = {n: look for n, look in looks.items() if n in views}
-    is_still = stands_still(list(views.values()), list(looks.values()))
-    if not (is_still and something_moves(list(looks.values()))):
+    looks, is_still, moves = _decided(frames)
+    if not (is_still and moves):
         if subject == "object":
             told = "nothing moves before it" if is_still else "it moves"
             raise StageError(
@@ -80,41 +81,64 @@ def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing
     return Thing(masked, first_poses(frames, features, looks, backdrop))
 
 
-def with_masks_of_thing(
-    frames: Sequence[Frame], places: Iterable[int], posed: Iterable[Frame], where: Path | None
-) -> tuple[Frame, ...]:
-    """Return posed frames with masks of the thing that their poses are of.
+def shows_thing(frames: Sequence[Frame]) -> bool:
+    """Say whether `auto` takes the thing that moves: the camera stands still."""
+    _, is_still, moves = _decided(frames)
+    return is_still and moves
+
+
+def alone(
+    frames: Sequence[Frame], posed: Mapping[int, Frame], thing: Thing, where: Path | None
+) -> dict[int, Frame]:
+    """Return posed frames with masks of the thing alone.
+
+    Where all were joined by what is recognised, that tells the poses, not the surfaces: what turns about an
+    axis slides along itself, and the edge of a mask goes with it.
 
     Parameters
     ----------
     frames : of the scan, as they were given.
-    places : of the posed ones among them.
-    posed : the same with poses of one world, which is the thing.
+    posed : frames by their places among them, with poses of one world, which is the thing.
 
     Raises
     ------
     StageError
         If hardly a pixel agrees with the poses: what moves is no rigid thing.
     """
-    found = {
-        n: replace(frames[n], world_from_camera=frame.world_from_camera)
-        for n, frame in zip(places, posed, strict=True)
-    }
+    poses = {n: frame.world_from_camera for n, frame in posed.items() if frame.world_from_camera is not None}
+    if all(n in thing.poses for n in poses):
+        first = next(iter(poses))
+        into = poses[first] @ inverted(thing.poses[first])
+        poses = {n: into @ thing.poses[n] for n in poses}
+    found = {n: replace(frames[n], world_from_camera=pose) for n, pose in poses.items()}
     if len(found) < 2:
-        return tuple(found.values())
+        return found
     masks = masks_of_thing(found)
     if float(np.median([mask.mean() for mask in masks.values()])) < _LEAST_SHOWN:
         raise thing_not_placed("no motion of it as one rigid thing fits what the frames show.", where)
-    return tuple(_with_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items())
+    return {n: _with_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
 
 
 def thing_not_placed(why: str, where: Path | None = None) -> StageError:
     """Return the error for a thing whose poses cannot be found."""
     named = "" if where is None else f"{where}: "
     return StageError(
-        f"{named}a thing moves before a camera that stands still, and cannot be put together: {why} Turn it in "
-        "smaller steps, on printed paper; register.subject=scene takes all that is seen."
+        f"{named}a thing moves before a camera that stands still, and cannot be put together: {why} Turn it "
+        "in smaller steps, on printed paper; register.subject=scene takes all that is seen."
     )
+
+
+def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
+    """Return what a few frames show, whether the camera stands still, and whether something moves."""
+    looks = read_looks(frames, _spread(len(frames), _DECIDE))
+    views = {}
+    for n in looks:
+        with contextlib.suppress(InputError):
+            views[n] = read_view(frames[n], np.inf)
+    looks = {n: looks[n] for n in views}
+    if not stands_still(list(views.values()), list(looks.values())):
+        return looks, False, False
+    return looks, True, something_moves(list(looks.values()))
 
 
 def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
@@ -139,16 +163,6 @@ def _with_mask(frame: Frame, mask: Mask) -> Frame:
         size = (mask.shape[1], mask.shape[0])
         both &= cv2.resize(own, size, interpolation=cv2.INTER_NEAREST_EXACT)
     return replace(frame, mask=both)
-
-
-def _views(frames: Sequence[Frame], places: Sequence[int]) -> dict[int, View]:
-    found = {}
-    for n in places:
-        try:
-            found[n] = read_view(frames[n], np.inf)
-        except InputError:
-            continue
-    return found
 
 
 def _spread(count: int, most: int) -> list[int]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stages.registration.features import Features, recognise
 from stages.registration.graph import Edge, optimised
 from stages.registration.looks import Look
-from stages.registration.marks import marked_motion, marks_on, moving_marks, plate_of
+from stages.registration.marks import Plate, marked_motion, marks_on, moving_marks, plates_of
 from stages.registration.motion import Motion, agree
 from stages.registration.still import Backdrop
 from stages.scans.formats.trajectories import inverted
@@ -27,6 +27,8 @@ Link = tuple[Pose, float]
 _SURE_POINTS = 15
 # All couples are looked at up to so many frames, else those that are so near.
 _ALL_COUPLES, _NEAR = 16, 2
+# What it stands on is looked for within so many times the distance that most of it is within from its middle.
+_AROUND = 2.5
 # Motions agree within this share of the thing's distance.
 _REACH_SHARE = 0.03
 
@@ -37,7 +39,7 @@ def first_poses(
     looks: Mapping[int, Look],
     backdrop: Backdrop,
 ) -> dict[int, Pose]:
-    """Return poses (world_from_camera, the world is what moves) of the frames that motions join, by their places.
+    """Return poses (world_from_camera, the world is the thing) of frames that motions join, by places.
 
     Parameters
     ----------
@@ -94,9 +96,21 @@ def _marked(
     couples: Sequence[tuple[int, int]],
 ) -> dict[tuple[int, int], Link]:
     """Return motions by marks on the plate that the thing stands on, if there is one."""
-    plate = plate_of(np.concatenate([look.points()[backdrop.first_mask(look)] for look in looks.values()]))
-    if plate is None:
-        return {}
+    around, own = (
+        np.concatenate([look.points()[mask(look)] for look in looks.values()])
+        for mask in (lambda look: backdrop.around & (look.depth > 0), backdrop.first_mask)
+    )
+    centre = np.median(own, axis=0)
+    reach = _AROUND * float(np.percentile(np.linalg.norm(own - centre, axis=1), 80))
+    near = around[np.linalg.norm(around - centre, axis=1) < reach]
+    found = (_links_on(plate, frames, couples) for plate in plates_of(near))
+    # Marks on another plane than theirs are not where they seem to be, and fewer agree.
+    return max(found, key=lambda links: sum(count for _, count in links.values()), default={})
+
+
+def _links_on(
+    plate: Plate, frames: Sequence[Frame], couples: Sequence[tuple[int, int]]
+) -> dict[tuple[int, int], Link]:
     threads = workers()
     places = sorted({place for couple in couples for place in couple})
     found = read_ahead(lambda n: marks_on(frames[n], plate), places, threads=threads, ahead=threads)
@@ -109,7 +123,6 @@ def _joined(links: Mapping[tuple[int, int], Link]) -> dict[int, Pose]:
     """Return poses along the links of most points (a spanning tree), of the frames of the largest piece."""
     beside: dict[int, list[tuple[int, Pose, float]]] = {}
     for (source, target), (motion, weight) in links.items():
-        # A pose is where the camera is for the thing: a motion of points of one frame to another goes against it.
         beside.setdefault(target, []).append((source, motion, weight))
         beside.setdefault(source, []).append((target, inverted(motion), weight))
     pieces = []
