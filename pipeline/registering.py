@@ -54,6 +54,7 @@ def write(folder: Path, found: Registration, scan_folder: Path | None = None) ->
             _write_masks(folder / _MASKS, frames)
     document = {
         "subject": found.subject,
+        "focal_px": found.focal and found.focal.focal_px,
         "poses": _by_place(used),
         "apart": {str(number): _by_place(frames) for number, frames in others.items()},
         "pieces": [list(piece) for piece in found.pieces],
@@ -69,14 +70,15 @@ def write(folder: Path, found: Registration, scan_folder: Path | None = None) ->
 
 def placed(scan: Scan, folder: Path) -> Scan:
     """Return the frames of a scan that poses were found for, with these."""
-    return _with_poses(scan, _read(folder)["poses"], folder / _MASKS)
+    document = _read(folder)
+    return _with_poses(scan, document["poses"], document, folder)
 
 
 def apart(scan: Scan, folder: Path) -> dict[int, Scan]:
     """Return the pieces that could not be joined to these frames, by their numbers."""
+    document = _read(folder)
     return {
-        int(number): _with_poses(scan, poses, folder / _MASKS)
-        for number, poses in _read(folder)["apart"].items()
+        int(number): _with_poses(scan, poses, document, folder) for number, poses in document["apart"].items()
     }
 
 
@@ -84,11 +86,14 @@ def _read(folder: Path) -> Any:
     return json.loads((folder / _FILE).read_text(encoding="utf-8"))
 
 
-def _with_poses(scan: Scan, poses: Mapping[str, Any], masks: Path) -> Scan:
+def _with_poses(scan: Scan, poses: Mapping[str, Any], document: Mapping[str, Any], folder: Path) -> Scan:
     frames = []
+    focal = document["focal_px"]
     for place, pose in poses.items():
         frame = replace(scan.frames[int(place)], world_from_camera=np.array(pose))
-        mask = masks / _mask_name(int(place))
+        if focal is not None:
+            frame = replace(frame, camera=replace(frame.camera, fx=focal, fy=focal, is_guess=False))
+        mask = folder / _MASKS / _mask_name(int(place))
         # It leaves out what the frame's own mask does, too.
         frames.append(replace(frame, mask=mask) if mask.exists() else frame)
     # The world is that of the first frame now: what was known of another does not hold in it.

@@ -24,6 +24,7 @@ from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
 from stages.inspecting.unused import Unused, unused
 from stages.printing import by_fields, by_figures, table
+from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
 from stages.registration.subject import shows_thing
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
@@ -106,6 +107,7 @@ class Inspection:
     outlook : what fusing takes, of the same.
     subject : what poses will be found for, `scene`, or the `object` that moves before a camera that stands
         still; None where there are poses, or no depth maps.
+    focal : of the depth camera, where nobody states it and the frames tell it.
     up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
     warnings : all that is odd, the reader's own first.
     unused : files of the folder that nobody used.
@@ -124,6 +126,7 @@ class Inspection:
     up: WorldUp | None
     warnings: tuple[str, ...]
     subject: str | None = None
+    focal: Focal | None = None
     unused: tuple[Unused, ...] = ()
 
     __repr__ = by_figures
@@ -145,6 +148,7 @@ class Inspection:
             "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
             "subject": self.subject,
+            "focal": self.focal and self.focal.figures(),
             "metric": scan.is_metric,
             "scale": scan.scale and scan.scale.figures(),
             **(self.up.figures() if self.up else {"up": None, "up_source": None}),
@@ -294,6 +298,10 @@ def inspect(scan: Scan) -> Inspection:
     subject = None
     if depth is not None and path is None and len(scan.frames) > 1:
         subject = "object" if shows_thing(scan.frames) else "scene"
+    focal = None
+    if depth is not None and len(scan.frames) > 1 and is_guess(scan.frames):
+        focal = focal_of(scan.frames)
+        warnings += focal_warnings(focal, scan.frames[0].camera)
     return Inspection(
         scan=scan,
         color_size=_color_size(samples),
@@ -308,6 +316,7 @@ def inspect(scan: Scan) -> Inspection:
         up=up,
         warnings=(*scan.warnings, *warnings, *about_sharpness),
         subject=subject,
+        focal=focal,
         unused=unused(scan),
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.progress import Progress
+from stages.registration.across import across
 from stages.registration.appearance import likeness
 from stages.registration.chain import Chain
 from stages.registration.features import recognise
@@ -58,7 +59,8 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
                 return None
         return None if isinstance(motion, NoMotion) else Edge(source, target, motion, is_certain=False)
 
-    couples = sorted(_near(poses, depths, parts) | _alike(likeness(features), parts))
+    alike = likeness(features)
+    couples = sorted(_near(poses, depths, parts) | _alike(alike, parts) | across(alike, parts))
     threads = workers()
     found = read_ahead(close, couples, threads=threads, ahead=2 * threads)
     frames, edges = len(chain.seen) + len(chain.skipped), []

@@ -15,7 +15,9 @@ from stages.errors import InputError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
+from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
+from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
@@ -29,7 +31,7 @@ from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
@@ -70,6 +72,11 @@ class RegisterParams:
         "stands still, as on a turntable; all else is masked out. `auto` takes the object if there is one.",
         choices=("auto", "scene", "object"),
     )
+    focal: bool = param(
+        True,
+        "Where nobody states the camera, estimate its focal length from points that several frames show.",
+        group=_HOW,
+    )
     loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
 
     def __post_init__(self) -> None:
@@ -84,6 +91,7 @@ class RegisterKeywords(TypedDict, total=False):
     refine: bool
     piece: int
     subject: str
+    focal: bool
     loops: bool
 
 
@@ -106,6 +114,7 @@ class Registration:
     key_frames : places in the scan.
     warnings : what is odd.
     seconds : of the work.
+    focal : that of the depth camera, where nobody stated it and the frames tell it: theirs has it.
     subject : `scene`, or `object`: the frames then have masks of it, and the world is its own.
     """
 
@@ -120,6 +129,7 @@ class Registration:
     warnings: tuple[str, ...]
     seconds: float
     subject: str = "scene"
+    focal: Focal | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -132,6 +142,7 @@ class Registration:
         )
         return {
             "subject": self.subject,
+            "focal": self.focal and self.focal.figures(),
             "frames": len(self.frames),
             "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
             "pieces": [len(piece) for piece in self.pieces],
@@ -190,6 +201,29 @@ def register(
     given = _given(frames) if params.refine else {}
     if params.refine and not given:
         raise InputError("no frame has a pose that could be refined.", where)
+    if not (params.focal and is_guess(frames)):
+        return _of_scene_or_thing(frames, given, params, began, where, progress)
+    guess = frames[0].camera
+    focal = focal_of(frames)
+    if focal is not None:
+        frames = [replace(frame, camera=focal.camera(frame.camera)) for frame in frames]
+    found = _of_scene_or_thing(frames, given, params, began, where, progress)
+    return replace(
+        found,
+        focal=focal,
+        warnings=(*found.warnings, *focal_warnings(focal, guess)),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _of_scene_or_thing(
+    frames: Sequence[Frame],
+    given: Mapping[int, Pose],
+    params: RegisterParams,
+    began: float,
+    where: Path | None,
+    progress: Progress,
+) -> Registration:
     thing = None if given else thing_in(frames, params.subject, where)
     if thing is None:
         return _registered(frames, given, given, params, began, where, progress)
@@ -227,6 +261,8 @@ def _registered(
         edges = list(key_edges(chain, max_depth))
         if params.loops:
             edges += loops(chain, max_depth, guesses, progress)
+    if chain.breaks:
+        edges = confirmed(chain.keys, edges)
     groups = pieces(len(chain.keys), edges)
     poses, used, wrong = placed_pieces(chain, groups, edges)
     return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
