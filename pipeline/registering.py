@@ -88,7 +88,7 @@ def _read(folder: Path) -> Any:
 
 def _with_poses(scan: Scan, poses: Mapping[str, Any], document: Mapping[str, Any], folder: Path) -> Scan:
     frames = []
-    focal = document["focal_px"]
+    focal = document.get("focal_px")
     for place, pose in poses.items():
         frame = replace(scan.frames[int(place)], world_from_camera=np.array(pose))
         if focal is not None:
