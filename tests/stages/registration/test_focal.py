@@ -11,7 +11,7 @@ import pytest
 import turned_thing
 
 from stages.inspecting.inspect import inspect
-from stages.registration.across import across
+from stages.registration.across import across, joined
 from stages.registration.bridges import confirmed
 from stages.registration.focal import focal_of, is_guess
 from stages.registration.graph import Edge
@@ -126,3 +126,4 @@ def test_couples_across_breaks_are_all_those_of_different_parts() -> None:
     alike = np.zeros((4, 4), np.float32)
     assert across(alike, np.array([0, 0, 1, 2])) == {(2, 0), (2, 1), (3, 0), (3, 1), (3, 2)}
     assert across(alike, np.zeros(4, int)) == set()
+    assert across(alike, joined(np.array([0, 0, 1, 2]), [link(3, 2, 0.5, 30), link(2, 0, 0.5, 30)])) == set()
