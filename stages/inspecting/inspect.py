@@ -25,6 +25,7 @@ from stages.inspecting.outlook import Outlook, outlook
 from stages.inspecting.unused import Unused, unused
 from stages.printing import by_fields, by_figures, table
 from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
+from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.subject import shows_thing
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
@@ -301,6 +302,8 @@ def inspect(scan: Scan) -> Inspection:
     focal = None
     if depth is not None and len(scan.frames) > 1 and is_guess(scan.frames):
         focal = focal_of(scan.frames)
+        if focal is None and subject == "object":
+            focal = focal_by_marks(scan.frames)
         warnings += focal_warnings(focal, scan.frames[0].camera)
     return Inspection(
         scan=scan,

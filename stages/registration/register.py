@@ -18,12 +18,13 @@ from stages.progress import Progress, silent
 from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
 from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
+from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
 from stages.registration.odometry import one_thread_each
 from stages.registration.placing import placed_pieces
-from stages.registration.subject import alone, thing_in, thing_not_placed
+from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
@@ -205,6 +206,8 @@ def register(
         return _of_scene_or_thing(frames, given, params, began, where, progress)
     guess = frames[0].camera
     focal = focal_of(frames)
+    if focal is None and params.subject != "scene" and shows_thing(frames):
+        focal = focal_by_marks(frames)
     if focal is not None:
         frames = [replace(frame, camera=focal.camera(frame.camera)) for frame in frames]
     found = _of_scene_or_thing(frames, given, params, began, where, progress)

@@ -47,14 +47,14 @@ def first_poses(
     looks : of frames spread over the scan.
     """
     depth = float(np.median([np.median(look.depth[backdrop.first_mask(look)]) for look in looks.values()]))
-    couples = _couples(list(features))
+    couples = couples_of(list(features))
     links = {
         couple: link
         for couple in couples
         if (link := _recognised(features[couple[0]], features[couple[1]], depth)) is not None
     }
     if any(couple not in links for couple in itertools.pairwise(features)):
-        links |= _marked(frames, looks, backdrop, [couple for couple in couples if couple not in links])
+        links |= marked_links(frames, looks, backdrop, [couple for couple in couples if couple not in links])
     points = np.concatenate([look.points()[backdrop.first_mask(look)] for look in looks.values()])
     return _agreed(_joined(links), links, points, depth)
 
@@ -76,7 +76,7 @@ def _agreed(
     return optimised(poses, edges, _REACH_SHARE * depth)[0] if edges else poses
 
 
-def _couples(places: Sequence[int]) -> list[tuple[int, int]]:
+def couples_of(places: Sequence[int]) -> list[tuple[int, int]]:
     """Return couples (earlier, later) of frames that may show the same side."""
     near = len(places) if len(places) <= _ALL_COUPLES else _NEAR
     return [(a, b) for i, a in enumerate(places) for b in places[i + 1 : i + 1 + near]]
@@ -89,7 +89,7 @@ def _recognised(source: Features, target: Features, depth: float) -> Link | None
     return (sure[0].target_from_source, float(sure[0].points)) if sure else None
 
 
-def _marked(
+def marked_links(
     frames: Sequence[Frame],
     looks: Mapping[int, Look],
     backdrop: Backdrop,

