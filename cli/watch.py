@@ -39,6 +39,7 @@ _UNITS = {
 _HEADLINES = {
     "depth": "{frames_used} pairs; depth for {used_share:.0%} of the pixels, median {median_depth_m:.3g} m, "
     "up to {max_depth_m:.3g} m",
+    "register": "{frames} frames of the {subject} placed; pieces: {pieces}",
     "adjust": "{why}",
     "fuse": "{triangles:,} triangles from {frames_used} frames; voxel size {voxel_size_m:.3g} m, "
     "truncation {truncation_m:.3g} m, depth up to {max_depth_m:.3g} m",

@@ -58,7 +58,6 @@ from stages.lod.slod import read_slod
 from stages.lod.tiles import write_tiles
 from stages.normal_meshes.unmet import unmet as not_close
 from stages.registration.register import register
-from stages.registration.unmet import unmet as not_joined
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Scan
 from stages.simplification.simplify import simplify
@@ -266,8 +265,7 @@ STAGES: tuple[Stage, ...] = (
         make=_register,
         versions=versions.of(register),
         libraries=installed("opencv", "open3d"),
-        results=("trajectory.tum", "path.ply", "pieces/"),
-        unmet=lambda config, figures: not_joined(figures),  # noqa: ARG005
+        results=("trajectory.tum", "path.ply", "pieces/", "masks/"),
         cost=Cost(seconds_per_megapixel=0.5, bytes_per_megapixel=10e6),
     ),
     Stage(

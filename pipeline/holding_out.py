@@ -60,6 +60,8 @@ def _like(frame: Frame, neighbour: Frame, found: dict[str, Frame]) -> Frame:
     return replace(
         frame,
         world_from_camera=pose,
+        # What nobody stated may have been estimated.
+        camera=used.camera if frame.camera.is_guess else frame.camera,
         color_camera=used.color_camera,
         color_from_depth=used.color_from_depth,
     )

@@ -4,6 +4,7 @@ trajectory.tum      a pose a line, camera-to-world, of the frames that are used
 registration.json   the same as matrices by the frame's place in the scan; edges, pieces, breaks
 path.ply            a coloured cloud of what the frames show, and the camera's path in red
 pieces/             trajectories of the pieces that could not be joined to it, by their numbers
+masks/              where each frame shows the thing that was registered alone, by the frame's place; white
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from pipeline.depth_maps import cloud_of
 from pipeline.own_paths import from_folder
 from stages.errors import InputError
+from stages.files.image_bytes import encoded_gray_png
 from stages.fusion.posed_depth import read_matching_color, rigid_pose
 from stages.registration.register import Registration
 from stages.scans.formats.trajectories import write_tum
@@ -34,6 +36,7 @@ _MAX_POINTS = 500_000
 _PATH_POINTS = 20
 _PATH_COLOR = (255, 0, 0)
 _FILE = "registration.json"
+_MASKS = "masks"
 
 
 def write(folder: Path, found: Registration, scan_folder: Path | None = None) -> Mapping[str, Any]:
@@ -45,7 +48,13 @@ def write(folder: Path, found: Registration, scan_folder: Path | None = None) ->
         (folder / "pieces").mkdir()
     for number, frames in others.items():
         _write_poses(folder / "pieces" / f"trajectory-{number}.tum", frames)
+    if found.subject == "object":
+        _write_masks(folder / _MASKS, used)
+        for frames in others.values():
+            _write_masks(folder / _MASKS, frames)
     document = {
+        "subject": found.subject,
+        "focal_px": found.focal and found.focal.focal_px,
         "poses": _by_place(used),
         "apart": {str(number): _by_place(frames) for number, frames in others.items()},
         "pieces": [list(piece) for piece in found.pieces],
@@ -61,24 +70,45 @@ def write(folder: Path, found: Registration, scan_folder: Path | None = None) ->
 
 def placed(scan: Scan, folder: Path) -> Scan:
     """Return the frames of a scan that poses were found for, with these."""
-    return _with_poses(scan, _read(folder)["poses"])
+    document = _read(folder)
+    return _with_poses(scan, document["poses"], document, folder)
 
 
 def apart(scan: Scan, folder: Path) -> dict[int, Scan]:
     """Return the pieces that could not be joined to these frames, by their numbers."""
-    return {int(number): _with_poses(scan, poses) for number, poses in _read(folder)["apart"].items()}
+    document = _read(folder)
+    return {
+        int(number): _with_poses(scan, poses, document, folder) for number, poses in document["apart"].items()
+    }
 
 
 def _read(folder: Path) -> Any:
     return json.loads((folder / _FILE).read_text(encoding="utf-8"))
 
 
-def _with_poses(scan: Scan, poses: Mapping[str, Any]) -> Scan:
-    frames = [
-        replace(scan.frames[int(place)], world_from_camera=np.array(pose)) for place, pose in poses.items()
-    ]
+def _with_poses(scan: Scan, poses: Mapping[str, Any], document: Mapping[str, Any], folder: Path) -> Scan:
+    frames = []
+    focal = document.get("focal_px")
+    for place, pose in poses.items():
+        frame = replace(scan.frames[int(place)], world_from_camera=np.array(pose))
+        if focal is not None:
+            frame = replace(frame, camera=replace(frame.camera, fx=focal, fy=focal, is_guess=False))
+        mask = folder / _MASKS / _mask_name(int(place))
+        # It leaves out what the frame's own mask does, too.
+        frames.append(replace(frame, mask=mask) if mask.exists() else frame)
     # The world is that of the first frame now: what was known of another does not hold in it.
     return replace(scan, frames=frames, missing=(), up=None)
+
+
+def _write_masks(folder: Path, frames: Mapping[int, Frame]) -> None:
+    folder.mkdir(exist_ok=True)
+    for place, frame in frames.items():
+        if isinstance(frame.mask, np.ndarray):
+            (folder / _mask_name(place)).write_bytes(encoded_gray_png(frame.mask))
+
+
+def _mask_name(place: int) -> str:
+    return f"{place:06d}.png"
 
 
 def _write_poses(path: Path, frames: Mapping[int, Frame]) -> None:

@@ -13,7 +13,6 @@ from cli.paths import new_folder
 from cli.scan_argument import ScanFolder, read_scan
 from cli.skipped import tell_skipped
 from stages import InputError, RegisterParams, ScanParams
-from stages.registration.unmet import unmet
 from stages.scans.read import require_complete
 
 
@@ -30,7 +29,8 @@ def register(
 
     Poses it has are not used, except with --refine, which makes them better. OUTDIR gets trajectory.tum
     (camera-to-world), registration.json (matrices, edges, pieces, where the chain broke), path.ply (a
-    coloured cloud, the camera's path in red), and pieces/ with the poses of what could not be joined.
+    coloured cloud, the camera's path in red), and pieces/ with the poses of what could not be joined. Of a
+    thing that turned before a camera that stood still, it gets masks/, which show it alone.
 
     Example: scanloom register my_scan poses; scanloom fuse my_scan fused.ply --poses poses/trajectory.tum
     """
@@ -48,6 +48,4 @@ def register(
         figures = write(draft, stages.register(source, params, progress=progress))
     tell_skipped(out, "register", figures["frames_skipped"])
     out.warn_of(figures)
-    for sentence in unmet(figures):
-        out.unmet(sentence)
     out.result({"output": str(target), **figures})

@@ -221,7 +221,7 @@ def fuse(
             used += item.used
         progress(done, len(frames))
 
-    min_weight = params.min_weight or int(np.clip(round(volume.typical_weight() / 2), 1, 3))
+    min_weight = params.min_weight or _least_weight(volume.typical_weight(), frames)
     mesh = volume.mesh(min_weight)
     if lone is not None:
         mesh = on_depth(mesh, lone, plan.local(lone.pose))
@@ -279,6 +279,14 @@ def _require_usable(frames: Sequence[Frame], where: Path | None) -> None:
         raise InputError(
             f"none of the {len(frames)} frames has a depth map; compute depth from stereo pairs first.", where
         )
+
+
+def _least_weight(typical: float, frames: Sequence[Frame]) -> int:
+    """Return how many frames must have seen a surface, from how many saw the median voxel."""
+    least = int(np.clip(round(typical / 2), 1, 3))
+    # A masked thing is seen from all around, each side by a few frames, and the plate below it by all.
+    is_masked = all(frame.mask is not None for frame in frames)
+    return min(least, max(len(frames) // 4, 1)) if is_masked else least
 
 
 def _require_share(skipped: Sequence[SkippedFrame], count: int, share: float, where: Path | None) -> None:

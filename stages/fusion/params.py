@@ -67,7 +67,7 @@ class FuseParams:
     min_weight: int | None = param(
         None,
         "How many frames must have seen a voxel for the surface to pass through it. Derived: half of what "
-        "the median voxel was seen, from 1 to 3.",
+        "the median voxel was seen, from 1 to 3; of a masked thing a quarter of the frames at most.",
         unit="frames",
         low=1,
     )

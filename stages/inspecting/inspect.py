@@ -25,6 +25,9 @@ from stages.inspecting import sanity
 from stages.inspecting.outlook import Outlook, outlook
 from stages.inspecting.unused import Unused, unused
 from stages.printing import by_fields, by_figures, table
+from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
+from stages.registration.focal_by_marks import focal_by_marks
+from stages.registration.subject import shows_thing
 from stages.scans.images import read_color, read_depth, read_right
 from stages.scans.prefetch import workers
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, Scan, StereoRig
@@ -104,6 +107,9 @@ class Inspection:
         of its image's Laplacian over the median frame's; of long scans, of a sample.
     scene : where what the frames show lies in the scan's world, of RGB-D scans with poses.
     outlook : what fusing takes, of the same.
+    subject : what poses will be found for, `scene`, or the `object` that moves before a camera that stands
+        still; None where there are poses, or no depth maps.
+    focal : of the depth camera, where nobody states it and the frames tell it.
     up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
     warnings : all that is odd, the reader's own first.
     unused : files of the folder that nobody used.
@@ -121,6 +127,8 @@ class Inspection:
     outlook: Outlook | None
     up: WorldUp | None
     warnings: tuple[str, ...]
+    subject: str | None = None
+    focal: Focal | None = None
     unused: tuple[Unused, ...] = ()
 
     __repr__ = by_figures
@@ -141,6 +149,8 @@ class Inspection:
             "skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
             "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
             "color_size_px": self.color_size,
+            "subject": self.subject,
+            "focal": self.focal and self.focal.figures(),
             "metric": scan.is_metric,
             "scale": scan.scale and scan.scale.figures(),
             **(self.up.figures() if self.up else {"up": None, "up_source": None}),
@@ -215,6 +225,11 @@ class Inspection:
             lines.append(
                 f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
             )
+        if self.subject == "object":
+            lines.append(
+                "subject   a thing that moves before a camera that stands still: `scanloom run` registers it "
+                "alone, all that is seen with register.subject=scene"
+            )
         if self.misfit_px is not None:
             lines.append(f"misfit    points that two frames show lie {self.misfit_px:.2g} px apart (median)")
         if self.least_sharp:
@@ -282,6 +297,15 @@ def inspect(scan: Scan) -> Inspection:
         warnings += said + _markers(samples) + about_poses + sanity.check_registration(pairs) + about_misfit
     sharpness, about_sharpness = _least_sharp(scan)
     plan = _plan(scan) if depth is not None and path is not None else None
+    subject = None
+    if depth is not None and path is None and len(scan.frames) > 1:
+        subject = "object" if shows_thing(scan.frames) else "scene"
+    focal = None
+    if depth is not None and len(scan.frames) > 1 and is_guess(scan.frames):
+        focal = focal_of(scan.frames)
+        if focal is None and subject == "object":
+            focal = focal_by_marks(scan.frames)
+        warnings += focal_warnings(focal, scan.frames[0].camera)
     return Inspection(
         scan=scan,
         color_size=_color_size(samples),
@@ -295,6 +319,8 @@ def inspect(scan: Scan) -> Inspection:
         outlook=None if plan is None else outlook(scan.frames, plan),
         up=up,
         warnings=(*scan.warnings, *warnings, *about_sharpness),
+        subject=subject,
+        focal=focal,
         unused=unused(scan),
     )
 

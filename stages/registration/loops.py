@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.progress import Progress
+from stages.registration.across import across, joined
 from stages.registration.appearance import likeness
 from stages.registration.chain import Chain
 from stages.registration.features import recognise
@@ -58,7 +59,8 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
                 return None
         return None if isinstance(motion, NoMotion) else Edge(source, target, motion, is_certain=False)
 
-    couples = sorted(_near(poses, depths, parts) | _alike(likeness(features), parts))
+    alike = likeness(features)
+    couples = sorted(_near(poses, depths, parts) | _alike(alike, parts))
     threads = workers()
     found = read_ahead(close, couples, threads=threads, ahead=2 * threads)
     frames, edges = len(chain.seen) + len(chain.skipped), []
@@ -66,7 +68,10 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
         progress(frames + frames * done // len(couples), 2 * frames)
         if edge is not None:
             edges.append(edge)
-    return edges
+    # Views in no order are alike by chance: what is still apart is looked at couple by couple.
+    apart = sorted(across(alike, joined(parts, edges)) - set(couples))
+    more = read_ahead(close, apart, threads=threads, ahead=2 * threads)
+    return [*edges, *(edge for edge in more if edge is not None)]
 
 
 def _near(

@@ -15,12 +15,16 @@ from stages.errors import InputError
 from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
+from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
+from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
+from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
 from stages.registration.odometry import one_thread_each
 from stages.registration.placing import placed_pieces
+from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
@@ -28,7 +32,7 @@ from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
@@ -63,6 +67,17 @@ class RegisterParams:
         "Which piece of a scan that falls apart is used: 1 for the one of the most frames, 2 for the next.",
         low=1,
     )
+    subject: str = param(
+        "auto",
+        "What is registered, and fused: the `scene`, or the `object` alone that moves before a camera that "
+        "stands still, as on a turntable; all else is masked out. `auto` takes the object if there is one.",
+        choices=("auto", "scene", "object"),
+    )
+    focal: bool = param(
+        True,
+        "Where nobody states the camera, estimate its focal length from points that several frames show.",
+        group=_HOW,
+    )
     loops: bool = param(True, "Look for places that were seen before, and close the loop.", group=_HOW)
 
     def __post_init__(self) -> None:
@@ -76,6 +91,8 @@ class RegisterKeywords(TypedDict, total=False):
     max_depth: float | None
     refine: bool
     piece: int
+    subject: str
+    focal: bool
     loops: bool
 
 
@@ -98,6 +115,8 @@ class Registration:
     key_frames : places in the scan.
     warnings : what is odd.
     seconds : of the work.
+    focal : that of the depth camera, where nobody stated it and the frames tell it: theirs has it.
+    subject : `scene`, or `object`: the frames then have masks of it, and the world is its own.
     """
 
     frames: tuple[Frame, ...]
@@ -110,6 +129,8 @@ class Registration:
     key_frames: tuple[int, ...]
     warnings: tuple[str, ...]
     seconds: float
+    subject: str = "scene"
+    focal: Focal | None = None
 
     __repr__ = by_figures
     _repr_html_ = table
@@ -121,6 +142,8 @@ class Registration:
             [pose[:3, 3] for frame in self.frames if (pose := frame.world_from_camera) is not None]
         )
         return {
+            "subject": self.subject,
+            "focal": self.focal and self.focal.figures(),
             "frames": len(self.frames),
             "frames_skipped": [{"frame": one.name, "reason": one.reason} for one in self.skipped],
             "pieces": [len(piece) for piece in self.pieces],
@@ -148,6 +171,8 @@ def register(
     Each frame is placed to the one before: recognised points say where to start, the surfaces where to end.
     Key frames that may show the same place, because their poses or their looks say so, are placed to each
     other, and a robust pose graph makes all agree. Frames that cannot be joined are pieces of their own.
+    Of a thing that moves before a camera that stands still, the poses are those of the camera to the thing,
+    and the frames get masks that leave out the rest: see `subject`.
     Equal input gives equal bits, on any number of threads.
 
     Parameters
@@ -162,6 +187,8 @@ def register(
     InputError
         If fewer than two frames can be used, no two of them can be placed to each other, there are fewer
         pieces than `piece`, or `refine` finds no poses.
+    StageError
+        If the thing that is registered alone cannot be told from the rest, or is not rigid.
 
     References
     ----------
@@ -175,15 +202,70 @@ def register(
     given = _given(frames) if params.refine else {}
     if params.refine and not given:
         raise InputError("no frame has a pose that could be refined.", where)
+    if not (params.focal and is_guess(frames)):
+        return _of_scene_or_thing(frames, given, params, began, where, progress)
+    guess = frames[0].camera
+    focal = focal_of(frames)
+    if focal is None and params.subject != "scene" and shows_thing(frames):
+        focal = focal_by_marks(frames)
+    if focal is not None:
+        frames = [replace(frame, camera=focal.camera(frame.camera)) for frame in frames]
+    found = _of_scene_or_thing(frames, given, params, began, where, progress)
+    return replace(
+        found,
+        focal=focal,
+        warnings=(*found.warnings, *focal_warnings(focal, guess)),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _of_scene_or_thing(
+    frames: Sequence[Frame],
+    given: Mapping[int, Pose],
+    params: RegisterParams,
+    began: float,
+    where: Path | None,
+    progress: Progress,
+) -> Registration:
+    thing = None if given else thing_in(frames, params.subject, where)
+    if thing is None:
+        return _registered(frames, given, given, params, began, where, progress)
+    try:
+        found = _registered(thing.frames, thing.poses, {}, params, began, where, progress)
+    except InputError as error:
+        raise thing_not_placed(str(error)) from error
+    return replace(
+        found,
+        frames=tuple(
+            alone(frames, dict(zip(found.places, found.frames, strict=True)), thing, where).values()
+        ),
+        apart={number: alone(frames, piece, thing, where) for number, piece in found.apart.items()},
+        seconds=time.perf_counter() - began,
+        subject="object",
+    )
+
+
+def _registered(
+    frames: Sequence[Frame],
+    guesses: Mapping[int, Pose],
+    given: Mapping[int, Pose],
+    params: RegisterParams,
+    began: float,
+    where: Path | None,
+    progress: Progress,
+) -> Registration:
+    """Return the poses of frames from guesses of some; what is `given` besides tells the world."""
     max_depth = params.max_depth or _max_depth(frames)
     with one_thread_each():
-        chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, given)
+        chain = make_chain(frames, max_depth, _first_half(progress) if params.loops else progress, guesses)
         if len(chain.seen) < 2:
             first = f" (frame {chain.skipped[0].name}: {chain.skipped[0].reason})" if chain.skipped else ""
             raise InputError(f"{len(chain.seen)} frames can be used; poses need two at least{first}.", where)
         edges = list(key_edges(chain, max_depth))
         if params.loops:
-            edges += loops(chain, max_depth, given, progress)
+            edges += loops(chain, max_depth, guesses, progress)
+    if chain.breaks:
+        edges = confirmed(chain.keys, edges)
     groups = pieces(len(chain.keys), edges)
     poses, used, wrong = placed_pieces(chain, groups, edges)
     return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
@@ -348,8 +430,8 @@ def _warnings(
         turned = max(angle(inverted(poses[0]) @ pose) for pose in poses)
         if turned < _STILL_RAD:
             yield (
-                "the camera does not move: all frames show the scene from one place; if a thing was turned "
-                "in front of it, leave the background out with register.max_depth"
+                "the camera does not move: all frames show the scene from one place; a thing that was turned "
+                "in front of it is registered alone with register.subject=object"
             )
     dark = [number for number, one in chain.seen.items() if one.mean_color < _DARK]
     if dark:

@@ -72,7 +72,7 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
         grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
         features = features_of(grey, camera, depth)
     step = max(-(-frame.camera.width // _WIDEST), 1)
-    small = _smaller(depth, step)
+    small = smaller(depth, step)
     camera = scaled(pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
     return View(
         name=frame.name,
@@ -100,7 +100,7 @@ def _color(frame: Frame, depth: DepthImage) -> tuple[ColorImage, Camera]:
     return color, scaled(pinhole(frame.camera), *size)
 
 
-def _smaller(depth: DepthImage, step: int) -> DepthImage:
+def smaller(depth: DepthImage, step: int) -> DepthImage:
     """Return the median of what each block of pixels holds: no mean across an edge, no hole of a pixel."""
     height, width = (side // step for side in depth.shape)
     blocks = depth[: height * step, : width * step].reshape(height, step, width, step).swapaxes(1, 2)

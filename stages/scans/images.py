@@ -146,7 +146,8 @@ def read_depth(frame: Frame) -> DepthImage | None:
     if frame.depth is None:
         return None
     if isinstance(frame.depth, np.ndarray):
-        depth = np.asarray(frame.depth, np.float32)
+        # A copy: what a mask or too little confidence takes away is taken from it.
+        depth = np.array(frame.depth, np.float32)
     else:
         depth = _stored_depth(frame.depth, frame)
     require_size(depth, frame.camera, frame.depth, frame.name)

@@ -34,6 +34,7 @@ class Camera:
     distortion : OpenCV's k1 k2 p1 p2 [k3 …], empty for none.
     fisheye : the lens maps equal angles to equal lengths, and `distortion` is k1 k2 k3 k4 of OpenCV's fisheye
         model (Kannala and Brandt's, Kalibr's equidistant).
+    is_guess : nobody stated it: it is what cameras of this image size usually are.
     """
 
     width: int
@@ -44,6 +45,7 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     fisheye: bool = False
+    is_guess: bool = False
 
     def __repr__(self) -> str:
         known = f"fx {self.fx:.6g}, fy {self.fy:.6g}, cx {self.cx:.6g}, cy {self.cy:.6g} px"
@@ -79,6 +81,7 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
         (camera.cy + 0.5) * sy - 0.5,
         camera.distortion,
         camera.fisheye,
+        camera.is_guess,
     )
 
 

@@ -1,4 +1,8 @@
-"""Which way is up in a scan: as its layout defines it, or as the frames' accelerometers tell it."""
+"""Which way is up in a scan: as its layout defines it, or as the frames' accelerometers tell it.
+
+Phones turn their worlds by gravity. Their own poses then tell what is up for each camera, and that goes with
+the frames where poses are found anew.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Frame, Scan
-from stages.scans.world import WorldUp, up_of_layout
+from stages.scans.world import Direction, WorldUp, up_of_layout
 
 # Hands shake a camera by some degrees; readings that are off by more in the median do not go with the poses.
 _LARGEST_SPREAD_DEG = 20.0
@@ -22,7 +26,18 @@ def with_up(scan: Scan, layout: Layout, options: ReadingParams) -> Scan:
         return replace(scan, up=None)
     if scan.up is not None or layout.up is None:
         return scan
-    return replace(scan, up=up_of_layout(layout.name, layout.up))
+    frames = _with_own_ups(scan.frames, layout.up) if layout.is_level else scan.frames
+    return replace(scan, frames=frames, up=up_of_layout(layout.name, layout.up))
+
+
+def _with_own_ups(frames: Sequence[Frame], up: Direction) -> list[Frame]:
+    """Return frames that know what is up for their cameras, whatever world other poses put them in later."""
+    return [
+        frame
+        if frame.world_from_camera is None or frame.up is not None
+        else replace(frame, up=frame.world_from_camera[:3, :3].T @ np.array(up))
+        for frame in frames
+    ]
 
 
 def known_up(scan: Scan) -> tuple[WorldUp | None, list[str]]:

@@ -134,4 +134,5 @@ LAYOUT = Layout(
     matches=_matches,
     read=_read,
     up=Z_UP,
+    is_level=True,
 )

@@ -20,14 +20,17 @@ from stages.files import documents
 from stages.files.images import read_stored
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, first_existing, has
+from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.streams import Accelerometer
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
 from stages.scans.world import Z_UP
 
 # Ground truth runs at 20 to 200 Hz; half of the slowest step, and a little.
 _TOLERANCE = 30_000_000
 _CAMCHAIN = "dso/camchain.yaml"
+_IMU = "imu0"
 _GROUND_TRUTH = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "vicon0/data.csv")
 
 
@@ -55,6 +58,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
     trajectory = None if path is None else trajectories.read_timed(path)
 
+    accelerometer = _accelerometer(mav, body_from_left)
     frames: list[Frame] = []
     skipped = [
         SkippedFrame(str(time), f"cam{1 - side} has no image of this moment")
@@ -77,9 +81,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 timestamp=time,
             )
         )
+    moments = np.array([frame.timestamp for frame in frames], np.int64)
+    ups, about_up = ups_of(accelerometer if frames else None, moments)
+    frames = [replace(frame, up=up) for frame, up in zip(frames, ups, strict=True)]
     lacking = f"poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE"
     missing = (lacking,) if trajectory is None else ()
-    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), tuple(warnings), missing)
+    return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_up), missing)
 
 
 def _stream(camera: Path) -> dict[int, Path]:
@@ -94,6 +101,30 @@ def _stream(camera: Path) -> dict[int, Path]:
     if not found:
         raise InputError("it lists no images.", path)
     return found
+
+
+def _accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
+    """Return the readings of imu0, where the folder has them: at rest they point up."""
+    path, sensor = mav / _IMU / "data.csv", mav / _IMU / "sensor.yaml"
+    if not path.exists():
+        return None
+    times, readings = [], []
+    for number, text in documents.lines(path):
+        words = text.split(",")
+        try:
+            time, values = int(words[0]), [float(word) for word in words[1:7]]
+        except ValueError:
+            values = []
+        if len(values) < 6 or not 0 <= time < 1 << 62:
+            raise InputError(f"line {number} is not nanoseconds, three rates and three accelerations.", path)
+        times.append(time)
+        readings.append(values[3:])
+    turn = None
+    if sensor.exists():
+        body_from_imu = _mounting(documents.read_document(sensor), sensor)
+        turn = body_from_left[:3, :3].T @ body_from_imu[:3, :3]
+    rows = np.array(readings, np.float64).reshape(-1, 3)
+    return Accelerometer(_IMU, np.array(times, np.int64), lambda number: rows[number], turn)
 
 
 def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, Pose]:
@@ -179,4 +210,5 @@ LAYOUT = Layout(
     matches=_matches,
     read=_read,
     up=Z_UP,
+    is_level=True,
 )

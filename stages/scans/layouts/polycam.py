@@ -148,4 +148,5 @@ LAYOUT = Layout(
     matches=_matches,
     read=_read,
     up=Y_UP,
+    is_level=True,
 )

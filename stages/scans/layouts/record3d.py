@@ -300,4 +300,5 @@ LAYOUT = Layout(
     read=_read,
     suffixes=(".r3d",),
     up=Y_UP,
+    is_level=True,
 )

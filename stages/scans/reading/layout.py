@@ -25,6 +25,7 @@ class Layout:
     suffixes : of files that are a scan by themselves; `read` takes these as well as folders.
     up : what is up in the world of its poses, where it is defined so; where only some of its folders tell,
         `read` sets it.
+    is_level : the device's accelerometer tells `up`, so that each pose tells what is up for its camera.
     """
 
     name: str
@@ -33,3 +34,4 @@ class Layout:
     read: Callable[[Path, ReadingParams], Scan]
     suffixes: tuple[str, ...] = ()
     up: Direction | None = None
+    is_level: bool = False

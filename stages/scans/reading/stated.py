@@ -18,6 +18,9 @@ from stages.scans.scan import Camera
 
 # A PrimeSense or Kinect sees 62.7 degrees across; it is what Open3D falls back to, and near to a RealSense's.
 _FOCAL_LENGTH = 525 / 640
+# The depth maps of a phone's LiDAR, however it is held, and its focal length as a share of the longer side.
+_LIDAR_SIZES = ((192, 256), (256, 192))
+_LIDAR_FOCAL_LENGTH = 187 / 256
 
 
 def stated_camera(options: ReadingParams, folder: Path, width: int, height: int) -> Camera | None:
@@ -47,10 +50,12 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
 
 def _guessed_camera(width: int, height: int) -> tuple[Camera, str]:
     """Return the camera to take for depth maps of this size when nothing is known, and what is to be said."""
-    focal = width * _FOCAL_LENGTH
-    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    is_lidar = (width, height) in _LIDAR_SIZES
+    focal = max(width, height) * _LIDAR_FOCAL_LENGTH if is_lidar else width * _FOCAL_LENGTH
+    whose = "that of a phone's LiDAR" if is_lidar else "a Kinect's view"
+    camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
     return camera, (
         f"the folder has no intrinsics: {camera.fx:g},{camera.fy:g},{camera.cx:g},{camera.cy:g} is guessed, "
-        "a Kinect's view; for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
+        f"{whose}; for another camera set scan.intrinsics=fx,fy,cx,cy, or name its file with "
         "scan.calibration=FILE"
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from stages.errors import InputError
 from stages.scans.formats import trajectories
+from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
@@ -22,7 +23,6 @@ from stages.scans.reading.timed_poses import poses_at
 from stages.scans.ros.bag import read_bag
 from stages.scans.ros.db3 import read_db3
 from stages.scans.ros.files import SUFFIXES, recording_files, recordings
-from stages.scans.ros.gravity import ups_of
 from stages.scans.ros.mcap import read_mcap
 from stages.scans.ros.pairs import topic_pair
 from stages.scans.ros.realsense_bag import realsense_bag

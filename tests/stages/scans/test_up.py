@@ -79,3 +79,20 @@ def test_nothing_tells():
         None,
         [],
     )
+
+
+def test_a_level_world_tells_each_camera_what_is_up_for_it():
+    """Poses found anew put frames into another world; what a phone knew of gravity goes with them."""
+    turned = np.eye(4)
+    turned[:3, :3] = ((0, 0, 1), (0, 1, 0), (-1, 0, 0))
+    pose = turned @ np.diag((1.0, -1.0, -1.0, 1.0))
+    frame = Frame("0", CAMERA, world_from_camera=pose)
+    level = polycam.LAYOUT
+    assert level.is_level
+    known = with_up(Scan("level", [frame]), level, ScanParams())
+    np.testing.assert_allclose(known.frames[0].up, (0, -1, 0), atol=1e-12)
+    elsewhere = replace(known.frames[0], world_from_camera=np.eye(4))
+    found, _ = known_up(replace(known, frames=[elsewhere], up=None))
+    np.testing.assert_allclose(found.direction, (0, -1, 0), atol=1e-12)
+    # A world that is defined so, and not measured, says nothing of the camera.
+    assert with_up(Scan("made", [frame]), replace(level, is_level=False), ScanParams()).frames[0].up is None

@@ -212,3 +212,59 @@ def test_a_stated_camera_wins_over_the_chain(tum_vi):
     rig = read_scan(tum_vi, ScanParams(intrinsics="90,90,15,11", baseline=0.25)).rig
     assert (rig.left.fx, rig.right.cx, rig.left.fisheye) == (90, 15, False)
     assert rig.baseline == pytest.approx(0.25)
+
+
+# -- gravity ---------------------------------------------------------------------------------------------
+
+IMU = """sensor_type: imu
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0, 0.0, 1.0, 0.0,
+         0.0, 1.0, 0.0, 0.0,
+         -1.0, 0.0, 0.0, 0.0,
+         0.0, 0.0, 0.0, 1.0]
+"""
+
+
+def write_readings(folder, reading=(-9.7, 0.3, 0.1)):
+    """Readings of a unit whose x looks down on the body, whose z is up."""
+    (folder / "mav0" / "imu0").mkdir()
+    (folder / "mav0" / "imu0" / "sensor.yaml").write_text(IMU)
+    values = ",".join(map(str, reading))
+    rows = [f"{time},0.1,0.2,0.3,{values}" for time in range(FIRST - 10_000_000, SECOND, 5_000_000)]
+    (folder / "mav0" / "imu0" / "data.csv").write_text("#timestamp [ns],w_RS_S_x,...\n" + "\n".join(rows))
+
+
+def test_an_accelerometer_tells_what_is_up_where_poses_are_not_the_folder_s(scan_folder):
+    write_readings(scan_folder)
+    scan = read_scan(scan_folder)
+    assert scan.up.source == "layout euroc: z up"
+    # The cameras are level: their y is down.
+    for frame in scan.frames:
+        assert frame.up @ (0, -1, 0) > np.cos(np.radians(3))
+    for path in (scan_folder / "mav0" / "state_groundtruth_estimate0").iterdir():
+        path.unlink()
+    bare = read_scan(scan_folder, complete=False)
+    assert bare.up is None
+    assert bare.frames[0].up @ (0, -1, 0) > np.cos(np.radians(3))
+
+
+def test_readings_that_are_no_gravity_are_told_and_not_used(scan_folder):
+    write_readings(scan_folder, (0.01, 0.02, 0.0))
+    scan = read_scan(scan_folder)
+    assert any("imu0 reads" in text and "not gravity" in text for text in scan.warnings)
+
+
+def test_a_damaged_line_of_readings_is_named(scan_folder):
+    write_readings(scan_folder)
+    path = scan_folder / "mav0" / "imu0" / "data.csv"
+    path.write_text(path.read_text() + "\n12,0.1,none\n")
+    with pytest.raises(InputError, match=r"imu0/data\.csv: line \d+ is not nanoseconds, three rates"):
+        read_scan(scan_folder)
+
+
+def test_the_excerpt_without_readings_takes_up_from_its_poses(shared_data):
+    scan = read_scan(shared_data / "stereo/euroc_V1_01_easy_static")
+    for frame in scan.frames:
+        np.testing.assert_allclose(frame.world_from_camera[:3, :3] @ frame.up, (0, 0, 1), atol=1e-9)

@@ -1,0 +1,290 @@
+"""The focal length of a camera that nobody stated, from frames with depth.
+
+With a wrong one, what a depth map shows is too wide or too narrow for its depth, and does not fit what
+another view shows of it. Points that are recognised in two views must keep their distances: for each focal
+length couples of views are placed to each other, and that which leaves the least error is taken.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.registration.appearance import likeness
+from stages.registration.features import Features
+from stages.registration.sift import matches
+from stages.registration.still import is_still
+from stages.registration.view import read_view
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Camera, Frame
+
+Floats = NDArray[np.float64]
+
+# Frames spread over the scan whose couples are asked, and how many couples, those most alike.
+_FRAMES, _COUPLES = 20, 40
+# Focal lengths that are tried, as multiples of the guess, and then about the best, by logarithms.
+_TRIED = np.exp(np.linspace(np.log(0.65), np.log(1.55), 15))
+_CLOSE = np.linspace(-0.12, 0.12, 13)
+# Matches that a couple must have, and that must agree on a motion; so many of each are used.
+_MATCHES, _AGREE, _USED = 20, 15, 80
+_TRIALS = 200
+# By how much a point may be off where another view sees it: pixels, and a share of its depth; what is usual.
+_OFF_PX, _OFF_DEPTH = 4.0, 0.05
+_USUAL_PX, _USUAL_DEPTH = 1.0, 0.02
+_STEPS = 8
+# It is believed from so many couples, both ways, and up to this standard error (jackknife over groups).
+_LEAST_COUPLES, _MOST_ERROR, _GROUPS = 10, 0.03, 8
+
+
+@dataclass(frozen=True)
+class Focal:
+    """A focal length that was estimated.
+
+    Attributes
+    ----------
+    guess_px, focal_px : of the depth camera, pixels.
+    error_px : standard error by how couples of views differ; what is wrong in all of them alike is not in it.
+    couples : of views that told it.
+    """
+
+    guess_px: float
+    focal_px: float
+    error_px: float
+    couples: int
+
+    def figures(self) -> dict[str, Any]:
+        """Return all, ready for JSON."""
+        return {
+            "guess_px": self.guess_px,
+            "focal_px": self.focal_px,
+            "error_px": self.error_px,
+            "couples": self.couples,
+        }
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"{self.focal_px:.1f} ± {self.error_px:.1f} px by {self.couples} couples of views"
+
+    def camera(self, guessed: Camera) -> Camera:
+        """Return the camera with this focal length."""
+        return replace(guessed, fx=self.focal_px, fy=self.focal_px, is_guess=False)
+
+
+def focal_warnings(focal: Focal | None, guess: Camera) -> list[str]:
+    """Return what is to be said of a focal length that nobody stated."""
+    if focal is None:
+        return [
+            "the focal length could not be estimated from what the frames show: the "
+            f"{guess.fx:g} px that were guessed stay; set scan.intrinsics=fx,fy,cx,cy"
+        ]
+    return [
+        f"the focal length is estimated to be {focal}, in place of the {guess.fx:g} px that were guessed; "
+        "the middle of the image is taken for its centre. What is known better: scan.intrinsics=fx,fy,cx,cy"
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Couple:
+    """Matches of two views: pixels (n, 2) of each, off the middle of the image, and depths (n,)."""
+
+    pixels: Floats
+    depth: Floats
+    there: Floats
+    depth_there: Floats
+
+    def turned_round(self) -> _Couple:
+        return _Couple(self.there, self.depth_there, self.pixels, self.depth)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """The motion of a couple: a turn (3, 3), a shift (3,), and which matches (n,) agree."""
+
+    turn: Floats
+    shift: Floats
+    agree: NDArray[np.bool_]
+
+
+def is_guess(frames: Sequence[Frame]) -> bool:
+    """Say whether the frames have one camera, for colour and depth, that nobody stated."""
+    cameras = {frame.camera for frame in frames}
+    return (
+        len(cameras) == 1
+        and next(iter(cameras)).is_guess
+        and all(frame.color_camera is None and frame.color is not None for frame in frames)
+    )
+
+
+def focal_of(frames: Sequence[Frame]) -> Focal | None:
+    """Return the focal length that fits what frames with a guessed camera show; None if they tell none."""
+    guessed = frames[0].camera
+    couples, focal = _couples(frames)
+    if not couples:
+        return None
+    couples += [couple.turned_round() for couple in couples]
+    placed = [[_placed(couple, focal * factor) for couple in couples] for factor in _TRIED]
+    scores = np.array([[score for score, _ in row] for row in placed]).sum(axis=1)
+    best = int(np.argmax(scores))
+    rows = [
+        (couple, motion)
+        for couple, (_, motion) in zip(couples, placed[best], strict=True)
+        if motion is not None and np.count_nonzero(motion.agree) >= _AGREE
+    ]
+    if len(rows) < _LEAST_COUPLES:
+        return None
+    logs = np.log(focal * _TRIED[best]) + _CLOSE
+    problem = _Problem(rows)
+    costs = np.stack([problem.costs(float(np.exp(log))) for log in logs])
+    lowest = _lowest(logs, costs.sum(axis=1))
+    # A couple goes with its reverse; neighbours show the same and go together, too.
+    group = np.arange(len(rows)) * _GROUPS // len(rows)
+    left_out = [_lowest(logs, costs[:, group != one].sum(axis=1)) for one in range(_GROUPS)]
+    if lowest is None or any(one is None for one in left_out):
+        return None
+    spread = np.array(left_out, np.float64)
+    error = float(np.sqrt((_GROUPS - 1) / _GROUPS * ((spread - spread.mean()) ** 2).sum()))
+    if error > _MOST_ERROR:
+        return None
+    found = float(np.exp(lowest)) / focal * guessed.fx
+    return Focal(guessed.fx, found, error * found, len(rows) // 2)
+
+
+def _couples(frames: Sequence[Frame]) -> tuple[list[_Couple], float]:
+    """Return matches of the frames that look most alike, and the guess in the pixels of the matches."""
+
+    def features(frame: Frame) -> Features | None:
+        try:
+            return read_view(frame, np.inf).features
+        except InputError:
+            return None
+
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).round().astype(int))
+    threads = workers()
+    read = read_ahead(features, [frames[n] for n in chosen], threads=threads, ahead=threads)
+    views = [one for one in read if one is not None and one.camera is not None]
+    if len(views) < 2:
+        return [], 0.0
+    alike = likeness(views)
+    pairs = sorted(itertools.combinations(range(len(views)), 2), key=lambda pair: -alike[pair])
+    found = []
+    for a, b in pairs[: 2 * _COUPLES]:
+        indices = matches(views[a].descriptors, views[b].descriptors)
+        indices = indices[~is_still(views[a], views[b], indices)]
+        if len(indices) >= _MATCHES:
+            found.append(_couple(views[a], views[b], indices))
+    found.sort(key=lambda couple: -len(couple.depth))
+    camera = views[0].camera
+    assert camera is not None
+    return found[:_COUPLES], camera.fx
+
+
+def _couple(source: Features, target: Features, indices: NDArray[np.int64]) -> _Couple:
+    def half(view: Features, which: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        assert view.camera is not None
+        centre = (view.camera.cx, view.camera.cy)
+        return view.pixels[which].astype(np.float64) - centre, view.points[which, 2].astype(np.float64)
+
+    return _Couple(*half(source, indices[:, 0]), *half(target, indices[:, 1]))
+
+
+def _points(pixels: Floats, depth: Floats, focal: float) -> Floats:
+    return np.concatenate([pixels * (depth[..., None] / focal), depth[..., None]], axis=-1)
+
+
+def _placed(couple: _Couple, focal: float) -> tuple[float, _Placed | None]:
+    """Return how well a couple's views can be placed to each other, and how: a turn, a shift, who agrees."""
+    import cv2
+
+    points = _points(couple.pixels, couple.depth, focal)
+    matrix = np.diag((focal, focal, 1.0))
+    found, turn, shift, _ = cv2.solvePnPRansac(
+        points,
+        couple.there,
+        matrix,
+        None,
+        iterationsCount=_TRIALS,
+        reprojectionError=_OFF_PX,
+        confidence=0.99,
+        flags=cv2.SOLVEPNP_AP3P,
+    )
+    if not found or not np.isfinite(turn).all():
+        return 0.0, None
+    rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+    moved = points @ rotation.T + shift.ravel()
+    z = np.where(moved[:, 2] > 0, moved[:, 2], np.inf)
+    off = np.linalg.norm(moved[:, :2] / z[:, None] * focal - couple.there, axis=1) / _OFF_PX
+    deep = np.abs(moved[:, 2] - couple.depth_there) / couple.depth_there / _OFF_DEPTH
+    weights = np.asarray((1 - off**2).clip(0) * (1 - deep**2).clip(0))
+    return float(weights.sum()), _Placed(rotation, np.asarray(shift, np.float64).ravel(), weights > 0)
+
+
+class _Problem:
+    """Couples of views whose motions are found for any focal length, all at once."""
+
+    def __init__(self, rows: Sequence[tuple[_Couple, _Placed]]) -> None:
+        draw = np.random.default_rng(0)
+        count = len(rows)
+        self.pixels, self.there = np.zeros((count, _USED, 2)), np.zeros((count, _USED, 2))
+        self.depth, self.depth_there = np.ones((count, _USED)), np.ones((count, _USED))
+        self.used = np.zeros((count, _USED))
+        for k, (couple, motion) in enumerate(rows):
+            chosen = draw.permutation(np.flatnonzero(motion.agree))[:_USED]
+            n = len(chosen)
+            self.pixels[k, :n], self.there[k, :n] = couple.pixels[chosen], couple.there[chosen]
+            self.depth[k, :n], self.depth_there[k, :n] = couple.depth[chosen], couple.depth_there[chosen]
+            self.used[k, :n] = 1
+        self.turns = np.stack([motion.turn for _, motion in rows])
+        self.shifts = np.stack([motion.shift for _, motion in rows])
+
+    def costs(self, focal: float) -> Floats:
+        """Return the error (n,) that each couple is left with (Gauss-Newton, Cauchy's weights)."""
+        from scipy.spatial.transform import Rotation
+
+        points = _points(self.pixels, self.depth, focal)
+        turns, shifts = self.turns, self.shifts
+        for _ in range(_STEPS):
+            moved = np.einsum("pij,pmj->pmi", turns, points) + shifts[:, None]
+            off, slopes = self._off(moved, focal)
+            weights = self.used / (1 + (off**2).sum(axis=-1))
+            # A small turn w moves a point p by w × p.
+            x, y, z = moved[..., 0], moved[..., 1], moved[..., 2]
+            o = np.zeros_like(x)
+            cross = np.stack([o, z, -y, -z, o, x, y, -x, o], axis=-1).reshape(*x.shape, 3, 3)
+            rows = np.concatenate([slopes @ cross, slopes], axis=-1)
+            normal = np.einsum("pm,pmki,pmkj->pij", weights, rows, rows) + 1e-9 * np.eye(6)
+            step = -np.linalg.solve(normal, np.einsum("pm,pmki,pmk->pi", weights, rows, off)[..., None])
+            turn = Rotation.from_rotvec(step[:, :3, 0]).as_matrix()
+            turns = turn @ turns
+            shifts = np.einsum("pij,pj->pi", turn, shifts) + step[:, 3:, 0]
+        moved = np.einsum("pij,pmj->pmi", turns, points) + shifts[:, None]
+        off, _ = self._off(moved, focal)
+        return np.asarray((self.used * np.log1p((off**2).sum(axis=-1))).sum(axis=1))
+
+    def _off(self, moved: Floats, focal: float) -> tuple[Floats, Floats]:
+        """Return by how much points (p, m, 3) are off, in what is usual, and the slope of that."""
+        x, y, z = moved[..., 0], moved[..., 1], np.maximum(moved[..., 2], 1e-3)
+        deep = _USUAL_DEPTH * self.depth_there
+        across = np.stack([x, y], axis=-1) * (focal / z[..., None]) - self.there
+        off = np.concatenate([across / _USUAL_PX, ((z - self.depth_there) / deep)[..., None]], axis=-1)
+        slopes = np.zeros((*x.shape, 3, 3))
+        slopes[..., 0, 0] = slopes[..., 1, 1] = focal / z / _USUAL_PX
+        slopes[..., 0, 2] = -focal * x / z**2 / _USUAL_PX
+        slopes[..., 1, 2] = -focal * y / z**2 / _USUAL_PX
+        slopes[..., 2, 2] = 1 / deep
+        # Half as far off again is far: Cauchy's scale.
+        return off / 2, slopes / 2
+
+
+def _lowest(at: Floats, costs: Floats) -> float | None:
+    """Return where costs are lowest, between their places; None at their ends."""
+    k = int(np.argmin(costs))
+    if not 2 <= k <= len(at) - 3:
+        return None
+    curve = np.polyfit(at[k - 2 : k + 3] - at[k], costs[k - 2 : k + 3], 2)
+    return float(at[k] - curve[1] / (2 * curve[0])) if curve[0] > 0 else None

@@ -1,0 +1,86 @@
+"""Frames as they are compared pixel by pixel: small, depth and colour of one camera that has not moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.fusion.posed_depth import read_matching_color
+from stages.registration.view import smaller
+from stages.scans.images import read_depth
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Camera, Frame, pinhole, scaled
+
+# Wider ones are taken in blocks of pixels: masks need not be finer.
+_WIDEST = 320
+# Depth of one surface differs by less, as a share of it and metres: noise, and edges a pixel off.
+_SAME_SHARE, _SAME_M = 0.015, 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a frame shows.
+
+    Attributes
+    ----------
+    depth : (h, w) float32 metres, 0 where missing.
+    color : (h, w, 3) float32, smoothed; None without colour.
+    camera : of both, without distortion.
+    """
+
+    depth: NDArray[np.float32]
+    color: NDArray[np.float32] | None
+    camera: Camera
+
+    def points(self) -> NDArray[np.float64]:
+        """Return the point (h, w, 3) of each pixel, in axes of the camera; 0 where depth is missing."""
+        return rays(self.camera) * self.depth[..., None]
+
+
+def rays(camera: Camera) -> NDArray[np.float64]:
+    """Return where each pixel (h, w, 3) looks, 1 along the axis."""
+    rows, columns = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    x, y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def same_within(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return by how much depth of one surface may differ, metres."""
+    return np.asarray(_SAME_SHARE * depth + _SAME_M, np.float32)
+
+
+def read_look(frame: Frame) -> Look | None:
+    """Return what a frame shows; None if it cannot be read."""
+    import cv2
+
+    try:
+        depth = read_depth(frame)
+        if depth is None:
+            return None
+        shown = None if frame.color is None else read_matching_color(frame, depth)
+    except InputError:
+        return None
+    step = max(-(-frame.camera.width // _WIDEST), 1)
+    small = smaller(depth, step)
+    height, width = small.shape
+    color = None
+    if shown is not None:
+        whole = shown[: height * step, : width * step]
+        shrunk = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+        color = np.asarray(cv2.GaussianBlur(shrunk.astype(np.float32), (0, 0), 0.8), np.float32)
+    camera = scaled(pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
+    return Look(small, color, camera)
+
+
+def read_looks(frames: Sequence[Frame] | Mapping[int, Frame], places: Sequence[int]) -> dict[int, Look]:
+    """Return what frames show, by their places; those that cannot be read, or are of another size, lack."""
+    threads = workers()
+    looks = read_ahead(read_look, [frames[n] for n in places], threads=threads, ahead=threads)
+    found = {n: look for n, look in zip(places, looks, strict=True) if look is not None}
+    shapes = [look.depth.shape for look in found.values()]
+    usual = max(shapes, key=shapes.count) if shapes else None
+    return {n: look for n, look in found.items() if look.depth.shape == usual}

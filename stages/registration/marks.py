@@ -1,0 +1,243 @@
+"""The motion of a plate that turns: where marks on it are as seen from above, and the turn that most share.
+
+Marks look alike, and a step may be too large for anything to be recognised: that dots, corners or letters
+keep their distances is enough. A turn about the plate's normal and a shift on it are all it can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.fusion.posed_depth import read_matching_color
+from stages.scans.images import read_depth
+from stages.scans.scan import Camera, Frame, Pose, pinhole
+
+Floats = NDArray[np.float64]
+
+# Tries for a plane; how far from it, as a share of its depth, a point is on it; how many are, at least.
+_TRIES, _ON_PLANE, _LEAST_SHARE, _LEAST_POINTS = 400, 0.008, 0.1, 100
+# Planes that are looked at: plate, table, wall.
+_MOST_PLATES = 3
+# Points of each try: more say no more.
+_TRIED_POINTS = 6000
+# Side of the picture from above, pixels, and the contrast and slimness of a mark as SIFT counts them.
+_SIDE, _CONTRAST, _SLIM = 560, 0.03, 5.0
+_MOST_MARKS = 60
+# A mark that is in the same place in more of the other frames is of the table, not of the plate.
+_STAYS = 0.4
+# What is measured of the distances, as a share of the plate's distance: marks are the same within it.
+_SAME = 0.006
+# Nearer marks tell no turn, by the same measure.
+_APART = 0.08
+# Marks that agree for a motion to be believed, and by how many more than for any other turn (radians away).
+_LEAST_MARKS, _CLEARLY, _ANOTHER = 5, 1.4, np.radians(5)
+_MOST_TURNS = 6_000
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """The plane that a thing stands on, and the square of it that is looked at from above.
+
+    Attributes
+    ----------
+    origin : (3,) its middle, metres, axes of the camera.
+    axes : (3, 3) columns: two along it and its normal, which looks to the camera.
+    side_m : of the square.
+    """
+
+    origin: Floats
+    axes: Floats
+    side_m: float
+
+    @property
+    def same_m(self) -> float:
+        """Return within which distance marks are the same."""
+        return _SAME * self.distance
+
+    @property
+    def distance(self) -> float:
+        """Return how far from the camera it is, metres."""
+        return float(np.linalg.norm(self.origin))
+
+    def motion(self, angle: float, shift: Floats) -> Pose:
+        """Return the motion (4, 4) that turns what lies on it about its origin, and shifts it (2,)."""
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = self.axes @ np.array(((cosine, -sine, 0), (sine, cosine, 0), (0, 0, 1))) @ self.axes.T
+        pose = np.eye(4)
+        pose[:3, :3] = turn
+        pose[:3, 3] = self.origin + self.axes[:, :2] @ shift - turn @ self.origin
+        return pose
+
+
+@dataclass(frozen=True, eq=False)
+class MarkedMotion:
+    """How a plate moved: target_from_source (4, 4), and the marks that say so."""
+
+    target_from_source: Pose
+    marks: int
+
+
+def plates_of(points: Floats) -> Iterator[Plate]:
+    """Yield planes that many of the points (n, 3) are on, that of the most first: a plate lies on a table."""
+    draw = np.random.default_rng(0)
+    if len(points) > _TRIED_POINTS:
+        points = points[draw.choice(len(points), _TRIED_POINTS, replace=False)]
+    least = max(_LEAST_SHARE * len(points), _LEAST_POINTS)
+    for _ in range(_MOST_PLATES):
+        plate = _plate_of(points, draw) if len(points) >= least else None
+        if plate is None:
+            return
+        off = np.abs((points - plate.origin) @ plate.axes[:, 2])
+        on = off < _ON_PLANE * plate.distance
+        if np.count_nonzero(on) < least:
+            return
+        yield plate
+        points = points[~on]
+
+
+def _plate_of(points: Floats, draw: np.random.Generator) -> Plate | None:
+    near = _ON_PLANE * float(np.median(points[:, 2]))
+    corners = points[draw.integers(0, len(points), (_TRIES, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    corners, normals = corners[lengths > 0, 0], normals[lengths > 0] / lengths[lengths > 0, None]
+    if len(normals) == 0:
+        return None
+    counts = [
+        int(np.count_nonzero(np.abs((points - corner) @ normal) < near))
+        for corner, normal in zip(corners, normals, strict=True)
+    ]
+    origin, normal = corners[int(np.argmax(counts))], normals[int(np.argmax(counts))]
+    for _ in range(3):
+        on = points[np.abs((points - origin) @ normal) < near]
+        origin = on.mean(axis=0)
+        normal = np.linalg.svd(on - origin, full_matrices=False)[2][2]
+    on = points[np.abs((points - origin) @ normal) < near]
+    normal = -normal if normal @ origin > 0 else normal
+    along = np.cross(normal, (0.0, 0.0, 1.0) if abs(normal[2]) < 0.9 else (0.0, 1.0, 0.0))
+    along /= np.linalg.norm(along)
+    axes = np.stack([along, np.cross(normal, along), normal], axis=1)
+    flat = (on - origin) @ axes[:, :2]
+    low, high = np.percentile(flat, (1, 99), axis=0)
+    middle = origin + axes[:, :2] @ ((low + high) / 2)
+    return Plate(middle, axes, 1.2 * float((high - low).max()))
+
+
+def marks_on(frame: Frame, plate: Plate) -> Floats:
+    """Return where marks (n, 2) are on the plate in a frame, metres."""
+    import cv2
+
+    depth = read_depth(frame)
+    assert depth is not None
+    color = read_matching_color(frame, depth)
+    camera = pinhole(frame.camera)
+    pixels, z = _seen_from_above(plate, camera)
+    across, down = pixels[..., 0], pixels[..., 1]
+    grey = cv2.remap(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), across, down, cv2.INTER_LINEAR)
+    there = cv2.remap(depth, across, down, cv2.INTER_NEAREST)
+    bare = (np.abs(there - z) < _ON_PLANE * z).astype(np.uint8)
+    bare = cv2.erode(cv2.morphologyEx(bare, cv2.MORPH_CLOSE, np.ones((9, 9))), np.ones((5, 5)))
+    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, edgeThreshold=_SLIM)
+    found = sorted(sift.detect(np.asarray(grey, np.uint8), bare), key=lambda one: -one.response)
+    places = np.array([one.pt for one in found], np.float64).reshape(-1, 2)
+    # One spot may be found at several scales.
+    _, first = np.unique(np.round(places / 3), axis=0, return_index=True)
+    places = places[np.sort(first)][:_MOST_MARKS]
+    return np.asarray((places + 0.5) * (plate.side_m / _SIDE) - plate.side_m / 2)
+
+
+def moving_marks(marks: Mapping[int, Floats], plate: Plate) -> dict[int, Floats]:
+    """Return the marks of each frame but for those that stay where they are in others: of the table."""
+    from scipy.spatial import cKDTree
+
+    trees = {n: cKDTree(places) for n, places in marks.items() if len(places)}
+    found = {}
+    for n, places in marks.items():
+        others = [tree for other, tree in trees.items() if other != n]
+        stays = np.zeros(len(places))
+        for tree in others:
+            stays += tree.query(places)[0] < plate.same_m / 2 if len(places) else 0
+        found[n] = places[stays <= _STAYS * len(others)]
+    return found
+
+
+def _seen_from_above(plate: Plate, camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the camera's pixel (s, s, 2) for each pixel of the picture from above, and its depth."""
+    steps = (np.arange(_SIDE) + 0.5) * (plate.side_m / _SIDE) - plate.side_m / 2
+    x, y = np.meshgrid(steps, steps)
+    points = plate.origin + x[..., None] * plate.axes[:, 0] + y[..., None] * plate.axes[:, 1]
+    z = np.where(points[..., 2] > 0, points[..., 2], np.inf)
+    pixels = points[..., :2] / z[..., None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    # Where the plane is behind the camera no pixel is.
+    pixels[~np.isfinite(z)] = -1e4
+    return pixels.clip(-1e4, 1e5).astype(np.float32), z.astype(np.float32)
+
+
+def marked_motion(source: Floats, target: Floats, plate: Plate) -> MarkedMotion | None:
+    """Return the motion of the plate that most marks share; None if none stands out.
+
+    Parameters
+    ----------
+    source, target : places of marks (n, 2), (m, 2), as `marks_on` returns them.
+    """
+    from scipy.spatial import cKDTree
+
+    turns = _turns(source, target, plate)
+    if len(turns) == 0:
+        return None
+    tree = cKDTree(target)
+
+    def moved(angles: Floats, shifts: Floats) -> Floats:
+        cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        x = cosine * source[:, 0] - sine * source[:, 1] + shifts[:, :1]
+        y = sine * source[:, 0] + cosine * source[:, 1] + shifts[:, 1:]
+        return np.stack([x, y], axis=-1)
+
+    places = moved(turns[:, 0], turns[:, 1:])
+    off = tree.query(places.reshape(-1, 2))[0].reshape(places.shape[:2])
+    counts = (off < plate.same_m).sum(axis=1)
+    best = int(np.argmax(counts))
+    apart = np.abs((turns[:, 0] - turns[best, 0] + np.pi) % (2 * np.pi) - np.pi) > _ANOTHER
+    second = int(counts[apart].max()) if apart.any() else 0
+    if counts[best] < max(_LEAST_MARKS, _CLEARLY * second):
+        return None
+    angle, shift = float(turns[best, 0]), turns[best, 1:]
+    for _ in range(3):
+        distance, nearest = tree.query(moved(np.array([angle]), shift[None])[0])
+        agree = distance < plate.same_m
+        angle, shift = _fitted(source[agree], target[nearest[agree]])
+    return MarkedMotion(plate.motion(angle, shift), int(np.count_nonzero(agree)))
+
+
+def _turns(source: Floats, target: Floats, plate: Plate) -> Floats:
+    """Return turns (n, 3) that bring two marks to two others as far apart: an angle and a shift."""
+    if min(len(source), len(target)) < _LEAST_MARKS:
+        return np.zeros((0, 3))
+    least = _APART * plate.distance
+    lengths = np.linalg.norm(source[:, None] - source, axis=2)
+    others = np.linalg.norm(target[:, None] - target, axis=2)
+    a, b = np.nonzero(np.triu(lengths > least))
+    c, d = np.nonzero(others > least)
+    couple, there = np.nonzero(np.abs(lengths[a, b][:, None] - others[c, d]) < plate.same_m)
+    if len(couple) > _MOST_TURNS:
+        chosen = np.random.default_rng(0).choice(len(couple), _MOST_TURNS, replace=False)
+        couple, there = couple[chosen], there[chosen]
+    way, other = source[b] - source[a], target[d] - target[c]
+    angles = np.arctan2(other[there, 1], other[there, 0]) - np.arctan2(way[couple, 1], way[couple, 0])
+    cosine, sine = np.cos(angles), np.sin(angles)
+    x, y = ((source[a] + source[b]) / 2)[couple].T
+    middle = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
+    return np.column_stack([angles, ((target[c] + target[d]) / 2)[there] - middle])
+
+
+def _fitted(source: Floats, target: Floats) -> tuple[float, Floats]:
+    """Return the turn and shift of least squared error between points of a plane."""
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    angle = float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = np.array(((cosine, -sine), (sine, cosine))) @ source.mean(axis=0)
+    return angle, target.mean(axis=0) - turned

@@ -1,0 +1,170 @@
+"""What of a scan is registered: all that is seen, or the thing that moves before a camera that stands still.
+
+Surfaces begin where recognised points and marks end: see `turning` for these, `belonging` for the masks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from stages.errors import InputError, StageError
+from stages.registration.belonging import masks_of_thing
+from stages.registration.features import Features
+from stages.registration.looks import Look, read_look, read_looks
+from stages.registration.still import Backdrop, Mask, backdrop_of, something_moves, stands_still
+from stages.registration.turning import first_poses
+from stages.registration.view import read_view
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_mask
+from stages.scans.prefetch import read_ahead, workers
+from stages.scans.scan import Frame, Pose
+
+# Frames by which it is decided, and more by which the backdrop is known.
+_DECIDE, _BEHIND = 7, 24
+# Less of the image than this (share of all pixels) is no thing.
+_LEAST_SHOWN = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """A thing that moves before a camera that stands still, as far as it is known before its poses are.
+
+    Attributes
+    ----------
+    frames : with masks of what may be the thing.
+    poses : world_from_camera of some frames by their places, the world being the thing: first guesses.
+    """
+
+    frames: list[Frame]
+    poses: dict[int, Pose]
+
+
+def thing_in(frames: Sequence[Frame], subject: str, where: Path | None) -> Thing | None:
+    """Return the thing that a scan is of; None if it is of a scene.
+
+    Parameters
+    ----------
+    subject : `scene`, `object`, or `auto`: the thing if the camera stands still and something moves.
+
+    Raises
+    ------
+    StageError
+        If the thing is asked for and nothing moves before a camera that stands still.
+    """
+    if subject == "scene" or len(frames) < 2:
+        return None
+    looks, is_still, moves = _decided(frames)
+    if not (is_still and moves):
+        if subject == "object":
+            told = "nothing moves before it" if is_still else "it moves"
+            raise StageError(
+                f"{'' if where is None else f'{where}: '}no thing can be told from what is around it: that "
+                f"needs a camera that stands still while the thing moves, but {told}. register.subject=scene "
+                "takes all that is seen."
+            )
+        return None
+    more = [n for n in _spread(len(frames), _BEHIND) if n not in looks]
+    looks |= read_looks(frames, more)
+    backdrop = backdrop_of(looks)
+    masked, features = list(frames), {}
+    threads = workers()
+    shown = read_ahead(lambda frame: _shown(frame, backdrop), frames, threads=threads, ahead=threads)
+    for n, (frame, seen) in enumerate(shown):
+        masked[n] = frame
+        if seen is not None:
+            features[n] = seen
+    return Thing(masked, first_poses(frames, features, looks, backdrop))
+
+
+def shows_thing(frames: Sequence[Frame]) -> bool:
+    """Say whether `auto` takes the thing that moves: the camera stands still."""
+    _, is_still, moves = _decided(frames)
+    return is_still and moves
+
+
+def alone(
+    frames: Sequence[Frame], posed: Mapping[int, Frame], thing: Thing, where: Path | None
+) -> dict[int, Frame]:
+    """Return posed frames with masks of the thing alone.
+
+    Where all were joined by what is recognised, that tells the poses, not the surfaces: what turns about an
+    axis slides along itself, and the edge of a mask goes with it.
+
+    Parameters
+    ----------
+    frames : of the scan, as they were given.
+    posed : frames by their places among them, with poses of one world, which is the thing.
+
+    Raises
+    ------
+    StageError
+        If hardly a pixel agrees with the poses: what moves is no rigid thing.
+    """
+    poses = {n: frame.world_from_camera for n, frame in posed.items() if frame.world_from_camera is not None}
+    if all(n in thing.poses for n in poses):
+        first = next(iter(poses))
+        into = poses[first] @ inverted(thing.poses[first])
+        poses = {n: into @ thing.poses[n] for n in poses}
+    found = {n: replace(frames[n], world_from_camera=pose) for n, pose in poses.items()}
+    if len(found) < 2:
+        return found
+    masks = masks_of_thing(found)
+    if float(np.median([mask.mean() for mask in masks.values()])) < _LEAST_SHOWN:
+        raise thing_not_placed("no motion of it as one rigid thing fits what the frames show.", where)
+    return {n: _with_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
+
+
+def thing_not_placed(why: str, where: Path | None = None) -> StageError:
+    """Return the error for a thing whose poses cannot be found."""
+    named = "" if where is None else f"{where}: "
+    return StageError(
+        f"{named}a thing moves before a camera that stands still, and cannot be put together: {why} Turn it "
+        "in smaller steps, on printed paper; register.subject=scene takes all that is seen."
+    )
+
+
+def _decided(frames: Sequence[Frame]) -> tuple[dict[int, Look], bool, bool]:
+    """Return what a few frames show, whether the camera stands still, and whether something moves."""
+    looks = read_looks(frames, _spread(len(frames), _DECIDE))
+    views = {}
+    for n in looks:
+        with contextlib.suppress(InputError):
+            views[n] = read_view(frames[n], np.inf)
+    looks = {n: looks[n] for n in views}
+    if not stands_still(list(views.values()), list(looks.values())):
+        return looks, False, False
+    return looks, True, something_moves(list(looks.values()))
+
+
+def _shown(frame: Frame, backdrop: Backdrop) -> tuple[Frame, Features | None]:
+    """Return the frame with a mask of what may be the thing, and what is recognised of that."""
+    look = read_look(frame)
+    if look is None or look.depth.shape != backdrop.depth.shape:
+        return frame, None
+    masked = _with_mask(frame, backdrop.first_mask(look))
+    try:
+        return masked, read_view(masked, np.inf).features
+    except InputError:
+        return masked, None
+
+
+def _with_mask(frame: Frame, mask: Mask) -> Frame:
+    """Return the frame with a mask beside its own."""
+    import cv2
+
+    both = mask.astype(np.uint8) * np.uint8(255)
+    own = read_mask(frame)
+    if own is not None:
+        size = (mask.shape[1], mask.shape[0])
+        both &= cv2.resize(own, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return replace(frame, mask=both)
+
+
+def _spread(count: int, most: int) -> list[int]:
+    places: list[int] = np.unique(np.linspace(0, count - 1, most).round().astype(int)).tolist()
+    return places

@@ -1,0 +1,137 @@
+"""The focal length of a camera that nobody stated, where the true one is known and hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import turned_thing
+
+from stages.inspecting.inspect import inspect
+from stages.registration.across import across, joined
+from stages.registration.bridges import confirmed
+from stages.registration.focal import focal_of, is_guess
+from stages.registration.focal_by_marks import focal_by_marks
+from stages.registration.graph import Edge
+from stages.registration.motion import Motion
+from stages.registration.register import register
+from stages.scans.read import read_scan
+from stages.scans.reading.stated import found_camera
+from stages.scans.scan import Camera, Frame, Scan
+
+pytestmark = pytest.mark.slow
+
+SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
+
+
+def hidden(frames: Sequence[Frame], focal: float) -> list[Frame]:
+    """Return frames whose camera is a guess, and which have no poses."""
+    height, width = frames[0].camera.height, frames[0].camera.width
+    guess = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
+    return [replace(frame, camera=guess, color_camera=None, world_from_camera=None) for frame in frames]
+
+
+def test_the_focal_length_of_the_sample_is_found() -> None:
+    frames = list(read_scan(SAMPLE).frames[::2])
+    truth = frames[0].camera.fx
+    found = focal_of(hidden(frames, 1.15 * truth))
+    assert found is not None
+    assert found.focal_px == pytest.approx(truth, rel=0.005)
+    assert found.error_px < 0.005 * truth
+
+
+@pytest.mark.parametrize(
+    ("name", "guess", "truth", "within"),
+    [
+        ("real/rgbd_dataset_freiburg1_rpy", 525, 517, 0.015),
+        ("real/realsense_box_open3d_json", 525, 617.4, 0.06),
+    ],
+)
+def test_focal_lengths_of_public_scans_are_found(
+    shared_data: Path, name: str, guess: float, truth: float, within: float
+) -> None:
+    found = focal_of(hidden(read_scan(shared_data / name, complete=False).frames, guess))
+    assert found is not None
+    assert found.focal_px == pytest.approx(truth, rel=within)
+
+
+def test_marks_that_turn_tell_it_where_nothing_else_is_seen_from_two_sides(shared_data: Path) -> None:
+    frames = read_scan(shared_data / "rgbd/turntable_d435_data1", complete=False).frames
+    assert focal_of(frames) is None
+    found = focal_by_marks(frames[1:])
+    assert found is not None
+    assert found.focal_px == pytest.approx(617, rel=0.04)
+
+
+def test_a_phone_s_is_near_that_of_its_kind(shared_data: Path) -> None:
+    frames = read_scan(shared_data / "real/phone_desk_no_calibration", complete=False).frames
+    assert is_guess(frames)
+    assert (frames[0].camera.fx, frames[0].camera.fy) == (187, 187)
+    found = focal_of(hidden(frames, 157.5))
+    assert found is not None
+    assert found.focal_px == pytest.approx(187, rel=0.02)
+
+
+def test_too_little_to_see_tells_nothing() -> None:
+    assert focal_of(hidden(turned_thing.frames([0.0] * 3), 250)) is None
+    assert focal_of(hidden(turned_thing.frames([0.0], texture=1), 250)) is None
+
+
+def test_poses_are_found_with_it_and_the_frames_have_it() -> None:
+    frames = list(read_scan(SAMPLE).frames[::3])
+    truth = frames[0].camera.fx
+    found = register(hidden(frames, 0.9 * truth), loops=False)
+    assert found.focal is not None
+    assert all(frame.camera.fx == found.focal.focal_px for frame in found.frames)
+    assert not found.frames[0].camera.is_guess
+    assert found.figures()["focal"]["guess_px"] == 0.9 * truth
+    assert any("the focal length is estimated to be" in text for text in found.warnings)
+    kept = register(hidden(frames, 0.9 * truth), focal=False, loops=False)
+    assert kept.focal is None
+    assert kept.frames[0].camera.fx == 0.9 * truth
+
+
+def test_what_is_stated_is_not_estimated() -> None:
+    frames = [replace(frame, world_from_camera=None) for frame in read_scan(SAMPLE).frames[::4]]
+    assert not is_guess(frames)
+    assert register(frames, loops=False).focal is None
+
+
+def test_inspect_says_that_it_cannot_be_told() -> None:
+    found = inspect(Scan("made", hidden(turned_thing.frames([0.0, 0.0]), 250)))
+    assert found.figures()["focal"] is None
+    assert any("the 250 px that were guessed stay" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize(("size", "focal"), [((256, 192), 187), ((192, 256), 187), ((640, 480), 525)])
+def test_the_guess_is_a_phone_s_or_a_kinect_s(tmp_path: Path, size: tuple[int, int], focal: float) -> None:
+    camera, _, said = found_camera(tmp_path, *size)
+    assert (camera.fx, camera.fy, camera.is_guess) == (focal, focal, True)
+    assert ("LiDAR" in said[0]) == (focal == 187)
+
+
+# -- pieces ----------------------------------------------------------------------------------------------
+
+
+def link(source: int, target: int, fitness: float, points: int, *, is_certain: bool = False) -> Edge:
+    return Edge(source, target, Motion(np.eye(4), np.eye(6), fitness, None, points), is_certain)
+
+
+def test_a_weak_link_counts_where_another_confirms_it() -> None:
+    strong, weak, across_ = link(1, 0, 0.8, 60), link(2, 1, 0.3, 40), link(2, 0, 0.5, 30)
+    assert confirmed([0, 5, 9], [strong, weak]) == [strong]
+    assert confirmed([0, 5, 9], [strong, weak, across_]) == [strong, weak, across_]
+    few = link(2, 1, 0.5, 8, is_certain=True)
+    assert confirmed([0, 5, 6], [strong, few]) == [strong]
+    # Frames between the two would be torn.
+    assert confirmed([0, 5, 9], [strong, few]) == [strong, few]
+
+
+def test_couples_across_breaks_are_all_those_of_different_parts() -> None:
+    alike = np.zeros((4, 4), np.float32)
+    assert across(alike, np.array([0, 0, 1, 2])) == {(2, 0), (2, 1), (3, 0), (3, 1), (3, 2)}
+    assert across(alike, np.zeros(4, int)) == set()
+    assert across(alike, joined(np.array([0, 0, 1, 2]), [link(3, 2, 0.5, 30), link(2, 0, 0.5, 30)])) == set()
