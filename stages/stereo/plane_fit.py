@@ -71,15 +71,15 @@ def refined(main: Seen, partners: Sequence[Seen], inverse: Map, step: float) -> 
             at = inverse + way * aside
             x, y, ahead = (line + at * row[3] for line, row in zip(far, matrix, strict=True))
             ahead = np.where(ahead > 0, ahead, np.float32(np.nan))
-            seen = cv2.remap(
-                image,
-                x / ahead,
-                y / ahead,
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=np.nan,
+            place = x / ahead, y / ahead
+            seen = np.asarray(
+                cv2.remap(
+                    image, *place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan
+                ),
+                np.float32,
             )
-            costs.append(mean(np.square(seen - mean(seen) - own)))
+            off = np.asarray(seen - mean(seen) - own, np.float32)
+            costs.append(mean(off * off))
         weight = np.nan_to_num(1 / (np.float32(_NOISE) + costs[0] + costs[1] + costs[2]))
         for total, cost in zip(sums, costs, strict=True):
             total += weight * np.nan_to_num(cost)
@@ -87,4 +87,4 @@ def refined(main: Seen, partners: Sequence[Seen], inverse: Map, step: float) -> 
     bend = before + behind - 2 * middle
     fits = bend > np.float32(_LEAST_BEND / _NOISE)
     fraction = np.divide(before - behind, 2 * bend, out=np.zeros_like(bend), where=fits)
-    return inverse + aside * np.clip(fraction, -1, 1)
+    return np.asarray(inverse + aside * np.clip(fraction, -1, 1), np.float32)
