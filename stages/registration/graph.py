@@ -12,8 +12,8 @@ from stages._open3d import open3d
 from stages.registration.motion import Motion
 from stages.scans.scan import Pose
 
-# What any motion is off beside its noise, for lenses, shutters and clocks are never quite as said: radians, and
-# a share of the reach.
+# What any motion is off beside its noise, for lenses, shutters and clocks are never quite as said: radians,
+# and a share of the reach.
 _OFF_RAD, _OFF_SHARE = float(np.radians(0.05)), 0.03
 
 

@@ -19,8 +19,8 @@ from stages.scans.scan import Pose
 # and at the most. A pair tells how much its own depth is off.
 _PIXEL = 0.5
 _DEPTH_M, _DEPTH_PER_M, _LEAST_PER_M, _MOST_PER_M = 0.001, 0.0016, 1e-4, 2e-2
-# Points count for a quarter at so many deviations, and soon for nothing (Geman and McClure): outlines of round
-# things and glints go with the camera, and there are always some.
+# Points count for a quarter at so many deviations, and soon for nothing (Geman and McClure): outlines of
+# round things and glints go with the camera, and there are always some.
 _BEND = 2.0
 _STEPS = 6
 # Steps after which depth is measured anew, and the points that this needs.

@@ -16,11 +16,11 @@ from stages.params import check, param, resolve
 from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.registration.chain import Chain, key_edges, make_chain
+from stages.registration.choosing import Placed, placed
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
 from stages.registration.odometry import one_thread_each
-from stages.registration.placing import placed_pieces
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
 from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
@@ -56,7 +56,9 @@ class RegisterParams:
         low_open=True,
     )
     refine: bool = param(
-        False, "Begin from the poses the scan has, and make them better; its world stays where it is."
+        False,
+        "Begin from the poses the scan has, and make them better; its world stays where it is. Where what is "
+        "found is not better on points it was not found by, the poses stay.",
     )
     piece: int = param(
         1,
@@ -184,9 +186,9 @@ def register(
         edges = list(key_edges(chain, max_depth))
         if params.loops:
             edges += loops(chain, max_depth, given, progress)
-    groups = pieces(len(chain.keys), edges)
-    poses, used, wrong = placed_pieces(chain, groups, edges)
-    return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
+        groups = pieces(len(chain.keys), edges)
+        found = placed(chain, groups, edges, given)
+    return _result(frames, chain, groups, found, began, where, given, params.piece)
 
 
 def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
@@ -214,15 +216,13 @@ def _result(
     frames: Sequence[Frame],
     chain: Chain,
     groups: Sequence[Sequence[int]],
-    poses: dict[int, Pose],
-    used: Sequence[Edge],
-    wrong: Sequence[Edge],
+    found: Placed,
     began: float,
     where: Path | None,
     given: Mapping[int, Pose],
     piece: int,
 ) -> Registration:
-    keys, numbers = chain.keys, list(chain.seen)
+    keys, numbers, poses = chain.keys, list(chain.seen), found.poses
     piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
     piece_of = {n: piece_of_key[keys[bisect_right(keys, n) - 1]] for n in numbers}
     sizes: list[list[int]] = [[] for _ in groups]
@@ -252,23 +252,26 @@ def _result(
         for n in numbers
         if rank[piece_of[n]] != piece
     ]
-    placed = {
+    in_worlds = {
         rank[index]: _in_their_world(frames, members, poses, given) for index, members in enumerate(sizes)
     }
     return Registration(
-        frames=tuple(placed[piece].values()),
-        places=tuple(placed[piece]),
+        frames=tuple(in_worlds[piece].values()),
+        places=tuple(in_worlds[piece]),
         skipped=(*chain.skipped, *left_out),
         pieces=tuple(tuple(frames[n].name for n in sizes[index]) for index in order),
-        apart={number: placed[number] for number in sorted(placed) if number != piece},
+        apart={number: in_worlds[number] for number in sorted(in_worlds) if number != piece},
         edges=tuple(
-            _edge(edge, keys, is_used) for edges, is_used in ((used, True), (wrong, False)) for edge in edges
+            _edge(edge, keys, is_used)
+            for edges, is_used in ((found.used, True), (found.wrong, False))
+            for edge in edges
         ),
         breaks=breaks,
         key_frames=tuple(keys),
         warnings=(
             *_said_of_pieces(len(order), usable, piece, breaks),
-            *_warnings(frames, chain, [poses[n] for n in placed[piece]], used, wrong),
+            *([f"the poses found are not better, those given are kept: {found.told}"] if found.told else []),
+            *_warnings(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong),
         ),
         seconds=time.perf_counter() - began,
     )
@@ -284,7 +287,9 @@ def _in_their_world(
     """Return the frames of a piece by their places, in the world of the first, or of the poses given."""
     known = [n for n in members if n in given]
     into = inverted(poses[members[0]])
-    if known:
+    if known and all(poses[n] is given[n] for n in known):
+        into = np.eye(4)
+    elif known:
         into = _nearest([poses[n] for n in known], [given[n] for n in known])
     return {n: replace(frames[n], world_from_camera=into @ poses[n]) for n in members}
 
