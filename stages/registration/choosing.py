@@ -21,6 +21,8 @@ from stages.scans.scan import Pose
 
 # Fewer loops than this are not asked what they say of each other.
 _FEW_LOOPS = 6
+# Where the points of loops land this near to their matches without them, the path is not bent, pixels.
+_AGREED_PX = 1.0
 # How much farther off points of the chain may land with loops than without: a share, and pixels.
 _BENT_SHARE, _BENT_PX = 1.5, 0.25
 # Poses are better where points land nearer by this share, or surfaces meet more; fewer points say nothing.
@@ -77,8 +79,8 @@ def _unsound_loops(
 ) -> tuple[list[Edge], list[Edge]]:
     """Return the loops along an unbroken chain, first those that are idle, then those that are false.
 
-    They are idle if each half of them does not bring the other's points nearer, and false if they bend the
-    chain until its own points are off.
+    They are idle if the chain brings their points together as it is, and neither half of them brings those of
+    the other nearer; they are false if they bend the chain until its own points are off.
     """
     certain = [edge for edge in edges if edge.is_certain]
     part = {key: i for i, one in enumerate(pieces(len(chain.keys), certain)) for key in one}
@@ -95,8 +97,9 @@ def _unsound_loops(
             return [], along
         with_loops.append(_errors(chain, along[1 - half :: 2], looped))
         without.append(_errors(chain, along[1 - half :: 2], unlooped))
-    nearer = _median(np.concatenate(with_loops)) <= _median(np.concatenate(without))
-    return ([] if nearer else along), []
+    apart = _median(np.concatenate(without))
+    needed = apart > _AGREED_PX or _median(np.concatenate(with_loops)) <= apart
+    return ([] if needed else along), []
 
 
 def _held(

@@ -15,7 +15,7 @@ from stages.registration.view import View
 from stages.scans.scan import Pose
 
 # Iterations from the coarsest of three resolutions to the finest; and where the first guess is a mere guess.
-_ITERATIONS = (6, 4, 4)
+_ITERATIONS = (4, 3, 2)
 _ROUGH_ITERATIONS = (12, 8, 2)
 # Surfaces are compared where they are within this share of the median depth, at least this many metres.
 _REACH_SHARE = 0.015
