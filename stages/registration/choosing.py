@@ -24,7 +24,7 @@ _FEW_LOOPS = 6
 # Where the points of loops land this near to their matches without them, the path is not bent, pixels.
 _AGREED_PX = 1.0
 # How much farther off points of the chain may land with loops than without: a share, and pixels.
-_BENT_SHARE, _BENT_PX = 1.5, 0.25
+_BENT_SHARE, _BENT_PX = 2.0, 0.25
 # Poses are better where points land nearer by this share, or surfaces meet more; fewer points say nothing.
 _BETTER, _POINTS = 0.02, 50
 # Poses that leave the given ones altogether must be better by this share.
