@@ -145,14 +145,18 @@ def _best(
     off = [_errors(chain, edges, one) for one in (given, near.poses, free.poses)]
     if len(off[0]) >= _POINTS:
         measures = [_median(one) for one in off]
-        said = "points that are recognised land {:.2f} px from their matches, {:.2f} px with those given"
+        found, as_given = min(measures[1:]), measures[0]
+        told = (
+            f"points that are recognised land {found:.2f} px from their matches, {as_given:.2f} px with "
+            "those given"
+        )
     else:
         measures = [1 - _meeting(chain, one, known) for one in (given, near.poses, free.poses)]
-        said = "{:.1%} of surfaces do not meet, {:.1%} with those given"
-    better = 1 - _BETTER
-    if min(measures[1:]) >= better * measures[0]:
+        found, as_given = min(measures[1:]), measures[0]
+        told = f"{found:.1%} of surfaces do not meet, {as_given:.1%} with those given"
+    if min(measures[1:]) >= (1 - _BETTER) * measures[0]:
         poses = _completed(chain, groups, given, free.poses)
-        return Placed(poses, free.used, free.wrong, told=said.format(min(measures[1:]), measures[0]))
+        return Placed(poses, free.used, free.wrong, told=told)
     return free if measures[2] < (1 - _CLEARLY) * measures[1] else near
 
 
