@@ -1,12 +1,14 @@
 """Poses found against true ones, ours beside Open3D's odometry. Prints a Markdown table.
 
-python benches/registration.py SCAN [SCAN ...] [--every N] [--again N] [--depth-only] [--only NAME ...]
-    [--meshes]
+python benches/registration.py SCAN [SCAN ...] [--poses FILE] [--every N] [--again N] [--depth-only]
+    [--only NAME ...] [--meshes] [--frames N ...]
 
 Each SCAN has true poses, which are hidden from all. ATE is the root mean square distance of camera centres
 after the best rigid motion (Umeyama 1991); "scaled" after the best motion with a scale, which takes out
 what the depth calibration and the truth disagree by. RPE is the median error of the motion from each frame
-to the next. Poses are those of the largest piece; rivals know one piece only. Some chain Open3D's odometry
+to the next, and RMS its root mean square. Transfer is how far recognised points land from their matches
+through depth, the median in pixels: of the poses found, and of the true ones. Poses are those of the largest
+piece; rivals know one piece only. Some chain Open3D's odometry
 from frame to frame with its defaults, from files to poses: "hybrid" (Park, Zhou and Koltun 2017, of the
 legacy and the tensor pipeline) and "point to plane". See open3d_reconstruction.py and open3d_slam.py for the
 others, which use one thread. Stereo scans are matched first, which is not timed. With --depth-only, rivals
@@ -19,6 +21,9 @@ from __future__ import annotations
 import argparse
 import itertools
 import re
+import resource
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -32,13 +37,15 @@ from open3d_reconstruction import reconstruction_system
 from open3d_slam import dense_slam
 
 from stages._open3d import open3d
+from stages.adjusting.adjust import adjust
+from stages.adjusting.look import look
 from stages.comparing.compare import compare
 from stages.errors import InputError
 from stages.fusion.fuse import fuse
 from stages.fusion.posed_depth import rigid_pose
 from stages.registration.motion import angle
 from stages.registration.register import Registration, register
-from stages.scans.formats.trajectories import inverted
+from stages.scans.formats.trajectories import inverted, read_tum
 from stages.scans.read import read_scan
 from stages.scans.scan import Frame, Pose
 from stages.stereo.depth import DepthMap, depth_scan
@@ -56,6 +63,13 @@ def ours(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
 def without_loops(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
     """Find poses as we do, but close no loops."""
     return _pieces(register(frames, loops=False))
+
+
+def adjusted(frames: Sequence[Frame]) -> list[dict[int, Pose]]:
+    """Find poses as we do, and adjust them as `scanloom run` does after that."""
+    found = register(frames)
+    better = adjust(found.frames)
+    return _pieces(replace(found, frames=better.frames))
 
 
 def in_one_piece(
@@ -117,6 +131,7 @@ def tensor(method: str) -> Callable[[Sequence[Frame]], dict[int, Pose]]:
 RIVALS: dict[str, Callable[[Sequence[Frame]], list[dict[int, Pose]]]] = {
     "scanloom": ours,
     "scanloom, no loops": without_loops,
+    "scanloom, adjusted": adjusted,
     "Open3D legacy, hybrid": in_one_piece(legacy_hybrid),
     "Open3D tensor, hybrid": in_one_piece(tensor("Hybrid")),
     "Open3D tensor, point to plane": in_one_piece(tensor("PointToPlane")),
@@ -131,18 +146,30 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("scans", nargs="+", type=Path, metavar="SCAN")
+    parser.add_argument("--poses", type=Path, metavar="FILE", help="true poses, in the order of the frames")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every Nth frame")
     parser.add_argument("--again", type=int, default=1, metavar="N", help="go to and fro N times in all")
     parser.add_argument("--depth-only", action="store_true", help="hide the colours")
     parser.add_argument("--only", nargs="+", choices=RIVALS, default=list(RIVALS), metavar="NAME")
     parser.add_argument("--meshes", action="store_true", help="fuse and compare meshes too")
+    parser.add_argument(
+        "--frames", type=int, nargs="+", metavar="N", help="tell speed and memory of N frames"
+    )
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.child:
+        _tell_speed(options.scans[0], options.frames[0])
+        return
     if min(options.every, options.again) < 1:
         parser.error("--every and --again want 1 or more")
+    if options.frames:
+        _print_speed(options.scans, options.frames)
+        return
     columns = ["scan", "poses", "frames", "pieces", "ATE mm", "of the path", "scaled mm", "RPE mm", "RPE °"]
+    columns += ["RMS mm", "RMS °", "transfer px", "of the truth px"]
     print_head([*columns, "frames/s", *["mesh RMS mm"] * options.meshes], words=2)
     for folder in options.scans:
-        there = frames_of(folder)[:: options.every]
+        there = frames_of(folder, options.poses)[:: options.every]
         truth = [frame for i in range(options.again) for frame in there[:: 1 if i % 2 == 0 else -1]]
         hidden = [hidden_pose(frame, depth_only=options.depth_only) for frame in truth]
         true_mesh = fuse(truth).mesh if options.meshes else None
@@ -163,6 +190,7 @@ def main() -> None:
                 f"{len(poses)} of {len(truth)}",
                 str(len(pieces)),
                 *_errors(truth, poses),
+                *_transfers(truth, poses),
                 f"{speed:.1f}",
             ]
             if true_mesh is not None:
@@ -170,8 +198,53 @@ def main() -> None:
             print_row(cells)
 
 
-def frames_of(folder: Path) -> list[Frame]:
-    """Return the frames of a scan with true poses and depth; pairs are matched."""
+def _tell_speed(folder: Path, count: int) -> None:
+    """Register so many frames of a scan, to and fro, and print how long it took and the memory it had."""
+    there = frames_of(folder)
+    places = itertools.cycle([*range(len(there)), *reversed(range(len(there)))])
+    frames = [
+        replace(hidden_pose(there[place], depth_only=False), name=f"{number:05d}")
+        for number, place in enumerate(itertools.islice(places, count))
+    ]
+    started = time.perf_counter()
+    found = register(frames)
+    seconds = time.perf_counter() - started
+    # Of this process alone, in KiB.
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print_row(
+        [
+            folder.name,
+            f"{len(found.frames)} of {count}",
+            str(len(found.key_frames)),
+            str(len(found.edges)),
+            f"{count / seconds:.1f}",
+            f"{1000 * time.process_time() / count:.0f}",
+            f"{most / 1024:.0f}",
+        ]
+    )
+
+
+def _print_speed(folders: Sequence[Path], counts: Sequence[int]) -> None:
+    print_head(["scan", "frames", "key frames", "edges", "frames/s", "CPU ms a frame", "memory MiB"], words=1)
+    for folder, count in itertools.product(folders, counts):
+        words = [sys.executable, __file__, str(folder), "--frames", str(count), "--child"]
+        subprocess.run(words, check=True)
+
+
+def frames_of(folder: Path, poses: Path | None = None) -> list[Frame]:
+    """Return the frames of a scan with true poses and depth; pairs are matched.
+
+    Parameters
+    ----------
+    poses : a TUM trajectory with a pose for each frame, in order, where the folder has none.
+    """
+    if poses is not None:
+        scan = read_scan(folder, complete=False)
+        known = read_tum(poses).poses
+        if len(known) != len(scan.frames):
+            raise InputError(f"{len(known)} poses for {len(scan.frames)} frames.", poses)
+        pairs = zip(scan.frames, known, strict=True)
+        return [replace(frame, world_from_camera=pose) for frame, pose in pairs]
     scan = read_scan(folder)
     if not scan.is_stereo:
         return list(scan.frames)
@@ -224,7 +297,20 @@ def _errors(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
         f"{1000 * ates[1]:.1f}",
         f"{1000 * shift:.1f}",
         f"{turn:.2f}",
+        f"{1000 * _rms([float(np.linalg.norm(step[:3, 3])) for step in steps]):.1f}",
+        f"{np.degrees(_rms([angle(step) for step in steps])):.3f}",
     ]
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def _transfers(truth: Sequence[Frame], poses: dict[int, Pose]) -> list[str]:
+    """Return how far points of a few couples land from their matches, of found and of true poses."""
+    found = look([replace(truth[p], world_from_camera=poses[p]) for p in poses], range(len(poses)))
+    true = look([truth[p] for p in poses], range(len(poses)))
+    return [f"{one.median:.2f}" if len(one.errors) else "" for one in (found, true)]
 
 
 def _mesh_distance(truth: Sequence[Frame], poses: dict[int, Pose], true_mesh: Mesh) -> float:

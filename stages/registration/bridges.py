@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from stages.registration.graph import Edge, pieces
 
-# A link alone is believed where so much of the surface meets, and more where it is told by fewer points: the
-# keys of a keyboard look alike, and a blurred view of them fits where it does not belong.
+# A link alone is believed where so much of the surface meets, and more where it is told by a few points: the
+# keys of a keyboard look alike, and a blurred view of them fits where it does not belong. A step by surfaces
+# alone began where the frame before was.
 _LEAST_FITNESS, _SURE_POINTS, _SURE_FITNESS = 0.4, 15, 0.6
 
 
@@ -22,7 +23,8 @@ def confirmed(keys: Sequence[int], edges: Sequence[Edge]) -> list[Edge]:
     kept = list(edges)
     for edge in edges:
         motion = edge.motion
-        least = _LEAST_FITNESS if motion.points >= _SURE_POINTS else _SURE_FITNESS
+        is_few = 0 < motion.points < _SURE_POINTS
+        least = _SURE_FITNESS if is_few else _LEAST_FITNESS
         is_between = edge.is_certain and keys[edge.source] - keys[edge.target] != 1
         if motion.fitness >= least or is_between:
             continue

@@ -7,18 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.registration.points import Matched, fitted
 from stages.registration.sift import keypoints, matches
 from stages.scans.scan import Camera, DepthImage, Pose
 
 # Features are looked for in images of at most this width, and the strongest that have a depth are kept.
-WIDEST = 480
+WIDEST = 640
 _FOUND, _MOST = 2000, 800
 _CELLS = (8, 6)
 # Weaker corners count than by default: what is smooth or blurred has no others.
-_CONTRAST = 0.025
+_CONTRAST = 0.01
 # Pixels that a point may be off where the other view sees it, and the share of its depth along it.
-_OFF_PX = 3.0
+_OFF_PX = 4.0
 _OFF_DEPTH = 0.05
+# Depth at a point is the mean of that of its neighbours which differ by less than this share.
+_ALIKE = 0.02
 # Trials for the first motion, and for others, which only count where they have a fair share of the matches.
 _TRIALS, _MORE_TRIALS = 1000, 300
 # Motions that may be told apart in one pair of views, the least matches that tell one, and the least share of
@@ -58,11 +61,15 @@ class Recognised:
     Attributes
     ----------
     target_from_source : (4, 4) metres.
+    information : (6, 6) how firmly it is held, see `points.fitted`.
     points : matched points that agree with it.
+    held : those of them that it was not found by.
     """
 
     target_from_source: Pose
+    information: NDArray[np.float64]
     points: int
+    held: Matched
 
 
 def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> Features:
@@ -78,7 +85,7 @@ def features_of(grey: NDArray[np.uint8], camera: Camera, depth: DepthImage) -> F
     pixels = found.pixels
     across, down = depth.shape[1] / grey.shape[1], depth.shape[0] / grey.shape[0]
     columns, rows = np.rint((pixels + 0.5) * (across, down) - 0.5).astype(int).T
-    z = depth[rows.clip(0, depth.shape[0] - 1), columns.clip(0, depth.shape[1] - 1)]
+    z = _depth_at(depth, rows, columns)
     there = np.flatnonzero(z > 0)
     there = there[_spread(pixels[there] / (grey.shape[1], grey.shape[0]), found.strength[there])[:_MOST]]
     pixels, z = pixels[there], z[there]
@@ -107,11 +114,25 @@ def recognise(source: Features, target: Features) -> list[Recognised]:
         count = int(np.count_nonzero(agree))
         if count < least:
             break
-        pose = _fitted(points[agree], there[agree], pose)
-        found.append(Recognised(pose, count))
+        focal = 0.5 * (target.camera.fx + target.camera.fy)
+        matched, held = Matched(
+            points[agree].astype(np.float64), there[agree].astype(np.float64), focal
+        ).parted()
+        pose, information = fitted(matched, pose)
+        found.append(Recognised(pose, information, count, held))
         least = max(_LEAST, _LEAST_SHARE * found[0].points)
         pairs = pairs[~(agree | _agree(pose, points, there, pixels, target.camera, 2.0))]
     return found
+
+
+def _depth_at(depth: DepthImage, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Return the depth at pixels, of less noise than one of them has; 0 where there is none."""
+    height, width = depth.shape
+    beside = np.array([(0, 0), *((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)])
+    rows, columns = (rows[:, None] + beside[:, 0]), (columns[:, None] + beside[:, 1])
+    values = depth[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+    same = np.abs(values - values[:, :1]) <= _ALIKE * values[:, :1]
+    return np.asarray((values * same).sum(axis=1) / same.sum(axis=1), np.float32)
 
 
 def _spread(places: NDArray[np.floating], strength: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -165,19 +186,3 @@ def _agree(
     off = moved[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy) - pixels
     near = np.hypot(*off.T) <= slack * _OFF_PX
     return np.asarray(near & (np.abs(moved[:, 2] - there[:, 2]) <= slack * _OFF_DEPTH * there[:, 2]), bool)
-
-
-def _fitted(source: NDArray[np.float32], target: NDArray[np.float32], near: Pose) -> Pose:
-    """Return the rigid motion of least squared error (Kabsch), or `near` where points do not fix one."""
-    weights = 1.0 / target[:, 2].astype(np.float64) ** 2
-    weights /= weights.sum()
-    a, b = source.astype(np.float64), target.astype(np.float64)
-    centre_a, centre_b = weights @ a, weights @ b
-    u, size, vt = np.linalg.svd((weights[:, None] * (a - centre_a)).T @ (b - centre_b))
-    if size[1] < 1e-9 * max(size[0], 1e-300):
-        return near
-    mirror = np.diag([1, 1, np.sign(np.linalg.det(vt.T @ u.T))])
-    pose = np.eye(4)
-    pose[:3, :3] = vt.T @ mirror @ u.T
-    pose[:3, 3] = centre_b - pose[:3, :3] @ centre_a
-    return pose

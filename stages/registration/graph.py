@@ -6,10 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stages._open3d import open3d
 from stages.registration.motion import Motion
 from stages.scans.scan import Pose
+
+# What any motion is off beside its noise, for lenses, shutters and clocks are never quite as said: radians,
+# and a share of the reach.
+_OFF_RAD, _OFF_SHARE = float(np.radians(0.05)), 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +77,7 @@ def optimised(
                 place[edge.source],
                 place[edge.target],
                 np.ascontiguousarray(edge.motion.target_from_source),
-                np.ascontiguousarray(edge.motion.information),
+                np.ascontiguousarray(_doubted(edge.motion.information, reach)),
                 not edge.is_certain,
             )
         )
@@ -91,3 +96,10 @@ def optimised(
     poses = {number: np.array(graph.nodes[i].pose) for number, i in place.items()}
     kept = {(edge.source_node_id, edge.target_node_id) for edge in graph.edges}
     return poses, [(place[edge.source], place[edge.target]) in kept for edge in edges]
+
+
+def _doubted(information: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+    """Return what is known of a motion that may be off by more than its noise."""
+    off = np.diag([_OFF_RAD**2] * 3 + [(_OFF_SHARE * reach) ** 2] * 3)
+    known = np.linalg.solve(np.eye(6) + information @ off, information)
+    return np.asarray(0.5 * (known + known.T))

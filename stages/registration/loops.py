@@ -23,6 +23,8 @@ from stages.scans.scan import Pose
 _NEAR, _ALIKE = 5, 3
 # What is recognised in both for a loop to be believed, and how likely two views look alike by chance.
 _LOOP_POINTS = 25
+# Where both views have so many points and none in common, surfaces alone are not believed.
+_RICH = 100
 _LEAST_LIKENESS = 0.15
 
 
@@ -45,7 +47,8 @@ def loops(chain: Chain, max_depth: float, given: Mapping[int, Pose], progress: P
         source, target = couple
         points = recognise(features[source], features[target])
         points = [one for one in points if one.points >= _LOOP_POINTS]
-        if not points and parts[source] != parts[target]:
+        rich = min(len(features[source].points), len(features[target].points)) >= _RICH
+        if not points and (rich or parts[source] != parts[target]):
             return None
         here, there = (chain.views.view(chain.keys[at]) for at in couple)
         if points:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.registration.features import Recognised, recognise
-from stages.registration.odometry import Meeting, align, align_from_afar, meeting
+from stages.registration.odometry import align, align_from_afar, meeting, told
+from stages.registration.points import Matched, at_source, joined
 from stages.registration.view import View
 from stages.scans.formats.trajectories import inverted
 from stages.scans.scan import Pose
@@ -45,11 +46,12 @@ class Motion:
     Attributes
     ----------
     target_from_source : (4, 4) metres.
-    information : (6, 6), for the pose graph.
+    information : (6, 6) inverse covariance of a turn and a shift in the axes of the source.
     fitness : share of the source's surface that meets the target's, 0 to 1.
     rmse_m : their distance along the normals, root mean square; None where points alone tell the motion.
     points : recognised points that agree with it; 0 where nothing was recognised.
     is_split : something else in view moved differently.
+    held : recognised points that it was not found by; None where nothing was recognised.
     """
 
     target_from_source: Pose
@@ -58,6 +60,7 @@ class Motion:
     rmse_m: float | None
     points: int
     is_split: bool = False
+    held: Matched | None = None
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def refined(source: View, target: View, max_depth: float, given: Pose) -> Motion
     given : (4, 4) target_from_source.
     """
     meets = meeting(source, target, given)
-    kept = Motion(given, meets.information + np.eye(6), meets.fitness, None, 0)
+    kept = _of(given, told(target, meets) + np.eye(6), meets, None)
     found = motion_between(source, target, max_depth, given)
     if isinstance(found, NoMotion):
         return kept
@@ -133,12 +136,12 @@ def by_surface(
         )
     there = fit(source, target, guess, max_depth)
     meets = None if there is None else meeting(source, target, there[0])
-    if there is None or meets is None or meets.fitness < least:
+    if there is None or meets is None or meets < least:
         return _apart(meets, "nothing is recognised in both, and " if rich and not near else "")
     back = fit(target, source, inverted(guess), max_depth)
     if back is None or not agree(back[0] @ there[0], source.depth_m):
         return NoMotion("the surfaces fit in more than one way")
-    return Motion(there[0], meets.information, meets.fitness, there[1], 0)
+    return _of(there[0], told(target, meets), meets, there[1])
 
 
 def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth: float) -> Motion | NoMotion:
@@ -152,7 +155,7 @@ def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth:
     if not others:
         return _refined(source, target, seen[0], max_depth)
     seen = [seen[0], *others]
-    meets = [meeting(source, target, one.target_from_source).fitness for one in seen]
+    meets = [meeting(source, target, one.target_from_source) for one in seen]
     best = max(range(len(seen)), key=lambda i: meets[i] * (_FIRST if i == 0 else 1))
     found = _refined(source, target, seen[best], max_depth, held=seen[best].points >= _SURE_POINTS)
     return found if isinstance(found, NoMotion) else replace(found, is_split=True)
@@ -161,7 +164,7 @@ def by_points(source: View, target: View, seen: Sequence[Recognised], max_depth:
 def _refined(
     source: View, target: View, seen: Recognised, max_depth: float, *, held: bool = False
 ) -> Motion | NoMotion:
-    """Return the motion that points tell, made better by the surfaces where these hold it."""
+    """Return the motion that points and surfaces tell together, each as far as it can be trusted."""
     points = seen.target_from_source
     sure = seen.points >= _SURE_POINTS
     aligned = None if held else align(source, target, points, max_depth)
@@ -170,22 +173,39 @@ def _refined(
         meets = meeting(source, target, pose)
         same = agree(inverted(points) @ pose, source.depth_m)
         # Else the points may be on something that moves on its own, and the rest of the surface tell.
-        if same or (sure and meets.fitness > _CLEARLY * meeting(source, target, points).fitness):
-            if meets.fitness < (_LEAST_BESIDE_POINTS if same and sure else _LEAST_FITNESS):
+        if same or (sure and meets > _CLEARLY * meeting(source, target, points)):
+            if meets < (_LEAST_BESIDE_POINTS if same and sure else _LEAST_FITNESS):
                 return _apart(meets)
-            return Motion(pose, meets.information, meets.fitness, rmse, seen.points if same else 0)
+            information = told(target, meets)
+            if same:
+                pose, information = joined(points, seen.information, pose, information)
+            return _of(pose, information, meets, rmse, seen if same else None)
     if not sure:
         return NoMotion(
             f"the {seen.points} points that are recognised and the surface do not agree on the motion"
         )
     meets = meeting(source, target, points)
-    if meets.fitness < _LEAST_BESIDE_POINTS:
+    if meets < _LEAST_BESIDE_POINTS:
         return _apart(meets)
-    return Motion(points, meets.information, meets.fitness, None, seen.points)
+    return _of(points, seen.information, meets, None, seen)
 
 
-def _apart(meets: Meeting | None, why: str = "") -> NoMotion:
-    share = 0 if meets is None else meets.fitness
+def _of(
+    pose: Pose,
+    information: NDArray[np.float64],
+    fitness: float,
+    rmse: float | None,
+    seen: Recognised | None = None,
+) -> Motion:
+    """Return a motion of which something is known in the axes of the target."""
+    information = at_source(information, pose)
+    if seen is None:
+        return Motion(pose, information, fitness, rmse, 0)
+    return Motion(pose, information, fitness, rmse, seen.points, held=seen.held)
+
+
+def _apart(meets: float | None, why: str = "") -> NoMotion:
+    share = 0 if meets is None else meets
     return NoMotion(f"{why}only {share:.0%} of the surface meets the other view's")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,26 +15,14 @@ from stages.registration.view import View
 from stages.scans.scan import Pose
 
 # Iterations from the coarsest of three resolutions to the finest; and where the first guess is a mere guess.
-_ITERATIONS = (6, 4, 4)
+_ITERATIONS = (4, 3, 2)
 _ROUGH_ITERATIONS = (12, 8, 2)
 # Surfaces are compared where they are within this share of the median depth, at least this many metres.
 _REACH_SHARE = 0.015
 _ROUGH_REACH_SHARE = 0.07
 _LEAST_REACH_M = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class Meeting:
-    """How the surfaces of two views meet after a motion.
-
-    Attributes
-    ----------
-    fitness : share of the source's surface that meets the target's within the reach, 0 to 1.
-    information : (6, 6), of the points that meet, for the pose graph.
-    """
-
-    fitness: float
-    information: NDArray[np.float64]
+# Errors of depth go together over a surface: all of it tells as much as so many points of their own errors.
+_POINTS = 200
 
 
 @contextmanager
@@ -102,8 +89,8 @@ def _align(
     return (_orthonormal(pose), float(np.sqrt(found.inlier_rmse))) if np.isfinite(pose).all() else None
 
 
-def meeting(source: View, target: View, motion: Pose) -> Meeting:
-    """Return how far the surfaces of two views meet after a motion (target_from_source)."""
+def meeting(source: View, target: View, motion: Pose) -> float:
+    """Return the share (0 to 1) of a surface that meets another after a motion (target_from_source)."""
     o3d = open3d()
     found = o3d.t.pipelines.odometry.compute_odometry_information_matrix(
         source.image.depth,
@@ -114,9 +101,13 @@ def meeting(source: View, target: View, motion: Pose) -> Meeting:
         1.0,
         1e3,
     )
-    information = np.asarray(found.numpy(), np.float64)
     # Each point that meets adds an identity to the block of the shift.
-    return Meeting(float(information[3, 3]) / max(source.pixels, 1), information)
+    return float(found.numpy()[3, 3]) / max(source.pixels, 1)
+
+
+def told(target: View, fitness: float) -> NDArray[np.float64]:
+    """Return what surfaces that meet tell of the motion to a view, (6, 6) inverse covariance in its axes."""
+    return _POINTS * fitness * target.hold
 
 
 def _reach(source: View, target: View) -> float:

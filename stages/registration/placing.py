@@ -19,9 +19,15 @@ _REACH_SHARE = 0.03
 
 
 def placed_pieces(
-    chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge]
+    chain: Chain, groups: Sequence[Sequence[int]], edges: Sequence[Edge], held: Sequence[Edge] = ()
 ) -> tuple[dict[int, Pose], list[Edge], list[Edge]]:
-    """Return the poses of all frames, each piece in the world of its first, and edges used and refused."""
+    """Return the poses of all frames, each piece in the world of its first, and edges used and refused.
+
+    Parameters
+    ----------
+    groups : numbers of the key frames of each piece.
+    held : edges beside these, of poses that are known from elsewhere.
+    """
     poses: dict[int, Pose] = {}
     used: list[Edge] = []
     wrong: list[Edge] = []
@@ -30,8 +36,11 @@ def placed_pieces(
     for edge in edges:
         edges_of[group_of[edge.source]].append(edge)
     for group, own in zip(groups, edges_of, strict=True):
+        starts = _spread(group, own)
         reach = _REACH_SHARE * float(np.median([chain.seen[chain.keys[key]].depth_m for key in group]))
-        placed, is_used = optimised(_spread(group, own), own, reach)
+        beside = [edge for edge in held if edge.source in starts]
+        placed, is_used = optimised(starts, [*own, *beside], reach)
+        is_used = is_used[: len(own)]
         used += [edge for edge, kept in zip(own, is_used, strict=True) if kept]
         wrong += [edge for edge, kept in zip(own, is_used, strict=True) if not kept]
         poses |= {chain.keys[key]: pose for key, pose in placed.items()}

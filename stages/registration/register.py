@@ -17,13 +17,13 @@ from stages.printing import by_figures, table
 from stages.progress import Progress, silent
 from stages.registration.bridges import confirmed
 from stages.registration.chain import Chain, key_edges, make_chain
+from stages.registration.choosing import Placed, placed
 from stages.registration.focal import Focal, focal_of, focal_warnings, is_guess
 from stages.registration.focal_by_marks import focal_by_marks
 from stages.registration.graph import Edge, pieces
 from stages.registration.loops import loops
 from stages.registration.motion import Motion, NoMotion, angle
 from stages.registration.odometry import one_thread_each
-from stages.registration.placing import placed_pieces
 from stages.registration.subject import alone, shows_thing, thing_in, thing_not_placed
 from stages.scans.formats.trajectories import inverted
 from stages.scans.images import read_depth
@@ -60,7 +60,9 @@ class RegisterParams:
         low_open=True,
     )
     refine: bool = param(
-        False, "Begin from the poses the scan has, and make them better; its world stays where it is."
+        False,
+        "Begin from the poses the scan has, and make them better; its world stays where it is. Where what is "
+        "found is not better on points it was not found by, the poses stay.",
     )
     piece: int = param(
         1,
@@ -264,11 +266,11 @@ def _registered(
         edges = list(key_edges(chain, max_depth))
         if params.loops:
             edges += loops(chain, max_depth, guesses, progress)
-    if chain.breaks:
-        edges = confirmed(chain.keys, edges)
-    groups = pieces(len(chain.keys), edges)
-    poses, used, wrong = placed_pieces(chain, groups, edges)
-    return _result(frames, chain, groups, poses, used, wrong, began, where, given, params.piece)
+        if chain.breaks:
+            edges = confirmed(chain.keys, edges)
+        groups = pieces(len(chain.keys), edges)
+        found = placed(chain, groups, edges, given)
+    return _result(frames, chain, groups, found, began, where, given, params.piece)
 
 
 def _given(frames: Sequence[Frame]) -> dict[int, Pose]:
@@ -296,15 +298,13 @@ def _result(
     frames: Sequence[Frame],
     chain: Chain,
     groups: Sequence[Sequence[int]],
-    poses: dict[int, Pose],
-    used: Sequence[Edge],
-    wrong: Sequence[Edge],
+    found: Placed,
     began: float,
     where: Path | None,
     given: Mapping[int, Pose],
     piece: int,
 ) -> Registration:
-    keys, numbers = chain.keys, list(chain.seen)
+    keys, numbers, poses = chain.keys, list(chain.seen), found.poses
     piece_of_key = {keys[key]: piece for piece, group in enumerate(groups) for key in group}
     piece_of = {n: piece_of_key[keys[bisect_right(keys, n) - 1]] for n in numbers}
     sizes: list[list[int]] = [[] for _ in groups]
@@ -334,23 +334,26 @@ def _result(
         for n in numbers
         if rank[piece_of[n]] != piece
     ]
-    placed = {
+    in_worlds = {
         rank[index]: _in_their_world(frames, members, poses, given) for index, members in enumerate(sizes)
     }
     return Registration(
-        frames=tuple(placed[piece].values()),
-        places=tuple(placed[piece]),
+        frames=tuple(in_worlds[piece].values()),
+        places=tuple(in_worlds[piece]),
         skipped=(*chain.skipped, *left_out),
         pieces=tuple(tuple(frames[n].name for n in sizes[index]) for index in order),
-        apart={number: placed[number] for number in sorted(placed) if number != piece},
+        apart={number: in_worlds[number] for number in sorted(in_worlds) if number != piece},
         edges=tuple(
-            _edge(edge, keys, is_used) for edges, is_used in ((used, True), (wrong, False)) for edge in edges
+            _edge(edge, keys, is_used)
+            for edges, is_used in ((found.used, True), (found.wrong, False))
+            for edge in edges
         ),
         breaks=breaks,
         key_frames=tuple(keys),
         warnings=(
             *_said_of_pieces(len(order), usable, piece, breaks),
-            *_warnings(frames, chain, [poses[n] for n in placed[piece]], used, wrong),
+            *([f"the poses found are not better, those given are kept: {found.told}"] if found.told else []),
+            *_warnings(frames, chain, [poses[n] for n in in_worlds[piece]], found.used, found.wrong),
         ),
         seconds=time.perf_counter() - began,
     )
@@ -366,7 +369,9 @@ def _in_their_world(
     """Return the frames of a piece by their places, in the world of the first, or of the poses given."""
     known = [n for n in members if n in given]
     into = inverted(poses[members[0]])
-    if known:
+    if known and all(poses[n] is given[n] for n in known):
+        into = np.eye(4)
+    elif known:
         into = _nearest([poses[n] for n in known], [given[n] for n in known])
     return {n: replace(frames[n], world_from_camera=into @ poses[n]) for n in members}
 

@@ -35,7 +35,8 @@ def keypoints(grey: NDArray[np.uint8], most: int, *, contrast: float = _CONTRAST
     """Return the `most` strongest points of an (h, w) image, of this contrast at least."""
     import cv2
 
-    sift = cv2.SIFT.create(nfeatures=most, contrastThreshold=contrast)
+    # Else points lie a quarter of a pixel beside themselves: OpenCV doubles the image off by that.
+    sift = cv2.SIFT.create(nfeatures=most, contrastThreshold=contrast, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(_stretched(grey), None)
     if len(found) == 0:
         descriptors = np.zeros((0, 128))

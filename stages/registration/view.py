@@ -12,6 +12,7 @@ from stages._open3d import open3d
 from stages.errors import InputError
 from stages.fusion.posed_depth import read_matching_color
 from stages.registration.features import WIDEST, Features, features_of
+from stages.registration.points import deviation
 from stages.scans.images import read_color, read_depth
 from stages.scans.scan import Camera, ColorImage, DepthImage, Frame, pinhole, scaled
 
@@ -33,6 +34,7 @@ class View:
     features : points that can be recognised in other views; none without colour.
     firmness : how well the surface alone holds a view in place, 0 to 1/3: the least eigenvalue of the mean
         of squared motions along the normals, for unit motions of the camera (lengths in median depths).
+    hold : (6, 6) inverse covariance of a turn and a shift that one point of the surface tells, on average.
     depth_m : the median depth.
     pixels : of the image, that have a depth.
     mean_color : mean of the grey image, 0 to 255; NaN without colour.
@@ -43,6 +45,7 @@ class View:
     image: Any
     features: Features
     firmness: float
+    hold: NDArray[np.float64]
     depth_m: float
     pixels: int
     mean_color: float
@@ -74,12 +77,14 @@ def read_view(frame: Frame, max_depth: float, known: Features | None = None) -> 
     step = max(-(-frame.camera.width // _WIDEST), 1)
     small = smaller(depth, step)
     camera = scaled(pinhole(frame.camera), frame.camera.width // step, frame.camera.height // step)
+    firmness, hold = _surface(small, camera)
     return View(
         name=frame.name,
         camera=camera,
         image=_image(small),
         features=features,
-        firmness=_firmness(small, camera),
+        firmness=firmness,
+        hold=hold,
         depth_m=float(np.median(valid)),
         pixels=int(np.count_nonzero(small)),
         mean_color=float("nan") if grey is None else float(grey.mean()),
@@ -119,8 +124,8 @@ def _image(depth: NDArray[np.float32]) -> Any:
     return o3d.t.geometry.RGBDImage(color, metres)
 
 
-def _firmness(depth: NDArray[np.float32], camera: Camera) -> float:
-    """Return the least eigenvalue of the point-to-plane system, see `View`."""
+def _surface(depth: NDArray[np.float32], camera: Camera) -> tuple[float, NDArray[np.float64]]:
+    """Return the firmness of a view, and what it tells of a motion: the point-to-plane system, see `View`."""
     import cv2
 
     smooth = cv2.medianBlur(depth, 5)
@@ -144,7 +149,7 @@ def _firmness(depth: NDArray[np.float32], camera: Camera) -> float:
     least, most = np.min(corners, axis=0), np.max(corners, axis=0)
     sound = (least > 0) & (most - least < 0.1 * most) & (lengths > 0) & (middle[..., 2] > 0)
     if np.count_nonzero(sound) < 100:
-        return 0.0
+        return 0.0, np.zeros((6, 6))
     chosen = np.flatnonzero(sound)
     chosen = chosen[:: max(len(chosen) // _SAMPLED, 1)]
     n = normals.reshape(-1, 3)[chosen] / lengths.reshape(-1, 1)[chosen]
@@ -152,4 +157,6 @@ def _firmness(depth: NDArray[np.float32], camera: Camera) -> float:
     centre = p.mean(axis=0)
     unit = np.sqrt(((p - centre) ** 2).sum(axis=1).mean())
     rows6 = np.concatenate([np.cross((p - centre) / unit, n), n], axis=1)
-    return float(np.linalg.eigvalsh(rows6.T @ rows6 / len(rows6))[0])
+    firmness = float(np.linalg.eigvalsh(rows6.T @ rows6 / len(rows6))[0])
+    told = np.concatenate([np.cross(p, n), n], axis=1) / deviation(p[:, 2].astype(np.float64))[:, None]
+    return firmness, np.asarray(told.T @ told / len(told))

@@ -43,7 +43,7 @@ from stages.stereo.views_confidence import views_confidence
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Maps of one place agree when they differ by no more than this many pixels of disparity would make.
 _TOLERANCE_PX = 1.0
@@ -51,8 +51,8 @@ _TOLERANCE_PX = 1.0
 _NEARLY = 2.5
 # A view's map is checked on those of this many times its partners, the best first.
 _CHECKED_ON = 2
-# Depth of a sweep is kept that is right in four of five cases; of a thing whose outline is known, behind which
-# nothing can be meant, in one of two.
+# Depth of a sweep is kept that is right in four of five cases; of a thing whose outline is known, in one of
+# two: nothing behind it can be meant.
 _LEAST, _LEAST_OF_A_THING = 204, 128
 # Points of a view that are looked for in others; those of all views are held at once, half a kilobyte each.
 _KEYPOINTS = 1000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +15,14 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.registration.features import recognise
 from stages.registration.graph import Edge, pieces
-from stages.registration.motion import Motion, NoMotion, motion_between
+from stages.registration.motion import Motion, NoMotion, angle, motion_between
 from stages.registration.register import Registration, register
 from stages.registration.view import read_view
 from stages.scans.formats.trajectories import inverted, read_tum, write_tum
 from stages.scans.images import read_color, read_depth
 from stages.scans.read import read_scan
-from stages.scans.scan import Camera, Frame, Pose, scaled
+from stages.scans.scan import Camera, Frame, Pose, Scan, scaled
+from stages.stereo.depth import DepthMap, depth_scan
 
 pytestmark = pytest.mark.slow
 
@@ -188,6 +190,22 @@ def test_poses_are_kept_where_nothing_better_is_found() -> None:
         np.testing.assert_allclose(frame.world_from_camera, pose, atol=1e-6)
 
 
+def test_true_poses_stay_as_they_are_and_it_is_said() -> None:
+    truth = sample(2)
+    found = register(truth, refine=True)
+    for frame, true in zip(found.frames, truth, strict=True):
+        np.testing.assert_array_equal(frame.world_from_camera, true.world_from_camera)
+    assert any("those given are kept" in warning for warning in found.warnings)
+
+
+def test_frames_without_a_pose_get_one_beside_true_ones() -> None:
+    truth = sample(2)
+    some = [replace(one, world_from_camera=None) if i % 4 == 1 else one for i, one in enumerate(truth)]
+    found = register(some, refine=True)
+    for frame, true in zip(found.frames, truth, strict=True):
+        assert np.linalg.norm((frame.world_from_camera - true.world_from_camera)[:3, 3]) < 0.003
+
+
 def test_there_must_be_poses_to_refine() -> None:
     with pytest.raises(InputError, match="no frame has a pose that could be refined"):
         register(hidden(sample(6)), refine=True)
@@ -312,6 +330,30 @@ def test_pieces_are_what_edges_join() -> None:
 # -- real scans ------------------------------------------------------------------------------------------
 
 
+def test_a_real_street_of_stereo_pairs(shared_data: Path) -> None:
+    frames = [
+        replace(frame, color=result.color, depth=result.depth, right=None)
+        for frame, result in depth_scan(short(read_scan(shared_data / "stereo" / "kitti_sequence_1"), 12, 20))
+        if isinstance(result, DepthMap)
+    ]
+    found = register(hidden(frames))
+    assert found.places == tuple(range(len(frames)))
+    steps = steps_off(found.frames, frames)
+    # The given poses themselves turn by more than they should in the first dozen frames, which are left out.
+    assert rms([angle(step) for step in steps]) < np.radians(0.05)
+    assert rms([float(np.linalg.norm(step[:3, 3])) for step in steps]) < 0.03
+    # True poses are not made worse.
+    kept = register(frames, refine=True)
+    assert trajectory_error(kept, frames) < 0.01
+
+
+def test_a_real_desk_that_a_camera_turns_before(shared_data: Path) -> None:
+    frames = list(read_scan(shared_data / "real" / "rgbd_dataset_freiburg1_rpy").frames)
+    found = register(hidden(frames))
+    assert len(found.frames) == len(frames)
+    assert trajectory_error(found, frames) < 0.015
+
+
 def test_a_real_kitchen_with_its_poses_hidden(shared_data: Path) -> None:
     truth = list(read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:30])
     found = register(hidden(truth))
@@ -331,6 +373,25 @@ def test_a_real_table_top_whose_depth_has_a_grid_of_holes(shared_data: Path) -> 
     found = register(hidden(truth))
     assert len(found.frames) == len(truth)
     assert trajectory_error(found, truth) < 0.02 * path_length(truth)
+
+
+def short(scan: Scan, first: int, last: int) -> Scan:
+    return replace(scan, frames=scan.frames[first:last])
+
+
+def steps_off(found: Sequence[Frame], truth: Sequence[Frame]) -> list[Pose]:
+    """Return how the motion from each frame to the next differs from the true one."""
+    pairs = itertools.pairwise(zip(found, truth, strict=True))
+    return [
+        inverted(inverted(a.world_from_camera) @ b.world_from_camera)
+        @ inverted(one.world_from_camera)
+        @ other.world_from_camera
+        for (one, a), (other, b) in pairs
+    ]
+
+
+def rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def shaken(frames: Sequence[Frame]) -> list[Frame]:
