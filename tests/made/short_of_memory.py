@@ -190,6 +190,28 @@ def _calls(mesh: Mesh, side: int) -> dict[str, Call]:
             **told,
         ),
         "match_pair": partial(kernels.match_pair, image, image, lowest=0, count=64, wanted_threads=2),
+        "sweep_planes": partial(
+            kernels.sweep_planes,
+            image[..., 0],
+            [(image[..., 1], np.ones_like(image[..., 1]), np.eye(3, dtype=np.float32)[[0] * 64])],
+            np.zeros(image.shape[:2], np.int32),
+            np.full(image.shape[:2], 64, np.uint16),
+            planes=64,
+            wanted_threads=2,
+        ),
+        "agreeing": partial(
+            kernels.agreeing,
+            image[..., 0].astype(np.float32),
+            [(np.eye(3, 4), image[..., 0].astype(np.float32))] * 4,
+            tolerances=(0.01, 0.02),
+            wanted_threads=2,
+        ),
+        "inside_all": partial(
+            kernels.inside_all,
+            image[..., 0].astype(np.float32),
+            [(np.eye(3, 4), image[..., 0] < 9)] * 4,
+            wanted_threads=2,
+        ),
         "weighted_medians": partial(
             kernels.weighted_medians,
             image,

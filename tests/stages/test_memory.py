@@ -45,6 +45,9 @@ SIDES = {
     "remesh": 30,
     "decode_normal_mesh": 20,
     "match_pair": 300,
+    "sweep_planes": 300,
+    "agreeing": 400,
+    "inside_all": 400,
     "weighted_medians": 150,
 }
 # A kernel that goes another way for some of what it takes: a base mesh without levels is rounded.

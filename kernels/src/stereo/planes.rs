@@ -66,7 +66,7 @@ const BEST: usize = 3;
 
 /// Costs of all pixels and planes: the mean of the better half of the partners', at most of [`BEST`].
 pub fn costs(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, threads: usize) -> Vec<i16> {
-    let mut volume = vec![0; ranges.len()];
+    let mut volume = vec![0; ranges.numbers()];
     each(ranges.rows(&mut volume, size), threads, |(y, row)| {
         costs_of_row(view, partners, size, ranges, y, row);
     });

@@ -27,8 +27,8 @@ impl Ranges {
         Self { first, count, starts, widest }
     }
 
-    /// Numbers of all pixels.
-    pub fn len(&self) -> usize {
+    /// How many numbers all pixels have.
+    pub fn numbers(&self) -> usize {
         self.starts[self.count.len()]
     }
 
