@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from stages.scans.scan import Frame, SkippedFrame
 from stages.stereo.depth import DepthMap
-from stages.stereo.params import DepthParams
+from stages.stereo.params import SWEEP, DepthParams
 
 # Depth is little if it covers less than this share of a thing whose outline is known, or of whole images,
 # much of which may lie where no partner looks.
@@ -83,6 +83,10 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
         return None
     what = "what the masks or the backdrop leave of the views" if is_thing else "the views' pixels"
     rest = counts.shown - counts.plain
+    unsure, asks = "", "depth.agreeing_views asks for fewer"
+    if params.views == SWEEP:
+        unsure = "is not sure, or "
+        asks = "depth.min_confidence=128 and a lower depth.agreeing_views ask less"
     steps = (
         (counts.plain, "has too little texture (depth.backdrop=0 keeps it)"),
         (
@@ -91,7 +95,7 @@ def why_little(counts: Counts, params: DepthParams) -> str | None:
         ),
         (
             counts.matched - counts.kept,
-            f"is not seen alike by {params.agreeing_views} other views (depth.agreeing_views asks for fewer)",
+            f"{unsure}is not seen alike by {params.agreeing_views} other views ({asks})",
         ),
     )
     shares = [(count / counts.shown, text) for count, text in steps]

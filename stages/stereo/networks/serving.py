@@ -10,7 +10,7 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -58,14 +58,16 @@ def main() -> None:
 @contextmanager
 def _within(seconds: float) -> Iterator[None]:
     """End this process if work takes longer, should whoever asked be gone; who asks waits a little less."""
-    if sys.platform == "win32":
+    # Windows has no alarm.
+    alarm: Callable[[int], int] | None = getattr(signal, "alarm", None)
+    if alarm is None:
         yield
         return
-    signal.alarm(math.ceil(seconds) + _LATER)
+    alarm(math.ceil(seconds) + _LATER)
     try:
         yield
     finally:
-        signal.alarm(0)
+        alarm(0)
 
 
 def _loaded(path: Path) -> Any:

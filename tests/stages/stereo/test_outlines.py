@@ -95,7 +95,7 @@ def test_masks_of_what_moves_and_of_lenses_are_no_silhouettes(pale: tuple[Scan, 
 
 
 def test_little_depth_is_told_with_what_took_it() -> None:
-    params = DepthParams()
+    params = DepthParams(views="pairs")
     assert why_little(Counts(all=100, shown=50, matched=40, kept=30, outlined=100), params) is None
     said = why_little(Counts(all=100, shown=50, matched=40, kept=10, outlined=100), params)
     assert said is not None
@@ -113,4 +113,4 @@ def test_the_last_map_says_that_depth_is_little(pale: tuple[Scan, list[np.ndarra
     few = replace(scan, frames=scan.frames[:4])
     said = [result.warnings for _, result in measured(few, agreement=1e-4)]
     assert not any(said[:-1])
-    assert "is not seen alike by 2 other views (depth.agreeing_views asks for fewer)" in said[-1][-1]
+    assert "is not sure, or is not seen alike by 2 other views (depth.min_confidence=128 and" in said[-1][-1]
