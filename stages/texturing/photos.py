@@ -58,7 +58,9 @@ def photo_of(frame: Frame) -> Photo:
         raise InputError("there is no camera pose.", f"frame {frame.name}")
     image, camera, seen = read_photo(frame)
     black_or_white = _black_or_white(image)
-    cut_off = float(np.mean(black_or_white if seen is None else black_or_white | ~seen))
+    # Of what masks leave: a thing that is cut out of its photo may fill little of it.
+    shown = black_or_white if seen is None else black_or_white[seen]
+    cut_off = float(shown.mean()) if shown.size else 1.0
     if cut_off > _MOST_CUT_OFF:
         raise InputError(f"{cut_off:.0%} of the photo is black or white.", f"frame {frame.name}")
     pose = inverted(np.asarray(frame.world_from_camera, np.float64))
