@@ -21,6 +21,8 @@ Mask = NDArray[np.bool_]
 # Width of the windows, px, and how far before and behind is looked, steps between planes.
 _WINDOW = 5
 _ASIDE = 0.5
+# Width of the median before, px, and how many planes are near to it.
+_MEDIAN, _NEAR = 5, 3
 # Squared grey levels a pixel of a window that differs by noise alone: a partner that differs by more, because
 # it sees something else, counts less.
 _NOISE = 30.0
@@ -56,6 +58,9 @@ def refined(main: Seen, partners: Sequence[Seen], inverse: Map, step: float) -> 
     def mean(image: Map) -> Map:
         return np.asarray(cv2.boxFilter(image, -1, (_WINDOW, _WINDOW)), np.float32)
 
+    # A pixel alone that is a plane or two off would spoil the windows around it; what is farther may be thin.
+    middle = np.asarray(cv2.medianBlur(inverse, _MEDIAN), np.float32)
+    inverse = np.where(np.abs(middle - inverse) <= _NEAR * step, middle, inverse)
     height, width = inverse.shape
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     own = main.grey.astype(np.float32)
@@ -83,8 +88,8 @@ def refined(main: Seen, partners: Sequence[Seen], inverse: Map, step: float) -> 
         weight = np.nan_to_num(1 / (np.float32(_NOISE) + costs[0] + costs[1] + costs[2]))
         for total, cost in zip(sums, costs, strict=True):
             total += weight * np.nan_to_num(cost)
-    before, middle, behind = sums
-    bend = before + behind - 2 * middle
+    before, here, behind = sums
+    bend = before + behind - 2 * here
     fits = bend > np.float32(_LEAST_BEND / _NOISE)
     fraction = np.divide(before - behind, 2 * bend, out=np.zeros_like(bend), where=fits)
     return np.asarray(inverse + aside * np.clip(fraction, -1, 1), np.float32)

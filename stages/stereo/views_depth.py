@@ -170,7 +170,7 @@ def _results(
                 return SkippedFrame(scan.frames[at].name, str(error))
             count, nearly = agreeing_views(views[at], depth, others, tolerance, _NEARLY * tolerance)
             trust = kept.confidence(at)
-            dropped = count < params.agreeing_views
+            dropped = (nearly if sweeps and outline.silhouettes else count) < params.agreeing_views
             if sweeps:
                 trust = views_confidence(depth, trust, grey_of(color), count, nearly, outline.is_known)
                 dropped |= trust < least

@@ -1,0 +1,98 @@
+"""Depth of posed views (`depth.views`): swept and from pairs, beside the depth of a sensor that saw the same.
+
+    python benches/posed_views.py DATA
+
+Scans with colour and depth, their poses and colour camera adjusted; then the colour images alone are views,
+and depth that the sensor measured is the truth where no jump is near. "found": of the truth's pixels, those
+with depth; "wrong": of these, off by more than 5 %; "right": found and not wrong, of all; CPU seconds a
+megapixel of a view.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from markdown_tables import print_head, print_row
+from numpy.typing import NDArray
+
+from stages.adjusting.adjust import adjust
+from stages.scans.formats.trajectories import inverted
+from stages.scans.images import read_color, read_depth
+from stages.scans.read import read_scan
+from stages.scans.scan import Frame, Scan, pinhole
+from stages.stereo.depth_map import DepthMap
+from stages.stereo.views_depth import views_depth
+
+SCANS = {
+    "7-Scenes' kitchen, every third": ("rgbd/7scenes_redkitchen", 3),
+    "box on a table": ("rgbd/tabletop_box_realsense", 1),
+}
+WAYS = {"pairs": {"views": "pairs", "partners": 4}, "sweep": {"views": "sweep"}}
+WRONG, JUMP = 0.05, 0.1
+
+
+def view_and_truth(frame: Frame) -> tuple[Frame, NDArray[np.float32]]:
+    """Return the photo of a frame as a view of its own, and the sensor's depth in it, 0 where it has none."""
+    lens, pose = frame.color_camera or frame.camera, np.asarray(frame.world_from_camera)
+    shift = np.eye(4) if frame.color_from_depth is None else np.asarray(frame.color_from_depth)
+    color, depth, own, camera = read_color(frame), read_depth(frame), pinhole(frame.camera), pinhole(lens)
+    assert color is not None
+    assert depth is not None
+    rows, columns = np.nonzero(depth)
+    z = depth[rows, columns].astype(np.float64)
+    points = np.stack([(columns - own.cx) / own.fx * z, (rows - own.cy) / own.fy * z, z], axis=1)
+    points = points @ shift[:3, :3].T + shift[:3, 3]
+    u = np.rint(points[:, 0] / points[:, 2] * camera.fx + camera.cx).astype(int)
+    v = np.rint(points[:, 1] / points[:, 2] * camera.fy + camera.cy).astype(int)
+    inside = np.flatnonzero((u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
+    inside = inside[np.argsort(-points[inside, 2], kind="stable")]
+    truth = np.zeros((camera.height, camera.width), np.float32)
+    truth[v[inside], u[inside]] = points[inside, 2]
+    window = np.ones((5, 5), np.uint8)
+    nearest = cv2.erode(np.where(truth > 0, truth, np.float32(1e9)), window)
+    truth[cv2.dilate(truth, window) > (1 + JUMP) * nearest] = 0
+    view = Frame(frame.name, lens, color=color, world_from_camera=pose @ inverted(shift))
+    return view, truth
+
+
+def measured(name: str, scan: Scan, truths: Sequence[NDArray[np.float32]]) -> None:
+    """Print a row for each way."""
+    some = np.concatenate([truth[truth > 0][::97] for truth in truths])
+    near, far = (float(f * np.quantile(some, q)) for f, q in ((0.9, 0.002), (1.1, 0.998)))
+    known = sum(int(np.count_nonzero(truth)) for truth in truths)
+    for way, changes in WAYS.items():
+        began, found, wrong = time.process_time(), 0, 0
+        results = views_depth(scan, min_depth=near, max_depth=far, **changes)  # type: ignore[arg-type]
+        for (_, result), truth in zip(results, truths, strict=True):
+            if isinstance(result, DepthMap):
+                both = (truth > 0) & (result.depth > 0)
+                found += int(np.count_nonzero(both))
+                off = np.abs(result.depth[both] / truth[both] - 1)
+                wrong += int(np.count_nonzero(off > WRONG))
+        seconds = (time.process_time() - began) / sum(truth.size for truth in truths) * 1e6
+        shares = (found / known, wrong / max(found, 1), (found - wrong) / known)
+        print_row([name, way, *(f"{share:.1%}" for share in shares), f"{seconds:.1f}"])
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path)
+    data = parser.parse_args().data
+    print_head(["scan", "way", "found", "wrong", "right", "CPU s"], words=2)
+    for name, (folder, step) in SCANS.items():
+        frames = adjust(read_scan(data / folder)).frames[::step]
+        views, truths = zip(*(view_and_truth(frame) for frame in frames), strict=True)
+        measured(name, Scan("views", [replace(view) for view in views]), truths)
+
+
+if __name__ == "__main__":
+    main()
