@@ -302,8 +302,10 @@ def _depth_map(
 
 
 def _measured_frame(frame: Frame, view: PosedView, result: DepthMap) -> Frame:
+    # The image has no lens any more, and its mask goes with it: what comes later paints the thing alone.
+    mask = None if frame.mask is None else read_seen(frame).astype(np.uint8) * 255
     return replace(
-        frame, camera=view.camera, color=result.color, depth=result.depth, mask=None, depth_range=None
+        frame, camera=view.camera, color=result.color, depth=result.depth, mask=mask, depth_range=None
     )
 
 
