@@ -28,6 +28,9 @@ _PRIOR_SAMPLES, _PRIOR_LEVELS = 30.0, 40.0
 _MOST_GAIN = 4.0
 # Of the light in the corners: a weaker vignette averages out, and photos look as people know them.
 _LEAST_VIGNETTE = 0.1
+# Light in the corners beside that in the middle: less or more is no lens's, but of a thing in the middle of all
+# photos, which says nothing of their corners.
+_LEAST_LIGHT, _MOST_LIGHT = 0.2, 1.5
 _NO_VIGNETTE = (1.0, 0.0, 0.0)
 # Fewer samples in other photos than this tell nothing.
 _LEAST_SAMPLES = 50
@@ -130,8 +133,9 @@ def exposures(
     count : photos.
     """
     found = _solved(views, colors, radii2, count, vignetted=True)
-    corner = _light_at(np.ones(1), found.photos[0].vignette)[0]
-    if abs(1 - corner) >= _LEAST_VIGNETTE:
+    middle, corner = _light_at(np.array([0.0, 1.0]), found.photos[0].vignette)
+    is_of_lens = _LEAST_LIGHT * middle <= corner <= _MOST_LIGHT * middle
+    if is_of_lens and abs(1 - corner) >= _LEAST_VIGNETTE:
         return found
     return _solved(views, colors, radii2, count, vignetted=False)
 
@@ -182,9 +186,10 @@ def _solved(
             gain[:, k], bias[:, k] = _fitted(view, means[k], there[k], weights[k], count)
         gain[~known], bias[~known] = 1.0, 0.0
         if known.any():
-            # Only ratios are seen: the mean stays as it is.
+            # Only ratios are seen: the mean stays as it is. What all have in common is scaled and shifted for
+            # that, so that each photo's bias moves by its own gain.
             gain[known] /= np.exp(np.log(gain[known]).mean(axis=0))
-            bias[known] -= bias[known].mean(axis=0)
+            bias[known] -= gain[known] * (bias[known].mean(axis=0) / gain[known].mean(axis=0))
     largest = functools.reduce(np.maximum, differences)
     each = [largest[view == number] for number in range(count)]
     return Exposures(
