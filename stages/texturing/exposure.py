@@ -28,8 +28,8 @@ _PRIOR_SAMPLES, _PRIOR_LEVELS = 30.0, 40.0
 _MOST_GAIN = 4.0
 # Of the light in the corners: a weaker vignette averages out, and photos look as people know them.
 _LEAST_VIGNETTE = 0.1
-# Light in the corners beside that in the middle: less or more is no lens's, but of a thing in the middle of all
-# photos, which says nothing of their corners.
+# Light in the corners beside that in the middle: less or more is no lens's, but of a thing in the middle of
+# all photos, which says nothing of their corners.
 _LEAST_LIGHT, _MOST_LIGHT = 0.2, 1.5
 _NO_VIGNETTE = (1.0, 0.0, 0.0)
 # Fewer samples in other photos than this tell nothing.
