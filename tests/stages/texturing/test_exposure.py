@@ -1,0 +1,56 @@
+"""How bright photos are, from points that several of them show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stages.texturing.exposure import exposures
+
+
+def samples(
+    gains: np.ndarray, biases: np.ndarray, largest_radius2: float, light: tuple[float, float], seed: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what four photos say of 3,000 points: their numbers, levels, and squared radii."""
+    rng = np.random.default_rng(seed)
+    count = 3000
+    level = rng.uniform(40, 120, count)[:, None, None]
+    views = np.stack([rng.permutation(len(gains))[:4] for _ in range(count)]).astype(np.int32)
+    radii2 = rng.uniform(0, largest_radius2, views.shape).astype(np.float32)
+    bright = 1 + light[0] * radii2 + light[1] * radii2**2
+    colors = (level * gains[views][..., None] + biases[views][..., None]) * bright[..., None]
+    noisy = colors + rng.normal(0, 1, (*views.shape, 3))
+    return views, noisy.clip(0, 255).astype(np.uint8), radii2
+
+
+def grey_after(exposure: object, level: int = 80) -> np.ndarray:
+    return exposure.corrected(np.full((60, 80, 3), level, np.uint8))[30, 40]  # type: ignore[attr-defined]
+
+
+def test_gains_and_biases_are_found() -> None:
+    gains, biases = np.array([0.7, 0.9, 1.0, 1.1, 1.4]), np.array([8.0, -6.0, 0.0, 4.0, -6.0])
+    found = exposures(*samples(gains, biases, 1.0, (0.0, 0.0)), count=5)
+    usual = gains / np.exp(np.log(gains).mean())
+    for one, gain in zip(found.photos, usual, strict=True):
+        np.testing.assert_allclose(one.gain, gain, rtol=0.03)
+    assert found.after < 0.2 * found.before
+    # What all have in common is told alike by all.
+    shown = [
+        grey_after(one, round(80 * g + b)) for one, g, b in zip(found.photos, gains, biases, strict=True)
+    ]
+    assert np.ptp(np.stack(shown).astype(int), axis=0).max() <= 3
+    assert np.mean(shown) == pytest.approx(80, rel=0.1)
+
+
+def test_the_vignette_of_a_lens_is_found() -> None:
+    found = exposures(*samples(np.ones(5), np.zeros(5), 1.0, (-0.3, -0.1)), count=5)
+    v = found.photos[0].vignette
+    assert 1 + v[1] + v[2] == pytest.approx(0.6, rel=0.1)
+
+
+def test_a_thing_in_the_middle_of_all_photos_has_no_vignette() -> None:
+    """What shines from the side is brighter at its rim: that says nothing of the corners, where nothing is."""
+    found = exposures(*samples(np.ones(5), np.zeros(5), 0.05, (4.0, 10.0)), count=5)
+    for one in found.photos:
+        assert one.vignette == (1.0, 0.0, 0.0)
+        np.testing.assert_allclose(grey_after(one), 80, atol=12)
