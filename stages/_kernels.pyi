@@ -490,7 +490,7 @@ def sweep_planes(
     *,
     planes: int,
     wanted_threads: int,
-) -> tuple[NDArray[np.float32], NDArray[np.int16], NDArray[np.int16]]:
+) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
     """Find the plane, of `count` from `first` on, on which each pixel of a view lies.
 
     Parameters
@@ -501,7 +501,7 @@ def sweep_planes(
 
     Returns
     -------
-    The plane's number with a fraction, by how much the next best sum of costs is more, and the cost alone.
+    The plane's number with a fraction, and by how much the next best sum of costs is more.
     """
 
 def agreeing(

@@ -101,7 +101,7 @@ def plane_sweep(main: Seen, partners: Sequence[Seen], threads: int = 1) -> Swept
             first, wide = _ranges(plane, distinct, shape, planes)
         else:
             first, wide = np.zeros(shape, np.int32), np.full(shape, planes, np.uint16)
-        plane, margin, _ = _kernels.sweep_planes(
+        plane, margin = _kernels.sweep_planes(
             fine.grey, warped, first, wide, planes=planes, wanted_threads=threads
         )
         distinct = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)

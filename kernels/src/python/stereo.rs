@@ -113,7 +113,7 @@ fn partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyResult
     })
 }
 
-/// The planes on which a view's pixels lie, as its partners show: number with a fraction, margin and cost.
+/// The planes on which a view's pixels lie, as its partners show: number with a fraction, and margin.
 #[pyfunction]
 #[pyo3(signature = (grey, partners, first, count, *, planes, wanted_threads))]
 #[allow(clippy::too_many_arguments)]
@@ -125,7 +125,7 @@ pub fn sweep_planes(
     count: PyReadonlyArray2<'_, u16>,
     planes: usize,
     wanted_threads: usize,
-) -> PyResult<(Map<f32>, Map<i16>, Map<i16>)> {
+) -> PyResult<(Map<f32>, Map<i16>)> {
     let size = size_of(grey.as_array().shape())?;
     if first.as_array().shape() != grey.as_array().shape()
         || count.as_array().shape() != grey.as_array().shape()
@@ -141,8 +141,8 @@ pub fn sweep_planes(
     }
     let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
     let images: usize = partners.iter().map(|one| one.0.as_array().len()).sum();
-    // Two volumes of two bytes, and what describes the images, as rows of 192 bytes.
-    guarded(numbers / 48 + (images + size.pixels()) / 8, || {
+    // Three volumes of two bytes, and what describes the images, as rows of 192 bytes.
+    guarded(numbers / 32 + (images + size.pixels()) / 8, || {
         let threads = threads(wanted_threads);
         let partners =
             partners.iter().map(|one| partner(one, planes, threads)).collect::<PyResult<Vec<_>>>()?;
@@ -151,7 +151,7 @@ pub fn sweep_planes(
         let found = detached(py, None, false, |progress| {
             crate::stereo::sweep(&grey, &partners, size, &ranges, threads, progress)
         })?;
-        Ok((map(py, size, found.plane)?, map(py, size, found.margin)?, map(py, size, found.cost)?))
+        Ok((map(py, size, found.plane)?, map(py, size, found.margin)?))
     })
 }
 

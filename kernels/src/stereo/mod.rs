@@ -7,7 +7,7 @@
 //! | [`support`] | costs averaged over what has the pixel's colour |
 //! | [`paths`] | costs summed along eight paths |
 //! | [`pick`] | the best disparity of each pixel, and what tells how sure it is |
-//! | [`ranges`], [`planes`], [`ranged_paths`] | the same for a view with poses among others: planes in place of disparities |
+//! | [`ranges`], [`planes`] | the same for a view with poses among others: planes of depth, a range of them for each pixel |
 //! | [`seen_by`] | what other views say of the places that a depth map names |
 //! | [`median`] | weighted medians of disparities, along the edges of the image |
 //!
@@ -19,7 +19,6 @@ pub mod median;
 pub mod paths;
 pub mod pick;
 pub mod planes;
-pub mod ranged_paths;
 pub mod ranges;
 pub mod seen_by;
 pub mod support;
@@ -48,7 +47,7 @@ pub fn match_pair(
     progress.tell(1, 4)?;
     let mut sums = support::averaged(left, &mut costs, size, search, threads);
     progress.tell(2, 4)?;
-    paths::summed(&grey, &costs, size, search, threads, &mut sums);
+    paths::summed(&grey, &costs, size, &search, threads, &mut sums);
     progress.tell(3, 4)?;
     let matched = pick::picked(&sums, &costs, size, search, threads);
     progress.tell(4, 4)?;
@@ -71,8 +70,9 @@ pub fn sweep(
     let words = planes::words(grey, size, |_| planes::Shown::Scene, threads);
     let costs = planes::costs(&words, partners, size, ranges, threads);
     progress.tell(1, 2)?;
-    let sums = ranged_paths::summed(grey, &costs, size, ranges);
-    let swept = planes::picked(&sums, &costs, size, ranges);
+    let mut sums = vec![0; costs.len()];
+    paths::summed(grey, &costs, size, ranges, threads, &mut sums);
+    let swept = planes::picked(&sums, size, ranges);
     progress.tell(2, 2)?;
     Ok(swept)
 }

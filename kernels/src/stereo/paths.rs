@@ -1,35 +1,113 @@
 //! Costs summed along eight paths (Hirschmüller, "Stereo processing by semiglobal matching and mutual information", 2008,
 //! equations 11 to 14).
 
+use std::ops::Range;
+
 use super::by_processor::by_processor;
-use super::volume::{Search, Size, Volume, zeros};
+use super::volume::{Search, Size};
 use crate::base::parallel::both;
 
 /// What a change of disparity by one costs, and a larger one where the image is flat. Across an edge of so many levels it
 /// costs half of that.
-pub const SMALL: i16 = 24;
+const SMALL: i16 = 24;
 const LARGE: f32 = 300.0;
 const EDGE: f32 = 30.0;
 
+/// More than any cost along a path, and less than would overflow.
+pub const FAR: i16 = i16::MAX / 2;
+
+/// Which hypotheses each pixel has: disparities, or planes of depth.
+pub trait Hypotheses: Sync {
+    /// The places of a pixel's numbers in a volume.
+    fn of(&self, pixel: usize) -> Range<usize>;
+
+    /// How many hypotheses a pixel has at most.
+    fn widest(&self) -> usize;
+
+    /// The costs `last` of pixel `j` at the hypotheses of pixel `i`, with one more on either side. `last` has a place before
+    /// its first and one behind its last cost, which are [`FAR`]; `room` is for those that must be moved.
+    fn facing<'a>(&self, last: &'a [i16], j: usize, i: usize, room: &'a mut [i16]) -> &'a [i16];
+
+    /// [`all_rows`], in the widest instructions there are.
+    #[allow(clippy::too_many_arguments)]
+    fn sweep(
+        &self,
+        grey: &[u8],
+        costs: &[i16],
+        size: Size,
+        penalties: &[i16; 256],
+        down: bool,
+        sums: &mut [i16],
+    );
+}
+
+impl Hypotheses for Search {
+    #[inline(always)]
+    fn of(&self, pixel: usize) -> Range<usize> {
+        pixel * self.count..(pixel + 1) * self.count
+    }
+
+    fn widest(&self) -> usize {
+        self.count
+    }
+
+    #[inline(always)]
+    fn facing<'a>(&self, last: &'a [i16], _: usize, _: usize, _: &'a mut [i16]) -> &'a [i16] {
+        last
+    }
+
+    fn sweep(
+        &self,
+        grey: &[u8],
+        costs: &[i16],
+        size: Size,
+        penalties: &[i16; 256],
+        down: bool,
+        sums: &mut [i16],
+    ) {
+        all_alike(self, grey, costs, size, penalties, down, sums);
+    }
+}
+
+by_processor! {
+    #[allow(clippy::too_many_arguments)]
+    fn all_alike(
+        search: &Search,
+        grey: &[u8],
+        costs: &[i16],
+        size: Size,
+        penalties: &[i16; 256],
+        down: bool,
+        sums: &mut [i16],
+    ) = all_rows
+}
+
 /// What a larger change costs where neighbours differ by so many levels.
-pub fn penalties() -> [i16; 256] {
+fn penalties() -> [i16; 256] {
     std::array::from_fn(|levels| ((LARGE / (1.0 + levels as f32 / EDGE)) as i16).max(SMALL + 1))
 }
 
 /// Add the costs along all paths to `sums`, a volume of zeros. With two threads, those that go down and those that go up
 /// have a volume each meanwhile.
-pub fn summed(grey: &[u8], costs: &[i16], size: Size, search: Search, threads: usize, sums: &mut Volume) {
+pub fn summed(
+    grey: &[u8],
+    costs: &[i16],
+    size: Size,
+    hypotheses: &impl Hypotheses,
+    threads: usize,
+    sums: &mut [i16],
+) {
     let penalties = penalties();
     if threads <= 1 {
-        sweep(grey, costs, size, search, &penalties, true, sums);
-        sweep(grey, costs, size, search, &penalties, false, sums);
+        hypotheses.sweep(grey, costs, size, &penalties, true, sums);
+        hypotheses.sweep(grey, costs, size, &penalties, false, sums);
         return;
     }
-    let mut upwards = zeros(size, search);
+    let mut upwards = vec![0; sums.len()];
     both(
         threads,
-        || sweep(grey, costs, size, search, &penalties, false, &mut upwards),
-        || sweep(grey, costs, size, search, &penalties, true, sums),
+        || hypotheses.sweep(grey, costs, size, &penalties, false, &mut upwards),
+        || hypotheses.sweep(grey, costs, size, &penalties, true, sums),
     );
     let part = sums.len().div_ceil(threads);
     let parts = sums.chunks_mut(part).zip(upwards.chunks(part)).collect();
@@ -38,54 +116,38 @@ pub fn summed(grey: &[u8], costs: &[i16], size: Size, search: Search, threads: u
     });
 }
 
-by_processor! {
-    #[allow(clippy::too_many_arguments)]
-    fn sweep(
-        grey: &[u8],
-        costs: &[i16],
-        size: Size,
-        search: Search,
-        penalties: &[i16; 256],
-        down: bool,
-        sums: &mut [i16],
-    ) = all_rows
-}
-
-/// A path's costs at a pixel, between two places that no disparity reaches, and the least of them.
+/// A path's costs at a pixel, between two places that no hypothesis reaches, and the least of them.
 struct Reached {
     costs: Vec<i16>,
     least: Vec<i16>,
 }
 
-impl Reached {
-    fn new(pixels: usize, count: usize) -> Self {
-        Self { costs: vec![i16::MAX; pixels * (count + 2)], least: vec![0; pixels] }
-    }
-}
-
 /// Four of the paths: from behind in the row, and from the three pixels of the row before.
+#[allow(clippy::too_many_arguments)]
 #[inline(always)]
-fn all_rows(
+pub fn all_rows(
+    hypotheses: &impl Hypotheses,
     grey: &[u8],
     costs: &[i16],
     size: Size,
-    search: Search,
     penalties: &[i16; 256],
     down: bool,
     sums: &mut [i16],
 ) {
-    let (width, height, count) = (size.width, size.height, search.count);
-    let padded = count + 2;
-    let mut before: [Reached; 3] = std::array::from_fn(|_| Reached::new(width, count));
-    let mut now: [Reached; 3] = std::array::from_fn(|_| Reached::new(width, count));
-    let mut behind = [vec![i16::MAX; padded], vec![i16::MAX; padded]];
+    let (width, height) = (size.width, size.height);
+    let padded = hypotheses.widest() + 2;
+    let reached = || Reached { costs: vec![FAR; width * padded], least: vec![0; width] };
+    let mut before: [Reached; 3] = std::array::from_fn(|_| reached());
+    let mut now: [Reached; 3] = std::array::from_fn(|_| reached());
+    let mut behind = [vec![FAR; padded], vec![FAR; padded]];
+    let mut room = vec![FAR; padded];
     for row in 0..height {
         let y = if down { row } else { height - 1 - row };
         let mut least_behind = 0;
         for column in 0..width {
             let x = if down { column } else { width - 1 - column };
             let i = y * width + x;
-            let (own, sum) = (&costs[i * count..][..count], &mut sums[i * count..][..count]);
+            let (own, sum) = (&costs[hypotheses.of(i)], &mut sums[hypotheses.of(i)]);
             let change = |j: usize| penalties[grey[i].abs_diff(grey[j]) as usize];
             let [first, second] = &mut behind;
             let (last, next) = if column % 2 == 0 { (&*first, second) } else { (&*second, first) };
@@ -93,6 +155,7 @@ fn all_rows(
                 begin(own, next, sum)
             } else {
                 let j = if down { i - 1 } else { i + 1 };
+                let last = hypotheses.facing(last, j, i, &mut room);
                 step(own, last, least_behind, change(j), next, sum)
             };
             for way in 0..3 {
@@ -102,8 +165,9 @@ fn all_rows(
                     begin(own, next, sum)
                 } else {
                     let j = if down { i - width } else { i + width } + from - x;
-                    let last = &before[way];
-                    step(own, &last.costs[from * padded..][..padded], last.least[from], change(j), next, sum)
+                    let last = &before[way].costs[from * padded..][..padded];
+                    let last = hypotheses.facing(last, j, i, &mut room);
+                    step(own, last, before[way].least[from], change(j), next, sum)
                 };
             }
         }
@@ -129,7 +193,7 @@ fn step(own: &[i16], last: &[i16], least_last: i16, change: i16, next: &mut [i16
     let jump = least_last + change;
     let mut least = i16::MAX;
     for d in 0..count {
-        let beside = last[d].min(last[d + 2]).saturating_add(SMALL);
+        let beside = last[d].min(last[d + 2]) + SMALL;
         let cost = last[d + 1].min(beside).min(jump) - least_last + own[d];
         next[d] = cost;
         sum[d] += cost;

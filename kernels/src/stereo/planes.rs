@@ -6,6 +6,7 @@
 
 use super::by_processor::by_processor;
 use super::cost::{described, weighed};
+use super::paths::Hypotheses;
 use super::pick::{best_and_margin, fraction};
 use super::ranges::Ranges;
 use super::volume::Size;
@@ -24,7 +25,7 @@ pub enum Shown {
 }
 
 /// What costs are made of, of one pixel in one word: the census, half of the gradient along x and y, and [`Shown`].
-type Word = u64;
+pub type Word = u64;
 const CENSUS: Word = (1 << 34) - 1;
 const ACROSS: u32 = 34;
 const DOWN: u32 = 42;
@@ -49,7 +50,7 @@ fn unlike(one: Word, other: Word) -> i16 {
 
 /// A partner's image, warped.
 pub struct Partner {
-    pub words: Vec<u64>,
+    pub words: Vec<Word>,
     pub size: Size,
     /// Of each plane: the pixel (x, y) of the view is seen at (s·x + a, s·y + b), as s, a, b.
     pub maps: Vec<[f32; 3]>,
@@ -86,8 +87,8 @@ by_processor! {
 
 #[inline(always)]
 fn of_row(view: &[Word], partners: &[Partner], size: Size, ranges: &Ranges, y: usize, row: &mut [i16]) {
-    let lanes = || vec![0i16; ranges.widest];
-    let (mut one, mut places) = (lanes(), vec![0i32; ranges.widest]);
+    let lanes = || vec![0i16; ranges.widest()];
+    let (mut one, mut places) = (lanes(), vec![0i32; ranges.widest()]);
     let (mut least, mut seen, mut empty) = ([lanes(), lanes(), lanes()], lanes(), lanes());
     let mut rest = row;
     for x in 0..size.width {
@@ -155,21 +156,18 @@ fn place(maps: &[[f32; 3]], size: Size, x: usize, y: usize, places: &mut [i32]) 
 pub struct Swept {
     /// The plane's number, with a fraction.
     pub plane: Vec<f32>,
-    /// By how much the best sum of planes that are not beside it is more, and the cost of the best.
+    /// By how much the best sum of planes that are not beside it is more.
     pub margin: Vec<i16>,
-    pub cost: Vec<i16>,
 }
 
 /// Take the plane of the least sum at each pixel.
-pub fn picked(sums: &[i16], costs: &[i16], size: Size, ranges: &Ranges) -> Swept {
-    let pixels = size.pixels();
-    let mut found = Swept { plane: vec![0.0; pixels], margin: vec![0; pixels], cost: vec![0; pixels] };
-    for i in 0..pixels {
-        let (sums, costs) = (&sums[ranges.of(i)], &costs[ranges.of(i)]);
-        let (best, margin) = best_and_margin(sums);
-        found.plane[i] = (best as i32 + ranges.first[i]) as f32 + fraction(sums, best);
-        found.margin[i] = margin;
-        found.cost[i] = costs[best];
-    }
-    found
+pub fn picked(sums: &[i16], size: Size, ranges: &Ranges) -> Swept {
+    let (plane, margin) = (0..size.pixels())
+        .map(|i| {
+            let sums = &sums[ranges.of(i)];
+            let (best, margin) = best_and_margin(sums);
+            ((best as i32 + ranges.first[i]) as f32 + fraction(sums, best), margin)
+        })
+        .unzip();
+    Swept { plane, margin }
 }

@@ -2,6 +2,10 @@
 //! coarser search can say where a finer one need look (Rothermel et al., "SURE: Photogrammetric surface reconstruction from
 //! imagery", 2012).
 
+use std::ops::Range;
+
+use super::by_processor::by_processor;
+use super::paths::{FAR, Hypotheses, all_rows};
 use super::volume::{LANES, Size};
 
 /// Of each pixel the first hypothesis and how many there are, a multiple of [`LANES`]; and where its numbers begin.
@@ -10,7 +14,7 @@ pub struct Ranges {
     pub first: Vec<i32>,
     pub count: Vec<u16>,
     starts: Vec<usize>,
-    pub widest: usize,
+    widest: usize,
 }
 
 impl Ranges {
@@ -32,11 +36,6 @@ impl Ranges {
         self.starts[self.count.len()]
     }
 
-    /// The places of a pixel's numbers.
-    pub fn of(&self, pixel: usize) -> std::ops::Range<usize> {
-        self.starts[pixel]..self.starts[pixel + 1]
-    }
-
     /// The rows of a volume, with their numbers.
     pub fn rows<'a>(&self, mut volume: &'a mut [i16], size: Size) -> Vec<(usize, &'a mut [i16])> {
         (0..size.height)
@@ -48,4 +47,59 @@ impl Ranges {
             })
             .collect()
     }
+}
+
+impl Hypotheses for Ranges {
+    #[inline(always)]
+    fn of(&self, pixel: usize) -> Range<usize> {
+        self.starts[pixel]..self.starts[pixel + 1]
+    }
+
+    fn widest(&self) -> usize {
+        self.widest
+    }
+
+    /// What the other pixel's range does not hold is reached by a jump alone.
+    #[inline(always)]
+    fn facing<'a>(&self, last: &'a [i16], j: usize, i: usize, room: &'a mut [i16]) -> &'a [i16] {
+        let (here, there) = (i64::from(self.count[i]) + 2, i64::from(self.count[j]));
+        // The place of the other's first hypothesis.
+        let shift = i64::from(self.first[j]) - i64::from(self.first[i]) + 1;
+        let begin = shift.clamp(0, here);
+        let end = (shift + there).clamp(begin, here);
+        let skipped = (begin - shift) as usize + 1;
+        let (begin, end) = (begin as usize, end as usize);
+        let room = &mut room[..here as usize];
+        room[..begin].fill(FAR);
+        if end > begin {
+            room[begin..end].copy_from_slice(&last[skipped..skipped + end - begin]);
+        }
+        room[end..].fill(FAR);
+        room
+    }
+
+    fn sweep(
+        &self,
+        grey: &[u8],
+        costs: &[i16],
+        size: Size,
+        penalties: &[i16; 256],
+        down: bool,
+        sums: &mut [i16],
+    ) {
+        of_ranges(self, grey, costs, size, penalties, down, sums);
+    }
+}
+
+by_processor! {
+    #[allow(clippy::too_many_arguments)]
+    fn of_ranges(
+        ranges: &Ranges,
+        grey: &[u8],
+        costs: &[i16],
+        size: Size,
+        penalties: &[i16; 256],
+        down: bool,
+        sums: &mut [i16],
+    ) = all_rows
 }

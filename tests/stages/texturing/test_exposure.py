@@ -49,7 +49,7 @@ def test_the_vignette_of_a_lens_is_found() -> None:
 
 
 def test_a_thing_in_the_middle_of_all_photos_has_no_vignette() -> None:
-    """What shines from the side is brighter at its rim: that says nothing of the corners, where nothing is."""
+    """What is brighter at its rim says nothing of the corners, where nothing is."""
     found = exposures(*samples(np.ones(5), np.zeros(5), 0.05, (4.0, 10.0)), count=5)
     for one in found.photos:
         assert one.vignette == (1.0, 0.0, 0.0)
