@@ -7,16 +7,13 @@ before and behind it; a parabola through the sums of squared differences has its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.stereo.posed_views import PosedView
+from stages.stereo.view_images import Seen
 
-Grey = NDArray[np.uint8]
 Map = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # Width of the windows, px, and how far before and behind is looked, steps between planes.
 _WINDOW = 5
@@ -28,21 +25,6 @@ _MEDIAN, _NEAR = 5, 3
 _NOISE = 30.0
 # A parabola bends by this at least, squared grey levels a pixel, or says nothing.
 _LEAST_BEND = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A view and its undistorted image.
-
-    Attributes
-    ----------
-    grey : (h, w) uint8.
-    thing : (h, w), where the thing is that masks cut out of all views; what lies elsewhere is no part of it.
-    """
-
-    view: PosedView
-    grey: Grey
-    thing: Mask | None = None
 
 
 def refined(main: Seen, partners: Sequence[Seen], inverse: Map, step: float) -> Map:

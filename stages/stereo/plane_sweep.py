@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from stages import _kernels
 from stages.scans.scan import Camera, DepthImage, scaled
-from stages.stereo.plane_fit import Seen, refined
+from stages.stereo.plane_fit import refined
 from stages.stereo.posed_views import PosedView
+from stages.stereo.view_images import Seen
 
 Grey = NDArray[np.uint8]
 Map = NDArray[np.float32]

@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.scans.images import read_pinhole
 from stages.scans.scan import ColorImage, Frame
+from stages.stereo.posed_views import PosedView
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A view and its image.
+
+    Attributes
+    ----------
+    grey : (h, w) uint8.
+    thing : (h, w), where the thing is that masks cut out of all views; what lies elsewhere is no part of it.
+    """
+
+    view: PosedView
+    grey: NDArray[np.uint8]
+    thing: NDArray[np.bool_] | None = None
 
 
 def color_of(frame: Frame) -> ColorImage:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,14 @@ from stages.stereo.depth import PairStage
 from stages.stereo.matching import SearchRange
 from stages.stereo.networks.network import Network
 from stages.stereo.params import SWEEP, DepthParams
-from stages.stereo.plane_fit import Seen
 from stages.stereo.plane_sweep import plane_sweep
 from stages.stereo.posed_views import PosedView
 from stages.stereo.shown import Outline, grown, shown
-from stages.stereo.view_images import color_of, grey_of
+from stages.stereo.view_images import Seen, color_of, grey_of
 from stages.stereo.view_pair import depth_in_view, rectified_views
+
+# Images of views, and where they show the thing, are kept up to so many bytes.
+_KEPT_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,7 @@ def measured_view(
     tolerance: float,
     outline: Outline,
     network: Network | None,
+    images: Callable[[int], Seen],
     at: int,
 ) -> Measured | SkippedFrame:
     """Match one view with its partners."""
@@ -52,7 +56,7 @@ def measured_view(
     except InputError as error:
         return SkippedFrame(name, str(error))
     if network is None and params.views == SWEEP:
-        return _swept(scan, views, chosen[at], params, outline, at, color)
+        return _swept(scan, chosen[at], params, outline, images, at, color)
     depths: list[DepthImage] = []
     confidences: list[NDArray[np.uint8]] = []
     searches: list[SearchRange] = []
@@ -89,34 +93,43 @@ def measured_view(
     return Measured(depth, trust, searches[0], counts)
 
 
+def images_of(scan: Scan, views: Sequence[PosedView], outline: Outline) -> Callable[[int], Seen]:
+    """Return what reads the image of a view by its place; those read last are kept, for partners share them.
+
+    It raises InputError where an image cannot be read.
+    """
+    largest = max(view.camera.width * view.camera.height for view in views)
+
+    @lru_cache(maxsize=max(min(_KEPT_BYTES // (2 * largest), len(views)), 2))
+    def image(place: int) -> Seen:
+        frame = scan.frames[place]
+        thing = grown(read_seen(frame)) if outline.silhouettes else None
+        return Seen(views[place], grey_of(color_of(frame)), thing)
+
+    return image
+
+
 def _swept(
     scan: Scan,
-    views: Sequence[PosedView],
     partners_of: Sequence[int],
     params: DepthParams,
     outline: Outline,
+    images: Callable[[int], Seen],
     at: int,
     color: ColorImage,
 ) -> Measured | SkippedFrame:
     """Match one view with all of its partners at once."""
-
-    def seen(place: int, image: ColorImage) -> Seen:
-        thing = None
-        if outline.silhouettes:
-            thing = grown(read_seen(scan.frames[place]))
-        return Seen(views[place], grey_of(image), thing)
-
     others: list[Seen] = []
     for other in partners_of:
         if len(others) == params.partners:
             break
         try:
-            others.append(seen(other, color_of(scan.frames[other])))
+            others.append(images(other))
         except InputError:
             continue  # Reported when its own turn comes.
     if not others:
         return _without_partners(scan.frames[at].name, bool(partners_of))
-    found = plane_sweep(seen(at, color), others)
+    found = plane_sweep(images(at), others)
     measured, _ = shown(scan.frames[at], color, outline, params.backdrop)
     depth = np.where(measured, found.depth, np.float32(0))
     counts = Counts(

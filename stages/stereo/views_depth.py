@@ -37,7 +37,7 @@ from stages.stereo.scene_depth import ranged_views, scene_box, stated_ranges
 from stages.stereo.shown import in_hull, outline_of
 from stages.stereo.turned_back import turned_back
 from stages.stereo.view_images import color_of, grey_of
-from stages.stereo.view_matching import measured_view
+from stages.stereo.view_matching import images_of, measured_view
 from stages.stereo.views_confidence import views_confidence
 
 if TYPE_CHECKING:
@@ -147,7 +147,8 @@ def _results(
     counts: dict[int, Counts] = {}
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
         kept = KeptMaps(Path(folder))
-        measure = partial(measured_view, scan, views, chosen, params, tolerance, outline, of_pairs)
+        images = images_of(scan, views, outline)
+        measure = partial(measured_view, scan, views, chosen, params, tolerance, outline, of_pairs, images)
         first_turn = read_ahead(measure, range(len(views)), threads=threads, ahead=threads + 2)
         for at, result in enumerate(first_turn):
             if isinstance(result, SkippedFrame):

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages import _kernels
-from stages.stereo.plane_fit import Seen
 from stages.stereo.plane_sweep import plane_sweep
 from stages.stereo.posed_views import PosedView
+from stages.stereo.view_images import Seen
 from stages.stereo.views_confidence import views_confidence
 from tests.made import posed_scene
 
