@@ -107,7 +107,18 @@ def measurable(image: NDArray[np.uint8], least: float) -> Mask:
     return np.asarray(cv2.erode(found, np.ones((_WINDOW, _WINDOW), np.uint8)) > 0)
 
 
-def _textured(image: NDArray[np.uint8], least: float) -> Mask:
+def steps(image: NDArray[np.uint8], window: int) -> NDArray[np.float32]:
+    """Return the sum over the window around each pixel of how much pixels two apart differ, across or down.
+
+    Parameters
+    ----------
+    image : (h, w) uint8.
+    window : px, its width and height.
+
+    Returns
+    -------
+    (h, w) float32, grey levels.
+    """
     import cv2
 
     across = np.abs(cv2.Sobel(image, cv2.CV_16S, 1, 0, ksize=1))
@@ -115,11 +126,15 @@ def _textured(image: NDArray[np.uint8], least: float) -> Mask:
     total = cv2.boxFilter(
         np.maximum(across, down),
         cv2.CV_32F,
-        (_WINDOW, _WINDOW),
+        (window, window),
         normalize=False,
         borderType=cv2.BORDER_REFLECT,
     )
-    return np.asarray(total >= least * _WINDOW**2)
+    return np.asarray(total, np.float32)
+
+
+def _textured(image: NDArray[np.uint8], least: float) -> Mask:
+    return np.asarray(steps(image, _WINDOW) >= least * _WINDOW**2)
 
 
 def _border(image: ColorImage) -> ColorImage:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.scans.scan import DepthImage
+from stages.stereo.background import steps
 from stages.stereo.plane_sweep import HALF_MARGIN
 
 # The logistic regression of being right within 5 % of the depth, fitted to 58 views with depth of a sensor
@@ -85,7 +86,5 @@ def _texture(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     smaller = min(_USUAL_PX / max(height, width), 1.0)
     size = max(round(width * smaller), 1), max(round(height * smaller), 1)
     small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    across = np.abs(cv2.Sobel(small, cv2.CV_16S, 1, 0, ksize=1))
-    down = np.abs(cv2.Sobel(small, cv2.CV_16S, 0, 1, ksize=1))
-    mean = cv2.boxFilter(np.maximum(across, down).astype(np.float32), -1, (_TEXTURES, _TEXTURES))
+    mean = steps(np.asarray(small, np.uint8), _TEXTURES) / _TEXTURES**2
     return np.asarray(cv2.resize(mean, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)

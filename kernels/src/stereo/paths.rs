@@ -16,6 +16,15 @@ const EDGE: f32 = 30.0;
 /// More than any cost along a path, and less than would overflow.
 pub const FAR: i16 = i16::MAX / 2;
 
+/// What paths run over.
+pub struct Image<'a> {
+    pub grey: &'a [u8],
+    pub size: Size,
+    /// A volume.
+    pub costs: &'a [i16],
+    penalties: [i16; 256],
+}
+
 /// Which hypotheses each pixel has: disparities, or planes of depth.
 pub trait Hypotheses: Sync {
     /// The places of a pixel's numbers in a volume.
@@ -29,16 +38,7 @@ pub trait Hypotheses: Sync {
     fn facing<'a>(&self, last: &'a [i16], j: usize, i: usize, room: &'a mut [i16]) -> &'a [i16];
 
     /// [`all_rows`], in the widest instructions there are.
-    #[allow(clippy::too_many_arguments)]
-    fn sweep(
-        &self,
-        grey: &[u8],
-        costs: &[i16],
-        size: Size,
-        penalties: &[i16; 256],
-        down: bool,
-        sums: &mut [i16],
-    );
+    fn sweep(&self, image: &Image<'_>, down: bool, sums: &mut [i16]);
 }
 
 impl Hypotheses for Search {
@@ -56,30 +56,13 @@ impl Hypotheses for Search {
         last
     }
 
-    fn sweep(
-        &self,
-        grey: &[u8],
-        costs: &[i16],
-        size: Size,
-        penalties: &[i16; 256],
-        down: bool,
-        sums: &mut [i16],
-    ) {
-        all_alike(self, grey, costs, size, penalties, down, sums);
+    fn sweep(&self, image: &Image<'_>, down: bool, sums: &mut [i16]) {
+        all_alike(self, image, down, sums);
     }
 }
 
 by_processor! {
-    #[allow(clippy::too_many_arguments)]
-    fn all_alike(
-        search: &Search,
-        grey: &[u8],
-        costs: &[i16],
-        size: Size,
-        penalties: &[i16; 256],
-        down: bool,
-        sums: &mut [i16],
-    ) = all_rows
+    fn all_alike(search: &Search, image: &Image<'_>, down: bool, sums: &mut [i16]) = all_rows
 }
 
 /// What a larger change costs where neighbours differ by so many levels.
@@ -97,18 +80,14 @@ pub fn summed(
     threads: usize,
     sums: &mut [i16],
 ) {
-    let penalties = penalties();
+    let image = Image { grey, size, costs, penalties: penalties() };
     if threads <= 1 {
-        hypotheses.sweep(grey, costs, size, &penalties, true, sums);
-        hypotheses.sweep(grey, costs, size, &penalties, false, sums);
+        hypotheses.sweep(&image, true, sums);
+        hypotheses.sweep(&image, false, sums);
         return;
     }
     let mut upwards = vec![0; sums.len()];
-    both(
-        threads,
-        || hypotheses.sweep(grey, costs, size, &penalties, false, &mut upwards),
-        || hypotheses.sweep(grey, costs, size, &penalties, true, sums),
-    );
+    both(threads, || hypotheses.sweep(&image, false, &mut upwards), || hypotheses.sweep(&image, true, sums));
     let part = sums.len().div_ceil(threads);
     let parts = sums.chunks_mut(part).zip(upwards.chunks(part)).collect();
     crate::base::parallel::each(parts, threads, |(sums, more): (&mut [i16], &[i16])| {
@@ -123,17 +102,9 @@ struct Reached {
 }
 
 /// Four of the paths: from behind in the row, and from the three pixels of the row before.
-#[allow(clippy::too_many_arguments)]
 #[inline(always)]
-pub fn all_rows(
-    hypotheses: &impl Hypotheses,
-    grey: &[u8],
-    costs: &[i16],
-    size: Size,
-    penalties: &[i16; 256],
-    down: bool,
-    sums: &mut [i16],
-) {
+pub fn all_rows(hypotheses: &impl Hypotheses, image: &Image<'_>, down: bool, sums: &mut [i16]) {
+    let Image { grey, size, costs, penalties } = image;
     let (width, height) = (size.width, size.height);
     let padded = hypotheses.widest() + 2;
     let reached = || Reached { costs: vec![FAR; width * padded], least: vec![0; width] };

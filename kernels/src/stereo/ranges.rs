@@ -5,7 +5,7 @@
 use std::ops::Range;
 
 use super::by_processor::by_processor;
-use super::paths::{FAR, Hypotheses, all_rows};
+use super::paths::{FAR, Hypotheses, Image, all_rows};
 use super::volume::{LANES, Size};
 
 /// Of each pixel the first hypothesis and how many there are, a multiple of [`LANES`]; and where its numbers begin.
@@ -78,28 +78,11 @@ impl Hypotheses for Ranges {
         room
     }
 
-    fn sweep(
-        &self,
-        grey: &[u8],
-        costs: &[i16],
-        size: Size,
-        penalties: &[i16; 256],
-        down: bool,
-        sums: &mut [i16],
-    ) {
-        of_ranges(self, grey, costs, size, penalties, down, sums);
+    fn sweep(&self, image: &Image<'_>, down: bool, sums: &mut [i16]) {
+        of_ranges(self, image, down, sums);
     }
 }
 
 by_processor! {
-    #[allow(clippy::too_many_arguments)]
-    fn of_ranges(
-        ranges: &Ranges,
-        grey: &[u8],
-        costs: &[i16],
-        size: Size,
-        penalties: &[i16; 256],
-        down: bool,
-        sums: &mut [i16],
-    ) = all_rows
+    fn of_ranges(ranges: &Ranges, image: &Image<'_>, down: bool, sums: &mut [i16]) = all_rows
 }
