@@ -5,6 +5,7 @@ from __future__ import annotations
 from stages.scans.layouts import (
     arkit_scenes,
     augmented_icl,
+    camera_text,
     colmap,
     euroc,
     frame_list,
@@ -42,6 +43,8 @@ DISTINCT: tuple[Layout, ...] = (
     # Its folders often hold TUM's lists too.
     icl_nuim.LAYOUT,
     tum.LAYOUT,
+    # Its images are named as those of 7-Scenes.
+    camera_text.LAYOUT,
     seven_scenes.LAYOUT,
     scannet.LAYOUT,
     scannet_sens.LAYOUT,

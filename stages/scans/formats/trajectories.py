@@ -130,7 +130,7 @@ def read_tum(path: Path) -> Trajectory:
     swallowed = re.match(
         r"#[^\n]*>[ \t]*([-+.\deE]+(?:[ \t]+[-+.\deE]+){7})[ \t]*\n", documents.read_text(path)
     )
-    first = [(1, _floats(swallowed[1], 1, path))] if swallowed else []
+    first = [(1, numbers_of(swallowed[1], 1, path))] if swallowed else []
     for number, row in (*first, *_number_lines(path)):
         if len(row) != 8:
             raise InputError(
@@ -448,10 +448,17 @@ def stamp(word: str, path: Path, line: int) -> int:
 def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
     """Yield line numbers (from 1) and the numbers on them, without comments and empty lines."""
     for number, text in documents.lines(path):
-        yield number, _floats(text, number, path)
+        yield number, numbers_of(text, number, path)
 
 
-def _floats(text: str, number: int, path: Path) -> list[float]:
+def numbers_of(text: str, number: int, path: Path) -> list[float]:
+    """Return the numbers on a line, parted by white space or commas.
+
+    Raises
+    ------
+    InputError
+        If there is something else on it; the message names the line by its `number`.
+    """
     try:
         return [float(word) for word in re.split(r"[,\s]+", text)]
     except ValueError as error:

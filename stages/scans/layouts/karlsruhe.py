@@ -28,6 +28,7 @@ _NAME = re.compile(r"I([12])_\d+")
 _PROJECTION = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)
 _CALIBRATIONS = ("calib.txt", "../calib.txt")
 _POSES = ("poses.txt", "poses.tum")
+_CAR = "insdata.txt"
 
 
 def _sides(folder: Path) -> tuple[list[Path], list[Path]]:
@@ -58,7 +59,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if path is not None:
         poses = trajectories.match(trajectories.read_trajectory(path), names, path)
     else:
-        missing = (*missing, "poses: poses.txt is missing; name a trajectory with scan.poses=FILE")
+        car = (
+            f" ({_CAR} has the places of the car, but nothing says how the cameras stand to it)"
+            if (folder / _CAR).is_file()
+            else ""
+        )
+        missing = (*missing, f"poses: poses.txt is missing{car}; name a trajectory with scan.poses=FILE")
     frames = [
         Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
         for name, (one, other), pose in zip(names, pairs, poses, strict=True)

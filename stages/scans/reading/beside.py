@@ -18,12 +18,17 @@ _MOST_FILES = 64
 _FOCAL_LENGTHS = (0.1, 30.0)
 
 
-def small_documents(folder: Path) -> list[Path]:
-    """Return the files of a folder that may be a page of settings, by name; none if they are too many."""
+def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
+    """Return the files of a folder that may be a page of settings, by name; none if they are too many.
+
+    Parameters
+    ----------
+    most : bytes; larger files are none.
+    """
     found = sorted(
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in _SUFFIXES and path.is_file() and path.stat().st_size <= _MAX_BYTES
+        if path.suffix.lower() in _SUFFIXES and path.is_file() and path.stat().st_size <= most
     )
     if len(found) > _MOST_FILES:
         # Many texts are poses, one a frame.

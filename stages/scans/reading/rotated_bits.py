@@ -70,7 +70,7 @@ def with_bits_turned_back(scan: Scan, *, is_scale_stated: bool) -> Scan:
     files = [frame.depth for frame in scan.frames if isinstance(frame.depth, Path)]
     # Rotated values are millimetres or tenths of them: of other units somebody said what they are.
     is_scale_stated = is_scale_stated or any(frame.depth_scale != _MILLIMETRES for frame in scan.frames)
-    if not files or not _are_rotated(files, is_scale_stated):
+    if not files or not are_rotated(files, is_scale_stated=is_scale_stated):
         return scan
     frames = [
         replace(frame, depth=Packed(frame.depth, "depth", partial(read_turned_back, frame.depth)))
@@ -86,7 +86,8 @@ def with_bits_turned_back(scan: Scan, *, is_scale_stated: bool) -> Scan:
     return replace(scan, frames=frames, warnings=(*scan.warnings, said))
 
 
-def _are_rotated(files: Sequence[Path], is_scale_stated: bool) -> bool:
+def are_rotated(files: Sequence[Path], *, is_scale_stated: bool) -> bool:
+    """Say whether the bits of depth files are rotated, by two of them; see `is_rotated`."""
     with only_looking():
         maps = [_raw_or_none(path) for path in files[:: max(1, len(files) // _LOOKED_AT)][:_LOOKED_AT]]
     found = [raw for raw in maps if raw is not None]

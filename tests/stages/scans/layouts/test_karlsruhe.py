@@ -42,6 +42,14 @@ def test_without_poses_and_without_a_calibration(scan_folder):
     assert read_scan(scan_folder, stated, complete=False).rig.baseline == 0.5
 
 
+def test_the_places_of_the_car_are_no_poses_and_that_is_told(scan_folder):
+    (scan_folder / "poses.txt").unlink()
+    (scan_folder / "insdata.txt").write_text("1.0 49.01 8.43 112 0 0 0 0.01 0.02 1.5\n" * 2)
+    (lacking,) = read_scan(scan_folder, complete=False).missing
+    assert "insdata.txt has the places of the car" in lacking
+    assert "scan.poses=FILE" in lacking
+
+
 def test_a_damaged_projection(scan_folder):
     (scan_folder / "calib.txt").write_text(CALIB.replace("-50", "fifty"))
     with pytest.raises(InputError, match="P2_roi is not 12 numbers"):

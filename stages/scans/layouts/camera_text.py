@@ -1,0 +1,185 @@
+"""Frames beside a text of cameras and poses with headings (the APC vision toolbox, its relatives).
+
+    cam.info.txt                                     see stages.scans.formats.headed_text
+    frame-000000.color.png  frame-000000.depth.png   depth as colour's camera would see it
+
+The toolbox rotates the bits of depth by three, and its unit is then a tenth of a millimetre. A pose is that
+of the colour camera. What lies in raw/, as depth's own camera saw it, is left aside: the lens of that camera
+is not stated, and the registered maps are nearer to the colour images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.files.noting import only_looking
+from stages.scans.formats import calibration, headed_text, trajectories
+from stages.scans.formats.headed_text import HeadedText
+from stages.scans.reading.beside import small_documents
+from stages.scans.reading.files import (
+    COLOR_FOLDERS,
+    DEPTH_FOLDERS,
+    DEPTHS,
+    common_size,
+    first_existing,
+    images,
+)
+from stages.scans.reading.layout import Layout
+from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.rotated_bits import are_rotated, read_turned_back
+from stages.scans.reading.stated import found_camera, stated_camera
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
+
+_NAMES = ("cam.info.txt", "camera.info.txt", "cam_info.txt", "camera_info.txt")
+# A pose takes some 300 bytes.
+_LARGEST_BYTES = 1 << 22
+# Of bits that are rotated, as the toolbox saves them, and of plain ones.
+_TENTHS_OF_MILLIMETRES = 10_000.0
+_MILLIMETRES = 1000.0
+_COLOR = ("color", "colour", "rgb")
+
+
+def _matches(folder: Path) -> str | None:
+    found = _text_file(folder)
+    return None if found is None else f"{found.name}, camera poses of frames below headings"
+
+
+def _text_file(folder: Path) -> Path | None:
+    """Return the text: by its usual name, or the only one that has headings for poses of frames."""
+    named = first_existing(folder, *_NAMES)
+    others = [path for path in small_documents(folder, _LARGEST_BYTES) if path.suffix.lower() == ".txt"]
+    with only_looking():
+        found = [path for path in ([named] if named else others) if _is_headed(path)]
+    return found[0] if len(found) == 1 else None
+
+
+def _is_headed(path: Path) -> bool:
+    try:
+        return headed_text.states_frames(documents.read_text(path))
+    except InputError:
+        return False
+
+
+def _read(folder: Path, options: ReadingParams) -> Scan:
+    path = _text_file(folder)
+    if path is None:
+        raise InputError("a text of cameras and poses below headings (cam.info.txt) is needed.", folder)
+    text = headed_text.read_headed_text(path)
+    found = _frames(folder, text)
+    if not found:
+        raise InputError(
+            f"there is no depth map of any of its {len(text.poses)} frames, such as "
+            f"{next(iter(text.poses), 'frame-000000')}.depth.png.",
+            path,
+        )
+    lacking = [SkippedFrame(name, "it has no depth map") for name in text.poses if name not in found]
+    given = options.file("poses", folder)
+    poses = text.poses
+    if given is not None:
+        matched = trajectories.match(trajectories.read_trajectory(given), list(found), given)
+        poses = dict(zip(found, matched, strict=True))
+    depths = [depth for depth, _ in found.values()]
+    colors = [color for _, color in found.values() if color is not None]
+    cameras, warnings = _cameras(folder, options, text, depths, colors, path)
+    rotated = are_rotated(depths, is_scale_stated=False)
+    if not rotated:
+        warnings.append(
+            "the bits of the depth maps are not rotated, as the APC toolbox has them: they are read as "
+            f"millimetres; set scan.depth_scale={_TENTHS_OF_MILLIMETRES:g} where they are tenths"
+        )
+    scale = options.depth_scale or (_TENTHS_OF_MILLIMETRES if rotated else _MILLIMETRES)
+    frames = [
+        Frame(
+            name=name,
+            camera=cameras.depth,
+            color=color,
+            depth=Packed(depth, "depth", partial(read_turned_back, depth)) if rotated else depth,
+            depth_scale=scale,
+            world_from_camera=_of_depth(poses.get(name), cameras, is_given=given is not None),
+            color_camera=None if color is None else cameras.color,
+            color_from_depth=None if color is None else cameras.color_from_depth,
+        )
+        for name, (depth, color) in found.items()
+    ]
+    if text.others:
+        warnings.append(f"{path.name} states more, which is left aside: {'; '.join(text.others[:3])}")
+    return Scan(LAYOUT.name, frames, None, folder, tuple(lacking), tuple(warnings))
+
+
+def _frames(folder: Path, text: HeadedText) -> dict[str, tuple[Path, Path | None]]:
+    """Return the depth map and the colour image of each frame that the text names and that has depth."""
+    beside = images(folder, DEPTHS)
+    depths = [one for one in beside if "depth" in one.name.lower()]
+    depths += [
+        one for name in DEPTH_FOLDERS if (folder / name).is_dir() for one in images(folder / name, DEPTHS)
+    ]
+    colors = [one for one in beside if any(word in one.name.lower() for word in _COLOR)]
+    colors += [one for name in COLOR_FOLDERS if (folder / name).is_dir() for one in images(folder / name)]
+    pairs = {name: (_of_frame(depths, name), _of_frame(colors, name)) for name in text.poses}
+    return {name: (depth, color) for name, (depth, color) in pairs.items() if depth is not None}
+
+
+def _of_frame(files: Sequence[Path], name: str) -> Path | None:
+    """Return the file that is called as the frame, and perhaps something after a sign."""
+    return next(
+        (one for one in files if one.name.startswith(name) and not one.name[len(name) :][:1].isalnum()), None
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Cameras:
+    """The depth camera; the colour camera and its place beside it, where it is another."""
+
+    depth: Camera
+    color: Camera | None = None
+    color_from_depth: Pose | None = None
+
+
+def _of_depth(pose: Pose | None, cameras: _Cameras, *, is_given: bool) -> Pose | None:
+    """Return the pose of the depth camera: a trajectory of the person's own is of that already."""
+    if pose is None or cameras.color_from_depth is None or is_given:
+        return pose
+    moved: Pose = pose @ cameras.color_from_depth
+    return moved
+
+
+def _cameras(
+    folder: Path,
+    options: ReadingParams,
+    text: HeadedText,
+    depths: Sequence[Path],
+    colors: Sequence[Path],
+    path: Path,
+) -> tuple[_Cameras, list[str]]:
+    """Return the cameras and what is to be said about them."""
+    size = common_size(depths)
+    color_size = common_size(colors) if colors else size
+    stated = stated_camera(options, folder, *size)
+    if stated is not None:
+        return _Cameras(stated), []
+    if size != color_size and text.color is not None and text.depth is not None:
+        depth, color = (
+            calibration.matrix_camera(matrix, (), *of, path)
+            for matrix, of in ((text.depth, size), (text.color, color_size))
+        )
+        return _Cameras(depth, color, text.color_from_depth), []
+    # Maps of colour's size are registered to it, and of its camera.
+    matrix = text.depth if text.color is None else text.color
+    if matrix is None:
+        camera, _, warnings = found_camera(folder, *size)
+        return _Cameras(camera), warnings
+    return _Cameras(calibration.matrix_camera(matrix, (), *size, path)), []
+
+
+LAYOUT = Layout(
+    name="camera-text",
+    text="frame-000000.color.png, frame-000000.depth.png, and a text of cameras and poses below headings "
+    "(cam.info.txt of the APC vision toolbox)",
+    matches=_matches,
+    read=_read,
+)
