@@ -4,26 +4,40 @@
     frame_00000_rgb.png  frame_00000_depth.png  …
 
 Of a frame's info: `kcam.matrix` 3x3, `kcam.undist_coeff`, `kcam.image_size`; `depth_scale`, metres of a unit;
-`rt_cam.matrix` 4x4, camera-to-world.
+`depth_bias`, metres that are added to every depth; `depth_max`, in units of the depth maps, beyond which the
+sensor says nothing; `rt_cam.matrix` 4x4, camera-to-world.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.images import read_raw_depth
 from stages.files.noting import only_looking
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, inside, numbers
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
-from stages.scans.scan import Camera, Frame, Pose, Scan
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan
 
 _NAMES = ("frames.json", "info.json", "data.json", "scan_info.json", "dataset.json")
 _COLOR = ("rgb", "color", "colour")
+_LOOKED_AT = 4
+# A limit beyond which most of the depth lies is of another unit than it seems.
+_MOST_BEYOND = 0.5
+# So little beyond a limit is nothing to tell.
+_LEAST_TOLD = 0.001
+_FARTHEST_BIAS_M = 10.0
 
 
 def _matches(folder: Path) -> str | None:
@@ -67,18 +81,22 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         if trajectory is None or given is None
         else trajectories.match(trajectory, names, given)
     )
+    meanings = [_meaning(_info(entry), options, path) for entry in entries]
+    meanings, warnings = _checked(meanings, [depth for _, depth in images], path)
     frames = [
         Frame(
             name=name,
             camera=stated or _camera(_info(entry), size, path),
             color=color,
-            depth=depth,
-            depth_scale=options.depth_scale or _depth_scale(_info(entry), path),
+            depth=_meant(depth, meaning),
+            depth_scale=meaning.scale,
             world_from_camera=pose,
         )
-        for name, entry, (color, depth), pose in zip(names, entries, images, poses, strict=True)
+        for name, entry, (color, depth), meaning, pose in zip(
+            names, entries, images, meanings, poses, strict=True
+        )
     ]
-    return Scan(LAYOUT.name, frames, None, folder)
+    return Scan(LAYOUT.name, frames, None, folder, (), tuple(warnings))
 
 
 def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tuple[Path | None, Path]:
@@ -113,12 +131,83 @@ def _camera(info: dict[str, Any], size: tuple[int, int], path: Path) -> Camera:
     )
 
 
-def _depth_scale(info: dict[str, Any], path: Path) -> float:
-    """Return units a metre; the file says metres a unit."""
+@dataclass(frozen=True)
+class _Meaning:
+    """What a stored depth means: units a metre, metres that are added, and the largest unit that counts."""
+
+    scale: float
+    bias_m: float
+    most: float | None
+
+
+def _meaning(info: dict[str, Any], options: ReadingParams, path: Path) -> _Meaning:
     step = info.get("depth_scale", 0.001)
-    if isinstance(step, bool) or not isinstance(step, (int, float)) or not 1e-9 < step < 1e9:
+    if not _is_number(step) or not 1e-9 < step < 1e9:
         raise InputError(f"depth_scale is {str(step)[:40]}; it must be a positive number.", path)
-    return 1 / step
+    bias, most = info.get("depth_bias", 0.0), info.get("depth_max")
+    if not _is_number(bias) or abs(bias) > _FARTHEST_BIAS_M:
+        raise InputError(
+            f"depth_bias is {str(bias)[:40]}; metres that are added to depth are expected.", path
+        )
+    if most is not None and (not _is_number(most) or not most > 0):
+        raise InputError(f"depth_max is {str(most)[:40]}; it must be a positive number.", path)
+    # The file says metres a unit.
+    return _Meaning(options.depth_scale or 1 / step, float(bias), None if most is None else float(most))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _checked(
+    meanings: Sequence[_Meaning], depths: Sequence[Path], path: Path
+) -> tuple[list[_Meaning], list[str]]:
+    """Return the meanings, without a largest unit that takes most of the depth, and what is to be said."""
+    limits = {meaning.most for meaning in meanings} - {None}
+    beyond = _share_beyond(meanings, depths)
+    if not limits or beyond < _LEAST_TOLD:
+        return list(meanings), []
+    most, scale = max(one for one in limits if one is not None), meanings[0].scale
+    far = most / scale
+    if beyond <= _MOST_BEYOND:
+        said = (
+            f"{beyond:.1%} of the depth looked at lies beyond the depth_max of {path.name}, {far:.3g} m: it "
+            "is left out"
+        )
+        return list(meanings), [said]
+    said = (
+        f"{beyond:.0%} of the depth looked at lies beyond the depth_max of {path.name}, which would be "
+        f"{far:.3g} m: it is not applied; fuse.max_depth=METRES leaves out what is farther"
+    )
+    return [_Meaning(one.scale, one.bias_m, None) for one in meanings], [said]
+
+
+def _share_beyond(meanings: Sequence[_Meaning], depths: Sequence[Path]) -> float:
+    known = beyond = 0
+    step = max(1, len(depths) // _LOOKED_AT)
+    for meaning, depth in list(zip(meanings, depths, strict=True))[::step]:
+        try:
+            raw = read_raw_depth(depth)
+        except InputError:
+            continue
+        known += int(np.count_nonzero(raw > 0))
+        beyond += 0 if meaning.most is None else int(np.count_nonzero(raw > meaning.most))
+    return beyond / max(known, 1)
+
+
+def _meant(depth: Path, meaning: _Meaning) -> Path | Packed:
+    """Return the depth map that the stored one means; the file itself where they are the same."""
+    if not meaning.bias_m and meaning.most is None:
+        return depth
+    name = f"depth + {meaning.bias_m:.9g} m" if meaning.bias_m else "depth"
+    name += "" if meaning.most is None else f" to {meaning.most:.9g}"
+    return Packed(depth, name, partial(_read_meant, depth, meaning))
+
+
+def _read_meant(path: Path, meaning: _Meaning) -> NDArray[np.float32]:
+    raw = read_raw_depth(path)
+    is_known = raw > 0 if meaning.most is None else (raw > 0) & (raw <= meaning.most)
+    return np.where(is_known, raw + meaning.bias_m * meaning.scale, 0).astype(np.float32)
 
 
 def _pose(entry: dict[str, Any], number: int, path: Path) -> Pose | None:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from stages.errors import InputError
+from stages.scans.images import read_depth
+from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 
 
@@ -43,6 +45,9 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny, form):
     [
         ({"depth_image": "../a.png"}, "frame 0: depth_image is not a path inside the folder"),
         ({"depth_scale": 0}, "depth_scale is 0; it must be a positive number"),
+        ({"depth_bias": "a"}, "depth_bias is a; metres that are added to depth are expected"),
+        ({"depth_bias": 12}, "depth_bias is 12; metres that are added to depth are expected"),
+        ({"depth_max": -1}, "depth_max is -1; it must be a positive number"),
         ({"kcam": 7}, "a camera matrix must be 3x3"),
         ({"rt_cam": None}, "frame 0: rt_cam"),
     ],
@@ -57,3 +62,37 @@ def test_a_frame_without_depth_is_told(scan_folder):
     (scan_folder / "frame_00001_depth.png").unlink()
     with pytest.raises(InputError, match="frame 1 names no depth map, and there is none of its number"):
         read_scan(scan_folder)
+
+
+def test_a_bias_is_added_in_metres_to_what_is_known(scan_folder, tiny):
+    for number in range(2):
+        tiny.depth(scan_folder / f"frame_{number:05}_depth.png", 2000, metres=1.9)
+    write(scan_folder, tiny, depth_bias=0.1)
+    scan = read_scan(scan_folder)
+    np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-5)
+    assert read_depth(scan.frames[0])[0, 0] == 0
+    # The unit that the person states is also the one in which the bias is added.
+    for number in range(2):
+        tiny.depth(scan_folder / f"frame_{number:05}_depth.png", 1000, metres=1.9)
+    scan = read_scan(scan_folder, ScanParams(depth_scale=1000))
+    np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-5)
+
+
+def test_what_is_beyond_the_sensor_is_missing_and_told(scan_folder, tiny):
+    # The fixture's maps hold 4000 (2 m) and one pixel of 65535.
+    write(scan_folder, tiny, depth_max=4500.0)
+    scan = read_scan(scan_folder)
+    depth = read_depth(scan.frames[0])
+    assert (depth[0, 1], depth[5, 5]) == (0, 2)
+    assert scan.warnings == (
+        "0.1% of the depth looked at lies beyond the depth_max of frames.json, 2.25 m: it is left out",
+    )
+
+
+def test_a_limit_that_takes_most_of_the_depth_is_asked_about(scan_folder, tiny):
+    write(scan_folder, tiny, depth_max=4.5)
+    scan = read_scan(scan_folder)
+    assert read_depth(scan.frames[0])[5, 5] == 2
+    (said,) = scan.warnings
+    assert "100% of the depth" in said
+    assert "it is not applied; fuse.max_depth=METRES" in said
