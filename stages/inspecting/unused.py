@@ -11,7 +11,7 @@ from pathlib import Path
 from stages.errors import InputError
 from stages.files.noting import only_looking
 from stages.printing import by_fields
-from stages.scans.formats import calibration, trajectories
+from stages.scans.formats import calibration, rig_calibration, trajectories
 from stages.scans.reading.files import DEPTHS, IMAGES
 from stages.scans.scan import Scan
 
@@ -113,7 +113,7 @@ def _looks_like(path: Path, scan: Scan) -> str:
         return f"{count} poses: scan.poses={path.name}"
     camera = scan.frames[0].camera
     size = camera.width, camera.height
-    if scan.is_stereo and _reads(lambda: calibration.read_rig(path, *size)):
+    if scan.is_stereo and _reads(lambda: rig_calibration.read_rig(path, *size)):
         return f"the calibration of a pair: scan.calibration={path.name}"
     if not _reads(lambda: calibration.read_camera(path, *size)):
         return ""

@@ -11,7 +11,7 @@ from pipeline.cache import Cache
 from pipeline.config import Config
 from stages.inspecting.inspect import inspect
 from stages.normal_meshes.normal_mesh import decode
-from stages.scans.formats.calibration import read_rig
+from stages.scans.formats.rig_calibration import read_rig
 from stages.scans.formats.trajectories import read_trajectory
 from stages.scans.read import read_scan
 from stages.simplification.records.load import load_record

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.files.images import read_stored
-from stages.scans.formats import calibration, trajectories
+from stages.scans.formats import calibration, rig_calibration, trajectories
+from stages.scans.formats.table_values import number_row
 from stages.scans.reading.files import common_size, first_existing, has
 from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
@@ -137,7 +138,7 @@ def _rig(mav: Path, size: tuple[int, int], options: ReadingParams) -> tuple[Ster
         body_from_camera.append(_mounting(document, path))
     right_from_left = trajectories.inverted(body_from_camera[1]) @ body_from_camera[0]
     if options.baseline is not None:
-        right_from_left = calibration.with_baseline(right_from_left, options.baseline)
+        right_from_left = rig_calibration.with_baseline(right_from_left, options.baseline)
     return StereoRig(cameras[0], cameras[1], right_from_left, rectified=False), body_from_camera[0]
 
 
@@ -166,11 +167,11 @@ def _chained(
 ) -> tuple[tuple[StereoRig, list[str]], Pose]:
     """Return the rig of Kalibr's file, what is odd about it, and where its left camera sits on the body."""
     document = documents.read_document(path)
-    rig, warnings = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+    rig, warnings = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     stated = options.camera(*size)
     if stated is not None:
         rig = replace(rig, left=stated, right=stated)
-    return (rig, warnings), trajectories.inverted(calibration.camera_from_body(document, "cam0", path))
+    return (rig, warnings), trajectories.inverted(rig_calibration.camera_from_body(document, "cam0", path))
 
 
 def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingParams, path: Path) -> Camera:
@@ -188,7 +189,7 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingPar
 
 
 def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:
-    row = calibration.number_row(document.get(key), key, path)
+    row = number_row(document.get(key), key, path)
     if len(row) != 4:
         raise InputError(f"{key} must be 4 numbers.", path)
     return row

@@ -2,7 +2,7 @@
 
     left/000000.png  right/000000.png  …
     left01.png  right01.png  …                    the same in one folder
-    calibration.json | .toml | .yaml | .xml       see stages.scans.formats.calibration.read_rig
+    calibration.json | .toml | .yaml | .xml       see stages.scans.formats.rig_calibration.read_rig
     poses.txt | poses.tum | trajectory.log | …    camera-to-world, a pose a pair
 
 Poses with timestamps (TUM form) are taken at the times in times.txt (seconds, one a pair) when it is there.

@@ -22,6 +22,7 @@ from stages.files import documents, lzfse_blocks
 from stages.files.images import decode_color, read_raw_depth
 from stages.files.zip_archives import entry_content, opened_archive
 from stages.scans.formats import calibration, trajectories
+from stages.scans.formats.table_values import number_row
 from stages.scans.reading.files import DEPTHS, IMAGES, common_size, first_existing, images, numbers, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -252,7 +253,7 @@ def _camera(table: dict[str, Any], path: Path, options: ReadingParams, folder: P
     stated = stated_camera(options, folder, width, height)
     if stated is not None:
         return stated
-    row = calibration.number_row(table.get("K"), "K", path)
+    row = number_row(table.get("K"), "K", path)
     if len(row) != 9:
         raise InputError("its metadata holds no camera K of 9 numbers.", path)
     matrix = np.reshape(row, (3, 3)).T
@@ -262,7 +263,7 @@ def _camera(table: dict[str, Any], path: Path, options: ReadingParams, folder: P
 
 
 def _own_camera(value: object, shared: Camera, path: Path, where: str) -> Camera:
-    row = calibration.number_row(value, f"perFrameIntrinsicCoeffs of {where}", path)
+    row = number_row(value, f"perFrameIntrinsicCoeffs of {where}", path)
     if len(row) != 4:
         raise InputError(f"perFrameIntrinsicCoeffs of {where} must be 4 numbers: fx, fy, cx, cy.", path)
     fx, fy, cx, cy = row
@@ -270,7 +271,7 @@ def _own_camera(value: object, shared: Camera, path: Path, where: str) -> Camera
 
 
 def _pose(entry: object, path: Path, where: str) -> Pose | None:
-    row = calibration.number_row(entry, f"the pose of {where}", path)
+    row = number_row(entry, f"the pose of {where}", path)
     if len(row) != 7:
         raise InputError(f"the pose of {where} must be 7 numbers: qx qy qz qw tx ty tz.", path)
     pose = trajectories.pose_from_quaternion(row[4:], row[:4], path, where)

@@ -12,7 +12,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.images import image_size
 from stages.scans.formats import trajectories
-from stages.scans.formats.calibration import with_baseline
+from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.files import first_existing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.images import read_raw_depth, read_stored
-from stages.scans.formats import calibration, trajectories
+from stages.scans.formats import rig_calibration, trajectories
 from stages.scans.reading.files import DEPTHS, common_size, first_existing, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -136,7 +136,7 @@ def _unpacked(path: Path) -> NDArray[np.float32]:
 
 
 def _rig(camera: Camera, options: ReadingParams) -> StereoRig:
-    beside = calibration.with_baseline(np.eye(4), options.baseline or _BASELINE)
+    beside = rig_calibration.with_baseline(np.eye(4), options.baseline or _BASELINE)
     return StereoRig(camera, camera, beside, rectified=True)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.files.noting import only_looking
-from stages.scans.formats import calibration
+from stages.scans.formats import calibration, rig_calibration
 from stages.scans.scan import Camera, StereoRig
 
 _SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt")
@@ -60,7 +60,7 @@ def rigs_beside(
     with only_looking():
         for path in small_documents(folder):
             try:
-                rig, warnings = calibration.read_rig(path, width, height, baseline=baseline)
+                rig, warnings = rig_calibration.read_rig(path, width, height, baseline=baseline)
             except InputError:
                 continue
             if _is_a_lens(rig.left) and _is_a_lens(rig.right):

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats.calibration import matrix_camera, with_baseline
+from stages.scans.formats.calibration import matrix_camera
+from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import StereoRig
 

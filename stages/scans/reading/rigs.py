@@ -12,7 +12,7 @@ import numpy as np
 
 from stages.files import documents
 from stages.files.noting import note
-from stages.scans.formats import calibration
+from stages.scans.formats import rig_calibration
 from stages.scans.reading.beside import rigs_beside
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.params import ReadingParams
@@ -47,21 +47,21 @@ def rig_of(
     path = options.file("calibration", folder) or first_existing(folder, *names)
     if path is not None:
         document = _with_other_half(path)
-        rig, warnings = calibration.read_rig(path, *size, document=document, baseline=options.baseline)
+        rig, warnings = rig_calibration.read_rig(path, *size, document=document, baseline=options.baseline)
     elif stated is not None and options.baseline is not None:
-        beside = calibration.with_baseline(np.eye(4), options.baseline)
+        beside = rig_calibration.with_baseline(np.eye(4), options.baseline)
         return StereoRig(stated, stated, beside, rectified=True), [], ()
     elif has(folder, "intrinsics.yml", "extrinsics.yml"):
         # OpenCV's stereo sample writes the two halves as two files.
         halves = [documents.read_document(folder / name) for name in ("intrinsics.yml", "extrinsics.yml")]
-        rig, warnings = calibration.read_rig(
+        rig, warnings = rig_calibration.read_rig(
             folder / "extrinsics.yml", *size, document=halves[0] | halves[1], baseline=options.baseline
         )
     elif (halves_of := next((pair for pair in _ROS_FILES if has(folder, *pair)), None)) is not None:
         sides = dict(
             zip(("left", "right"), map(documents.read_document, map(folder.joinpath, halves_of)), strict=True)
         )
-        rig, warnings = calibration.read_rig(
+        rig, warnings = rig_calibration.read_rig(
             folder / halves_of[1], *size, document=sides, baseline=options.baseline
         )
     elif found := rigs_beside(folder, *size, options.baseline):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stages.errors import InputError
-from stages.scans.formats import calibration
+from stages.scans.formats import rig_calibration
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
 from stages.scans.reading.streams import Pair
@@ -91,7 +91,7 @@ def _rig(recording: Recording, left: ImageTopic, right: ImageTopic, options: Rea
     else:
         stands = {side: {"R": one.rectification, "P": one.projection} for side, one in sides.items()}
         document |= {side: _table(one) | stands[side] for side, one in sides.items()}
-    rig, _ = calibration.read_rig(
+    rig, _ = rig_calibration.read_rig(
         recording.path, first.width, first.height, document=document, baseline=options.baseline
     )
     return rig

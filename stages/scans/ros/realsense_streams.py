@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stages.errors import InputError
-from stages.scans.formats import calibration
+from stages.scans.formats import calibration, rig_calibration
 from stages.scans.formats.trajectories import inverted
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.rigs import stated_rig
@@ -142,7 +142,7 @@ def _infrared_pair(recording: RealSense, streams: Sequence[RealSenseStream], opt
     document: dict[str, Any] = {"unit": "m", "R": stands[:3, :3], "T": stands[:3, 3]}
     for side, camera in zip(("1", "2"), cameras, strict=True):
         document |= {f"K{side}": camera.matrix, f"D{side}": camera.distortion}
-    rig, warnings = calibration.read_rig(
+    rig, warnings = rig_calibration.read_rig(
         recording.path, cameras[0].width, cameras[0].height, document=document, baseline=options.baseline
     )
     return Pair(left, right, rig, tuple(warnings), _accelerometer(recording, left.name))

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stages.errors import InputError
-from stages.scans.formats.calibration import read_camera, read_depth_scale, read_rig
+from stages.scans.formats.calibration import read_camera, read_depth_scale
+from stages.scans.formats.rig_calibration import read_rig
 
 K = [[100, 0, 16], [0, 110, 12], [0, 0, 1]]
 BENT = [0.1, -0.2, 0.003, 0.004, 0.05]

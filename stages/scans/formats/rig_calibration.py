@@ -1,0 +1,288 @@
+"""Read the calibration of a pair of cameras: JSON, TOML, OpenCV, Kalibr, ROS and ORB-SLAM YAML, `K.txt`.
+
+How the second camera stands to the first, in metres, whatever names and unit the file's writer used.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+from stages.files import documents
+from stages.scans.formats import orb_slam, trajectories
+from stages.scans.formats.calibration import (
+    MATRIX_AND_BASELINE,
+    TEXTS,
+    camera_from_table,
+    coefficients,
+    kalibr_camera,
+    matrix_camera,
+    text_matrix,
+    text_numbers,
+)
+from stages.scans.formats.table_values import matrix_in, number_of, table_in
+from stages.scans.scan import Camera, Pose, StereoRig
+
+# Left and right names of one thing: OpenCV's samples, its tutorials, and our own tables.
+_MATRICES = (("K1", "K2"), ("M1", "M2"), ("camera_matrix_left", "camera_matrix_right"), ("Kl", "Kr"))
+_PROJECTIONS = ("projection_matrix", "P", "p")
+_DISTORTIONS = (("D1", "D2"), ("dist_coeffs_left", "dist_coeffs_right"), ("Dl", "Dr"))
+# No rig carried by hand or car is wider; a larger number is in millimetres.
+_WIDEST_METRES = 10.0
+
+
+def read_rig(
+    path: Path,
+    width: int,
+    height: int,
+    *,
+    document: dict[str, Any] | None = None,
+    baseline: float | None = None,
+) -> tuple[StereoRig, list[str]]:
+    """Read a stereo rig for images of this size in pixels, and return it with what is odd about the file.
+
+    Accepted forms: tables `left` and `right` with `R`, `T` or `baseline` beside them; one camera and a
+    `baseline` for a rectified pair; OpenCV's `K1 D1 K2 D2 R T` (or `M1 …`), or `P1 P2` for rectified images;
+    Kalibr's `cam0` and `cam1`; ROS's camera_info under `left` and `right`; ORB-SLAM's settings; a text of the
+    nine numbers of a matrix and a baseline, of a rectified pair. Lengths are metres unless `unit` says `mm`,
+    `cm` or `m`.
+
+    Parameters
+    ----------
+    path : named in messages, and read unless `document` is given.
+    document : the file's content, when several files make it up.
+    baseline : metres, in place of the file's.
+
+    Raises
+    ------
+    InputError
+        If the file does not parse, something is missing, or a number cannot be right.
+    """
+    if document is None:
+        document = _text_pair(path) if path.suffix in TEXTS else documents.read_document(path)
+    values = orb_slam.as_table(document)
+    infos = _camera_infos(values)
+    if "cam0" in values and "cam1" in values:
+        left, right, right_from_left = _kalibr(values, width, height, path)
+    elif infos is not None:
+        left, right, right_from_left = _ros(*infos, width, height, path)
+    elif "left" in values and "right" in values:
+        left, right = (
+            camera_from_table(table_in(values, side, path), width, height, path) for side in ("left", "right")
+        )
+        right_from_left = _extrinsics(values, path, required=baseline is None)
+    elif (keys := _present(values, _MATRICES)) is not None:
+        bent = _present(values, _DISTORTIONS) or ("", "")
+        left, right = (
+            matrix_camera(
+                matrix_in(values, key, path), coefficients(values.get(d), path), width, height, path
+            )
+            for key, d in zip(keys, bent, strict=True)
+        )
+        right_from_left = _extrinsics(values, path, required=baseline is None)
+    elif "P1" in values and "P2" in values:
+        left, right, right_from_left = _projections(values, width, height, path)
+    else:
+        left = right = camera_from_table(values, width, height, path)
+        right_from_left = _extrinsics(values, path, required=baseline is None)
+
+    if baseline is None:
+        right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
+    else:
+        right_from_left, warnings = with_baseline(right_from_left, baseline), []
+    if infos is not None:
+        warnings.append(
+            "the images are taken as they left the cameras, as ROS's image_raw; for image_rect give a file "
+            "with P1 and P2 alone"
+        )
+    rectified = values.get("rectified", _looks_rectified(left, right, right_from_left))
+    if not isinstance(rectified, (bool, int)):
+        raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
+    if right_from_left[0, 3] >= 0:
+        raise InputError(
+            "the second camera is not right of the first: T maps left-camera points to the right "
+            "camera, so its x must be negative. Are the two cameras swapped?",
+            path,
+        )
+    return StereoRig(left, right, right_from_left, bool(rectified)), warnings
+
+
+def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
+    """Return the relation of two cameras, their distance set to `baseline` metres (along x if it was 0)."""
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    moved: Pose = right_from_left.copy()
+    moved[:3, 3] = (-baseline, 0, 0) if length == 0 else right_from_left[:3, 3] * (baseline / length)
+    return moved
+
+
+def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+    """Read Kalibr's camchain of two cameras: `T_cn_cnm1` takes points of camera 0 to camera 1."""
+    cameras = [kalibr_camera(values, side, width, height, path) for side in ("cam0", "cam1")]
+    if "T_cn_cnm1" not in values["cam1"] and "T_cam_imu" in values["cam1"]:
+        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        return cameras[0], cameras[1], right @ trajectories.inverted(left)
+    matrix = trajectories.matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
+    return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+
+
+def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return the tables of two cameras as ROS states them, each with its projection, or None."""
+    sides = values.get("left"), values.get("right")
+    if not all(isinstance(side, dict) and _first_key(side, _PROJECTIONS) for side in sides):
+        return None
+    return sides[0], sides[1]  # type: ignore[return-value]
+
+
+def _ros(
+    left: dict[str, Any], right: dict[str, Any], width: int, height: int, path: Path
+) -> tuple[Camera, Camera, Pose]:
+    """Read two of ROS's camera_info: R turns a camera to be rectified, P[0,3] / P[0,0] is minus the baseline.
+
+    A point x of the left camera is R_right^T (R_left x + t) in the right one.
+    """
+    cameras = [camera_from_table(side, width, height, path) for side in (left, right)]
+    turns = [_rectification(side, path) for side in (left, right)]
+    key = _first_key(right, _PROJECTIONS)
+    projection = matrix_in(right, key or "", path)
+    if projection.shape != (3, 4) or projection[0, 0] == 0:
+        raise InputError(f"{key} of the right camera is not a 3x4 projection.", path)
+    right_from_left = np.eye(4)
+    right_from_left[:3, :3] = turns[1].T @ turns[0]
+    right_from_left[:3, 3] = turns[1].T @ (projection[0, 3] / projection[0, 0], 0, 0)
+    return cameras[0], cameras[1], _finite_pose(right_from_left, "R and P", path)
+
+
+def _rectification(table: dict[str, Any], path: Path) -> NDArray[np.float64]:
+    key = _first_key(table, ("rectification_matrix", "R", "r"))
+    turn = np.eye(3) if key is None else matrix_in(table, key, path)
+    if turn.shape != (3, 3):
+        raise InputError(f"{key} must be 3x3.", path)
+    return turn
+
+
+def _first_key(table: dict[str, Any], names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in table), None)
+
+
+def camera_from_body(values: dict[str, Any], side: str, path: Path) -> Pose:
+    """Return T_cam_imu of a camera in Kalibr's camchain: takes points of the body (the IMU) to the camera.
+
+    Raises
+    ------
+    InputError
+        If it is not there or not rigid.
+    """
+    name = f"{side}.T_cam_imu"
+    return _finite_pose(
+        trajectories.matrix_of(table_in(values, side, path).get("T_cam_imu"), path, name), name, path
+    )
+
+
+def _projections(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[Camera, Camera, Pose]:
+    """Read the projection matrices of rectified images: the baseline is -P2[0,3] / P2[0,0]."""
+    left, right = (matrix_in(values, key, path) for key in ("P1", "P2"))
+    if left.shape != (3, 4) or right.shape != (3, 4):
+        raise InputError("P1 and P2 must be 3x4.", path)
+    if left[0, 0] == 1:
+        raise InputError(
+            "P1 is not filled in, as where calibration ended before rectification. The cameras' own matrices "
+            "are needed beside R and T: name the file of both, or put intrinsics.yml beside extrinsics.yml.",
+            path,
+        )
+    cameras = [matrix_camera(p[:, :3], (), width, height, path) for p in (left, right)]
+    right_from_left = np.eye(4)
+    right_from_left[0, 3] = right[0, 3] / cameras[1].fx
+    return cameras[0], cameras[1], right_from_left
+
+
+def _extrinsics(values: dict[str, Any], path: Path, *, required: bool) -> Pose:
+    """Return right_from_left, in the file's unit, from R and T, or from a baseline along x."""
+    if "left_from_right" in values:
+        given = matrix_in(values, "left_from_right", path)
+        if given.shape != (4, 4):
+            raise InputError("the relation of the cameras must be 4x4.", path)
+        return trajectories.inverted(_finite_pose(given, "the relation of the cameras", path))
+    matrix = np.eye(4)
+    rotation = next((key for key in ("R", "rotation") if key in values), None)
+    translation = next((key for key in ("T", "translation", "t") if key in values), None)
+    if rotation is not None:
+        turn = matrix_in(values, rotation, path)
+        if turn.size == 3:
+            import cv2
+
+            turn = np.asarray(cv2.Rodrigues(turn.reshape(3))[0], np.float64)
+        if turn.shape != (3, 3):
+            raise InputError(f"{rotation} must be 3x3 (or 3 numbers, a rotation vector).", path)
+        matrix[:3, :3] = turn
+    if translation is not None:
+        shift = matrix_in(values, translation, path)
+        if shift.size != 3:
+            raise InputError(f"{translation} must be 3 numbers.", path)
+        matrix[:3, 3] = shift.ravel()
+    elif "baseline" in values:
+        matrix[0, 3] = -abs(number_of(values["baseline"], "baseline", path))
+    elif required:
+        raise InputError(
+            "how the cameras stand to each other is missing: R and T, or a baseline "
+            "(or set scan.baseline=METRES).",
+            path,
+        )
+    return _finite_pose(matrix, "R, T", path)
+
+
+def _in_metres(right_from_left: Pose, unit: object, path: Path) -> tuple[Pose, list[str]]:
+    """Return the extrinsics in metres; calibration boards are often measured in millimetres."""
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
+    if length == 0:
+        raise InputError("the two cameras stand at the same place (baseline 0); no depth can be had.", path)
+    warnings = []
+    if unit is None:
+        unit = "mm" if length > _WIDEST_METRES else "m"
+        if unit == "mm":
+            warnings.append(
+                f"the baseline of {path.name} is {length:g} without a unit, taken as millimetres; "
+                "say `unit: m` if it is not"
+            )
+    scale = {"m": 1.0, "cm": 0.01, "mm": 0.001}.get(str(unit))
+    if scale is None:
+        raise InputError(f"unit is {unit!r}; it must be m, cm or mm.", path)
+    metric = right_from_left.copy()
+    metric[:3, 3] *= scale
+    return metric, warnings
+
+
+def _looks_rectified(left: Camera, right: Camera, right_from_left: Pose) -> bool:
+    """Say whether rows correspond: no rotation, no distortion, one focal length and row centre."""
+    shift = right_from_left[:3, 3]
+    return (
+        np.allclose(right_from_left[:3, :3], np.eye(3), atol=1e-6)
+        and not any(left.distortion + right.distortion)
+        and not (left.fisheye or right.fisheye)
+        and abs(shift[1]) + abs(shift[2]) < 1e-4 * abs(shift[0])
+        and abs(left.fx - right.fx) < 1e-3
+        and abs(left.fy - right.fy) < 1e-3
+        and abs(left.cy - right.cy) < 1e-3
+    )
+
+
+def _finite_pose(matrix: NDArray[np.float64], name: str, path: Path) -> Pose:
+    pose = trajectories.rigid(matrix, path, name)
+    if pose is None:
+        raise InputError(f"{name} is not finite.", path)
+    return pose
+
+
+def _text_pair(path: Path) -> dict[str, Any]:
+    """Return the table of a rectified pair written as the nine numbers of its matrix and the baseline."""
+    numbers = text_numbers(path)
+    if len(numbers) == MATRIX_AND_BASELINE:
+        return {"K": numbers[:-1], "baseline": numbers[-1]}
+    return {"K": text_matrix(path).tolist()}
+
+
+def _present(values: dict[str, Any], names: tuple[tuple[str, str], ...]) -> tuple[str, str] | None:
+    return next((keys for keys in names if keys[0] in values and keys[1] in values), None)

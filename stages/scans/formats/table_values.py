@@ -1,0 +1,53 @@
+"""Values of calibration tables, checked: numbers, rows, matrices as nested rows, flat, or OpenCV's."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.errors import InputError
+
+
+def matrix_in(values: dict[str, Any], key: str, path: Path) -> NDArray[np.float64]:
+    """Return a matrix given as nested rows, as a flat list, or as OpenCV's rows, cols and data."""
+    value = values[key]
+    shape: tuple[int, ...] | None = None
+    try:
+        if isinstance(value, dict):
+            shape = int(value["rows"]), int(value["cols"])
+            value = value["data"]
+        array = np.asarray(value, np.float64)
+        shape = shape or {9: (3, 3), 12: (3, 4), 16: (4, 4)}.get(array.size, array.shape)
+        return array.reshape(shape)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{key} is not a matrix of numbers.", path) from error
+
+
+def number_row(value: object, name: str, path: Path) -> tuple[float, ...]:
+    """Return a list of numbers of any shape as one row; empty for None."""
+    if value is None:
+        return ()
+    return tuple(float(number) for number in matrix_in({name: value}, name, path).ravel())
+
+
+def number_of(value: object, key: str, path: Path) -> float:
+    """Return a finite number; raises InputError if the value is none."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{key} is {str(value)[:40]!r}; a number is expected.", path)
+    return number
+
+
+def table_in(values: dict[str, Any], key: str, path: Path) -> dict[str, Any]:
+    """Return a table in another; raises InputError if the value is none."""
+    table = values[key]
+    if not isinstance(table, dict):
+        raise InputError(f"{key} must be a table of names and values.", path)
+    return table
