@@ -30,7 +30,7 @@ PAGES = ROOT / "docs" / "when-it-goes-wrong"
 _CALLS = {
     "InputError", "MeshError", "StageError", "UsageError", "_MalformedError",
     "Failure", "NoMotion", "Refused", "SkippedFrame", "Warned",
-    "_apart", "_refuse", "_warn", "explained", "note", "refuse", "unmet", "warn", "without_depth",
+    "_apart", "_refuse", "_warn", "explained", "note", "refuse", "tell", "unmet", "warn", "without_depth",
 }  # fmt: skip
 # Lists that such texts are put into, and variables and arguments that hold them.
 _NAMES = {

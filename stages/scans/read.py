@@ -12,6 +12,7 @@ from stages._blas import require_buffers
 from stages._opencv import require_opencv
 from stages.errors import InputError, UsageError
 from stages.files.noting import noting
+from stages.files.telling import in_sentences, telling
 from stages.scans.layouts.refused import Refused, refused
 from stages.scans.params import ScanParams
 from stages.scans.reading.adjusted import with_adjusted
@@ -48,8 +49,9 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         layout = recognise(folder)[0]
     else:
         _require_place(folder, layout.suffixes)
-    with noting() as noted:
+    with noting() as noted, telling() as told:
         read = layout.read(folder, options)
+    read = replace(read, warnings=(*read.warnings, *in_sentences(told)))
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
     if layout.name != "sun-rgbd":  # It looks for itself.
         is_stated = options.depth_scale is not None or layout.name == "plain-rgbd"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import orb_slam
+from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import matrix_in, number_of, number_row, table_in
 from stages.scans.scan import Camera
 
@@ -37,10 +38,10 @@ def read_camera(path: Path, width: int, height: int) -> Camera:
 
     A 3x3 (or 4x4) matrix as text; or JSON, TOML or YAML with `fx fy cx cy`, or `camera_matrix`, `K` or
     `intrinsic_matrix` (which Open3D stores column-major), and `distortion`; Kalibr's camchain of one camera;
-    ORB-SLAM's settings. A stated size that differs from the images' is refused.
+    ORB-SLAM's settings. A camera for another size of the same shape is scaled, which is told.
     """
     if path.suffix in TEXTS:
-        return matrix_camera(text_matrix(path), (), width, height, path)
+        return for_images(matrix_camera(text_matrix(path), (), width, height, path), width, height, path)
     return camera_from_table(orb_slam.as_table(documents.read_document(path)), width, height, path)
 
 
@@ -86,7 +87,13 @@ def checked(camera: Camera, path: Path) -> Camera:
 
 
 def camera_from_table(values: dict[str, Any], width: int, height: int, path: Path) -> Camera:
-    """Return the camera of a table, under any of the usual names."""
+    """Return the camera of a table, under any of the usual names, for images of this size in pixels.
+
+    Raises
+    ------
+    InputError
+        If something is missing, a number cannot be right, or the table is for images of another shape.
+    """
     chain = [key for key in values if re.fullmatch(r"cam\d+", str(key))]
     if len(chain) == 1:
         return kalibr_camera(values, chain[0], width, height, path)
@@ -96,24 +103,15 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
             "that in a copy of the file.",
             path,
         )
-    size = (
-        values.get("width", values.get("image_width", width)),
-        values.get("height", values.get("image_height", height)),
-    )
-    if size != (width, height):
-        raise InputError(
-            f"it is for images of {size[0]}×{size[1]}, but these are {width}×{height}; "
-            "give the calibration of this size.",
-            path,
-        )
+    size = stated_size(values, width, height, path)
     bent = next(
         (values[key] for key in ("distortion", "distortion_coefficients", "D", "d", "dist") if key in values),
         None,
     )
     fisheye = is_fisheye(values.get("distortion_model"), path)
     distortion = coefficients(bent, path, fisheye=fisheye)
-    camera = _without_model(values, distortion, width, height, path)
-    return replace(camera, fisheye=fisheye)
+    camera = _without_model(values, distortion, *size, path)
+    return for_images(replace(camera, fisheye=fisheye), width, height, path)
 
 
 def _without_model(
@@ -142,13 +140,12 @@ def kalibr_camera(values: dict[str, Any], side: str, width: int, height: int, pa
     if table.get("camera_model", "pinhole") != "pinhole":
         raise InputError(f"{side} is of camera_model {table['camera_model']}; pinhole is supported.", path)
     fisheye = is_fisheye(table.get("distortion_model"), path)
-    if table.get("resolution", [width, height]) != [width, height]:
-        raise InputError(f"{side} is for images of another size than {width}×{height}.", path)
     row = number_row(table.get("intrinsics"), "intrinsics", path)
     if len(row) != 4:
         raise InputError(f"{side}.intrinsics must be 4 numbers: fu, fv, cu, cv.", path)
     bent = coefficients(table.get("distortion_coeffs"), path, fisheye=fisheye)
-    return checked(Camera(width, height, *row, distortion=bent, fisheye=fisheye), path)
+    camera = Camera(*stated_size(table, width, height, path), *row, distortion=bent, fisheye=fisheye)
+    return for_images(checked(camera, path), width, height, path)
 
 
 def matrix_camera(

@@ -24,6 +24,7 @@ from stages.scans.formats.calibration import (
     text_matrix,
     text_numbers,
 )
+from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import matrix_in, number_of, table_in
 from stages.scans.scan import Camera, Pose, StereoRig
 
@@ -77,12 +78,12 @@ def read_rig(
         right_from_left = _extrinsics(values, path, required=baseline is None)
     elif (keys := _present(values, _MATRICES)) is not None:
         bent = _present(values, _DISTORTIONS) or ("", "")
-        left, right = (
-            matrix_camera(
-                matrix_in(values, key, path), coefficients(values.get(d), path), width, height, path
-            )
-            for key, d in zip(keys, bent, strict=True)
-        )
+        size = stated_size(values, width, height, path)
+        cameras = [
+            matrix_camera(matrix_in(values, key, path), coefficients(values.get(lens), path), *size, path)
+            for key, lens in zip(keys, bent, strict=True)
+        ]
+        left, right = (for_images(camera, width, height, path) for camera in cameras)
         right_from_left = _extrinsics(values, path, required=baseline is None)
     elif "P1" in values and "P2" in values:
         left, right, right_from_left = _projections(values, width, height, path)
@@ -193,9 +194,12 @@ def _projections(values: dict[str, Any], width: int, height: int, path: Path) ->
             "are needed beside R and T: name the file of both, or put intrinsics.yml beside extrinsics.yml.",
             path,
         )
-    cameras = [matrix_camera(p[:, :3], (), width, height, path) for p in (left, right)]
+    size = stated_size(values, width, height, path)
+    cameras = [
+        for_images(matrix_camera(p[:, :3], (), *size, path), width, height, path) for p in (left, right)
+    ]
     right_from_left = np.eye(4)
-    right_from_left[0, 3] = right[0, 3] / cameras[1].fx
+    right_from_left[0, 3] = right[0, 3] / right[0, 0]
     return cameras[0], cameras[1], right_from_left
 
 

@@ -19,6 +19,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.images import read_stored
 from stages.scans.formats import calibration, rig_calibration, trajectories
+from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import number_row
 from stages.scans.reading.files import common_size, first_existing, has
 from stages.scans.reading.gravity import ups_of
@@ -178,14 +179,13 @@ def _camera(document: dict[str, Any], size: tuple[int, int], options: ReadingPar
     if document.get("camera_model", "pinhole") != "pinhole":
         raise InputError(f"camera_model {document['camera_model']} is not supported; pinhole is.", path)
     fisheye = calibration.is_fisheye(document.get("distortion_model"), path)
-    if document.get("resolution", list(size)) != list(size):
-        raise InputError(
-            f"it is for images of {document['resolution']}, but these are {size[0]}×{size[1]}.", path
-        )
     fx, fy, cx, cy = _four(document, "intrinsics", path)
     distortion = _four(document, "distortion_coefficients", path)
-    camera = Camera(*size, fx, fy, cx, cy, distortion, fisheye)
-    return options.camera(*size) or calibration.checked(camera, path)
+    stated = options.camera(*size)
+    if stated is not None:
+        return stated
+    camera = Camera(*stated_size(document, *size, path), fx, fy, cx, cy, distortion, fisheye)
+    return for_images(calibration.checked(camera, path), *size, path)
 
 
 def _four(document: dict[str, Any], key: str, path: Path) -> tuple[float, ...]:

@@ -32,6 +32,7 @@ from stages.scans.scan import Camera, Frame, Packed, Pose, Scan
 
 _NAMES = ("frames.json", "info.json", "data.json", "scan_info.json", "dataset.json")
 _COLOR = ("rgb", "color", "colour")
+_KCAM = {"matrix": "matrix", "undist_coeff": "distortion", "image_size": "image_size"}
 _LOOKED_AT = 4
 # A limit beyond which most of the depth lies is of another unit than it seems.
 _MOST_BEYOND = 0.5
@@ -127,7 +128,7 @@ def _images(folder: Path, entry: dict[str, Any], number: int, path: Path) -> tup
 def _camera(info: dict[str, Any], size: tuple[int, int], path: Path) -> Camera:
     table = info["kcam"] if isinstance(info["kcam"], dict) else {}
     return calibration.camera_from_table(
-        {"matrix": table.get("matrix"), "distortion": table.get("undist_coeff")}, *size, path
+        {"matrix": None} | {name: table[key] for key, name in _KCAM.items() if key in table}, *size, path
     )
 
 

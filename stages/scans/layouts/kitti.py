@@ -18,7 +18,7 @@ from stages.scans.reading.files import about_order, common_size, first_existing,
 from stages.scans.reading.kitti_oxts import unit_poses
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.projections import projected_rig, read_projections, require_rectified_size
+from stages.scans.reading.projections import projected_rig, read_projections, rectified_size
 from stages.scans.reading.rigs import uncalibrated
 from stages.scans.scan import Frame, Pose, Scan
 from stages.scans.world import Z_UP, up_of_layout
@@ -65,8 +65,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         lacking = "calib.txt (the projection matrices P0 to P3) is missing"
         missing = (f"calibration: {lacking}; name one with scan.calibration=FILE",)
     else:
-        require_rectified_size(calib, size)
-        rig, left_from_cam0 = projected_rig(projections[at], projections[at + 1], size, options, calib)
+        stated = rectified_size(calib, size)
+        rig, left_from_cam0 = projected_rig(
+            projections[at], projections[at + 1], size, options, calib, stated
+        )
     world_from_cam0: list[Pose | None] = [None] * len(names)
     up = None
     path = options.file("poses", folder) or _pose_file(folder)

@@ -14,7 +14,7 @@ from stages.files.images import image_size
 from stages.scans.reading.files import has, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
-from stages.scans.reading.projections import projected_rig, read_projections, require_rectified_size
+from stages.scans.reading.projections import projected_rig, read_projections, rectified_size
 from stages.scans.scan import Frame, Scan
 
 _CAMERAS = (
@@ -64,8 +64,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if not {at, at + 1} <= projections.keys():
         raise InputError(f"it states no projection matrices {at} and {at + 1}.", calib)
     size = image_size(next(one for one, _ in pairs if one.stem.startswith(scene)))
-    require_rectified_size(calib, size)
-    rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib)
+    stated = rectified_size(calib, size)
+    rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
     # Those of other scenes fall away when the person's choice is applied.
     frames = [Frame(name=one.stem, camera=rig.left, color=one, right=other) for one, other in pairs]
     missing = ("poses: the data set has none; name a trajectory with scan.poses=FILE",)

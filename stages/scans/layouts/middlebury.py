@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from stages.files import documents
 from stages.files.images import image_size
 from stages.scans.formats import trajectories
 from stages.scans.formats.calibration import checked
+from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -34,8 +36,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[StereoRig, list[str]]:
     values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(calib), re.MULTILINE))
     try:
-        left, right = (_camera(values[key], size, calib) for key in ("cam0", "cam1"))
-        stated = int(values.get("width", size[0])), int(values.get("height", size[1]))
+        stated = stated_size({key: values[key] for key in ("width", "height") if key in values}, *size, calib)
+        left, right = (_camera(values[key], stated, calib) for key in ("cam0", "cam1"))
         doffs = float(values["doffs"]) if "doffs" in values else right.cx - left.cx
         baseline = float(values["baseline"])
         disparities = int(values["ndisp"]) if "ndisp" in values else None
@@ -43,12 +45,10 @@ def _rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> tuple[St
         raise InputError(
             f"cam0, cam1 and baseline are needed; {error} is missing or no number.", calib
         ) from error
-    if stated != size:
-        raise InputError(
-            f"it is for images of {stated[0]}×{stated[1]}, but im0.png is {size[0]}×{size[1]}; "
-            "give the calibration of this size.",
-            calib,
-        )
+    # Smaller images of a pair often lie beside the calibration of the large ones.
+    left, smaller = for_images(left, *size, calib), size[0] / stated[0]
+    doffs *= smaller
+    disparities = None if disparities is None else math.ceil(disparities * smaller)
     if not (0 < baseline < 1e5 and abs(doffs) < size[0]):
         raise InputError(f"baseline={baseline:g} mm or doffs={doffs:g} px cannot be right.", calib)
     warnings = []

@@ -180,7 +180,7 @@ def _cameras(
 
 def _color_camera(path: Path, size: tuple[int, int]) -> tuple[Camera, list[str]]:
     """Return the camera of colour images of this size, scaled where the file is for the data set's own."""
-    original = calibration.read_camera(path, *_COLOR_SIZE)
+    original = calibration.matrix_camera(calibration.text_matrix(path), (), *_COLOR_SIZE, path)
     if abs(original.cx - size[0] / 2) <= _LARGEST_OFFSET * size[0]:
         return replace(original, width=size[0], height=size[1]), []
     said = (

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypeVar
 
 from stages.errors import InputError
 from stages.files.noting import only_looking
+from stages.files.telling import in_sentences, telling
 from stages.scans.formats import calibration, rig_calibration
+from stages.scans.formats.image_size import was_scaled
 from stages.scans.scan import Camera, StereoRig
+
+Told = list[tuple[str, Path]]
+T = TypeVar("T")
 
 _SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt")
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
@@ -36,20 +42,26 @@ def small_documents(folder: Path, most: int = _MAX_BYTES) -> list[Path]:
     return found if len(found) <= _MOST_FILES else []
 
 
-def cameras_beside(folder: Path, width: int, height: int) -> list[tuple[Camera, Path]]:
-    """Return the cameras for images of this size that files of a folder state, by the files' names."""
+def cameras_beside(folder: Path, width: int, height: int) -> list[tuple[Camera, Path, Told]]:
+    """Return the cameras for images of this size that files of a folder state, by the files' names.
+
+    Those of files for another size of the same shape are scaled; they count only where no file is for this
+    size. What is odd about a file is the last of the three.
+    """
     with only_looking():
-        return list(_cameras(folder, width, height))
+        found = list(_cameras(folder, width, height))
+    return _of_this_size(found)
 
 
-def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Path]]:
+def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Path, Told]]:
     for path in small_documents(folder):
         try:
-            camera = calibration.read_camera(path, width, height)
+            with telling() as told:
+                camera = calibration.read_camera(path, width, height)
         except InputError:
             continue
         if _is_a_lens(camera):
-            yield camera, path
+            yield camera, path, told
 
 
 def rigs_beside(
@@ -60,12 +72,18 @@ def rigs_beside(
     with only_looking():
         for path in small_documents(folder):
             try:
-                rig, warnings = rig_calibration.read_rig(path, width, height, baseline=baseline)
+                with telling() as told:
+                    rig, warnings = rig_calibration.read_rig(path, width, height, baseline=baseline)
             except InputError:
                 continue
             if _is_a_lens(rig.left) and _is_a_lens(rig.right):
-                found.append((rig, warnings, path))
-    return found
+                found.append(((rig, [*warnings, *in_sentences(told)]), path, told))
+    return [(rig, warnings, path) for (rig, warnings), path, _ in _of_this_size(found)]
+
+
+def _of_this_size(found: list[tuple[T, Path, Told]]) -> list[tuple[T, Path, Told]]:
+    """Leave out what is scaled, where something else is not."""
+    return [one for one in found if not was_scaled(one[2])] or found
 
 
 def _is_a_lens(camera: Camera) -> bool:

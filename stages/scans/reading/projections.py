@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats.calibration import matrix_camera
+from stages.scans.formats.image_size import for_images, is_of_shape
 from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import StereoRig
+
+# Images that were made smaller are smaller than so, as a share of the stated width.
+_SMALLER = 0.9
 
 
 def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
@@ -45,19 +49,30 @@ def read_projections(calib: Path) -> dict[int, NDArray[np.float64]]:
     return found
 
 
-def require_rectified_size(calib: Path, size: tuple[int, int]) -> None:
-    """Raise InputError if the file states another size of rectified images: these are then not rectified."""
+def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
+    """Return the size of rectified images that the file is for: theirs, or that of larger ones.
+
+    Raises
+    ------
+    InputError
+        If it states another size: these are then not rectified. Cameras of other days have nearly one size,
+        and a little smaller is another day's.
+    """
     stated = re.findall(r"^S_rect_0\d:\s*(\S+)\s+(\S+)\s*$", documents.read_text(calib), re.MULTILINE)
     try:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:
         raise InputError("S_rect is not two numbers.", calib) from error
-    if sizes and size not in sizes:
+    if not sizes or size in sizes:
+        return size
+    width, height = sizes[0]
+    if size[0] > _SMALLER * width or not is_of_shape(sizes[0], size):
         raise InputError(
-            f"it is for rectified images of {sizes[0][0]}×{sizes[0][1]}, but these are {size[0]}×{size[1]}: "
+            f"it is for rectified images of {width}×{height}, but these are {size[0]}×{size[1]}: "
             "they are not rectified. Give the synchronised and rectified ones.",
             calib,
         )
+    return width, height
 
 
 def projected_rig(
@@ -66,8 +81,14 @@ def projected_rig(
     size: tuple[int, int],
     options: ReadingParams,
     calib: Path,
+    stated: tuple[int, int] | None = None,
 ) -> tuple[StereoRig, NDArray[np.float64]]:
     """Return the rig and left_from_cam0: in a projection K [I | t], t takes camera 0 to its camera.
+
+    Parameters
+    ----------
+    left, right : (3, 4) float64 projections.
+    size, stated : of the images, and of those that the projections are for; (width, height) in pixels.
 
     Raises
     ------
@@ -77,7 +98,8 @@ def projected_rig(
     cameras, offsets = [], []
     for matrix in (left, right):
         k = matrix[:, :3]
-        cameras.append(options.camera(*size) or matrix_camera(k, (), *size, calib))
+        camera = matrix_camera(k, (), *(stated or size), calib)
+        cameras.append(options.camera(*size) or for_images(camera, *size, calib))
         if abs(np.linalg.det(k)) < 1e-9:
             raise InputError("a projection matrix is singular.", calib)
         offset = np.eye(4)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from stages.files.noting import note
+from stages.files.telling import in_sentences
 from stages.scans.formats import calibration
 from stages.scans.reading.beside import cameras_beside
 from stages.scans.reading.params import ReadingParams
@@ -36,12 +37,16 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
     Without one the camera is a guess. The last of the three is what is to be said.
     """
     found = cameras_beside(folder, width, height)
-    if len({camera for camera, _ in found}) == 1:
-        camera, path = found[0]
+    if len({camera for camera, *_ in found}) == 1:
+        camera, path, told = found[0]
         note(path)
-        return camera, path, [f"the camera is read from {path.name}, which lies beside the images"]
+        return (
+            camera,
+            path,
+            [f"the camera is read from {path.name}, which lies beside the images", *in_sentences(told)],
+        )
     if found:
-        names = ", ".join(path.name for _, path in found[:5])
+        names = ", ".join(path.name for _, path, _ in found[:5])
         camera, guessed = _guessed_camera(width, height)
         return camera, None, [f"{names} state different cameras: none is taken", guessed]
     camera, guessed = _guessed_camera(width, height)

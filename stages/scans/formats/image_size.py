@@ -1,0 +1,104 @@
+"""The size of images that a calibration states, and its camera for those that are there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from stages.errors import InputError
+from stages.files.telling import tell
+from stages.scans.formats.table_values import number_of, number_row
+from stages.scans.scan import Camera, scaled
+
+# Two numbers, or a name for each.
+_SIZES = ("image_size", "imageSize", "img_size", "resolution", "size")
+_SIDES = (("width", "height"), ("image_width", "image_height"), ("image_Width", "image_Height"), ("w", "h"))
+_LARGEST_SIDE = 1 << 16
+# Sides are rounded where images are made smaller: 1280×720 becomes 854×480.
+_SAME_SHAPE = 0.01
+# A lens is not mounted so far from the middle of its images, as a share of them.
+_OFF_CENTRE = 0.25
+# Where the centre says another size, both of its numbers say the same one.
+_SAME_FACTOR = 0.1
+# How what is said of a scaled camera begins.
+_SCALED = "is for images of "
+
+
+def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> tuple[int, int]:
+    """Return the (width, height) in pixels that a table states; that of the images where it says nothing.
+
+    Raises
+    ------
+    InputError
+        If what it states can be no size.
+    """
+    sides = next((names for names in _SIDES if all(name in values for name in names)), None)
+    pair = next((name for name in _SIZES if name in values), None)
+    if sides is not None:
+        size = tuple(number_of(values[name], name, path) for name in sides)
+    elif pair is not None and not isinstance(values[pair], (int, float, str)):
+        size = number_row(values[pair], pair, path)
+    else:
+        return width, height
+    if len(size) != 2 or not all(1 <= side <= _LARGEST_SIDE for side in size):
+        shown = "×".join(f"{side:g}" for side in size[:4])
+        raise InputError(f"the size of its images, {shown}, cannot be right.", path)
+    return round(size[0]), round(size[1])
+
+
+def for_images(camera: Camera, width: int, height: int, path: Path) -> Camera:
+    """Return the camera of a calibration for images of this size, which are the same ones made smaller.
+
+    That it is scaled is told, and that its centre is not theirs.
+
+    Raises
+    ------
+    InputError
+        If the size that the calibration is for has another shape: images are then cropped or turned.
+    """
+    if (camera.width, camera.height) == (width, height):
+        _tell_of_centre(camera, path)
+        return camera
+    if not is_of_shape((camera.width, camera.height), (width, height)):
+        raise InputError(
+            f"it is for images of {camera.width}×{camera.height}, but these are {width}×{height}, which is "
+            "another shape: they are cropped or turned. Give the calibration of these images.",
+            path,
+        )
+    tell(
+        f"is for images of {camera.width}×{camera.height}: its camera is scaled to these of {width}×{height}",
+        path,
+    )
+    return scaled(camera, width, height)
+
+
+def is_of_shape(first: tuple[int, int], second: tuple[int, int]) -> bool:
+    """Say whether two sizes, (width, height), are those of one image made smaller.
+
+    Where one side is the same and the other is not, the image was cropped.
+    """
+    if (first[0] == second[0]) != (first[1] == second[1]):
+        return False
+    return abs(first[0] * second[1] / (first[1] * second[0]) - 1) <= _SAME_SHAPE
+
+
+def was_scaled(told: Sequence[tuple[str, Path]]) -> bool:
+    """Say whether a camera that was read meanwhile was for another size."""
+    return any(said.startswith(_SCALED) for said, _ in told)
+
+
+def _tell_of_centre(camera: Camera, path: Path) -> None:
+    across, down = (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
+    if all(abs(share - 0.5) <= _OFF_CENTRE for share in (across, down)):
+        return
+    hint = ""
+    if across > 0 and abs(across / max(down, 1e-9) - 1) < _SAME_FACTOR:
+        larger = (across + down) * camera.width, (across + down) * camera.height
+        hint = f", such as {larger[0]:.0f}×{larger[1]:.0f}"
+    tell(
+        f"has its principal point at ({camera.cx:g}, {camera.cy:g}), far from the centre of images of "
+        f"{camera.width}×{camera.height}: it may be for another size{hint}; scan.intrinsics=fx,fy,cx,cy "
+        "states the right one",
+        path,
+    )
