@@ -51,6 +51,7 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         _require_place(folder, layout.suffixes)
     with noting() as noted, telling() as told:
         read = layout.read(folder, options)
+    _require_used(options, folder, layout, read, noted)
     read = replace(read, warnings=(*read.warnings, *in_sentences(told)))
     scan = with_up(_without_still_poses(replace(read, read_from=_files_of(read, noted))), layout, options)
     if layout.name != "sun-rgbd":  # It looks for itself.
@@ -72,6 +73,34 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
         require_complete(scan, folder)
     _require_equal_sides(scan.frames, folder)
     return scan
+
+
+def _require_used(
+    options: ScanParams, folder: Path, layout: Layout, read: Scan, noted: Collection[Path]
+) -> None:
+    """Raise UsageError for what the person states and the layout's reader has no use for."""
+    opened = {path.resolve() for path in noted}
+    for name in ("poses", "calibration"):
+        path = options.file(name, folder if folder.is_dir() else folder.parent)
+        if path is None or path.resolve() in opened:
+            continue
+        if name == "calibration" and options.intrinsics is not None:
+            raise UsageError(
+                f"scan.intrinsics and scan.calibration={path.name} both state the camera; leave one out."
+            )
+        raise UsageError(
+            f"scan.{name}={path.name} has no use: the layout {layout.name} takes none. Leave it out."
+        )
+    if options.baseline is not None and not read.is_stereo:
+        raise UsageError(
+            "scan.baseline is the distance between the two cameras of a pair, and these frames are no pairs; "
+            "leave it out."
+        )
+    if options.poses_by_order and options.poses is None and not read.has_poses:
+        raise UsageError(
+            "scan.poses_by_order pairs a trajectory with the frames, and there is none; name one with "
+            "scan.poses=FILE."
+        )
 
 
 def _files_of(scan: Scan, noted: Collection[Path]) -> frozenset[Path]:

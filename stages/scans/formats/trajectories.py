@@ -88,20 +88,6 @@ def read_trajectory(path: Path) -> Trajectory:
     )
 
 
-def read_timed(path: Path) -> Trajectory:
-    """Read a trajectory whose poses have timestamps, and put it in the order of time.
-
-    Raises
-    ------
-    InputError
-        If its form has none, or it cannot be read.
-    """
-    trajectory = read_trajectory(path)
-    if trajectory.timestamps is None:
-        raise InputError("its poses have no timestamps, which are needed to find a frame's pose.", path)
-    return in_order(trajectory)
-
-
 def read_pose(path: Path) -> Pose | None:
     """Read one pose from a file with a 4x4 (or 3x4) matrix in rows; None when it marks lost tracking."""
     values = [value for _, row in _number_lines(path) for value in row]

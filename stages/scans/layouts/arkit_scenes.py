@@ -16,13 +16,14 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.files import documents
-from stages.scans.formats import calibration, trajectories
+from stages.scans.formats import calibration
 from stages.scans.reading.files import IMAGES, common_size, has
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.phones import least_confidence
 from stages.scans.reading.stated import found_camera, stated_camera
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.reading.timed_poses import poses_at
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 from stages.scans.world import Z_UP
 
 _UNITS_PER_METRE = 1000.0
@@ -55,7 +56,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     cameras = _by_time(folder / "lowres_wide_intrinsics", (".pincam",))
     confidences = _by_time(folder / "confidence", IMAGES)
     path = options.file("poses", folder) or folder / "lowres_wide.traj"
-    trajectory = trajectories.read_timed(path) if path.exists() or options.poses else None
+    is_posed = path.exists() or options.poses is not None
     size = common_size(list(depths.values()))
     stated = stated_camera(options, folder, *size)
     warnings: list[str] = []
@@ -64,16 +65,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     least, said = least_confidence(options, _LEVELS, folder)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    for time, depth in sorted(depths.items()):
-        moment = time * _MILLISECOND
+    moments = [time * _MILLISECOND for time in sorted(depths)]
+    poses: list[Pose | None] = [None] * len(moments)
+    if is_posed:
+        names = [depths[time].stem for time in sorted(depths)]
+        poses = poses_at(path, moments, names, _POSE_TOLERANCE, options)
+    for (time, depth), moment, pose in zip(sorted(depths.items()), moments, poses, strict=True):
         color, pincam = _beside(colors, time), _beside(cameras, time)
         camera = stated or (None if pincam is None else _camera(pincam, size))
-        pose = None
-        if trajectory is not None:
-            pose = trajectories.interpolate(trajectory, moment, _POSE_TOLERANCE)
-            if pose is None:
-                skipped.append(SkippedFrame(depth.stem, "no pose within 0.005 s"))
-                continue
+        if pose is None and is_posed:
+            skipped.append(SkippedFrame(depth.stem, "no pose within 0.005 s"))
+            continue
         if camera is None or (color is None and colors):
             lacking = ".pincam" if camera is None else "colour image"
             skipped.append(SkippedFrame(depth.stem, f"its {lacking} is missing"))
@@ -92,7 +94,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     lacking = "poses: lowres_wide.traj is missing; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if trajectory is None else ()
+    missing = () if is_posed else (lacking,)
     if confidences:
         warnings.append(said)
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)

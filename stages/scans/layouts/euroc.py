@@ -26,6 +26,7 @@ from stages.scans.reading.gravity import ups_of
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Accelerometer
+from stages.scans.reading.timed_poses import poses_at
 from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, StereoRig
 from stages.scans.world import Z_UP
 
@@ -58,8 +59,6 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         (rig, body_from_left), warnings = _rig(mav, size, options), []
     path = options.file("poses", folder) or first_existing(mav, *_GROUND_TRUTH)
-    trajectory = None if path is None else trajectories.read_timed(path)
-
     accelerometer = _accelerometer(mav, body_from_left)
     frames: list[Frame] = []
     skipped = [
@@ -68,9 +67,12 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         for time in sorted(streams[side].keys() - streams[1 - side].keys())
     ]
     is_wide = _is_wide(list(streams[0].values()))
-    for time in sorted(streams[0].keys() & streams[1].keys()):
-        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
-        if pose is None and trajectory is not None:
+    times = sorted(streams[0].keys() & streams[1].keys())
+    poses: list[Pose | None] = [None] * len(times)
+    if path is not None:
+        poses = poses_at(path, times, [str(time) for time in times], _TOLERANCE, options)
+    for time, pose in zip(times, poses, strict=True):
+        if pose is None and path is not None:
             skipped.append(SkippedFrame(str(time), "no pose within 0.03 s"))
             continue
         frames.append(
@@ -87,7 +89,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     ups, about_up = ups_of(accelerometer if frames else None, moments)
     frames = [replace(frame, up=up) for frame, up in zip(frames, ups, strict=True)]
     lacking = f"poses: {_GROUND_TRUTH[0]} is missing; name a trajectory of the body with scan.poses=FILE"
-    missing = (lacking,) if trajectory is None else ()
+    missing = (lacking,) if path is None else ()
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (*warnings, *about_up), missing)
 
 

@@ -18,7 +18,8 @@ from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
-from stages.scans.scan import Camera, Frame, Scan, SkippedFrame, scaled
+from stages.scans.reading.timed_poses import poses_at
+from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
 from stages.scans.world import Y_DOWN
 
 _CAMERA = Camera(640, 480, 481.2, 480.0, 319.5, 239.5)
@@ -36,16 +37,17 @@ def _matches(folder: Path) -> str | None:
 def _read(folder: Path, options: ReadingParams) -> Scan:
     listed = read_associations(folder / "associations.txt")
     path = options.file("poses", folder) or _pose_file(folder)
-    trajectory = None if path is None else _trajectory(path)
     size = common_size([one.depth for one in listed])
     camera = stated_camera(options, folder, *size) or scaled(_CAMERA, *size)
     frames: list[Frame] = []
     skipped: list[SkippedFrame] = []
-    for one in listed:
+    poses: list[Pose | None] = [None] * len(listed)
+    if path is not None:
         # The number of a frame stands where other recordings have its time.
-        number = one.depth_time
-        pose = None if trajectory is None else trajectories.interpolate(trajectory, number, _TOLERANCE)
-        if pose is None and trajectory is not None:
+        moments, names = [one.depth_time for one in listed], [one.depth.stem for one in listed]
+        poses = poses_at(path, moments, names, _TOLERANCE, options, _trajectory)
+    for one, pose in zip(listed, poses, strict=True):
+        if pose is None and path is not None:
             skipped.append(SkippedFrame(one.depth.stem, "no pose of its number"))
             continue
         frames.append(
@@ -59,7 +61,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     missing = (f"poses: {_POSES} is missing; name a trajectory with scan.poses=FILE",)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing if trajectory is None else ())
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing if path is None else ())
 
 
 def _pose_file(folder: Path) -> Path | None:
@@ -72,7 +74,7 @@ def _pose_file(folder: Path) -> Path | None:
 
 def _trajectory(path: Path) -> Trajectory:
     """Return the trajectory with y down; one that is not the data set's own has it so already."""
-    trajectory = trajectories.read_timed(path)
+    trajectory = trajectories.read_trajectory(path)
     if not path.match(_POSES):
         return trajectory
     poses = [None if pose is None else _Y_OVER @ pose @ _Y_OVER for pose in trajectory.poses]

@@ -11,11 +11,12 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.files.images import image_size
+from stages.scans.formats import trajectories
 from stages.scans.reading.files import has, images, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.projections import projected_rig, read_projections, rectified_size
-from stages.scans.scan import Frame, Scan
+from stages.scans.scan import Frame, Pose, Scan
 
 _CAMERAS = (
     ("image_2", "image_3", 2),
@@ -67,8 +68,17 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     stated = rectified_size(calib, size)
     rig, _ = projected_rig(projections[at], projections[at + 1], size, options, calib, stated)
     # Those of other scenes fall away when the person's choice is applied.
-    frames = [Frame(name=one.stem, camera=rig.left, color=one, right=other) for one, other in pairs]
-    missing = ("poses: the data set has none; name a trajectory with scan.poses=FILE",)
+    given = options.file("poses", folder)
+    names = [one.stem for one, _ in pairs]
+    poses: list[Pose | None] = [None] * len(pairs)
+    if given is not None:
+        poses = trajectories.match(trajectories.read_trajectory(given), names, given)
+    frames = [
+        Frame(name=name, camera=rig.left, color=one, right=other, world_from_camera=pose)
+        for name, (one, other), pose in zip(names, pairs, poses, strict=True)
+    ]
+    lacking = "poses: the data set has none; name a trajectory with scan.poses=FILE"
+    missing = (lacking,) if given is None else ()
     return Scan(LAYOUT.name, frames, rig, folder, tuple(skipped), (), missing)
 
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files.images import read_raw_depth
-from stages.scans.formats import trajectories
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import stated_camera
-from stages.scans.scan import Camera, Frame, Packed, Scan, SkippedFrame, scaled
+from stages.scans.reading.timed_poses import poses_at
+from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame, scaled
 
 _FILE = re.compile(r"([rd])-(\d{1,10}\.\d+)-\d+\.p[pg]m")
 # Both streams run at 30 Hz at most, and not in step.
@@ -77,18 +77,22 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     size = common_size([path for _, path in depths])
     camera = stated_camera(options, folder, *size) or scaled(_DEPTH_CAMERA, *size)
     given = options.file("poses", folder)
-    trajectory = None if given is None else trajectories.read_timed(given)
     depth_times, color_times = (
         np.array([time for time, _ in stream], np.int64) for stream in (depths, colors)
     )
     partners = nearest_in_time(depth_times, color_times, _TOLERANCE)
+    skipped = [
+        SkippedFrame(depth.stem, "no colour image within 0.05 s")
+        for (_, depth), partner in zip(depths, partners.tolist(), strict=True)
+        if partner < 0
+    ]
+    paired = [(*one, at) for one, at in zip(depths, partners.tolist(), strict=True) if at >= 0]
+    poses: list[Pose | None] = [None] * len(paired)
+    if given is not None:
+        moments, names = [time for time, *_ in paired], [depth.stem for _, depth, _ in paired]
+        poses = poses_at(given, moments, names, _TOLERANCE, options)
     frames: list[Frame] = []
-    skipped: list[SkippedFrame] = []
-    for (time, depth), partner in zip(depths, partners.tolist(), strict=True):
-        if partner < 0:
-            skipped.append(SkippedFrame(depth.stem, "no colour image within 0.05 s"))
-            continue
-        pose = None if trajectory is None else trajectories.interpolate(trajectory, time, _TOLERANCE)
+    for (time, depth, partner), pose in zip(paired, poses, strict=True):
         frames.append(
             Frame(
                 name=depth.stem,
@@ -103,7 +107,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             )
         )
     lacking = "poses: the data set has none; name a trajectory with scan.poses=FILE"
-    missing = (lacking,) if trajectory is None else ()
+    missing = (lacking,) if given is None else ()
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), (), missing)
 
 

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stages.errors import InputError
 from stages.scans.formats import trajectories
+from stages.scans.formats.trajectories import Trajectory
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Pose
 
 
 def poses_at(
-    path: Path, moments: Sequence[int], names: Sequence[str], tolerance: int, options: ReadingParams
+    path: Path,
+    moments: Sequence[int],
+    names: Sequence[str],
+    tolerance: int,
+    options: ReadingParams,
+    read: Callable[[Path], Trajectory] = trajectories.read_trajectory,
 ) -> list[Pose | None]:
     """Return the pose of each frame; None where none is near enough in time.
 
@@ -21,13 +27,14 @@ def poses_at(
     path : of the trajectory.
     moments, names : of the frames, nanoseconds, and how messages call them.
     tolerance : nanoseconds.
+    read : reads the file.
 
     Raises
     ------
     InputError
         If the file cannot be read, its poses have no times, or none of them is near a frame.
     """
-    trajectory = trajectories.read_trajectory(path)
+    trajectory = read(path)
     if options.poses_by_order:
         return trajectories.match(trajectory, names, path)
     if trajectory.timestamps is None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -126,3 +128,13 @@ def test_without_any_pincam_the_camera_is_guessed(scan_folder):
     scan = read_scan(scan_folder)
     assert [frame.camera.fx for frame in scan.frames] == [26.25, 26.25]
     assert any("is guessed" in text and "scan.intrinsics" in text for text in scan.warnings)
+
+
+def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
+    named = ScanParams(poses="mine.tum")
+    with pytest.raises(InputError, match=r"none of its 2 poses .* As many are frames: scan\.poses_by_order"):
+        read_scan(scan_folder, named)
+    scan = read_scan(scan_folder, replace(named, poses_by_order=True))
+    np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -268,3 +270,16 @@ def test_the_excerpt_without_readings_takes_up_from_its_poses(shared_data):
     scan = read_scan(shared_data / "stereo/euroc_V1_01_easy_static")
     for frame in scan.frames:
         np.testing.assert_allclose(frame.world_from_camera[:3, :3] @ frame.up, (0, 0, 1), atol=1e-9)
+
+
+def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
+    named = ScanParams(poses="mine.tum")
+    with pytest.raises(InputError, match=r"none of its 2 poses .* As many are frames: scan\.poses_by_order"):
+        read_scan(scan_folder, named)
+    scan = read_scan(scan_folder, replace(named, poses_by_order=True))
+    # As EuRoC's trajectories they are of the body: the camera stands 0.1 m ahead of it.
+    body_from_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    for frame, body in zip(scan.frames, (tiny.identity, tiny.second), strict=True):
+        np.testing.assert_allclose(frame.world_from_camera, body @ body_from_camera, atol=1e-9)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,14 @@ def test_wrong_poses_are_refused(scan_folder, text):
     (scan_folder / "livingRoom1.gt.freiburg").write_text(text)
     with pytest.raises(InputError, match=r"livingRoom1\.gt\.freiburg"):
         read_scan(scan_folder)
+
+
+def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "mine.tum").write_text(f"500 0 0 0 0 0 0 1\n501 1 2 3 {turned}\n502 0 0 0 0 0 0 1\n")
+    named = ScanParams(poses="mine.tum", intrinsics=tiny.option)
+    with pytest.raises(InputError, match=r"none of its 3 poses .* As many are frames: scan\.poses_by_order"):
+        read_scan(scan_folder, named)
+    scan = read_scan(scan_folder, replace(named, poses_by_order=True))
+    assert [frame.name for frame in scan.frames] == ["0", "1", "2"]
+    np.testing.assert_allclose([tiny.seen(one) for one in scan.frames[:2]], tiny.points, atol=1e-6)

@@ -48,6 +48,14 @@ def test_the_two_moments_of_a_scene_lack_poses(scan_folder):
         read_scan(scan_folder, ScanParams(first=2, last=3))
 
 
+def test_poses_that_are_named_are_taken(scan_folder, tiny):
+    poses = [tiny.identity, tiny.second] * 2
+    rows = [" ".join(f"{value:g}" for value in pose[:3].ravel()) for pose in poses]
+    (scan_folder / "mine.txt").write_text("\n".join(rows))
+    scan = read_scan(scan_folder, ScanParams(first=2, last=3, poses="mine.txt"))
+    np.testing.assert_allclose([frame.world_from_camera for frame in scan.frames], poses[2:])
+
+
 def test_the_older_set_names_its_folders_otherwise(scan_folder):
     for old, new in (("image_2", "image_0"), ("image_3", "image_1"), ("calib_cam_to_cam", "calib")):
         (scan_folder / old).rename(scan_folder / new)

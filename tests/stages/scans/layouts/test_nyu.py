@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -115,3 +117,14 @@ def correlation(color, depth):
     jumps = cv2.magnitude(cv2.Sobel(logs, cv2.CV_32F, 1, 0), cv2.Sobel(logs, cv2.CV_32F, 0, 1)) > 0.3
     known = cv2.erode((depth > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     return np.corrcoef(np.minimum(edges[known], 200), jumps[known])[0, 1]
+
+
+def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+    turned = " ".join(map(str, tiny.second_quaternion))
+    (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
+    named = ScanParams(poses="mine.tum", intrinsics=tiny.option)
+    with pytest.raises(InputError, match=r"none of its 2 poses .* As many are frames: scan\.poses_by_order"):
+        read_scan(scan_folder, named)
+    scan = read_scan(scan_folder, replace(named, poses_by_order=True))
+    for frame, pose in zip(scan.frames, (tiny.identity, tiny.second), strict=True):
+        np.testing.assert_allclose(frame.world_from_camera, pose, atol=1e-9)

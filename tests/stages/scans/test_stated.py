@@ -1,0 +1,60 @@
+"""What a person states and a folder has no use for is refused in a sentence, not ignored in silence."""
+
+import numpy as np
+import pytest
+
+from stages.errors import UsageError
+from stages.scans.params import ScanParams
+from stages.scans.read import read_scan
+
+
+@pytest.fixture
+def scan_folder(tmp_path, tiny, matrix_text):
+    for number, pose in enumerate((tiny.identity, tiny.second)):
+        tiny.color(tmp_path / f"frame-{number:06d}.color.png")
+        tiny.depth(tmp_path / f"frame-{number:06d}.depth.png", 1000)
+        (tmp_path / f"frame-{number:06d}.pose.txt").write_text(matrix_text(pose))
+    (tmp_path / "camera-intrinsics.txt").write_text("100 0 16\n0 100 12\n0 0 1\n")
+    return tmp_path
+
+
+@pytest.fixture
+def pair_folder(tmp_path, tiny):
+    for name in ("im0.png", "im1.png"):
+        tiny.color(tmp_path / name)
+    (tmp_path / "calib.txt").write_text(
+        "cam0=[100 0 16; 0 100 12; 0 0 1]\ncam1=[100 0 16; 0 100 12; 0 0 1]\ndoffs=0\nbaseline=100\n"
+    )
+    return tmp_path
+
+
+def test_a_calibration_that_the_layout_does_not_take(pair_folder):
+    (pair_folder / "mine.json").write_text("{}")
+    with pytest.raises(UsageError, match=r"mine\.json has no use: the layout middlebury takes none"):
+        read_scan(pair_folder, ScanParams(calibration="mine.json"), complete=False)
+
+
+def test_a_camera_stated_twice(scan_folder):
+    with pytest.raises(UsageError, match=r"scan\.intrinsics and scan\.calibration=.* both state the camera"):
+        read_scan(scan_folder, ScanParams(intrinsics="100,100,16,12", calibration="camera-intrinsics.txt"))
+
+
+def test_the_baseline_of_no_pair(scan_folder):
+    with pytest.raises(UsageError, match="these frames are no pairs"):
+        read_scan(scan_folder, ScanParams(baseline=0.1))
+
+
+def test_an_order_of_no_poses(scan_folder):
+    for path in scan_folder.glob("*.pose.txt"):
+        path.unlink()
+    with pytest.raises(UsageError, match=r"there is none; name one with scan\.poses=FILE"):
+        read_scan(scan_folder, ScanParams(poses_by_order=True), complete=False)
+
+
+def test_what_is_used_is_not_refused(scan_folder, tiny):
+    (scan_folder / "mine.txt").write_text("0 0 0 0 0 0 1\n" * 2)
+    stated = ScanParams(calibration="camera-intrinsics.txt", poses="mine.txt", poses_by_order=True)
+    # Poses that are all the same are none, but the file was read.
+    scan = read_scan(scan_folder, stated, complete=False)
+    assert "all 2 frames have the same one" in scan.missing[0]
+    np.testing.assert_allclose(scan.frames[0].camera.fx, tiny.intrinsics[0])
