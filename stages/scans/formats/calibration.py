@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats import orb_slam
+from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import matrix_in, number_of, number_row, table_in
 from stages.scans.scan import Camera
@@ -111,6 +112,7 @@ def camera_from_table(values: dict[str, Any], width: int, height: int, path: Pat
     fisheye = is_fisheye(values.get("distortion_model"), path)
     distortion = coefficients(bent, path, fisheye=fisheye)
     camera = _without_model(values, distortion, *size, path)
+    tell_of_camera(values, camera, path)
     return for_images(replace(camera, fisheye=fisheye), width, height, path)
 
 

@@ -24,6 +24,7 @@ from stages.scans.formats.calibration import (
     text_matrix,
     text_numbers,
 )
+from stages.scans.formats.contradictions import tell_of_rectified, tell_of_rig, tell_of_two_relations
 from stages.scans.formats.image_size import for_images, stated_size
 from stages.scans.formats.table_values import matrix_in, number_of, table_in
 from stages.scans.scan import Camera, Pose, StereoRig
@@ -91,6 +92,7 @@ def read_rig(
         left = right = camera_from_table(values, width, height, path)
         right_from_left = _extrinsics(values, path, required=baseline is None)
 
+    length = float(np.linalg.norm(right_from_left[:3, 3]))
     if baseline is None:
         right_from_left, warnings = _in_metres(right_from_left, values.get("unit"), path)
     else:
@@ -100,7 +102,8 @@ def read_rig(
             "the images are taken as they left the cameras, as ROS's image_raw; for image_rect give a file "
             "with P1 and P2 alone"
         )
-    rectified = values.get("rectified", _looks_rectified(left, right, right_from_left))
+    looks_rectified = _looks_rectified(left, right, right_from_left)
+    rectified = values.get("rectified", looks_rectified)
     if not isinstance(rectified, (bool, int)):
         raise InputError(f"rectified is {rectified!r}; it must be true or false.", path)
     if right_from_left[0, 3] >= 0:
@@ -109,7 +112,12 @@ def read_rig(
             "camera, so its x must be negative. Are the two cameras swapped?",
             path,
         )
-    return StereoRig(left, right, right_from_left, bool(rectified)), warnings
+    rig = StereoRig(left, right, right_from_left, bool(rectified))
+    if rectified and not looks_rectified:
+        tell_of_rectified(rig, path)
+    if baseline is None:
+        tell_of_rig(document, values, rig, length, path)
+    return rig, warnings
 
 
 def with_baseline(right_from_left: Pose, baseline: float) -> Pose:
@@ -127,7 +135,12 @@ def _kalibr(values: dict[str, Any], width: int, height: int, path: Path) -> tupl
         left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
         return cameras[0], cameras[1], right @ trajectories.inverted(left)
     matrix = trajectories.matrix_of(values["cam1"].get("T_cn_cnm1"), path, "cam1.T_cn_cnm1")
-    return cameras[0], cameras[1], _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+    right_from_left = _finite_pose(matrix, "cam1.T_cn_cnm1", path)
+    if all("T_cam_imu" in values[side] for side in ("cam0", "cam1")):
+        left, right = (camera_from_body(values, side, path) for side in ("cam0", "cam1"))
+        by_body = right @ trajectories.inverted(left)
+        tell_of_two_relations(right_from_left, by_body, "cam1.T_cn_cnm1 and T_cam_imu", path)
+    return cameras[0], cameras[1], right_from_left
 
 
 def _camera_infos(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]] | None:

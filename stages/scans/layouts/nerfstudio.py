@@ -19,6 +19,7 @@ import numpy as np
 from stages.errors import InputError
 from stages.files import documents
 from stages.files.images import has_alpha, read_alpha
+from stages.files.telling import tell
 from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import IMAGES, common_size, numbers
 from stages.scans.reading.layout import Layout
@@ -31,6 +32,8 @@ from stages.scans.scan import Camera, Frame, Packed, Pose, Scan, SkippedFrame
 from stages.scans.world import Z_UP, WorldUp, up_of_layout
 
 _PREFERRED = ("transforms.json", "transforms_train.json")
+# A focal length and an angle of view that are stated beside each other are rounded.
+_SAME_FOCAL_LENGTH = 0.02
 _SIZE = ("w", "h")
 _BENT = ("k1", "k2", "p1", "p2", "k3")
 # What is given for the whole file or for every frame of it, never for both.
@@ -286,15 +289,22 @@ def _camera(table: dict[str, Any], width: int, height: int, path: Path) -> Camer
 
 def _focal_length(table: dict[str, Any], axis: str, pixels: int, path: Path) -> float | None:
     """Return fl_x or fl_y, or what the angle of view in radians makes it; None without either."""
+    stated, key = None, f"camera_angle_{axis}"
     if table.get(f"fl_{axis}") is not None:
-        return _number(table, f"fl_{axis}", path, math.nan)
-    key = f"camera_angle_{axis}"
+        stated = _number(table, f"fl_{axis}", path, math.nan)
     if table.get(key) is None:
-        return None
+        return stated
     angle = _number(table, key, path, math.nan)
     if not 0 < angle < math.pi:
         raise InputError(f"{key} is {angle:g}; it must be an angle in radians between 0 and π.", path)
-    return 0.5 * pixels / math.tan(0.5 * angle)
+    by_angle = 0.5 * pixels / math.tan(0.5 * angle)
+    if stated is not None and abs(by_angle - stated) > _SAME_FOCAL_LENGTH * abs(stated):
+        tell(
+            f"states a focal length of {stated:.4g} px (fl_{axis}) and one of {by_angle:.4g} px ({key}, for "
+            f"{pixels} px): the first is taken",
+            path,
+        )
+    return by_angle if stated is None else stated
 
 
 def _number(table: dict[str, Any], key: str, path: Path, default: float) -> float:
