@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from stages.exporting.presets import preset
     from stages.fusion.fuse import Fused, fuse
     from stages.fusion.params import FuseParams
-    from stages.inspecting.inspect import Inspection, inspect
+    from stages.inspecting.inspect import inspect
+    from stages.inspecting.inspection import Inspection
     from stages.normal_meshes.normal_mesh import NormalMesh, Offsets, decode
     from stages.normal_meshes.remesh import RemeshParams, remesh
     from stages.picturing.compare_views import ViewComparison, ViewsParams, compare_views
@@ -84,7 +85,8 @@ _NAMES_OF = {
     "exporting.presets": ("preset",),
     "fusion.fuse": ("Fused", "fuse"),
     "fusion.params": ("FuseParams",),
-    "inspecting.inspect": ("Inspection", "inspect"),
+    "inspecting.inspect": ("inspect",),
+    "inspecting.inspection": ("Inspection",),
     "normal_meshes.normal_mesh": ("NormalMesh", "Offsets", "decode"),
     "normal_meshes.remesh": ("RemeshParams", "remesh"),
     "picturing.compare_views": ("ViewComparison", "ViewsParams", "compare_views"),

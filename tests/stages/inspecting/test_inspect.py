@@ -9,7 +9,8 @@ import pytest
 
 from stages.errors import InputError
 from stages.fusion.fuse import fuse
-from stages.inspecting.inspect import Inspection, inspect
+from stages.inspecting.inspect import inspect
+from stages.inspecting.inspection import Inspection
 from stages.inspecting.sanity import require_poses
 from stages.scans.images import read_color
 from stages.scans.params import ScanParams

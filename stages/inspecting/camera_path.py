@@ -1,0 +1,62 @@
+"""The way of the camera, and where it jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stages.printing import by_fields
+from stages.scans.scan import Scan
+
+# A person walking with a camera does not move faster between two frames.
+_LARGEST_STEP_M = 0.5
+_LARGEST_TURN_DEG = 30.0
+
+
+@dataclass(frozen=True)
+class Path3D:
+    """The way of the camera: lengths in metres, angles in degrees.
+
+    `outliers` are frames that a larger step (0.5 m or 30 degrees, or five usual steps) leads to.
+    """
+
+    length_m: float
+    box_m: tuple[float, float, float]
+    largest_step_m: float
+    largest_turn_deg: float
+    outliers: tuple[str, ...]
+
+    __repr__ = by_fields
+
+
+def camera_path(scan: Scan) -> tuple[Path3D | None, list[str]]:
+    """Return the way of the camera, None without poses, and what is odd about it."""
+    frames = scan.frames
+    poses = np.array([frame.world_from_camera for frame in frames if frame.world_from_camera is not None])
+    if not len(poses):
+        return None, []
+    centres, rotations = poses[:, :3, 3], poses[:, :3, :3]
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    cosines = (np.einsum("nij,nij->n", rotations[:-1], rotations[1:]) - 1) / 2
+    turns = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    # A car makes a metre a frame: a step is odd when it is large both as such and for this scan.
+    least = _LARGEST_STEP_M if scan.is_metric else 0.0
+    limit = max(least, 5 * float(np.median(steps))) if len(steps) else 0.0
+    jumps = np.flatnonzero((steps > limit) | (turns > _LARGEST_TURN_DEG))
+    outliers = tuple(frames[i + 1].name for i in jumps)
+    box = np.ptp(centres, axis=0)
+    path = Path3D(
+        length_m=float(steps.sum()),
+        box_m=(float(box[0]), float(box[1]), float(box[2])),
+        largest_step_m=float(steps.max(initial=0.0)),
+        largest_turn_deg=float(turns.max(initial=0.0)),
+        outliers=outliers,
+    )
+    if not outliers:
+        return path, []
+    named = ", ".join(outliers[:3]) + (" …" if len(outliers) > 3 else "")
+    return path, [
+        f"{len(outliers)} poses jump, by more than {limit:.2g} {'m' if scan.is_metric else 'units'} or "
+        f"{_LARGEST_TURN_DEG:g}° from the one before: {named}"
+    ]

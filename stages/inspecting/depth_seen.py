@@ -1,0 +1,85 @@
+"""The depth of the sampled frames: how far, how much is missing, in what unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from stages.files.images import read_raw_depth
+from stages.printing import by_fields
+from stages.scans.scan import DepthImage, Frame, Scan
+
+_PLAUSIBLE_M = (0.1, 20.0)
+# Units a metre of the layouts in use, for a hint when the depth cannot be right.
+SCALES = {
+    1000.0: "millimetres",
+    10000.0: "tenths of millimetres",
+    4000.0: "quarters of millimetres",
+    5000.0: "TUM RGB-D",
+    6553.5: "Replica",
+    256.0: "KITTI depth",
+    80000.0: "tenths of millimetres, bits rotated",
+    1.0: "metres",
+}
+
+
+@dataclass(frozen=True)
+class DepthRange:
+    """Depth of the sampled frames: percentiles in metres, the share of pixels without a value (0 to 1)."""
+
+    sampled_frames: int
+    near_m: float
+    median_m: float
+    far_m: float
+    missing_share: float
+
+    __repr__ = by_fields
+
+
+def depth_range(
+    maps: Sequence[DepthImage | None], scan: Scan, *, with_hints: bool
+) -> tuple[DepthRange | None, list[str]]:
+    """Return what the depth maps (h, w), metres, hold, None if nothing, and what is odd about it.
+
+    Parameters
+    ----------
+    with_hints : say which unit would make it plausible.
+    """
+    present = [depth for depth in maps if depth is not None]
+    if not present:
+        return None, ["no sampled frame has a depth map"]
+    values = np.concatenate([depth.ravel() for depth in present])
+    valid = values[values > 0]
+    if not valid.size:
+        return None, ["no pixel of the sampled frames has a depth; all are 0 or missing"]
+    near, median, far = (float(value) for value in np.percentile(valid, (2, 50, 98)))
+    measured = DepthRange(len(present), near, median, far, 1 - valid.size / values.size)
+    low, high = _PLAUSIBLE_M
+    if low <= median <= high or not scan.is_metric:
+        return measured, []
+    scale = scan.frames[0].depth_scale
+    hints = [
+        f"{other:g} ({name})"
+        for other, name in SCALES.items()
+        if other != scale and 0.3 <= median * scale / other <= 8
+    ]
+    advice = (
+        f"; scan.depth_scale={' or '.join(hints)} would make it plausible" if hints and with_hints else ""
+    )
+    return measured, [f"the median depth is {median:.3g} m with {scale:g} units a metre{advice}"]
+
+
+def markers(frames: Sequence[Frame]) -> list[str]:
+    """Find a raw value at the top of the range that fills more than 1 % of the pixels: surely no depth."""
+    raws = [(frame, read_raw_depth(frame.depth)) for frame in frames if isinstance(frame.depth, Path)]
+    raws = [(frame, raw) for frame, raw in raws if raw.dtype.kind == "u"]
+    if not raws:
+        return []
+    top = max(int(raw.max(initial=0)) for _, raw in raws)
+    share = sum(np.count_nonzero(raw == top) for _, raw in raws) / sum(raw.size for _, raw in raws)
+    if share <= 0.01 or top in (0, *raws[0][0].depth_missing):
+        return []
+    return [f"{share:.0%} of the depth pixels hold the largest value, {top}; probably it marks a missing one"]

@@ -1,0 +1,206 @@
+"""What a scan holds: the result of `inspect`."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from stages.fusion.scene import Scene, in_words
+from stages.inspecting.camera_path import Path3D
+from stages.inspecting.depth_seen import DepthRange
+from stages.inspecting.outlook import Outlook
+from stages.inspecting.unused import Unused
+from stages.printing import by_figures, table
+from stages.registration.focal import Focal
+from stages.scans.scan import Camera, Scan
+from stages.scans.world import Scale, WorldUp
+
+# Of files that nobody used, so many are named to a person.
+_SHOWN = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What a scan holds.
+
+    Attributes
+    ----------
+    scan : what was inspected.
+    color_size : (width, height) of the colour (left) images, pixels; None without colour.
+    path : of the camera; None without poses.
+    depth : of RGB-D scans, None when no sampled frame has any.
+    stereo_depth_m : for calibrated pairs: the depth at the largest stated disparity (or None) and at one
+        pixel.
+    misfit_px : how far from its match a point that two frames show lands by depth and poses, median; None if
+        not measured.
+    pose_errors_m : median depth error after reprojection, by how the poses are taken; empty if not measured.
+    least_sharp : the least sharp twentieth of the frames with colour, the worst first, each with the variance
+        of its image's Laplacian over the median frame's; of long scans, of a sample.
+    scene : where what the frames show lies in the scan's world, of RGB-D scans with poses.
+    outlook : what fusing takes, of the same.
+    subject : what poses will be found for, `scene`, or the `object` that moves before a camera that stands
+        still; None where there are poses, or no depth maps.
+    focal : of the depth camera, where nobody states it and the frames tell it.
+    up : which way is up in the world of the poses; None where neither layout nor accelerometer says it.
+    warnings : all that is odd, the reader's own first.
+    unused : files of the folder that nobody used.
+    """
+
+    scan: Scan
+    color_size: tuple[int, int] | None
+    path: Path3D | None
+    depth: DepthRange | None
+    stereo_depth_m: tuple[float | None, float] | None
+    misfit_px: float | None
+    pose_errors_m: dict[str, float]
+    least_sharp: tuple[tuple[str, float], ...]
+    scene: Scene | None
+    outlook: Outlook | None
+    up: WorldUp | None
+    warnings: tuple[str, ...]
+    subject: str | None = None
+    focal: Focal | None = None
+    unused: tuple[Unused, ...] = ()
+
+    __repr__ = by_figures
+    _repr_html_ = table
+
+    def figures(self) -> dict[str, Any]:
+        """Return everything as what JSON can hold; units are in the names.
+
+        Where the scan is not `metric`, metres are the unit of its world.
+        """
+        scan = self.scan
+        camera = scan.frames[0].camera
+        rig = scan.rig
+        return {
+            "layout": scan.layout,
+            "kind": "stereo" if scan.is_stereo else "views" if scan.is_views else "rgbd",
+            "frames": len(scan.frames),
+            "skipped": [{"frame": one.name, "reason": one.reason} for one in scan.skipped],
+            "camera": dataclasses.asdict(camera) if camera.is_calibrated else None,
+            "color_size_px": self.color_size,
+            "subject": self.subject,
+            "focal": self.focal and self.focal.figures(),
+            "metric": scan.is_metric,
+            "scale": scan.scale and scan.scale.figures(),
+            **(self.up.figures() if self.up else {"up": None, "up_source": None}),
+            "depth_scale_per_m": None if scan.is_stereo or scan.is_views else scan.frames[0].depth_scale,
+            "rig": {
+                "right_camera": dataclasses.asdict(rig.right),
+                "baseline_m": rig.baseline,
+                "rectified": rig.rectified,
+                "disparities_px": rig.disparities,
+            }
+            if rig is not None and rig.left.is_calibrated
+            else None,
+            "path": self.path and dataclasses.asdict(self.path),
+            "depth": self.depth and dataclasses.asdict(self.depth),
+            "stereo_depth_m": self.stereo_depth_m
+            and {"largest_disparity": self.stereo_depth_m[0], "one_pixel": self.stereo_depth_m[1]},
+            "misfit_px": self.misfit_px,
+            "pose_errors_m": self.pose_errors_m,
+            "least_sharp": [{"frame": name, "of_median": value} for name, value in self.least_sharp],
+            "scene": self.scene and dataclasses.asdict(self.scene),
+            "outlook": self.outlook and dataclasses.asdict(self.outlook),
+            "missing": list(scan.missing),
+            "warnings": list(self.warnings),
+            "unused": [dataclasses.asdict(one) for one in self.unused],
+        }
+
+    def lines(self) -> list[str]:
+        """Return the same as lines of text for a person."""
+        scan, camera = self.scan, self.scan.frames[0].camera
+        single = "single views" if scan.is_views else "colour and depth"
+        kind = "stereo pairs" if scan.is_stereo else single
+        m = "m" if scan.is_metric else "units"
+        lines = [
+            f"layout    {scan.layout}: {kind}",
+            f"frames    {len(scan.frames)}" + (f", {len(scan.skipped)} left out" if scan.skipped else ""),
+            f"camera    {_camera_words(camera)}",
+        ]
+        if not scan.is_metric:
+            lines.append("scale     none: lengths are in units of the scan's own world")
+        if scan.scale is not None:
+            lines.append(f"scale     {_scale_words(scan.scale)}")
+        if self.up is not None:
+            x, y, z = self.up.direction
+            lines.append(f"up        {x:.3g} {y:.3g} {z:.3g}, by {self.up.source}")
+        if self.color_size and self.color_size != (camera.width, camera.height):
+            lines.append(f"colour    {self.color_size[0]}×{self.color_size[1]} px")
+        if scan.rig is not None and camera.is_calibrated:
+            state = "rectified" if scan.rig.rectified else "not rectified"
+            lines.append(f"rig       baseline {scan.rig.baseline:.4f} m, {state}")
+        if self.path is not None and len(scan.frames) > 1:
+            box = " × ".join(f"{side:.2f}" for side in self.path.box_m)
+            lines.append(
+                f"path      {self.path.length_m:.2f} {m} in a box of {box} {m}; "
+                f"largest step {self.path.largest_step_m:.3f} {m}, {self.path.largest_turn_deg:.1f}°"
+            )
+        if self.depth is not None:
+            lines.append(
+                f"depth     {self.depth.near_m:.2f} to {self.depth.far_m:.2f} {m} (2nd to 98th percentile), "
+                f"median {self.depth.median_m:.2f} {m}; {self.depth.missing_share:.0%} missing "
+                f"(in {self.depth.sampled_frames} of {len(scan.frames)} frames)"
+            )
+        if self.stereo_depth_m is not None:
+            near, far = self.stereo_depth_m
+            start = "" if near is None else f"{near:.2f} m at the largest disparity, "
+            lines.append(f"depth     {start}{far:.1f} m at a disparity of one pixel")
+        if self.pose_errors_m:
+            ways = sorted(self.pose_errors_m.items(), key=lambda way: way[1])
+            words = " and ".join(
+                (f"{error * 1000:.0f} mm" if scan.is_metric else f"{error:.2g} units") + f" {name}"
+                for name, error in ways[:2]
+            )
+            lines.append(
+                f"poses     depth of one frame meets another's to {words} (median, the best two ways)"
+            )
+        if self.subject == "object":
+            lines.append(
+                "subject   a thing that moves before a camera that stands still: `scanloom run` registers it "
+                "alone, all that is seen with register.subject=scene"
+            )
+        if self.misfit_px is not None:
+            lines.append(f"misfit    points that two frames show lie {self.misfit_px:.2g} px apart (median)")
+        if self.least_sharp:
+            words = ", ".join(f"{name} ({value:.0%})" for name, value in self.least_sharp[:5])
+            lines.append(f"sharpness least in {words} of the median frame's")
+        if self.scene is not None:
+            lines += [
+                f"extent    {self.scene} m, lowest to highest corner (1st to 99th percentile)",
+                f"looks at  {in_words(self.scene.center_m)} m, the centre of view",
+            ]
+        if self.outlook is not None:
+            needs = self.outlook
+            lines.append(
+                f"fusion    about {needs.triangles:,} triangles at voxels of {needs.voxel_size_m:g} {m}; "
+                f"{needs.volume_mb:.0f} MB of memory, {needs.disk_mb:.0f} MB on disk"
+            )
+        found = "" if scan.is_views else "; without, `scanloom run` finds them"
+        lines += [f"missing   {text}{found if text.startswith('poses:') else ''}" for text in scan.missing]
+        lines += [f"left out  {one.name}: {one.reason}" for one in scan.skipped[:5]]
+        if len(scan.skipped) > 5:
+            lines.append(f"left out  and {len(scan.skipped) - 5} more")
+        lines += [f"warning   {text}" for text in self.warnings]
+        lines += [f"not used  {one}" for one in self.unused[:_SHOWN]]
+        if len(self.unused) > _SHOWN:
+            lines.append(f"not used  and {len(self.unused) - _SHOWN} more")
+        return lines
+
+
+def _scale_words(scale: Scale) -> str:
+    spread = "" if scale.spread_share is None else f", which differ by {scale.spread_share:.1%} at most"
+    return f"{scale.metres_per_unit:.6g} m a unit, {scale.source}{spread}"
+
+
+def _camera_words(camera: Camera) -> str:
+    if not camera.is_calibrated:
+        return f"{camera.width}×{camera.height} px"
+    kind = "fisheye " if camera.fisheye else ""
+    bent = f", {kind}distortion {' '.join(f'{k:g}' for k in camera.distortion)}" if camera.distortion else ""
+    return (
+        f"{camera.width}×{camera.height} px, focal length {camera.fx:.2f} {camera.fy:.2f} px, "
+        f"centre {camera.cx:.2f} {camera.cy:.2f} px{bent}"
+    )
