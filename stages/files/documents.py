@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from stages.errors import InputError
 from stages.files.inside import leads_inside
-from stages.files.opening import text_in
+from stages.files.opening import opened, text_in
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -25,6 +25,8 @@ _MAX_DOCUMENT_BYTES = 1 << 22
 # YAML is read at some 100 kB a second.
 _MAX_YAML_BYTES = 1 << 19
 _LONGEST_NAME = 255
+_WIDE_MARKS = (b"\xff\xfe", b"\xfe\xff")
+_NO_TEXT = re.compile("[\x00-\x08\x0e-\x1f\x7f-\x84\x86-\x9f]")
 # Tables in tables: scans go ten deep.
 _DEEPEST = 64
 _TOO_DEEP = f"it is nested more than {_DEEPEST} deep"
@@ -34,11 +36,23 @@ _LONGEST_NUMBER = 400
 
 
 def read_text(path: Path) -> str:
-    """Return a text file's content, with a plain sentence when it cannot be read."""
+    """Return a text file's content, with a plain sentence when it cannot be read.
+
+    UTF-8; UTF-16 where it begins with its mark, as Windows' shell writes it; else Latin-1, which older
+    programs wrote, if there is nothing in it that no text has.
+    """
     try:
         if path.stat().st_size > _MAX_TEXT_BYTES:
             raise InputError("the file is too large for what it should hold.", path)
-        return text_in(path, "utf-8-sig")
+        with opened(path) as file:
+            is_wide = file.read(2) in _WIDE_MARKS
+        try:
+            return text_in(path, "utf-16" if is_wide else "utf-8-sig")
+        except UnicodeDecodeError:
+            text = text_in(path, "latin-1")
+            if is_wide or _NO_TEXT.search(text):
+                raise
+            return text
     except OSError as error:
         raise InputError(f"the file cannot be read ({error.strerror}).", path) from error
     except UnicodeDecodeError as error:
@@ -54,13 +68,16 @@ def lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def require_inside(name: str, path: Path, where: str) -> str:
-    """Return a file name that a list states: a path below a folder, of names that file systems allow.
+    r"""Return a file name that a list states: a path below a folder, of names that file systems allow.
+
+    A `\` of Windows parts folders as `/` does.
 
     Raises
     ------
     InputError
         If it is something else. A scan is read from its own folder only: its lists may come from anywhere.
     """
+    name = name.replace("\\", "/")
     parts = name.split("/")
     if (
         not all(parts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from stages.scans.scan import Scan
 _MOST_FILES = 20_000
 # More files of one kind in a folder are told as one.
 _ALONE = 3
+_TEXTS_ALONE = 12
 # Larger texts are logs and meshes; a pose takes some hundred bytes.
 _MAX_BYTES = 1 << 22
 _TEXTS = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt", ".csv", ".log", ".tum", ".traj", ".freiburg")
@@ -65,31 +67,52 @@ def unused(scan: Scan) -> tuple[Unused, ...]:
     """Return the files of a scan's folder, and of the folders in it, that were not read."""
     if scan.folder is None or not scan.folder.is_dir() or not scan.read_from:
         return ()
-    used = {path.resolve() for path in scan.read_from}
-    files = [path for path in islice(_files(scan.folder), _MOST_FILES) if path.resolve() not in used]
+    known = {os.path.realpath(path) for path in scan.read_from}
+    files = []
+    for path in islice(_files(scan.folder), _MOST_FILES):
+        # Links lead to files twice, and folders that hold themselves do without end.
+        if (real := os.path.realpath(path)) not in known:
+            known.add(real)
+            files.append(path)
     kinds = Counter((path.parent, path.suffix.lower()) for path in files)
     with only_looking():
         found = [
             Unused(path.relative_to(scan.folder).as_posix(), 1, _looks_like(path, scan))
             for path in files
-            if kinds[path.parent, path.suffix.lower()] <= _ALONE
+            if kinds[path.parent, path.suffix.lower()] <= _most_alone(path.suffix.lower())
         ]
     several = [
         Unused((place / f"*{suffix}").relative_to(scan.folder).as_posix(), count, _kind_of(place, suffix))
         for (place, suffix), count in kinds.items()
-        if count > _ALONE
+        if count > _most_alone(suffix)
     ]
     return tuple(sorted([*found, *several], key=lambda one: (not one.looks_like, one.name)))
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith(".") or path.name.lower().startswith(_NOTES):
-            continue
-        if path.is_file():
-            yield path
-        elif path.is_dir():
-            yield from (one for one in sorted(path.iterdir()) if one.is_file() and one.name[0] != ".")
+    """Yield the files of a folder and of all below it, each folder once, whatever links lead to it."""
+    seen = {os.path.realpath(folder)}
+    waiting = [folder]
+    while waiting:
+        place = waiting.pop(0)
+        for path in _listed(place):
+            if path.is_file():
+                yield path
+            elif path.is_dir() and (real := os.path.realpath(path)) not in seen:
+                seen.add(real)
+                waiting.append(path)
+
+
+def _listed(place: Path) -> list[Path]:
+    try:
+        found = sorted(place.iterdir())
+    except OSError:
+        return []
+    return [one for one in found if one.name[0] != "." and not one.name.lower().startswith(_NOTES)]
+
+
+def _most_alone(suffix: str) -> int:
+    return _TEXTS_ALONE if suffix in _TEXTS else _ALONE
 
 
 def _kind_of(place: Path, suffix: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -79,10 +80,10 @@ def _require_used(
     options: ScanParams, folder: Path, layout: Layout, read: Scan, noted: Collection[Path]
 ) -> None:
     """Raise UsageError for what the person states and the layout's reader has no use for."""
-    opened = {path.resolve() for path in noted}
+    opened = {os.path.realpath(path) for path in noted}
     for name in ("poses", "calibration"):
         path = options.file(name, folder if folder.is_dir() else folder.parent)
-        if path is None or path.resolve() in opened:
+        if path is None or os.path.realpath(path) in opened:
             continue
         if name == "calibration" and options.intrinsics is not None:
             raise UsageError(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.row_numbers import numbers_on
 from stages.scans.formats import orb_slam
 from stages.scans.formats.contradictions import tell_of_camera
 from stages.scans.formats.image_size import for_images, stated_size
@@ -32,6 +33,8 @@ TEXTS = (".txt", ".csv")
 MATRIX_AND_BASELINE = 10
 # Pixels; beyond these, single precision cannot hold where a camera sees things.
 _FOCAL_LENGTHS = (1e-3, 1e9)
+# The rational model's terms, which cancel each other, are some hundreds.
+_LARGEST_DISTORTION = 1e6
 
 
 def read_camera(path: Path, width: int, height: int) -> Camera:
@@ -77,6 +80,10 @@ def checked(camera: Camera, path: Path) -> Camera:
         )
     if not all(_FOCAL_LENGTHS[0] <= value <= _FOCAL_LENGTHS[1] for value in (camera.fx, camera.fy)):
         raise InputError(f"focal lengths of {camera.fx:g} and {camera.fy:g} px cannot be right.", path)
+    if max(map(abs, camera.distortion), default=0.0) > _LARGEST_DISTORTION:
+        raise InputError(
+            f"a distortion coefficient of {max(camera.distortion, key=abs):g} cannot be right.", path
+        )
     width, height = camera.width, camera.height
     if not (-width <= camera.cx <= 2 * width and -height <= camera.cy <= 2 * height):
         raise InputError(
@@ -163,7 +170,8 @@ def matrix_camera(
 def text_numbers(path: Path) -> list[float]:
     """Return the bare numbers of a text; raises InputError if it holds something else."""
     try:
-        return [float(word) for word in documents.read_text(path).replace(",", " ").split()]
+        rows = [numbers_on(text) for _, text in documents.lines(path)]
+        return [number for row in rows for number in row]
     except ValueError as error:
         raise InputError("a camera matrix of 3 rows of 3 numbers is expected.", path) from error
 

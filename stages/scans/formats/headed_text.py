@@ -109,7 +109,7 @@ def _blocks(path: Path) -> list[tuple[int, str, NDArray[np.float64]]]:
     for number, line in enumerate(documents.read_text(path).splitlines(), 1):
         text = line.strip()
         if text.startswith("#"):
-            blocks.append((number, text.lstrip("# "), []))
+            blocks.append((number, " ".join(text.lstrip("# \t").split()), []))
         elif text:
             if not blocks:
                 raise InputError(f"line {number} stands below no heading (`# …`).", path)

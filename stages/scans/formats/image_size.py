@@ -14,7 +14,7 @@ from stages.scans.scan import Camera, scaled
 # Two numbers, or a name for each.
 _SIZES = ("image_size", "imageSize", "img_size", "resolution", "size")
 _SIDES = (("width", "height"), ("image_width", "image_height"), ("image_Width", "image_Height"), ("w", "h"))
-_LARGEST_SIDE = 1 << 16
+LARGEST_SIDE = 1 << 16
 # Sides are rounded where images are made smaller: 1280×720 becomes 854×480.
 _SAME_SHAPE = 0.01
 # A lens is not mounted so far from the middle of its images, as a share of them.
@@ -41,7 +41,7 @@ def stated_size(values: dict[str, Any], width: int, height: int, path: Path) -> 
         size = number_row(values[pair], pair, path)
     else:
         return width, height
-    if len(size) != 2 or not all(1 <= side <= _LARGEST_SIDE for side in size):
+    if len(size) != 2 or not all(1 <= side <= LARGEST_SIDE for side in size):
         shown = "×".join(f"{side:g}" for side in size[:4])
         raise InputError(f"the size of its images, {shown}, cannot be right.", path)
     return round(size[0]), round(size[1])
@@ -88,10 +88,20 @@ def was_scaled(told: Sequence[tuple[str, Path]]) -> bool:
     return any(said.startswith(_SCALED) for said, _ in told)
 
 
+def is_off_centre(camera: Camera) -> bool:
+    """Say whether the principal point is far from the middle of the images: they are probably others."""
+    return any(abs(share - 0.5) > _OFF_CENTRE for share in _centre(camera))
+
+
+def _centre(camera: Camera) -> tuple[float, float]:
+    """Return where the principal point is, as shares of the images."""
+    return (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
+
+
 def _tell_of_centre(camera: Camera, path: Path) -> None:
-    across, down = (camera.cx + 0.5) / camera.width, (camera.cy + 0.5) / camera.height
-    if all(abs(share - 0.5) <= _OFF_CENTRE for share in (across, down)):
+    if not is_off_centre(camera):
         return
+    across, down = _centre(camera)
     hint = ""
     if across > 0 and abs(across / max(down, 1e-9) - 1) < _SAME_FACTOR:
         larger = (across + down) * camera.width, (across + down) * camera.height

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from stages.errors import InputError
 from stages.files import documents
+from stages.files.row_numbers import numbers_on
 from stages.scans.scan import Pose
 
 # How far a rotation may be from orthonormal: files round to about six digits.
@@ -363,6 +364,8 @@ def rigid(matrix: NDArray[np.float64], path: Path, where: str = "") -> Pose | No
             f"{at}the pose is not rigid: its 3x3 part {kind}, off by {deviation:.2g} where 0.001 is allowed.",
             path,
         )
+    if np.abs(top[:, 3]).max() > _LARGEST_VALUE:
+        raise InputError(f"{at}a place of {np.abs(top[:, 3]).max():g} cannot be right.", path)
     pose = np.eye(4)
     pose[:3] = top
     return pose
@@ -425,7 +428,7 @@ def stamp(word: str, path: Path, line: int) -> int:
         If it is no number, or none that can be a time.
     """
     try:
-        seconds = float(word)
+        seconds = float(word if "." in word else word.replace(",", "."))
     except ValueError as error:
         raise InputError(f"line {line}: {word[:40]!r} is no time in seconds.", path) from error
     return nanoseconds(seconds, path, line)
@@ -438,7 +441,7 @@ def _number_lines(path: Path) -> Iterator[tuple[int, list[float]]]:
 
 
 def numbers_of(text: str, number: int, path: Path) -> list[float]:
-    """Return the numbers on a line, parted by white space or commas.
+    """Return the numbers on a line; see `stages.files.row_numbers`.
 
     Raises
     ------
@@ -446,7 +449,7 @@ def numbers_of(text: str, number: int, path: Path) -> list[float]:
         If there is something else on it; the message names the line by its `number`.
     """
     try:
-        return [float(word) for word in re.split(r"[,\s]+", text)]
+        return numbers_on(text)
     except ValueError as error:
         raise InputError(f"line {number} holds something that is not a number.", path) from error
 

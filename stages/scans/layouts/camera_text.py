@@ -46,15 +46,24 @@ _COLOR = ("color", "colour", "rgb")
 
 def _matches(folder: Path) -> str | None:
     found = _text_file(folder)
-    return None if found is None else f"{found.name}, camera poses of frames below headings"
+    if found is None:
+        return None
+    with only_looking():
+        is_headed = _is_headed(found)
+    # A damaged one is known by its name, and by depth beside it.
+    if not is_headed and not any("depth" in one.name.lower() for one in folder.iterdir()):
+        return None
+    return f"{found.name}, camera poses of frames below headings"
 
 
 def _text_file(folder: Path) -> Path | None:
     """Return the text: by its usual name, or the only one that has headings for poses of frames."""
     named = first_existing(folder, *_NAMES)
     others = [path for path in small_documents(folder, _LARGEST_BYTES) if path.suffix.lower() == ".txt"]
+    if named is not None:
+        return named
     with only_looking():
-        found = [path for path in ([named] if named else others) if _is_headed(path)]
+        found = [path for path in others if _is_headed(path)]
     return found[0] if len(found) == 1 else None
 
 
@@ -70,6 +79,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     if path is None:
         raise InputError("a text of cameras and poses below headings (cam.info.txt) is needed.", folder)
     text = headed_text.read_headed_text(path)
+    if not text.poses:
+        raise InputError("it has no heading with the pose of a frame.", path)
     found = _frames(folder, text)
     if not found:
         raise InputError(

@@ -45,6 +45,8 @@ def _matches(folder: Path) -> str | None:
     mav = _mav(folder)
     if (mav / "cam0" / "sensor.yaml").exists():
         return (mav / "cam0" / "sensor.yaml").relative_to(folder).as_posix()
+    if mav != folder and (mav / "cam0" / "data.csv").exists():
+        return "mav0/cam0/data.csv"
     is_chained = (mav / "cam0" / "data.csv").exists() and (folder / _CAMCHAIN).exists()
     return f"cam0/data.csv and {_CAMCHAIN}" if is_chained else None
 
@@ -101,7 +103,7 @@ def _stream(camera: Path) -> dict[int, Path]:
         time, _, name = text.partition(",")
         if not time.strip().isdigit() or not name.strip() or int(time) >= 1 << 62:
             raise InputError(f"line {number} is not `nanoseconds,file`.", path)
-        found[int(time)] = camera / "data" / name.strip()
+        found[int(time)] = camera / "data" / documents.require_inside(name.strip(), path, f"line {number}")
     if not found:
         raise InputError("it lists no images.", path)
     return found

@@ -44,7 +44,20 @@ _FARTHEST_BIAS_M = 10.0
 def _matches(folder: Path) -> str | None:
     with only_looking():
         found = _list_of_frames(folder)
-    return None if found is None else f"{found[0].name}, a list of frames with kcam and rt_cam"
+        path = _named_in(folder) if found is None else found[0]
+    return None if path is None else f"{path.name}, a list of frames with kcam and rt_cam"
+
+
+def _named_in(folder: Path) -> Path | None:
+    """Return a file that has the words of such a list, however damaged it is."""
+    for path in (folder / name for name in _NAMES):
+        try:
+            text = documents.read_text(path) if path.is_file() else ""
+        except InputError:
+            continue
+        if all(f'"{word}"' in text for word in ("kcam", "rt_cam")):
+            return path
+    return None
 
 
 def _list_of_frames(folder: Path) -> tuple[Path, list[dict[str, Any]]] | None:
@@ -68,6 +81,8 @@ def _info(entry: dict[str, Any]) -> dict[str, Any]:
 
 def _read(folder: Path, options: ReadingParams) -> Scan:
     found = _list_of_frames(folder)
+    if found is None and (damaged := _named_in(folder)) is not None:
+        documents.read_json(damaged)
     if found is None:
         raise InputError("a JSON list of frames with kcam and rt_cam is needed.", folder)
     path, entries = found

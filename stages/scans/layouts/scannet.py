@@ -5,7 +5,7 @@ Sets for novel views keep the colour and leave depth/ out: these are single view
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from stages.scans.reading.files import (
 )
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.pose_files import read_pose_files
 from stages.scans.reading.stated import found_camera, stated_camera
 from stages.scans.reading.views import single_view
 from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame, scaled
@@ -82,12 +83,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     camera, color_camera, warnings = _cameras(folder, options, pairs)
     warnings += about_order(pairs, "depth/", f"{color_folder.name}/")
     names = [depth.stem for depth, _ in pairs]
-    poses, missing = _poses(folder, options, names)
-    skipped += [
-        SkippedFrame(name, f"pose/{name}.txt is missing")
-        for name in names
-        if name not in poses and not missing
-    ]
+    poses, damaged, missing = _poses(folder, options, names)
+    skipped += damaged
+    skipped += _without_pose(names, poses, damaged, missing)
     frames = [
         Frame(
             name=depth.stem,
@@ -111,13 +109,12 @@ def _read_views(folder: Path, place: Path, options: ReadingParams) -> Scan:
     if not colors:
         raise InputError(f"no images in {place.name}/; at least one is needed.", folder)
     names = [color.stem for color in colors]
-    poses, missing = _poses(folder, options, names)
+    poses, damaged, missing = _poses(folder, options, names)
     camera, warnings = _camera_of_views(folder, options, common_size(colors))
     frames: list[Frame] = []
-    skipped: list[SkippedFrame] = []
+    skipped = [*damaged, *_without_pose(names, poses, damaged, missing)]
     for name, color in zip(names, colors, strict=True):
         if name not in poses and not missing:
-            skipped.append(SkippedFrame(name, f"pose/{name}.txt is missing"))
             continue
         try:
             frames.append(single_view(name, camera, color, poses.get(name)))
@@ -139,18 +136,33 @@ def _camera_of_views(folder: Path, options: ReadingParams, size: tuple[int, int]
     return _color_camera(path, size)
 
 
+def _without_pose(
+    names: Sequence[str],
+    poses: Mapping[str, Pose | None],
+    damaged: Sequence[SkippedFrame],
+    missing: Sequence[str],
+) -> list[SkippedFrame]:
+    """Return the frames whose pose is not there; none where all of them are missing."""
+    known = {*poses, *(one.name for one in damaged)}
+    return [
+        SkippedFrame(name, f"pose/{name}.txt is missing")
+        for name in names
+        if name not in known and not missing
+    ]
+
+
 def _poses(
     folder: Path, options: ReadingParams, names: Sequence[str]
-) -> tuple[dict[str, Pose | None], tuple[str, ...]]:
-    """Return the poses by frame name, None where tracking was lost, and what is missing."""
+) -> tuple[dict[str, Pose | None], list[SkippedFrame], tuple[str, ...]]:
+    """Return the poses by frame name, None where tracking was lost, the damaged ones, and what is missing."""
     given = options.file("poses", folder)
     if given is not None:
         matched = trajectories.match(trajectories.read_trajectory(given), names, given)
-        return dict(zip(names, matched, strict=True)), ()
+        return dict(zip(names, matched, strict=True)), [], ()
     files = {name: folder / "pose" / f"{name}.txt" for name in names}
-    poses = {name: trajectories.read_pose(path) for name, path in files.items() if path.exists()}
+    poses, damaged = read_pose_files({name: path for name, path in files.items() if path.exists()})
     lacking = f"poses: files like pose/{names[0]}.txt are missing; name a trajectory with scan.poses=FILE"
-    return poses, () if poses else (lacking,)
+    return poses, damaged, () if poses else (lacking,)
 
 
 def _cameras(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from stages.errors import InputError
@@ -12,6 +13,7 @@ from stages.scans.formats import calibration, trajectories
 from stages.scans.reading.files import common_size, first_existing
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
+from stages.scans.reading.pose_files import read_pose_files
 from stages.scans.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
 _NAME = re.compile(r"frame-(\d+)\.depth\.png")
@@ -37,28 +39,32 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     color_camera = _color_camera(folder, options, camera)
     given = options.file("poses", folder)
     stems = [depth.name.removesuffix(".depth.png") for _, depth in depths]
-    poses: list[Pose | None] | None = None
+    poses: dict[str, Pose | None] = {}
+    skipped = _without_depth(folder, stems)
     missing: tuple[str, ...] = ()
     if given is not None:
-        poses = trajectories.match(trajectories.read_trajectory(given), stems, given)
-    elif not any(folder.glob("frame-*.pose.txt")):
-        poses = [None] * len(stems)
+        matched = trajectories.match(trajectories.read_trajectory(given), stems, given)
+        poses = dict(zip(stems, matched, strict=True))
+    elif any(folder.glob("frame-*.pose.txt")):
+        files = {stem: file for stem in stems if (file := folder / f"{stem}.pose.txt").exists()}
+        poses, damaged = read_pose_files(files)
+        skipped += damaged
+        absent = [stem for stem in stems if stem not in files]
+        skipped += [SkippedFrame(stem, f"{stem}.pose.txt is missing") for stem in absent]
+    else:
+        poses = dict.fromkeys(stems)
         missing = (
             "poses: files like frame-000000.pose.txt are missing; name a trajectory with scan.poses=FILE",
         )
 
     colors = [first_existing(folder, f"{stem}.color.png", f"{stem}.color.jpg") for stem in stems]
     frames: list[Frame] = []
-    skipped: list[SkippedFrame] = []
-    for position, ((_, depth), stem, color) in enumerate(zip(depths, stems, colors, strict=True)):
-        pose_file = folder / f"{stem}.pose.txt"
-        if poses is None and not pose_file.exists():
-            skipped.append(SkippedFrame(stem, f"{pose_file.name} is missing"))
+    for (_, depth), stem, color in zip(depths, stems, colors, strict=True):
+        if stem not in poses:
             continue
         if color is None and any(colors):
             skipped.append(SkippedFrame(stem, "its colour image is missing"))
             continue
-        pose = trajectories.read_pose(pose_file) if poses is None else poses[position]
         frames.append(
             Frame(
                 name=stem,
@@ -67,11 +73,18 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
                 depth=depth,
                 depth_scale=options.depth_scale or scale,
                 depth_missing=(65535,),
-                world_from_camera=pose,
+                world_from_camera=poses[stem],
                 color_camera=None if color is None else color_camera,
             )
         )
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), tuple(warnings), missing)
+
+
+def _without_depth(folder: Path, stems: Sequence[str]) -> list[SkippedFrame]:
+    """Return the frames of which the colour image is there and the depth map is not."""
+    known = set(stems)
+    others = sorted({path.name.partition(".")[0] for path in folder.glob("frame-*.color.*")} - known)
+    return [SkippedFrame(stem, "its depth map is missing") for stem in others]
 
 
 def _camera(folder: Path, options: ReadingParams, width: int, height: int) -> tuple[Camera, float, list[str]]:

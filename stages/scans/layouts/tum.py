@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from stages.scans.reading.files import (
 )
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.moments import nearest_in_time
+from stages.scans.reading.moved import found_file
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.stated import found_camera
 from stages.scans.reading.timed_poses import poses_at
@@ -141,14 +142,21 @@ def _listed(path: Path) -> _Stream:
     """Return a stream from lines `seconds file`."""
     times, files = [], []
     for number, text in documents.lines(path):
-        words = text.split(maxsplit=1)
+        words = re.split(r"[\s;]+|,(?=\s*[^\d\s])", text, maxsplit=1)
         if len(words) != 2:
             raise InputError(f"line {number} is not `seconds file`.", path)
-        times.append(trajectories.stamp(words[0], path, number))
-        files.append(path.parent / documents.require_inside(words[1], path, f"line {number}"))
+        times.append(trajectories.stamp(words[0].rstrip(","), path, number))
+        files.append(_listed_file(words[1].strip(" ,;"), path, number))
     if not files:
         raise InputError("it lists no images.", path)
     return _Stream(np.array(times, np.int64), files)
+
+
+def _listed_file(name: str, path: Path, number: int) -> Path:
+    """Return the file that a line names; where its path is one of another computer, by the path's end."""
+    if PurePosixPath(name).is_absolute() or PureWindowsPath(name).is_absolute():
+        return found_file(path.parent, name, f"line {number}: {name[:100]!r}", path)
+    return path.parent / documents.require_inside(name, path, f"line {number}")
 
 
 def _stamped(folder: Path) -> tuple[_Stream, _Stream] | None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
 from stages.errors import InputError
+from stages.files import documents
 from stages.files.noting import only_looking
 from stages.files.telling import in_sentences, telling
 from stages.scans.formats import calibration, rig_calibration
-from stages.scans.formats.image_size import was_scaled
+from stages.scans.formats.image_size import is_off_centre, was_scaled
 from stages.scans.scan import Camera, StereoRig
 
 Told = list[tuple[str, Path]]
@@ -20,6 +22,9 @@ _SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt")
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
 _MAX_BYTES = 1 << 16
 _MOST_FILES = 64
+# What stands in files of cameras, whoever wrote them.
+_OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
+_OFF_CENTRE = "its principal point is far from the middle of these images."
 # Focal lengths of lenses, as shares of an image's longer side: other matrices are none of a camera.
 _FOCAL_LENGTHS = (0.1, 30.0)
 
@@ -60,7 +65,7 @@ def _cameras(folder: Path, width: int, height: int) -> Iterator[tuple[Camera, Pa
                 camera = calibration.read_camera(path, width, height)
         except InputError:
             continue
-        if _is_a_lens(camera):
+        if _is_a_lens(camera) and not is_off_centre(camera):
             yield camera, path, told
 
 
@@ -79,6 +84,28 @@ def rigs_beside(
             if _is_a_lens(rig.left) and _is_a_lens(rig.right):
                 found.append(((rig, [*warnings, *in_sentences(told)]), path, told))
     return [(rig, warnings, path) for (rig, warnings), path, _ in _of_this_size(found)]
+
+
+def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> list[str]:
+    """Return why each file of a folder that seems to state a camera for such images is none of theirs."""
+    with only_looking():
+        doubtful = [(path, _fault(path, width, height, read)) for path in small_documents(folder)]
+    warnings = []
+    for path, fault in doubtful:
+        if fault is not None:
+            warnings.append(f"{path.name} seems to state a camera and is not taken: {fault}")
+    return warnings
+
+
+def _fault(path: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> str | None:
+    try:
+        if not _OF_CAMERAS.search(documents.read_text(path)):
+            return None
+        with telling():
+            found = read(path, width, height)
+    except InputError as error:
+        return str(error).removeprefix(f"{path}: ")
+    return _OFF_CENTRE if isinstance(found, Camera) and is_off_centre(found) else None
 
 
 def _of_this_size(found: list[tuple[T, Path, Told]]) -> list[tuple[T, Path, Told]]:

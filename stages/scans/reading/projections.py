@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.scans.formats.calibration import matrix_camera
-from stages.scans.formats.image_size import for_images, is_of_shape
+from stages.scans.formats.image_size import LARGEST_SIDE, for_images, is_of_shape
 from stages.scans.formats.rig_calibration import with_baseline
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import StereoRig
@@ -63,6 +63,8 @@ def rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int]:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:
         raise InputError("S_rect is not two numbers.", calib) from error
+    if any(not 1 <= side <= LARGEST_SIDE for one in sizes for side in one):
+        raise InputError("S_rect is no size of images.", calib)
     if not sizes or size in sizes:
         return size
     width, height = sizes[0]

@@ -13,7 +13,7 @@ import numpy as np
 from stages.files import documents
 from stages.files.noting import note
 from stages.scans.formats import rig_calibration
-from stages.scans.reading.beside import rigs_beside
+from stages.scans.reading.beside import not_taken, rigs_beside
 from stages.scans.reading.files import first_existing, has
 from stages.scans.reading.params import ReadingParams
 from stages.scans.reading.streams import Images
@@ -78,7 +78,7 @@ def rig_of(
             f"calibration: {names[0]} is missing{half}; name one with scan.calibration=FILE, or set "
             "scan.intrinsics=fx,fy,cx,cy and scan.baseline=METRES for a rectified pair"
         )
-        return uncalibrated(size), [], (lacking,)
+        return uncalibrated(size), not_taken(folder, *size, rig_calibration.read_rig), (lacking,)
     return (rig if stated is None else replace(rig, left=stated, right=stated)), warnings, ()
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from stages.files.noting import note
 from stages.files.telling import in_sentences
 from stages.scans.formats import calibration
-from stages.scans.reading.beside import cameras_beside
+from stages.scans.reading.beside import cameras_beside, not_taken
 from stages.scans.reading.params import ReadingParams
 from stages.scans.scan import Camera
 
@@ -50,7 +50,7 @@ def found_camera(folder: Path, width: int, height: int) -> tuple[Camera, Path | 
         camera, guessed = _guessed_camera(width, height)
         return camera, None, [f"{names} state different cameras: none is taken", guessed]
     camera, guessed = _guessed_camera(width, height)
-    return camera, None, [guessed]
+    return camera, None, [*not_taken(folder, width, height, calibration.read_camera), guessed]
 
 
 def _guessed_camera(width: int, height: int) -> tuple[Camera, str]:

@@ -43,6 +43,8 @@ def poses_at(
             "scan.poses_by_order=true takes them in the order of the frames.",
             path,
         )
+    if not len(trajectory):
+        raise InputError("the trajectory file holds no poses.", path)
     ordered = trajectories.in_order(trajectory)
     poses = [trajectories.interpolate(ordered, moment, tolerance) for moment in moments]
     if moments and all(pose is None for pose in poses):

@@ -8,7 +8,9 @@ import pytest
 
 from pipeline.config import Config
 from stages.errors import InputError, UsageError
+from stages.files import documents
 from stages.files.documents import read_document, read_json
+from stages.files.row_numbers import numbers_on
 from stages.scans.reading.files import numbers
 
 MANY = 100_000
@@ -99,3 +101,48 @@ def test_a_configuration_of_megabytes_is_refused_unread(tmp_path: Path) -> None:
 def test_names_of_thousands_of_digits_have_numbers() -> None:
     assert numbers("9" * 10_000) == (int("9" * 255),)
     assert numbers("cam0_0012") == (0, 12)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_texts_of_other_systems_are_read(tmp_path, encoding, end):
+    mark = {"utf-16-le": b"\xff\xfe", "utf-16-be": b"\xfe\xff"}.get(encoding, b"")
+    text = f"# Gr\u00f6\u00dfe{end}1 2{end}3 4{end}"
+    (tmp_path / "a.txt").write_bytes(mark + text.encode(encoding))
+    assert list(documents.lines(tmp_path / "a.txt")) == [(2, "1 2"), (3, "3 4")]
+
+
+@pytest.mark.parametrize("data", [b"\x00\x01\x02\xff", b"\xff\xfe\x00\xd8", b"1 2\x00\xe9"])
+def test_what_is_no_text_is_told(tmp_path, data):
+    (tmp_path / "a.txt").write_bytes(data)
+    with pytest.raises(InputError, match="a text file is expected; this one is binary"):
+        documents.read_text(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    ("line", "numbers"),
+    [
+        ("1 2.5 -3e2", [1, 2.5, -300]),
+        ("1,2.5,-3e2", [1, 2.5, -300]),
+        ("1, 2, 3", [1, 2, 3]),
+        ("1;2.5;3;", [1, 2.5, 3]),
+        ("0,7635 -1,5e-3 2", [0.7635, -0.0015, 2]),
+        ("0,5;1,25", [0.5, 1.25]),
+        ("1,0,0 0,1,0", [1, 0, 0, 0, 1, 0]),
+        ("1,2", [1, 2]),
+    ],
+)
+def test_numbers_on_a_line(line, numbers):
+    assert numbers_on(line) == numbers
+
+
+@pytest.mark.parametrize("line", ["1 a", "1,,2", "0,5 a", "1.5,5 0.3x"])
+def test_what_is_no_number_ends_the_line(line):
+    with pytest.raises(ValueError, match="could not convert"):
+        numbers_on(line)
+
+
+def test_names_of_lists_written_on_windows(tmp_path):
+    assert documents.require_inside("rgb\\1.png", tmp_path, "line 1") == "rgb/1.png"
+    with pytest.raises(InputError, match="is not a path inside the folder"):
+        documents.require_inside("..\\1.png", tmp_path, "line 1")

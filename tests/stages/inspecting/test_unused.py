@@ -76,3 +76,29 @@ def test_inspect_tells_it(scan_folder):
 def test_a_real_trajectory_under_a_name_of_its_own(shared_data):
     folder = shared_data / "real" / "freiburg3_cabinet_keyframes"
     assert told(folder) == ["truth_cam_poses.txt looks like 58 poses: scan.poses=truth_cam_poses.txt"]
+
+
+def test_files_far_below_and_links_that_lead_around(scan_folder):
+    deep = scan_folder / "logs" / "of" / "the day"
+    deep.mkdir(parents=True)
+    (deep / "way.tum").write_text("0 0 0 0 0 0 0 1\n1 0 0 1 0 0 0 1\n")
+    (scan_folder / "logs" / "all of it").symlink_to(scan_folder, target_is_directory=True)
+    (scan_folder / "again.tum").symlink_to(deep / "way.tum")
+    (scan_folder / "itself.txt").symlink_to(scan_folder / "itself.txt")
+    (told_once,) = told(scan_folder)
+    assert told_once == "again.tum looks like 2 poses: scan.poses=again.tum"
+
+
+def test_an_image_that_links_to_itself_is_left_out(scan_folder):
+    path = scan_folder / "depth" / "1.png"
+    path.unlink()
+    path.symlink_to(path)
+    scan = read_scan(scan_folder, complete=False)
+    assert unused(scan) == ()
+    assert [one.name for one in scan.frames] == ["0"]
+
+
+def test_a_handful_of_texts_is_looked_into_one_by_one(scan_folder):
+    for number in range(6):
+        (scan_folder / f"camera_{number}.json").write_text(json.dumps(CAMERA | {"fx": 30 + number}))
+    assert len(told(scan_folder)) == 6

@@ -157,6 +157,7 @@ GOOD = {"fx": 100, "fy": 110, "cx": 16, "cy": 12, "baseline": 0.5}
         ({"fx": float("nan")}, "fx is 'nan'"),
         ({"cx": 4000}, "another size"),
         ({"width": 640, "height": 400}, "640×400.*32×24, which is another shape"),
+        ({"distortion": [0.1, 1e300, 0, 0]}, r"a distortion coefficient of 1e\+300 cannot be right"),
         ({"width": 0, "height": 24}, "the size of its images, 0×24, cannot be right"),
         ({"width": "wide", "height": 24}, "width is 'wide'; a number is expected"),
         ({"baseline": 0}, "baseline 0"),

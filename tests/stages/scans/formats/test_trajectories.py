@@ -182,3 +182,16 @@ def test_more_values_than_frames_go_by_number(tmp_path):
         by_number("abcd", ["f1", "f9"], tmp_path, "poses")
     with pytest.raises(InputError, match="4 poses"):
         by_number("abcd", ["left", "right"], tmp_path, "poses")
+
+
+def test_a_place_that_cannot_be_right(tmp_path):
+    (tmp_path / "poses.txt").write_text("1 0 0 1e300 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(InputError, match=r"line 1: a place of 1e\+300 cannot be right"):
+        read_trajectory(tmp_path / "poses.txt")
+
+
+def test_numbers_with_commas_for_points(tmp_path):
+    (tmp_path / "poses.tum").write_text("0,5 1,25 0 -2,5 0 0 0 1\n")
+    trajectory = read_trajectory(tmp_path / "poses.tum")
+    assert trajectory.poses[0][:3, 3].tolist() == [1.25, 0, -2.5]
+    assert trajectory.timestamps.tolist() == [500_000_000]

@@ -126,3 +126,12 @@ def test_what_is_damaged_is_told(scan_folder, old, new, message):
     path.write_text(path.read_text().replace(old, new, 1))
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
+
+
+def test_headings_with_tabs_and_a_text_that_is_empty(scan_folder, tiny):
+    path = scan_folder / "cam.info.txt"
+    path.write_text(path.read_text().replace(" ", "\t"))
+    np.testing.assert_allclose([seen(one) for one in read_scan(scan_folder).frames], tiny.points, atol=1e-6)
+    path.write_text("# Environment: shelf\n")
+    with pytest.raises(InputError, match="it has no heading with the pose of a frame"):
+        read_scan(scan_folder)

@@ -283,3 +283,23 @@ def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
     body_from_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     for frame, body in zip(scan.frames, (tiny.identity, tiny.second), strict=True):
         np.testing.assert_allclose(frame.world_from_camera, body @ body_from_camera, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["../../../../etc/passwd", "/etc/passwd", "a\0b.png"])
+def test_lists_do_not_lead_outside(scan_folder, name):
+    (scan_folder / "mav0" / "cam0" / "data.csv").write_text(f"{FIRST},{name}\n")
+    with pytest.raises(InputError, match=r"line 1: .* is not a path inside the folder"):
+        read_scan(scan_folder)
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n"])
+def test_an_empty_trajectory_is_told(scan_folder, text):
+    (scan_folder / "mav0" / "state_groundtruth_estimate0" / "data.csv").write_text(text)
+    with pytest.raises(InputError, match="the trajectory file holds no poses"):
+        read_scan(scan_folder)
+
+
+def test_a_camera_without_its_sensor_file_is_told(scan_folder):
+    (scan_folder / "mav0" / "cam0" / "sensor.yaml").unlink()
+    with pytest.raises(InputError, match=r"cam0/sensor\.yaml: the file cannot be read"):
+        read_scan(scan_folder)

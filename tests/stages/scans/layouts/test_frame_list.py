@@ -96,3 +96,11 @@ def test_a_limit_that_takes_most_of_the_depth_is_asked_about(scan_folder, tiny):
     (said,) = scan.warnings
     assert "100% of the depth" in said
     assert "it is not applied; fuse.max_depth=METRES" in said
+
+
+@pytest.mark.parametrize("damage", [lambda text: text[:-20], lambda text: text.replace("0.0005", "0,0005")])
+def test_a_list_that_does_not_parse_is_told(scan_folder, damage):
+    path = scan_folder / "frames.json"
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(InputError, match=r"frames\.json: the file is not valid JSON"):
+        read_scan(scan_folder)

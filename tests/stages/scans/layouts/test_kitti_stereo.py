@@ -69,6 +69,7 @@ def test_the_older_set_names_its_folders_otherwise(scan_folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (calib(0.5).replace("32 24", "32000000 24"), "S_rect is no size of images"),
         (None, "calib_cam_to_cam/000000.txt is missing"),
         ("", "no projection matrices 2 and 3"),
         ("P_rect_02: 1 2\n", "not 12 numbers"),

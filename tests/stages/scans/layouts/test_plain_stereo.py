@@ -214,3 +214,15 @@ def test_real_halves_of_a_calibration_whose_p1_is_not_filled_in(shared_data, tmp
     copy.write_bytes((halves / "opencv_hik_extrinsics.yml").read_bytes())
     with pytest.raises(InputError, match="P1 is not filled in"):
         read_scan(tmp_path, ScanParams(calibration=str(copy)))
+
+
+def test_a_rig_beside_that_is_not_taken_is_told(scan_folder):
+    for path in scan_folder.glob("calibration.*"):
+        path.unlink()
+    (scan_folder / "of the rig.yaml").write_text("K1: [100, 0, 16, 0, 100, 12, 0, 0, 1]\nK2: [100, 0")
+    scan = read_scan(scan_folder, complete=False)
+    assert scan.missing[0].startswith("calibration:")
+    assert (
+        "of the rig.yaml seems to state a camera and is not taken: the file does not parse"
+        in scan.warnings[0]
+    )

@@ -202,3 +202,21 @@ def test_poses_beside_the_images_do_not_hide_the_camera(scan_folder, tiny, matri
     for number in range(70):
         (scan_folder / f"pose{number}.txt").write_text(matrix_text(tiny.second))
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ('{"intrinsic_matrix": [100, 0, 0, 0, 100, 0, 16, 12', "the file is not valid JSON"),
+        ('{"fx": 100, "fy": 100, "cx": 31, "cy": 23}', "its principal point is far from the middle"),
+        ('{"fx": 100, "fy": 100, "cx": 16, "cy": 12, "width": 32, "height": 20}', "for images of 32×20"),
+    ],
+)
+def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
+    (scan_folder / "intrinsic.json").unlink()
+    (scan_folder / "mine.json").write_text(text)
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].camera.is_guess
+    (said,) = (one for one in scan.warnings if one.startswith("mine.json"))
+    assert "seems to state a camera and is not taken" in said
+    assert reason in said

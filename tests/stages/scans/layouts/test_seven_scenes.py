@@ -201,3 +201,28 @@ def test_tabletop_box_brings_its_own_camera(shared_data):
     assert len(scan.frames) == 25
     assert scan.frames[0].camera.fx == pytest.approx(615.195, abs=1e-3)
     assert scan.frames[0].camera.cy == pytest.approx(247.519, abs=1e-3)
+
+
+def test_one_damaged_pose_of_many_costs_only_its_frame(scan_folder, tiny, matrix_text):
+    for number in range(20, 40):
+        stem = f"frame-{number:06d}"
+        tiny.color(scan_folder / f"{stem}.color.png")
+        tiny.depth(scan_folder / f"{stem}.depth.png", 1000)
+        (scan_folder / f"{stem}.pose.txt").write_text(matrix_text(tiny.second))
+    (scan_folder / "frame-000025.pose.txt").write_text("1 0 0 0\n0 1 0")
+    scan = read_scan(scan_folder)
+    assert len(scan.frames) == 21
+    (left,) = scan.skipped
+    assert left.name == "frame-000025"
+    assert "its pose is damaged" in left.reason
+    assert "it holds 7 numbers" in left.reason
+    for number in (26, 27):
+        (scan_folder / f"frame-{number:06d}.pose.txt").write_text("")
+    with pytest.raises(InputError, match=r"frame-000025\.pose\.txt.*it holds 7 numbers"):
+        read_scan(scan_folder)
+
+
+def test_a_frame_without_its_depth_map_is_told(scan_folder):
+    (scan_folder / "frame-000010.depth.png").unlink()
+    (left,) = read_scan(scan_folder).skipped
+    assert (left.name, left.reason) == ("frame-000010", "its depth map is missing")

@@ -246,3 +246,23 @@ def test_real_key_frames_whose_poses_have_other_times(shared_data):
     with pytest.raises(InputError, match=r"none of its 58 poses .* As many are frames: scan\.poses"):
         read_scan(folder, named)
     assert len(read_scan(folder, replace(named, poses_by_order=True)).frames) == 58
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (" rgb/", ",rgb/"),
+        ("rgb/", "rgb\\"),
+        ("rgb/", "/home/me/recording/rgb/"),
+        ("rgb/", "C:\\recording\\rgb\\"),
+        ("\n", "\r\n"),
+    ],
+)
+def test_lists_of_other_systems_are_read(scan_folder, tiny, old, new):
+    # Of some other computer, by some other program.
+    path = scan_folder / "rgb.txt"
+    known = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert old in path.read_text()
+    path.write_bytes(path.read_text().replace(old, new).encode("utf-16"))
+    found = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
+    assert [frame.color for frame in found.frames] == [frame.color for frame in known.frames]
