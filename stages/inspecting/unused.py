@@ -120,6 +120,8 @@ def _kind_of(place: Path, suffix: str) -> str:
         return "masks"
     if suffix in IMAGES and "conf" in place.name.lower():
         return "maps of confidence"
+    if suffix in DEPTHS and place.name.lower().startswith("disp"):
+        return "disparities that are known"
     return "images" if suffix in IMAGES else _SUFFIXES.get(suffix, "")
 
 

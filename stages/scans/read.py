@@ -97,6 +97,12 @@ def _require_used(
             "scan.baseline is the distance between the two cameras of a pair, and these frames are no pairs; "
             "leave it out."
         )
+    if options.depth_scale is not None and read.is_stereo:
+        raise UsageError("scan.depth_scale is of depth maps, and these pairs have none yet; leave it out.")
+    if options.least_confidence is not None and all(frame.confidence is None for frame in read.frames):
+        raise UsageError(
+            "scan.least_confidence is of maps of confidence, and these frames have none; leave it out."
+        )
     if options.poses_by_order and options.poses is None and not read.has_poses:
         raise UsageError(
             "scan.poses_by_order pairs a trajectory with the frames, and there is none; name one with "

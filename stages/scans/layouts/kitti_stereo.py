@@ -11,6 +11,7 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.files.images import image_size
+from stages.files.noting import note
 from stages.scans.formats import trajectories
 from stages.scans.reading.files import has, images, pair
 from stages.scans.reading.layout import Layout
@@ -61,6 +62,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         raise InputError(
             f"calib_cam_to_cam/{scene}.txt is missing; name one with scan.calibration=FILE.", folder
         )
+    # Those of scenes that are not chosen are no files that nobody knew of.
+    for one, _ in pairs:
+        note(calib.with_name(f"{one.stem[:6]}.txt"))
     projections = read_projections(calib)
     if not {at, at + 1} <= projections.keys():
         raise InputError(f"it states no projection matrices {at} and {at + 1}.", calib)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.confidence_folder import confidence_of
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
     DEPTH_FOLDERS,
@@ -76,6 +77,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     else:
         missing = ("poses: trajectory.log (or .json) is missing; name a trajectory with scan.poses=FILE",)
     camera, scale, warnings = _camera(folder, options, *common_size([depth for depth, _ in pairs]))
+    trusts, least, about_trust = confidence_of(folder, [depth for depth, _ in pairs], options)
     frames = [
         Frame(
             name=depth.stem,
@@ -84,12 +86,13 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             depth=depth,
             depth_scale=scale,
             world_from_camera=pose,
+            confidence=trusts.get(depth),
+            least_confidence=least,
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
-    return Scan(
-        LAYOUT.name, frames, None, folder, tuple(skipped), (*warnings, *about_order(pairs, *named)), missing
-    )
+    said = (*warnings, *about_trust, *about_order(pairs, *named))
+    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing)
 
 
 def _trajectory(folder: Path) -> Path | None:

@@ -44,6 +44,15 @@ def test_the_baseline_of_no_pair(scan_folder):
         read_scan(scan_folder, ScanParams(baseline=0.1))
 
 
+def test_a_unit_and_a_confidence_of_depth_that_is_not_there(scan_folder, pair_folder):
+    with pytest.raises(UsageError, match="these frames have none; leave it out"):
+        read_scan(scan_folder, ScanParams(least_confidence=1))
+    for path in scan_folder.glob("frame-*"):
+        path.unlink()
+    with pytest.raises(UsageError, match="these pairs have none yet"):
+        read_scan(pair_folder, ScanParams(depth_scale=1000), complete=False)
+
+
 def test_an_order_of_no_poses(scan_folder):
     for path in scan_folder.glob("*.pose.txt"):
         path.unlink()

@@ -1,9 +1,11 @@
 import json
 
+import cv2
 import numpy as np
 import pytest
 
 from stages.errors import InputError
+from stages.scans.images import read_depth
 from stages.scans.params import ScanParams
 from stages.scans.read import read_scan
 
@@ -220,3 +222,39 @@ def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
     (said,) = (one for one in scan.warnings if one.startswith("mine.json"))
     assert "seems to state a camera and is not taken" in said
     assert reason in said
+
+
+@pytest.mark.parametrize(("levels", "least"), [((0, 50, 100), 50), ((0, 1, 2), 1)])
+def test_confidence_beside_depth_leaves_out_the_lowest(scan_folder, levels, least):
+    names = [path.name for path in sorted((scan_folder / "depth").iterdir())]
+    (scan_folder / "confidence").mkdir()
+    for name in names:
+        trust = np.full((24, 32), levels[2], np.uint8)
+        trust[5, 5:7] = levels[:2]
+        assert cv2.imwrite(str(scan_folder / "confidence" / name), trust)
+    scan = read_scan(scan_folder)
+    assert [frame.least_confidence for frame in scan.frames] == [least] * len(names)
+    depth = read_depth(scan.frames[0])
+    assert (depth[5, 5] == 0, depth[5, 6] > 0) == (True, True)
+    assert any(f"depth of confidence {least} and more" in text for text in scan.warnings)
+    best = read_depth(read_scan(scan_folder, ScanParams(least_confidence=levels[2])).frames[0])
+    assert best[5, 6] == 0
+
+
+def test_confidence_without_levels_is_asked_about(scan_folder):
+    names = [path.name for path in sorted((scan_folder / "depth").iterdir())]
+    (scan_folder / "confidence").mkdir()
+    for name in names:
+        trust = np.arange(24 * 32).reshape(24, 32).astype(np.uint8)
+        assert cv2.imwrite(str(scan_folder / "confidence" / name), trust)
+    scan = read_scan(scan_folder)
+    assert scan.frames[0].confidence is None
+    assert any("0 to 255: scan.least_confidence=VALUE" in text for text in scan.warnings)
+    asked = read_scan(scan_folder, ScanParams(least_confidence=200))
+    assert read_depth(asked.frames[0])[0, 10] == 0
+
+
+def test_a_real_phone_states_its_confidence(shared_data):
+    scan = read_scan(shared_data / "real" / "phone_desk_no_calibration", complete=False)
+    assert {frame.least_confidence for frame in scan.frames} == {50}
+    assert any("of 0, 50, 100" in text for text in scan.warnings)
