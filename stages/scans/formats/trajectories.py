@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stages.errors import InputError
 from stages.files import documents
 from stages.files.row_numbers import numbers_on
+from stages.files.telling import tell
 from stages.scans.scan import Pose
 
 # How far a rotation may be from orthonormal: files round to about six digits.
@@ -310,6 +311,7 @@ def by_number(values: Sequence[T], names: Sequence[str], path: Path, what: str) 
         return list(values)
     last = [int((re.findall(r"\d+", name) or ["-1"])[-1]) for name in names]
     if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
+        tell(f"holds {len(values)} {what} for {len(names)} frames: each has that of its name's number", path)
         return [values[number] for number in last]
     raise InputError(
         f"it holds {len(values)} {what}, but the scan has {len(names)} frames. "
