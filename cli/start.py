@@ -9,12 +9,15 @@ from cli import interrupts
 # Threads of OpenBLAS, which NumPy multiplies with, spin for some 20 ms after each product, in the way of
 # those that have work; 2⁴ turns are the least it knows. It is read where NumPy is loaded.
 _SPIN = ("OPENBLAS_THREAD_TIMEOUT", "4")
+# OpenCV writes lines of its own about images that are damaged, beside the sentence that says so here.
+_QUIET = ("OPENCV_LOG_LEVEL", "OFF")
 
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
     interrupts.leave_at_once()
     os.environ.setdefault(*_SPIN)
+    os.environ.setdefault(*_QUIET)
     from cli.app import main as run
 
     run()

@@ -198,3 +198,14 @@ def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float
         assert rest[-1] == "scanloom: Interrupted; what was finished is kept."
     assert rest
     assert all(line.startswith("scanloom: ") for line in rest)
+
+
+def test_a_damaged_image_is_one_line_and_none_of_opencvs(tmp_path):
+    for name in ("im2.ppm", "im6.ppm"):
+        (tmp_path / name).write_bytes(b"P6\n640 480\n255\n" + bytes(1000))
+    words = [sys.executable, "-c", "from cli.start import main; main()", "inspect", str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT, timeout=120)
+    assert done.returncode == 3
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("scanloom: ")
+    assert "im2.ppm: the image" in line
