@@ -117,7 +117,7 @@ def _most_alone(suffix: str) -> int:
 
 def _kind_of(place: Path, suffix: str) -> str:
     if suffix in IMAGES and "mask" in place.name.lower():
-        return "masks"
+        return f"masks: scan.masks={place.name}"
     if suffix in IMAGES and "conf" in place.name.lower():
         return "maps of confidence"
     if suffix in DEPTHS and place.name.lower().startswith("disp"):

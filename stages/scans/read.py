@@ -20,6 +20,7 @@ from stages.scans.reading.adjusted import with_adjusted
 from stages.scans.reading.axis_alignment import aligned
 from stages.scans.reading.files import common_size
 from stages.scans.reading.layout import Layout
+from stages.scans.reading.mask_folder import with_masks
 from stages.scans.reading.rotated_bits import with_bits_turned_back
 from stages.scans.scale import with_scale
 from stages.scans.scan import Frame, Packed, Scan, SkippedFrame
@@ -58,6 +59,9 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     if layout.name != "sun-rgbd":  # It looks for itself.
         is_stated = options.depth_scale is not None or layout.name == "plain-rgbd"
         scan = with_bits_turned_back(scan, is_scale_stated=is_stated)
+    masks = options.file("masks", folder)
+    if masks is not None:
+        scan = with_masks(scan, masks)
     # Before what `adjust` found, which it found in metres; of all frames, so that a selection has the same.
     scan = with_scale(scan, options, folder)
     adjusted = options.file("adjusted", folder)

@@ -40,6 +40,11 @@ class ReadingParams:
         False,
         "Take the poses of a trajectory in the order of the frames, one each, whatever their times are.",
     )
+    masks: str | None = param(
+        None,
+        "Folder with an image of 8 bits for each frame, of its name or number: what is 0 in it shows nothing "
+        "of the scene (a backdrop, what moves) and gets no depth.",
+    )
     adjusted: str | None = param(
         None,
         "A cameras.json of `scanloom adjust`, or of a run's adjusted/: its poses and its colour camera in "
