@@ -14,6 +14,7 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.scans.formats import trajectories
+from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.files import about_order, common_size, first_existing, has, images, numbers, pair
 from stages.scans.reading.layout import Layout
 from stages.scans.reading.params import ReadingParams
@@ -81,6 +82,8 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     names = [one.stem for one, _ in pairs]
     times = trajectories.read_times(folder / "times.txt", names)
     path = options.file("poses", folder) or first_existing(folder, *_TRAJECTORIES)
+    if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
+        warnings = [*warnings, f"the poses are read from {path.name}, which lies beside the images"]
     poses: list[Pose | None]
     if path is not None:
         poses = _poses(path, names, times, options)

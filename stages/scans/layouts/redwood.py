@@ -10,6 +10,7 @@ from pathlib import Path
 
 from stages.errors import InputError
 from stages.scans.formats import calibration, trajectories
+from stages.scans.reading.beside import trajectory_beside
 from stages.scans.reading.confidence_folder import confidence_of
 from stages.scans.reading.files import (
     COLOR_FOLDERS,
@@ -70,6 +71,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     pairs, skipped = pair(depths, colors, *named, folder)
     names = [depth.stem for depth, _ in pairs]
     path = options.file("poses", folder) or _trajectory(folder)
+    about_poses: list[str] = []
+    if path is None and (path := trajectory_beside(folder, len(pairs))) is not None:
+        about_poses = [f"the poses are read from {path.name}, which lies beside the images"]
     poses: list[Pose | None] = [None] * len(pairs)
     missing: tuple[str, ...] = ()
     if path is not None:
@@ -91,7 +95,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
         for (depth, image), pose in zip(pairs, poses, strict=True)
     ]
-    said = (*warnings, *about_trust, *about_order(pairs, *named))
+    said = (*warnings, *about_poses, *about_trust, *about_order(pairs, *named))
     return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), said, missing)
 
 

@@ -11,7 +11,7 @@ from stages.errors import InputError
 from stages.files import documents
 from stages.files.noting import only_looking
 from stages.files.telling import in_sentences, telling
-from stages.scans.formats import calibration, rig_calibration
+from stages.scans.formats import calibration, rig_calibration, trajectories
 from stages.scans.formats.image_size import is_off_centre, was_scaled
 from stages.scans.scan import Camera, StereoRig
 
@@ -22,6 +22,10 @@ _SUFFIXES = (".json", ".yaml", ".yml", ".toml", ".xml", ".txt")
 # A calibration is a page or two; a folder with more texts than this holds something else in them.
 _MAX_BYTES = 1 << 16
 _MOST_FILES = 64
+_TRAJECTORIES = (".txt", ".log", ".tum", ".traj", ".csv", ".freiburg", ".json")
+_MOST_TRAJECTORY_BYTES = 1 << 24
+# A single pose may be any matrix.
+_LEAST_POSES = 2
 # What stands in files of cameras, whoever wrote them.
 _OF_CAMERAS = re.compile(r"intrinsic|camera_?matrix|\bf[xy]\b|focal|\bK[12]?\b", re.IGNORECASE)
 _OFF_CENTRE = "its principal point is far from the middle of these images."
@@ -84,6 +88,23 @@ def rigs_beside(
             if _is_a_lens(rig.left) and _is_a_lens(rig.right):
                 found.append(((rig, [*warnings, *in_sentences(told)]), path, told))
     return [(rig, warnings, path) for (rig, warnings), path, _ in _of_this_size(found)]
+
+
+def trajectory_beside(folder: Path, count: int) -> Path | None:
+    """Return the only file of a folder that holds as many poses as there are frames; None if it is not one."""
+    if count < _LEAST_POSES:
+        return None
+    with only_looking():
+        texts = [path for path in folder.iterdir() if path.suffix.lower() in _TRAJECTORIES and path.is_file()]
+        found = [path for path in sorted(texts)[:_MOST_FILES] if _count_of_poses(path) == count]
+    return found[0] if len(found) == 1 else None
+
+
+def _count_of_poses(path: Path) -> int:
+    try:
+        return len(trajectories.read_trajectory(path)) if path.stat().st_size <= _MOST_TRAJECTORY_BYTES else 0
+    except InputError:
+        return 0
 
 
 def not_taken(folder: Path, width: int, height: int, read: Callable[[Path, int, int], object]) -> list[str]:

@@ -39,11 +39,11 @@ def test_where_all_is_used_nothing_is_told(scan_folder):
 
 def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
     (scan_folder / "other.json").write_text(json.dumps(CAMERA))
-    (scan_folder / "camera_path.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2)
+    (scan_folder / "camera_path.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
     (scan_folder / "notes.txt").write_text("we walked around the table")
     (scan_folder / "cloud.ply").write_text("ply")
     assert told(scan_folder) == [
-        "camera_path.txt looks like 2 poses: scan.poses=camera_path.txt",
+        "camera_path.txt looks like 3 poses: scan.poses=camera_path.txt",
         "cloud.ply looks like points or a mesh",
         "other.json looks like a camera: scan.calibration=other.json",
         "notes.txt",
@@ -81,12 +81,12 @@ def test_a_real_trajectory_under_a_name_of_its_own(shared_data):
 def test_files_far_below_and_links_that_lead_around(scan_folder):
     deep = scan_folder / "logs" / "of" / "the day"
     deep.mkdir(parents=True)
-    (deep / "way.tum").write_text("0 0 0 0 0 0 0 1\n1 0 0 1 0 0 0 1\n")
+    (deep / "way.tum").write_text("".join(f"{n} 0 0 {n} 0 0 0 1\n" for n in range(3)))
     (scan_folder / "logs" / "all of it").symlink_to(scan_folder, target_is_directory=True)
     (scan_folder / "again.tum").symlink_to(deep / "way.tum")
     (scan_folder / "itself.txt").symlink_to(scan_folder / "itself.txt")
     (told_once,) = told(scan_folder)
-    assert told_once == "again.tum looks like 2 poses: scan.poses=again.tum"
+    assert told_once == "again.tum looks like 3 poses: scan.poses=again.tum"
 
 
 def test_an_image_that_links_to_itself_is_left_out(scan_folder):

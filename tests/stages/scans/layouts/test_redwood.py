@@ -258,3 +258,22 @@ def test_a_real_phone_states_its_confidence(shared_data):
     scan = read_scan(shared_data / "real" / "phone_desk_no_calibration", complete=False)
     assert {frame.least_confidence for frame in scan.frames} == {50}
     assert any("of 0, 50, 100" in text for text in scan.warnings)
+
+
+@pytest.mark.parametrize("name", ["pose.txt", "of the camera.txt", "way.tum"])
+def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, name):
+    # As SLAMBench has them: a line a frame, in order, without times.
+    (scan_folder / "trajectory.log").unlink()
+    turned = " ".join(map(str, tiny.second_quaternion))
+    times = ("0 ", "1 ") if name.endswith("tum") else ("", "")
+    (scan_folder / name).write_text(f"{times[0]}0 0 0 0 0 0 1\n{times[1]}1 2 3 {turned}\n")
+    (scan_folder / "notes.txt").write_text("we walked around\n")
+    np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
+    warnings = read_scan(scan_folder).warnings
+    assert warnings == (f"the poses are read from {name}, which lies beside the images",)
+    # Two files, or one of another count: nobody knows which is meant.
+    (scan_folder / "other.txt").write_text("0 0 0 0 0 0 1\n" * 2)
+    assert read_scan(scan_folder, complete=False).missing
+    (scan_folder / "other.txt").unlink()
+    (scan_folder / name).write_text("0 0 0 0 0 0 1\n" * 3)
+    assert read_scan(scan_folder, complete=False).missing
