@@ -91,7 +91,7 @@ def rigs_beside(
 
 
 def trajectory_beside(folder: Path, count: int) -> Path | None:
-    """Return the only file of a folder that holds as many poses as there are frames; None if it is not one."""
+    """Return the only file of a folder that holds as many poses as there are frames; None without one."""
     if count < _LEAST_POSES:
         return None
     with only_looking():
