@@ -21,8 +21,9 @@ from stages.scans.scan import Pose
 
 # Fewer loops than this are not asked what they say of each other.
 _FEW_LOOPS = 6
-# Where the points of loops land this near to their matches without them, the path is not bent, pixels.
-_AGREED_PX = 1.0
+# Where the points of loops land this near to their matches without them, the path is not bent, pixels; and
+# the times by which a median may be more without being worse: a thousand points tell it no better.
+_AGREED_PX, _SAME = 1.0, 1.02
 # How much farther off points of the chain may land with loops than without: a share, and pixels.
 _BENT_SHARE, _BENT_PX = 2.0, 0.25
 # Poses are better where points land nearer by this share, or surfaces meet more; fewer points say nothing.
@@ -79,8 +80,8 @@ def _unsound_loops(
 ) -> tuple[list[Edge], list[Edge]]:
     """Return the loops along an unbroken chain, first those that are idle, then those that are false.
 
-    They are idle if the chain brings their points together as it is, and neither half of them brings those of
-    the other nearer; they are false if they bend the chain until its own points are off.
+    They are idle if the chain brings their points together as it is, and halves of them bring those of the
+    other no nearer but farther apart; they are false if they bend the chain until its own points are off.
     """
     certain = [edge for edge in edges if edge.is_certain]
     part = {key: i for i, one in enumerate(pieces(len(chain.keys), certain)) for key in one}
@@ -98,7 +99,7 @@ def _unsound_loops(
         with_loops.append(_errors(chain, along[1 - half :: 2], looped))
         without.append(_errors(chain, along[1 - half :: 2], unlooped))
     apart = _median(np.concatenate(without))
-    needed = apart > _AGREED_PX or _median(np.concatenate(with_loops)) <= apart
+    needed = apart > _AGREED_PX or _median(np.concatenate(with_loops)) <= _SAME * apart
     return ([] if needed else along), []
 
 

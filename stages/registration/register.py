@@ -32,7 +32,7 @@ from stages.scans.scan import Frame, Pose, Scan, SkippedFrame
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Depth is used up to so many times its median in so many frames.
 _MEDIANS, _SAMPLED = 2.5, 7
