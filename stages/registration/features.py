@@ -22,7 +22,7 @@ _OFF_PX = 4.0
 _OFF_DEPTH = 0.05
 # Depth at a point is told by neighbours within so many pixels that differ by less than this share; where they
 # are few, they are held to be level as firmly as so many squared pixels would tell.
-_BESIDE, _ALIKE, _FLAT = 2, 0.02, 4.0
+_BESIDE, _ALIKE, _FLAT = 3, 0.02, 4.0
 # Trials for the first motion, and for others, which only count where they have a fair share of the matches.
 _TRIALS, _MORE_TRIALS = 1000, 300
 # Motions that may be told apart in one pair of views, the least matches that tell one, and the least share of
